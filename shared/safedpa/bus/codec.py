@@ -1,0 +1,117 @@
+"""Messages to msgpack and back, strictly: wrong types, lengths and numbers that are none are refused on receipt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import MISSING, fields
+from functools import cache
+from typing import Any, TypeVar
+
+import msgpack
+
+from safedpa.bus.messages import Message
+from safedpa.errors import MessageError
+
+__all__ = ["LARGEST_MESSAGE_BYTES", "decode", "encode"]
+
+LARGEST_MESSAGE_BYTES = 65536
+"""A message is a few hundred bytes; anything beyond this is refused before it is parsed."""
+
+_M = TypeVar("_M", bound=Message)
+_Check = Callable[[str, Any], Any]
+
+
+def encode(message: Message) -> bytes:
+    """The message as a msgpack map from field names to values."""
+    names = _names(type(message))
+    packed: bytes = msgpack.packb({name: getattr(message, name) for name in names})
+    return packed
+
+
+def decode(kind: type[_M], payload: bytes) -> _M:
+    """The message in a payload.
+
+    Raises MessageError naming the field when the payload is too large, no msgpack map, lacks a field, has one of the wrong
+    type, or holds NaN or infinity. Unknown fields are ignored.
+    """
+    if len(payload) > LARGEST_MESSAGE_BYTES:
+        raise MessageError(
+            f"{kind.__name__}: got {len(payload)} bytes, wanted at most {LARGEST_MESSAGE_BYTES}"
+        )
+    try:
+        table = msgpack.unpackb(payload, use_list=False, strict_map_key=True)
+    except (ValueError, msgpack.exceptions.UnpackException, UnicodeDecodeError) as error:
+        raise MessageError(f"{kind.__name__}: no msgpack ({error})") from error
+    if not isinstance(table, dict):
+        raise MessageError(f"{kind.__name__}: got {type(table).__name__}, wanted a map of fields")
+    values = {}
+    for name, check, optional in _checks(kind):
+        if name in table:
+            values[name] = check(f"{kind.__name__}.{name}", table[name])
+        elif not optional:
+            raise MessageError(f"{kind.__name__}.{name}: missing")
+    return kind(**values)
+
+
+@cache
+def _names(kind: type[Message]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
+
+
+@cache
+def _checks(kind: type[Message]) -> tuple[tuple[str, _Check, bool], ...]:
+    return tuple(
+        (field.name, _CHECKS[str(field.type)], field.default is not MISSING) for field in fields(kind)
+    )
+
+
+def _integer(name: str, value: Any) -> int:
+    if type(value) is not int:
+        raise MessageError(f"{name}: got {_short(value)}, wanted a whole number")
+    return value
+
+
+def _float(name: str, value: Any) -> float:
+    if type(value) is float and math.isfinite(value):
+        return value
+    if type(value) is int:
+        return float(value)
+    raise MessageError(f"{name}: got {_short(value)}, wanted a finite number")
+
+
+def _boolean(name: str, value: Any) -> bool:
+    if type(value) is not bool:
+        raise MessageError(f"{name}: got {_short(value)}, wanted true or false")
+    return value
+
+
+def _string(name: str, value: Any) -> str:
+    if type(value) is not str:
+        raise MessageError(f"{name}: got {_short(value)}, wanted text")
+    return value
+
+
+def _tuple_of(check: _Check) -> _Check:
+    def checked(name: str, value: Any) -> tuple[Any, ...]:
+        if type(value) is not tuple:
+            raise MessageError(f"{name}: got {_short(value)}, wanted a list")
+        return tuple(check(name, entry) for entry in value)
+
+    return checked
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+_CHECKS: dict[str, _Check] = {
+    "int": _integer,
+    "float": _float,
+    "bool": _boolean,
+    "str": _string,
+    "Vector": _tuple_of(_float),
+    "Rows": _tuple_of(_tuple_of(_float)),
+    "tuple[str, ...]": _tuple_of(_string),
+}

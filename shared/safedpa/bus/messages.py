@@ -1,0 +1,143 @@
+"""What the processes say to each other: frozen, typed, stamped, in SI units and radians.
+
+Rules of evolution: a field is never renamed or given another meaning; a new field has a default; a field that is not
+needed any more stays. ``version`` counts up when a receiver must know the difference. Unknown fields are ignored, so
+that older programs read newer messages.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "ActionMessage",
+    "HealthMessage",
+    "LatentMessage",
+    "Message",
+    "StateMessage",
+    "VerdictMessage",
+    "WishMessage",
+]
+
+Vector = tuple[float, ...]
+Rows = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """The stamp that every message carries."""
+
+    version: int = 1
+    epoch: int
+    """Drawn anew by the robot at each of its starts, carried along by everything computed from its states."""
+    tick: int
+    """Counts the robot's periods from 0; the tick of the state from which this message was computed."""
+    robot_time: float
+    """s since the robot's start, by the robot's clock."""
+    publish_time: float
+    """s since 1970, by the sender's clock; for people and recordings, never for decisions."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StateMessage(Message):
+    """What the robot measures now, and what it perceives around it."""
+
+    values: Vector
+    """(states,) in the order of the robot's system."""
+    applied: Vector
+    """(actions,) the action in force over the period that ended now."""
+    applied_by: str
+    """Who chose it: ``filter``, ``watchdog`` (the robot braked by itself) or ``none`` (first tick)."""
+    period: float
+    """s between two ticks."""
+    lockstep: bool
+    """True when the robot waits for the action of this tick, however long it takes."""
+    goal: Vector
+    """(2,) m."""
+    obstacles: Rows
+    """(obstacles, 3): x, y, radius in m."""
+    field: Vector
+    """(4,): lowest x, highest x, lowest y, highest y in m."""
+    footprint: Vector
+    """(3,): how far the body (and what it tows) reaches behind and ahead of the reference point along the heading, and the
+    radius around that line, in m."""
+    load_pose: Vector = ()
+    """(5,): x, y, yaw, length, width of a towed load, empty without one; for pictures only."""
+    goals_reached: int = 0
+    collisions: int = 0
+    """Contacts of body or load with an obstacle or the field's wall since the start, each counted once."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatentMessage(Message):
+    """The adaptation's estimate of the model's free parameters."""
+
+    model: str
+    """Fingerprint of the model to whose latent this belongs."""
+    values: Vector
+    """(latents,)."""
+    deviations: Vector
+    """(latents,) standard deviations."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WishMessage(Message):
+    """What the policy would do."""
+
+    values: Vector
+    """(actions,)."""
+    controller: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActionMessage(Message):
+    """What the robot shall do. Only the safety filter sends it."""
+
+    values: Vector
+    """(actions,)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerdictMessage(Message):
+    """Why the action is what it is."""
+
+    status: str
+    sentence: str
+    """The status in words, with the reason."""
+    action: Vector
+    wish: Vector
+    """Empty when there was none."""
+    slack: float
+    """By how much the barrier condition had to be relaxed, in the barrier's unit; 0 when it holds."""
+    active: tuple[str, ...]
+    """Names of the barriers that bind."""
+    h_now: float
+    """Smallest barrier value at the measured state."""
+    h_next: float
+    """Smallest barrier value that the model predicts for the next state under the action."""
+    margin: float
+    """epsilon by which the condition is tightened."""
+    solver: str
+    """Status of the QP solver."""
+    microseconds: float
+    """Time that the decision took."""
+    predicted: Rows = ()
+    """(steps, states) predicted under the action held, the first one period ahead."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HealthMessage(Message):
+    """A heartbeat, sent by the working loop itself: it proves progress, not only life."""
+
+    service: str
+    pid: int
+    state: str
+    """``ready`` (waiting for a robot), ``running`` or ``failing``."""
+    detail: str = ""
+    steps: int = 0
+    stale: int = 0
+    """Steps that ran without some input because it was missing or too old."""
+    refused: int = 0
+    """Messages that were refused as malformed, foreign or out of order."""
+    step_microseconds: float = 0.0
+    """Time of the last step."""

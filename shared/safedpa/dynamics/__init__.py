@@ -1,0 +1,22 @@
+"""Models: known physics, composed with effects, in files that people can read."""
+
+from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.dynamics import AbstractDynamics
+from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
+from safedpa.dynamics.model_file import load_model, parse_model, save_model, shipped_models, write_model
+from safedpa.dynamics.physics import PhysicsModel, Setting
+from safedpa.dynamics.rigid_pendulum import RigidPendulum
+
+__all__ = [
+    "AbstractBase",
+    "AbstractDynamics",
+    "KinematicBicycle",
+    "PhysicsModel",
+    "RigidPendulum",
+    "Setting",
+    "load_model",
+    "parse_model",
+    "save_model",
+    "shipped_models",
+    "write_model",
+]

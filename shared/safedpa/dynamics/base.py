@@ -1,0 +1,27 @@
+"""A base model: the physics that is known before any effect is added."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from safedpa.effects.effect import Named
+from safedpa.effects.parameter import Parameter
+from safedpa.operations import Operations
+from safedpa.systems import System
+
+__all__ = ["AbstractBase"]
+
+
+class AbstractBase(ABC):
+    """Known physics of one kind of robot: the time derivative of the state, with named parameters."""
+
+    kind: ClassVar[str]
+    equation: ClassVar[str]
+    source: ClassVar[str]
+    system: System
+    parameters: tuple[Parameter, ...]
+
+    @abstractmethod
+    def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:
+        """d(state)/dt by name of the state's entry, in SI units per second."""

@@ -1,0 +1,58 @@
+"""The one seam through which filter, adaptation, comparison and simulation see a model."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+from safedpa.systems import System
+
+__all__ = ["AbstractDynamics", "Array"]
+
+Array = Any
+"""A numpy array or a torch tensor; what comes out is of the kind that went in."""
+
+
+class AbstractDynamics(ABC):
+    """A discrete-time model x[t+1] = step(x[t], a[t]), seen by the filter as f(x, z) + g(x, z) a.
+
+    Shapes: state (..., states), action (..., actions), latent (..., latents). One state without leading axes may be a
+    numpy array and then takes the fast path; batches are numpy arrays or torch tensors.
+    """
+
+    system: System
+    period: float
+    """Seconds between two steps, unless a call says otherwise."""
+    latent_names: tuple[str, ...]
+    """What the entries of the latent z mean; empty when the model has none."""
+
+    @abstractmethod
+    def initial_memory(self, action: Array) -> Any:
+        """What the actuators remember after ``action`` (..., actions) has been held for a long time."""
+
+    @abstractmethod
+    def advance(
+        self,
+        state: Array,
+        action: Array,
+        memory: Any,
+        latent: Array | None = None,
+        *,
+        period: float | None = None,
+        time: float = 0.0,
+    ) -> tuple[Array, Any]:
+        """State and memory after ``period`` seconds under a held action; ``time`` [s] counts from the run's start."""
+
+    def step(self, state: Array, action: Array, latent: Array | None = None) -> Array:
+        """x[t+1] (..., states), for actuators that have settled at ``action`` (..., actions)."""
+        return self.advance(state, action, self.initial_memory(action), latent)[0]
+
+    @abstractmethod
+    def affine(
+        self, state: Array, latent: Array | None = None, *, around: Array | None = None, memory: Any = None
+    ) -> tuple[Array, Array]:
+        """(f, g) with x[t+1] = f + g a, shapes (..., states) and (..., states, actions).
+
+        Exact where the model is affine in the action; else the tangent at the action ``around`` (..., actions), by default
+        the middle of the actuator bounds. ``memory`` as from ``advance``; by default settled at ``around``.
+        """

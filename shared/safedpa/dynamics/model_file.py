@@ -1,0 +1,195 @@
+"""Model files: a model as TOML that a person can read and change. Errors name the file and the key."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
+from safedpa.dynamics.physics import PhysicsModel, Setting
+from safedpa.dynamics.rigid_pendulum import RigidPendulum
+from safedpa.effects.effect import AbstractEffect
+from safedpa.effects.library import effect
+from safedpa.effects.parameter import Parameter
+from safedpa.errors import InputError, ModelFileError, did_you_mean
+
+__all__ = ["FORMAT", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
+
+FORMAT = 1
+_TOP = ("format", "robot", "period", "base", "effects")
+_PARAMETER_KEYS = ("value", "free", "unit")
+
+
+def load_model(source: str | Path) -> PhysicsModel:
+    """The model in a file, or one that ships with the project, by its name (``car`` or ``car.toml``).
+
+    Raises ModelFileError naming the file and the key.
+    """
+    path = Path(source)
+    shipped = shipped_models()
+    if not path.exists() and path.stem in shipped and path.parent == Path():
+        path = shipped[path.stem]
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelFileError(
+            f"{source}: cannot be read ({error}); wanted a model file, or one of {', '.join(shipped)}"
+        ) from error
+    try:
+        return parse_model(text)
+    except ModelFileError as error:
+        raise ModelFileError(f"{source}: {error}") from error
+
+
+def shipped_models() -> dict[str, Path]:
+    """Model files that ship with the project, by name without the ending."""
+    with as_file(files("safedpa.dynamics") / "models") as folder:
+        return {
+            path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.endswith("_columns")
+        }
+
+
+def parse_model(text: str) -> PhysicsModel:
+    """The model that a TOML text describes; see the docs page on model files.
+
+    Raises ModelFileError naming the key.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ModelFileError(f"not TOML: {error}") from error
+    _refuse_unknown(table, _TOP, "")
+    if table.get("format") != FORMAT:
+        raise ModelFileError(
+            f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other"
+        )
+    robot = table.get("robot")
+    base_table = table.get("base")
+    if not isinstance(base_table, dict):
+        raise ModelFileError("base: missing; wanted a table [base] with the key 'kind'")
+    base = _base(robot, base_table)
+    settings = _settings("base", base.parameters, base_table, ("kind", "drive"))
+    effects = []
+    for entry in _effect_tables(table):
+        item = _effect(base, entry)
+        effects.append(item)
+        settings.update(_settings(item.name, item.parameters, entry, ("name",)))
+    return PhysicsModel(base, effects, settings, _period(table))
+
+
+def save_model(model: PhysicsModel, path: Path) -> None:
+    """Writes ``write_model`` to a file."""
+    path.write_text(write_model(model), encoding="utf-8")
+
+
+def write_model(model: PhysicsModel) -> str:
+    """The TOML text that ``parse_model`` reads back to the same model."""
+    lines = [
+        f"format = {FORMAT}",
+        f'robot = "{model.system.name}"',
+        f"period = {model.period!r}  # s",
+        "",
+        "[base]",
+    ]
+    lines.append(f'kind = "{model.base.kind}"')
+    if isinstance(model.base, KinematicBicycle):
+        lines.append(f'drive = "{model.base.drive}"')
+    lines += _setting_lines(model, "base", model.base.parameters)
+    for item in model.effects:
+        lines += ["", "[[effects]]", f'name = "{item.name}"', f"# {item.equation}"]
+        lines += _setting_lines(model, item.name, item.parameters)
+    return "\n".join(lines) + "\n"
+
+
+def _setting_lines(model: PhysicsModel, owner: str, parameters: tuple[Parameter, ...]) -> list[str]:
+    lines = []
+    for parameter in parameters:
+        setting = model.settings[f"{owner}.{parameter.name}"]
+        value = f"{{ value = {setting.value!r}, free = true }}" if setting.free else repr(setting.value)
+        lines.append(f"{parameter.name} = {value}  # {parameter.unit}")
+    return lines
+
+
+def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
+    kinds = {"car": KinematicBicycle.kind, "pendulum": RigidPendulum.kind}
+    if robot not in kinds:
+        raise ModelFileError(f"robot: got {robot!r}, wanted one of {', '.join(kinds)}")
+    if table.get("kind") != kinds[robot]:
+        raise ModelFileError(
+            f"base.kind: got {table.get('kind')!r}, wanted '{kinds[robot]}' for robot '{robot}'"
+        )
+    drive = table.get("drive")
+    if robot != "car":
+        if drive is not None:
+            raise ModelFileError(f"base.drive: got {drive!r}, a {robot} has none; remove the key")
+        return RigidPendulum()
+    if drive not in ("speed_servo", "throttle"):
+        raise ModelFileError(f"base.drive: got {drive!r}, wanted 'speed_servo' or 'throttle'")
+    return KinematicBicycle(drive)
+
+
+def _effect_tables(table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    entries = table.get("effects", [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise ModelFileError("effects: wanted tables that begin with [[effects]]")
+    return entries
+
+
+def _effect(base: AbstractBase, entry: Mapping[str, Any]) -> AbstractEffect:
+    name = entry.get("name")
+    if not isinstance(name, str):
+        raise ModelFileError(f"effects.name: got {name!r}, wanted the name of an effect")
+    try:
+        return effect(base.system.name, name)
+    except InputError as error:
+        raise ModelFileError(f"effects.name: {error}") from error
+
+
+def _settings(
+    owner: str, parameters: tuple[Parameter, ...], table: Mapping[str, Any], other_keys: tuple[str, ...]
+) -> dict[str, Setting]:
+    _refuse_unknown(table, (*other_keys, *(parameter.name for parameter in parameters)), f"{owner}.")
+    found = {}
+    for parameter in parameters:
+        path = f"{owner}.{parameter.name}"
+        if parameter.name in table:
+            found[path] = _setting(path, parameter, table[parameter.name])
+        elif owner == "base" and parameter.neutral is not None:
+            found[path] = Setting(parameter.neutral)
+    return found
+
+
+def _setting(path: str, parameter: Parameter, entry: Any) -> Setting:
+    table = entry if isinstance(entry, dict) else {"value": entry}
+    _refuse_unknown(table, _PARAMETER_KEYS, f"{path}.")
+    unit = table.get("unit", parameter.unit)
+    if unit != parameter.unit:
+        raise ModelFileError(f"{path}.unit: got '{unit}', wanted '{parameter.unit}'; convert the value")
+    free = table.get("free", False)
+    if not isinstance(free, bool):
+        raise ModelFileError(f"{path}.free: got {free!r}, wanted true or false")
+    return Setting(_number(path, parameter.unit, table.get("value")), free)
+
+
+def _period(table: Mapping[str, Any]) -> float:
+    period = _number("period", "s", table.get("period", 0.05))
+    if not 1e-4 <= period <= 1.0:
+        raise ModelFileError(f"period: got {period}, wanted 0.0001 to 1 s")
+    return period
+
+
+def _number(path: str, unit: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ModelFileError(f"{path}: got {value!r}, wanted a finite number in {unit}")
+    return float(value)
+
+
+def _refuse_unknown(table: Mapping[str, Any], known: tuple[str, ...], prefix: str) -> None:
+    for key in table:
+        if key not in known:
+            raise ModelFileError(f"{prefix}{key}: unknown key; {did_you_mean(key, known)}")

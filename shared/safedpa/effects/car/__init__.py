@@ -1,0 +1,1 @@
+"""Effects of the car, one a file."""

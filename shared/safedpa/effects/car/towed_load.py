@@ -1,0 +1,36 @@
+"""A load that is towed on a hitch."""
+
+from __future__ import annotations
+
+from typing import final
+
+from safedpa.effects.effect import STICTION_SPEED, Context, Named, RateEffect, Stage
+from safedpa.effects.parameter import Parameter
+
+__all__ = ["TowedLoad"]
+
+
+@final
+class TowedLoad(RateEffect):
+    """A load of mass_ratio times the car's mass, which alone would slide to rest at ``deceleration``.
+
+    (1 + mass_ratio) d(speed)/dt = drive and resistance of the car - mass_ratio deceleration sign(speed),
+    the sign rounded off below 0.03 m/s. The hitch is taken as stiff and in line with the car.
+    """
+
+    name = "towed_load"
+    robot = "car"
+    stage = Stage.MASS
+    equation = "(1 + mass_ratio) d(speed)/dt = acceleration - mass_ratio deceleration sign(speed)"
+    parameters = (
+        Parameter("mass_ratio", "1", 0.0, 5.0, 0.5, meaning="mass of the load over mass of the car"),
+        Parameter("deceleration", "m/s2", 0.0, 9.81, 2.0, meaning="friction coefficient of the load times g"),
+    )
+    signature = "all accelerations too small by one factor, and a steady pull against the motion"
+    source = "Newton's second law for two bodies on a rigid hitch, Coulomb friction under the towed one"
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        ratio = parameters["mass_ratio"]
+        direction = context.operations.tanh(context.state["speed"] / STICTION_SPEED)
+        pull = ratio * parameters["deceleration"] * direction
+        return {**rates, "speed": (rates["speed"] - pull) / (1.0 + ratio)}

@@ -1,0 +1,133 @@
+"""What a physical effect is: one of three small classes, each with one method to write.
+
+A model advances in a fixed order, whatever the order of effects in its file:
+
+    true state  = restore(measured state)                SensorEffect
+    command     = transform(action, memory)              CommandEffect   once per period, may remember
+    d(state)/dt = modify(rates of the base model)        RateEffect      inside the integrator
+    measured    = measure(true state)                    SensorEffect
+
+Within one kind, effects apply in the order of their ``stage``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, ClassVar, Final
+
+from safedpa.effects.parameter import Parameter
+from safedpa.operations import Operations, Scalar
+
+__all__ = ["AbstractEffect", "CommandEffect", "Context", "RateEffect", "SensorEffect", "Stage"]
+
+Named = Mapping[str, Scalar]
+"""Scalars by name: a state, an action, rates or parameters."""
+
+
+class Stage(IntEnum):
+    """When an effect applies; lower first. The physical order from command to motion."""
+
+    COMMAND_SCALE = 10
+    """What the receiver makes of the number that was sent: gains, offsets, dead zones."""
+    COMMAND_DELAY = 20
+    """Pure delay of what was received."""
+    COMMAND_LAG = 30
+    """The actuator's inertia."""
+    COMMAND_GEOMETRY = 40
+    """Where the linkage really stands: steering offset, asymmetry, stops."""
+    DRIVE = 50
+    """How strong the drive is: sag, back-EMF, mass."""
+    RESISTANCE = 60
+    """Forces that act beside the drive."""
+    MASS = 65
+    """Inertia that drive and resistance share."""
+    MOTION = 70
+    """How wheels turn into motion: understeer, slip, drift."""
+    SENSOR = 80
+    """What the sensor makes of the true state."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a rate effect may look at: the state and the transformed action now, the base's parameters."""
+
+    state: Named
+    action: Named
+    base: Named
+    time: Scalar
+    """Seconds since the start of the run."""
+    operations: Operations
+
+
+class AbstractEffect(ABC):
+    """One physical effect: its equation, parameters, source, and what it looks like in residuals.
+
+    Class attributes, all of them required:
+
+    - ``name``: as in model files and reports;
+    - ``robot``: name of the system that it belongs to;
+    - ``stage``: when it applies;
+    - ``equation``: one line a person can read;
+    - ``parameters``: its numbers;
+    - ``signature``: what the residuals of a model without it look like;
+    - ``source``: where the equation stands.
+
+    At the neutral values of all parameters the model is exactly the model without the effect.
+    """
+
+    name: ClassVar[str]
+    robot: ClassVar[str]
+    stage: ClassVar[Stage]
+    equation: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    signature: ClassVar[str]
+    source: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Names of actions without which the effect has no meaning (``throttle`` for a dead zone of the throttle)."""
+
+
+class CommandEffect(AbstractEffect):
+    """An effect between the action that was sent and the action that the mechanics feel."""
+
+    def initial_memory(self, action: Named) -> Any:
+        """What the effect remembers after ``action`` has been held for a long time; None: nothing."""
+        del action
+        return None
+
+    @abstractmethod
+    def transform(
+        self,
+        action: Named,
+        memory: Any,
+        parameters: Named,
+        period: float,
+        operations: Operations,
+    ) -> tuple[Named, Any]:
+        """The action felt, as its mean over the coming ``period`` [s], and the memory at its end."""
+
+
+class RateEffect(AbstractEffect):
+    """An effect on the time derivative of the state."""
+
+    @abstractmethod
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:
+        """The rates with the effect, from the rates without it."""
+
+
+class SensorEffect(AbstractEffect):
+    """An effect between the true state and the measured one; an invertible map."""
+
+    @abstractmethod
+    def measure(self, state: Named, parameters: Named) -> Named:
+        """The measured state, from the true one."""
+
+    @abstractmethod
+    def restore(self, state: Named, parameters: Named) -> Named:
+        """The true state, from the measured one."""
+
+
+STICTION_SPEED: Final = 0.03
+"""m/s; below it the sign of the speed in friction laws is rounded off, so that a standing car stays put."""

@@ -1,0 +1,94 @@
+"""The library: every effect that is known, by robot and name; a user's own ones join from a file."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import sys
+from collections.abc import Iterator
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+from safedpa.effects.effect import AbstractEffect
+from safedpa.errors import InputError, did_you_mean
+
+__all__ = ["effect", "effects_of", "load_effects"]
+
+_own: dict[tuple[str, str], AbstractEffect] = {}
+"""Effects that were loaded from files outside the project, in this process."""
+
+
+def effects_of(robot: str) -> dict[str, AbstractEffect]:
+    """Every effect of one robot, by name, in alphabetical order."""
+    merged = {**_shipped(), **_own}
+    return {name: item for (owner, name), item in sorted(merged.items()) if owner == robot}
+
+
+def effect(robot: str, name: str) -> AbstractEffect:
+    """One effect by name.
+
+    Raises InputError with the nearest names when there is none.
+    """
+    known = effects_of(robot)
+    if name not in known:
+        raise InputError(f"effect '{name}' is not known for robot '{robot}': {did_you_mean(name, known)}")
+    return known[name]
+
+
+def load_effects(path: Path) -> list[AbstractEffect]:
+    """Adds the effects that a Python file defines to the library of this process.
+
+    Raises InputError when the file cannot be read as Python, defines no effect, or reuses a name.
+    """
+    module = _module_from(path)
+    found = list(_effects_in(module))
+    if not found:
+        raise InputError(
+            f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect or SensorEffect"
+        )
+    for item in found:
+        if (item.robot, item.name) in _shipped():
+            raise InputError(
+                f"{path}: effect '{item.name}' of robot '{item.robot}' exists already; choose another name"
+            )
+        _own[item.robot, item.name] = item
+    return found
+
+
+@cache
+def _shipped() -> dict[tuple[str, str], AbstractEffect]:
+    found: dict[tuple[str, str], AbstractEffect] = {}
+    for folder in ("car", "pendulum"):
+        package = importlib.import_module(f"safedpa.effects.{folder}")
+        for info in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+            for item in _effects_in(importlib.import_module(info.name)):
+                found[item.robot, item.name] = item
+    for entry in entry_points(group="safedpa.effects"):
+        for item in _effects_in(entry.load()):
+            found[item.robot, item.name] = item
+    return found
+
+
+def _effects_in(module: ModuleType) -> Iterator[AbstractEffect]:
+    for _, member in inspect.getmembers(module, inspect.isclass):
+        own = member.__module__ == module.__name__
+        if own and issubclass(member, AbstractEffect) and not inspect.isabstract(member):
+            yield member()
+
+
+def _module_from(path: Path) -> ModuleType:
+    name = f"safedpa_own_effects_{path.stem}"
+    specification = importlib.util.spec_from_file_location(name, path)
+    if not path.is_file() or specification is None or specification.loader is None:
+        raise InputError(f"{path}: got no Python file, wanted one that defines effects")
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module
+    try:
+        specification.loader.exec_module(module)
+    except Exception as error:  # noqa: BLE001 - a user's file may fail in any way; the reason is handed on
+        raise InputError(f"{path}: could not be run: {type(error).__name__}: {error}") from error
+    return module

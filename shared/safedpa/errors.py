@@ -1,0 +1,70 @@
+"""What can go wrong, as classes.
+
+    SafedpaError
+    ├── InputError            somebody gave us something unusable: exit code 2, one line
+    │   ├── ModelFileError    a model file: the key stands in the message
+    │   ├── ColumnMapError    a column map: the key stands in the message
+    │   ├── RunError          a recording: unreadable, empty, wrong columns
+    │   └── MessageError      a message from the bus: wrong shape, type or not finite
+    ├── BusError              the bus cannot be opened or a name on it is taken
+    └── RecordingError        a recording could not be written (disk full, say)
+
+Every message says what was got, what was wanted and what to do.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "BusError",
+    "ColumnMapError",
+    "InputError",
+    "MessageError",
+    "ModelFileError",
+    "RecordingError",
+    "RunError",
+    "SafedpaError",
+    "did_you_mean",
+]
+
+
+class SafedpaError(Exception):
+    """Root of every error that this project raises on purpose."""
+
+
+class InputError(SafedpaError):
+    """Bad input from a person or a file; the command line turns it into one line and exit code 2."""
+
+
+class ModelFileError(InputError):
+    """A model file that cannot be used."""
+
+
+class ColumnMapError(InputError):
+    """A column map that cannot be used."""
+
+
+class RunError(InputError):
+    """A recorded run that cannot be used."""
+
+
+class MessageError(InputError):
+    """A message from the bus that cannot be used."""
+
+
+class BusError(SafedpaError):
+    """The bus cannot be opened, or a name on it is taken."""
+
+
+class RecordingError(SafedpaError):
+    """A recording could not be written."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Sentence that lists what exists, with the nearest name first: for look-up errors."""
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    return f"{hint}known: {', '.join(names)}"

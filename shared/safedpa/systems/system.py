@@ -1,0 +1,77 @@
+"""A system: the names, units, bounds and angles of a robot's state and action, declared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["System", "Variable"]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One named quantity with its unit, the range in which it is plausible, and whether it is an angle."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    angle: bool = False
+
+
+@dataclass(frozen=True)
+class System:
+    """State and action of one kind of robot.
+
+    Bounds of the state are the range outside which a measurement is not believed; bounds of the action are
+    what the actuator accepts.
+    """
+
+    name: str
+    state: tuple[Variable, ...]
+    action: tuple[Variable, ...]
+
+    @cached_property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the state's entries, in order."""
+        return tuple(variable.name for variable in self.state)
+
+    @cached_property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the action's entries, in order."""
+        return tuple(variable.name for variable in self.action)
+
+    @cached_property
+    def angles(self) -> tuple[int, ...]:
+        """Indices of the state's angles."""
+        return tuple(index for index, variable in enumerate(self.state) if variable.angle)
+
+    @cached_property
+    def action_low(self) -> NDArray[np.float64]:
+        """Lower actuator bounds, shape (actions,)."""
+        return np.array([variable.low for variable in self.action])
+
+    @cached_property
+    def action_high(self) -> NDArray[np.float64]:
+        """Upper actuator bounds, shape (actions,)."""
+        return np.array([variable.high for variable in self.action])
+
+    @cached_property
+    def state_low(self) -> NDArray[np.float64]:
+        """Lower plausible bounds of the state, shape (states,)."""
+        return np.array([variable.low for variable in self.state])
+
+    @cached_property
+    def state_high(self) -> NDArray[np.float64]:
+        """Upper plausible bounds of the state, shape (states,)."""
+        return np.array([variable.high for variable in self.state])
+
+    def difference(self, later: NDArray[np.float64], earlier: NDArray[np.float64]) -> NDArray[np.float64]:
+        """later - earlier, shape (..., states), with angles taken the short way round, in [-pi, pi)."""
+        change = np.asarray(later - earlier, dtype=np.float64)
+        for index in self.angles:
+            change[..., index] = (change[..., index] + np.pi) % (2 * np.pi) - np.pi
+        return change
