@@ -100,9 +100,7 @@ def torch_operations() -> Operations:
     def unary(function: Callable[..., Any]) -> Callable[[Any], Any]:
         def call(value: Any) -> Any:
             # A plain number becomes a tensor without axes: it takes the precision of what it is combined with.
-            return function(
-                value if isinstance(value, torch.Tensor) else torch.tensor(value, dtype=torch.float64)
-            )
+            return function(value if isinstance(value, torch.Tensor) else torch.tensor(value, dtype=torch.float64))
 
         return call
 

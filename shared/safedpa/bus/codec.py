@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import MISSING, fields
-from functools import cache
 from typing import Any, TypeVar
 
 import msgpack
 
 from safedpa.bus.messages import Message
+from safedpa.bus.topics import TOPICS
 from safedpa.errors import MessageError
 
 __all__ = ["LARGEST_MESSAGE_BYTES", "decode", "encode"]
@@ -24,21 +24,18 @@ _Check = Callable[[str, Any], Any]
 
 def encode(message: Message) -> bytes:
     """The message as a msgpack map from field names to values."""
-    names = _names(type(message))
-    packed: bytes = msgpack.packb({name: getattr(message, name) for name in names})
+    packed: bytes = msgpack.packb({name: getattr(message, name) for name in _NAMES[type(message)]})
     return packed
 
 
 def decode(kind: type[_M], payload: bytes) -> _M:
     """The message in a payload.
 
-    Raises MessageError naming the field when the payload is too large, no msgpack map, lacks a field, has one of the wrong
-    type, or holds NaN or infinity. Unknown fields are ignored.
+    Raises MessageError naming the field when the payload is too large, no msgpack map, lacks a field, has one of the
+    wrong type, or holds NaN or infinity. Unknown fields are ignored.
     """
     if len(payload) > LARGEST_MESSAGE_BYTES:
-        raise MessageError(
-            f"{kind.__name__}: got {len(payload)} bytes, wanted at most {LARGEST_MESSAGE_BYTES}"
-        )
+        raise MessageError(f"{kind.__name__}: got {len(payload)} bytes, wanted at most {LARGEST_MESSAGE_BYTES}")
     try:
         table = msgpack.unpackb(payload, use_list=False, strict_map_key=True)
     except (ValueError, msgpack.exceptions.UnpackException, UnicodeDecodeError) as error:
@@ -46,24 +43,12 @@ def decode(kind: type[_M], payload: bytes) -> _M:
     if not isinstance(table, dict):
         raise MessageError(f"{kind.__name__}: got {type(table).__name__}, wanted a map of fields")
     values = {}
-    for name, check, optional in _checks(kind):
+    for name, check, optional in _FIELDS[kind]:
         if name in table:
             values[name] = check(f"{kind.__name__}.{name}", table[name])
         elif not optional:
             raise MessageError(f"{kind.__name__}.{name}: missing")
     return kind(**values)
-
-
-@cache
-def _names(kind: type[Message]) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind))
-
-
-@cache
-def _checks(kind: type[Message]) -> tuple[tuple[str, _Check, bool], ...]:
-    return tuple(
-        (field.name, _CHECKS[str(field.type)], field.default is not MISSING) for field in fields(kind)
-    )
 
 
 def _integer(name: str, value: Any) -> int:
@@ -114,4 +99,14 @@ _CHECKS: dict[str, _Check] = {
     "Vector": _tuple_of(_float),
     "Rows": _tuple_of(_tuple_of(_float)),
     "tuple[str, ...]": _tuple_of(_string),
+}
+
+_NAMES: dict[type[Message], tuple[str, ...]] = {
+    topic.message: tuple(field.name for field in fields(topic.message)) for topic in TOPICS.values()
+}
+_FIELDS: dict[type[Message], tuple[tuple[str, _Check, bool], ...]] = {
+    topic.message: tuple(
+        (field.name, _CHECKS[str(field.type)], field.default is not MISSING) for field in fields(topic.message)
+    )
+    for topic in TOPICS.values()
 }

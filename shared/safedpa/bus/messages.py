@@ -59,8 +59,8 @@ class StateMessage(Message):
     field: Vector
     """(4,): lowest x, highest x, lowest y, highest y in m."""
     footprint: Vector
-    """(3,): how far the body (and what it tows) reaches behind and ahead of the reference point along the heading, and the
-    radius around that line, in m."""
+    """(3,): how far the body (and what it tows) reaches behind and ahead of the reference point along the heading, and
+    the radius around that line, in m."""
     load_pose: Vector = ()
     """(5,): x, y, yaw, length, width of a towed load, empty without one; for pictures only."""
     goals_reached: int = 0

@@ -56,9 +56,7 @@ def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
     """
     for name in (fleet, robot, service):
         if name != "*" and (set(name) & set("/*$#?") or name.startswith("@")):
-            raise InputError(
-                f"name '{name}': got one of / * $ # ? @, wanted letters, digits, '-', '_' or '.'"
-            )
+            raise InputError(f"name '{name}': got one of / * $ # ? @, wanted letters, digits, '-', '_' or '.'")
     if not fleet or not robot:
         raise InputError("fleet and robot: got an empty name, wanted letters, digits, '-', '_' or '.'")
     key = f"safedpa/{fleet}/{robot}/{topic.name}"

@@ -53,6 +53,6 @@ class AbstractDynamics(ABC):
     ) -> tuple[Array, Array]:
         """(f, g) with x[t+1] = f + g a, shapes (..., states) and (..., states, actions).
 
-        Exact where the model is affine in the action; else the tangent at the action ``around`` (..., actions), by default
-        the middle of the actuator bounds. ``memory`` as from ``advance``; by default settled at ``around``.
+        Exact where the model is affine in the action; else the tangent at the action ``around`` (..., actions), by
+        default the middle of the actuator bounds. ``memory`` as from ``advance``; by default settled at ``around``.
         """

@@ -51,9 +51,7 @@ class KinematicBicycle(AbstractBase):
             "speed": self._acceleration(speed, action, parameters, operations),
         }
 
-    def _acceleration(
-        self, speed: Scalar, action: Named, parameters: Named, operations: Operations
-    ) -> Scalar:
+    def _acceleration(self, speed: Scalar, action: Named, parameters: Named, operations: Operations) -> Scalar:
         if self.drive == "throttle":
             return parameters["drive_gain"] * action["throttle"]
         wanted = parameters["speed_gain"] * (action["target_speed"] - speed)

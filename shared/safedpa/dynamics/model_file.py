@@ -49,9 +49,7 @@ def load_model(source: str | Path) -> PhysicsModel:
 def shipped_models() -> dict[str, Path]:
     """Model files that ship with the project, by name without the ending."""
     with as_file(files("safedpa.dynamics") / "models") as folder:
-        return {
-            path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.endswith("_columns")
-        }
+        return {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.endswith("_columns")}
 
 
 def parse_model(text: str) -> PhysicsModel:
@@ -65,9 +63,7 @@ def parse_model(text: str) -> PhysicsModel:
         raise ModelFileError(f"not TOML: {error}") from error
     _refuse_unknown(table, _TOP, "")
     if table.get("format") != FORMAT:
-        raise ModelFileError(
-            f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other"
-        )
+        raise ModelFileError(f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other")
     robot = table.get("robot")
     base_table = table.get("base")
     if not isinstance(base_table, dict):
@@ -120,9 +116,7 @@ def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
     if robot not in kinds:
         raise ModelFileError(f"robot: got {robot!r}, wanted one of {', '.join(kinds)}")
     if table.get("kind") != kinds[robot]:
-        raise ModelFileError(
-            f"base.kind: got {table.get('kind')!r}, wanted '{kinds[robot]}' for robot '{robot}'"
-        )
+        raise ModelFileError(f"base.kind: got {table.get('kind')!r}, wanted '{kinds[robot]}' for robot '{robot}'")
     drive = table.get("drive")
     if robot != "car":
         if drive is not None:

@@ -103,7 +103,8 @@ class PhysicsModel(AbstractDynamics):
             return self._fixed
         if latent.shape[-1] != len(self.latent_names):
             raise ModelFileError(
-                f"latent: got {latent.shape[-1]} entries, wanted {len(self.latent_names)} ({', '.join(self.latent_names)})"
+                f"latent: got {latent.shape[-1]} entries, wanted {len(self.latent_names)}: "
+                f"{', '.join(self.latent_names)}"
             )
         owners: dict[str, dict[str, Scalar]] = {owner: dict(named) for owner, named in self._fixed.items()}
         for path, value in zip(self.latent_names, _columns(latent), strict=True):
@@ -118,9 +119,7 @@ class PhysicsModel(AbstractDynamics):
     def with_effect(self, item: AbstractEffect, settings: Mapping[str, Setting]) -> PhysicsModel:
         """The model with one more effect; ``settings`` by parameter name, neutral values where left out."""
         own = {
-            f"{item.name}.{p.name}": settings.get(
-                p.name, Setting(p.neutral if p.neutral is not None else p.typical)
-            )
+            f"{item.name}.{p.name}": settings.get(p.name, Setting(p.neutral if p.neutral is not None else p.typical))
             for p in item.parameters
         }
         return PhysicsModel(self.base, (*self.effects, item), {**self.settings, **own}, self.period)
@@ -128,10 +127,7 @@ class PhysicsModel(AbstractDynamics):
     def with_latent(self, latent: Array) -> PhysicsModel:
         """The model with the free parameters set to ``latent`` (latents,)."""
         return self.with_settings(
-            {
-                path: Setting(float(value), free=True)
-                for path, value in zip(self.latent_names, latent, strict=True)
-            }
+            {path: Setting(float(value), free=True) for path, value in zip(self.latent_names, latent, strict=True)}
         )
 
     def initial_memory(self, action: Array) -> Any:  # noqa: D102
@@ -245,11 +241,11 @@ class PhysicsModel(AbstractDynamics):
 def _forward_mode(next_state: Any, around: Any) -> tuple[Any, Any]:
     import torch
 
-    columns = []
+    value, columns = next_state(around), []
     for index in range(around.shape[-1]):
         direction = torch.zeros_like(around)
         direction[..., index] = 1.0
-        value, slope = torch.func.jvp(next_state, (around,), (direction,))
+        slope = torch.func.jvp(next_state, (around,), (direction,))[1]
         columns.append(slope)
     g = torch.stack(columns, dim=-1)
     return value - torch.einsum("...sa,...a->...s", g, around), g
@@ -276,7 +272,7 @@ def _joined(columns: list[Scalar], operations: Operations) -> Array:
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
     import torch
 
-    return torch.stack(torch.broadcast_tensors(*columns), dim=-1)
+    return torch.stack(torch.broadcast_tensors(*columns), dim=-1)  # type: ignore[no-untyped-call]
 
 
 def _like(state: Array, action: NDArray[np.float64]) -> Array:
@@ -312,9 +308,7 @@ def _check_settings(parameters: Mapping[str, Parameter], settings: Mapping[str, 
             raise ModelFileError(f"{path}: missing; give a value in {parameter.unit}")
         value = settings[path].value
         if not parameter.low <= value <= parameter.high:  # refuses NaN as well
-            raise ModelFileError(
-                f"{path}: got {value}, wanted {parameter.low} to {parameter.high} {parameter.unit}"
-            )
+            raise ModelFileError(f"{path}: got {value}, wanted {parameter.low} to {parameter.high} {parameter.unit}")
     unknown = [path for path in settings if path not in parameters]
     if unknown:
         raise ModelFileError(f"{unknown[0]}: unknown parameter; known: {', '.join(parameters)}")

@@ -89,6 +89,6 @@ def _module_from(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         specification.loader.exec_module(module)
-    except Exception as error:  # noqa: BLE001 - a user's file may fail in any way; the reason is handed on
+    except Exception as error:  # a user's file may fail in any way
         raise InputError(f"{path}: could not be run: {type(error).__name__}: {error}") from error
     return module

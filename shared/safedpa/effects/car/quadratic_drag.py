@@ -19,9 +19,7 @@ class QuadraticDrag(RateEffect):
     stage = Stage.RESISTANCE
     equation = "d(speed)/dt -= coefficient |speed| speed"
     parameters = (Parameter("coefficient", "1/m", 0.0, 2.0, 0.12),)
-    signature = (
-        "deceleration residual grows with the square of speed; nothing at standstill; no side preference"
-    )
+    signature = "deceleration residual grows with the square of speed; nothing at standstill; no side preference"
     source = "Gillespie, Fundamentals of Vehicle Dynamics, ch. 4"
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102

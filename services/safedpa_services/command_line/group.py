@@ -1,0 +1,56 @@
+"""The group of commands: names, one-line helps, and how errors become exit codes."""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import version
+
+import click
+
+from safedpa.errors import InputError, SafedpaError, did_you_mean
+
+__all__ = ["COMMANDS", "safedpa"]
+
+COMMANDS = ("bench", "compare", "effects", "experiment", "export", "predict", "up")
+"""One file beside this one each, with a click command named ``command``; imported when it is called."""
+
+
+class _Commands(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        del ctx
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
+        del ctx
+        if cmd_name not in COMMANDS:
+            raise click.UsageError(f"command '{cmd_name}': {did_you_mean(cmd_name, COMMANDS)}")
+        command: click.Command = importlib.import_module(f"safedpa_services.command_line.{cmd_name}").command
+        return command
+
+    def run(self, arguments: list[str]) -> int:
+        """Runs one command; returns its exit code."""
+        try:
+            code = self.main(arguments, prog_name="safedpa", standalone_mode=False)
+        except click.exceptions.NoArgsIsHelpError as error:
+            click.echo(error.format_message())
+            return 0
+        except click.ClickException as error:
+            return _fail(error.format_message(), 2)
+        except (click.Abort, KeyboardInterrupt):
+            return _fail("interrupted", 1)
+        except InputError as error:
+            return _fail(str(error), 2)
+        except SafedpaError as error:
+            return _fail(str(error), 1)
+        return code if isinstance(code, int) else 0
+
+
+def _fail(message: str, code: int) -> int:
+    click.echo(f"safedpa: {' '.join(message.split())}", err=True)
+    return code
+
+
+@click.command(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(version("safedpa"), prog_name="safedpa")
+def safedpa() -> None:
+    """Safe deep policy adaptation: drive safely, compare the model with measurements, find what it lacks."""
