@@ -24,7 +24,7 @@ __all__ = ["ACTION", "HEALTH", "LATENT", "STATE", "TOPICS", "VERDICT", "WISH", "
 Delivery = Literal["latest", "all"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Topic:
     """One kind of message on the bus."""
 

@@ -2,6 +2,7 @@
 
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.dynamics import AbstractDynamics
+from safedpa.dynamics.fingerprint import fingerprint
 from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.dynamics.model_file import load_model, parse_model, save_model, shipped_models, write_model
 from safedpa.dynamics.physics import PhysicsModel, Setting
@@ -14,6 +15,7 @@ __all__ = [
     "PhysicsModel",
     "RigidPendulum",
     "Setting",
+    "fingerprint",
     "load_model",
     "parse_model",
     "save_model",

@@ -1,0 +1,1 @@
+"""The safety_filter service."""

@@ -1,0 +1,28 @@
+"""What every service's ``__main__`` shares: options, name on the bus, the loop."""
+
+from __future__ import annotations
+
+import argparse
+import uuid
+
+from safedpa.bus import NO_ROBOT, AbstractNode, ServiceLoop
+from safedpa.bus.process import Stop, add_bus_options, bus_from
+
+__all__ = ["serve", "service_parser"]
+
+
+def service_parser(program: str) -> argparse.ArgumentParser:
+    """Options that every service takes: the bus, the model, the robot."""
+    parser = argparse.ArgumentParser(prog=program)
+    add_bus_options(parser)
+    parser.add_argument("--model", default="car", help="model file, or the name of one that ships")
+    parser.add_argument("--robot", default="*", help="serve this robot alone")
+    return parser
+
+
+def serve(node: AbstractNode, options: argparse.Namespace, stop: Stop) -> int:
+    """Runs the node on the bus until ``stop``; returns exit code 0."""
+    with bus_from(options) as bus:
+        bus.announce(NO_ROBOT, node.name, uuid.uuid4().hex[:12])
+        ServiceLoop(node, bus, options.robot).run(stop)
+    return 0

@@ -1,0 +1,110 @@
+"""Recursive estimation of a model's free parameters from the last transitions.
+
+An extended Kalman filter whose state is the latent z itself, taken as a slow random walk:
+
+    z[t+1] = z[t] + w,  w ~ N(0, Q);    x[t+1] = step(x[t], a[t], z[t]) + v,  v ~ N(0, R)
+
+with the sensitivity d(step)/dz by finite differences. An innovation beyond four standard deviations is weighted down
+(Huber), so that a push or a tracking glitch does not throw the estimate. Source: Simon, Optimal State Estimation,
+sections 13.2 and 13.4 (parameter estimation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.dynamics import PhysicsModel
+from safedpa.errors import InputError
+
+__all__ = ["EstimatorSettings", "LatentEstimator"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """How far the estimate is trusted, and how fast the world may change.
+
+    Deviations of the parameters are in units of their typical size; of the measurements in the state's units per step.
+    """
+
+    initial_deviation: float = 0.5
+    drift_per_second: float = 0.15
+    """Standard deviation of the random walk after one second."""
+    measurement_deviation: tuple[float, ...] = (0.01, 0.01, 0.01, 0.03)
+    largest_innovation: float = 4.0
+    """Standard deviations from which an innovation is weighted down."""
+
+    def __post_init__(self) -> None:
+        numbers = (self.initial_deviation, self.drift_per_second, self.largest_innovation, *self.measurement_deviation)
+        if not all(np.isfinite(number) and number > 0.0 for number in numbers):
+            raise InputError(f"estimator settings: got {self}, wanted positive numbers")
+
+
+class LatentEstimator:
+    """Estimates z of one robot. ``latent`` (latents,) and ``deviations`` (latents,) are the result so far."""
+
+    def __init__(self, model: PhysicsModel, settings: EstimatorSettings = EstimatorSettings()) -> None:
+        if len(settings.measurement_deviation) != len(model.system.state):
+            raise InputError(
+                f"measurement_deviation: got {len(settings.measurement_deviation)} entries, "
+                f"wanted {len(model.system.state)} ({', '.join(model.system.state_names)})"
+            )
+        self._model = model
+        self._settings = settings
+        chosen = [model.parameters[path] for path in model.latent_names]
+        self._low = np.array([parameter.low for parameter in chosen])
+        self._high = np.array([parameter.high for parameter in chosen])
+        self._typical = np.array([parameter.typical for parameter in chosen])
+        self._noise = np.diag(np.square(settings.measurement_deviation))
+        self.latent: Vector = model.latent.copy()
+        self._covariance = np.diag(np.square(settings.initial_deviation * self._typical))
+        self._memory: Any = None
+
+    @property
+    def deviations(self) -> Vector:
+        """Standard deviation of each entry of the latent."""
+        return np.sqrt(np.diag(self._covariance))
+
+    def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:
+        """Learns from one transition: state (states,), action in force (actions,), next state one period [s] later."""
+        memory = self._model.initial_memory(action) if self._memory is None else self._memory
+        predicted, self._memory = self._model.advance(state, action, memory, self.latent, period=period)
+        if not len(self.latent):
+            return
+        innovation = self._model.system.difference(next_state, predicted)
+        sensitivity = self._sensitivity(state, action, memory, predicted, period)
+        drift = np.square(self._settings.drift_per_second * self._typical) * period
+        covariance = self._covariance + np.diag(drift)
+        spread = sensitivity @ covariance @ sensitivity.T + self._noise
+        innovation = self._weighted_down(innovation, spread)
+        gain = np.linalg.solve(spread, sensitivity @ covariance).T
+        self.latent = np.clip(self.latent + gain @ innovation, self._low, self._high)
+        keep = np.eye(len(self.latent)) - gain @ sensitivity
+        self._covariance = keep @ covariance @ keep.T + gain @ self._noise @ gain.T
+        limit = np.square(self._settings.initial_deviation * self._typical)
+        excess = np.sqrt(np.minimum(1.0, limit / np.diag(self._covariance)))
+        self._covariance = self._covariance * np.outer(excess, excess)  # without excitation it must not grow for ever
+
+    def forget_actuators(self) -> None:
+        """Takes the actuators as settled at the next action: after a gap in the ticks."""
+        self._memory = None
+
+    def _sensitivity(self, state: Vector, action: Vector, memory: Any, predicted: Vector, period: float) -> Vector:
+        columns = []
+        for index in range(len(self.latent)):
+            nudge = 1e-4 * self._typical[index]
+            nudge = -nudge if self.latent[index] + nudge > self._high[index] else nudge
+            latent = self.latent.copy()
+            latent[index] += nudge
+            moved, _ = self._model.advance(state, action, memory, latent, period=period)
+            columns.append((moved - predicted) / nudge)
+        return np.stack(columns, axis=1)
+
+    def _weighted_down(self, innovation: Vector, spread: Vector) -> Vector:
+        size = float(np.sqrt(innovation @ np.linalg.solve(spread, innovation) / len(innovation)))
+        return innovation * min(1.0, self._settings.largest_innovation / max(size, 1e-12))

@@ -1,0 +1,146 @@
+"""The bus as the processes see it: topics instead of keys, messages instead of bytes, inboxes instead of callbacks."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from time import monotonic
+from types import TracebackType
+
+from safedpa.bus.codec import decode, encode
+from safedpa.bus.messages import Message
+from safedpa.bus.topics import Topic, key_of, topic_of
+from safedpa.bus.transport import AbstractTransport
+from safedpa.errors import BusError, MessageError
+
+__all__ = ["Bus", "Inbox", "Received", "Refused"]
+
+_LONGEST_QUEUE = 100_000
+"""Messages of topics that must not be dropped, waiting in one inbox; beyond it the oldest go and are counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message that arrived; ``at`` [s] is the receiver's monotonic clock."""
+
+    topic: Topic
+    robot: str
+    message: Message
+    payload: bytes
+    key: str
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Bytes that arrived under a topic's key and are no message of it."""
+
+    topic: Topic
+    robot: str
+    reason: str
+
+
+class Inbox:
+    """What arrived and was not read yet; filled by network threads, emptied by one loop.
+
+    Of topics with delivery ``latest`` only the newest message per key waits; of the others everything, in order.
+    """
+
+    def __init__(self) -> None:
+        self._filled = threading.Condition()
+        self._latest: dict[str, tuple[bytes, float]] = {}
+        self._queue: deque[tuple[str, bytes, float]] = deque(maxlen=_LONGEST_QUEUE)
+        self.dropped = 0
+        """Messages lost because the queue was full."""
+
+    def keep_latest(self, key: str, payload: bytes) -> None:
+        """Accepts one payload; replaces an unread one of the same key."""
+        with self._filled:
+            self._latest[key] = (payload, monotonic())
+            self._filled.notify()
+
+    def keep_all(self, key: str, payload: bytes) -> None:
+        """Accepts one payload behind all unread ones."""
+        with self._filled:
+            self.dropped += len(self._queue) == _LONGEST_QUEUE
+            self._queue.append((key, payload, monotonic()))
+            self._filled.notify()
+
+    def take(self, timeout: float) -> list[Received | Refused]:
+        """Everything unread, oldest first; waits up to ``timeout`` [s] for the first."""
+        with self._filled:
+            if timeout > 0.0 and not self._latest and not self._queue:
+                self._filled.wait(timeout)
+            waiting = [(key, payload, at) for key, (payload, at) in self._latest.items()]
+            waiting += self._queue
+            self._latest, self._queue = {}, deque(maxlen=_LONGEST_QUEUE)
+        waiting.sort(key=lambda entry: entry[2])
+        return [_opened(key, payload, at) for key, payload, at in waiting]
+
+
+def _opened(key: str, payload: bytes, at: float) -> Received | Refused:
+    _, robot, topic = topic_of(key)
+    try:
+        return Received(topic, robot, decode(topic.message, payload), payload, key, at)
+    except MessageError as error:
+        return Refused(topic, robot, str(error))
+
+
+class Bus:
+    """One participant of one fleet."""
+
+    def __init__(self, transport: AbstractTransport, fleet: str) -> None:
+        self.fleet = fleet
+        self._transport = transport
+
+    def publish(self, topic: Topic, robot: str, message: Message, service: str = "") -> None:
+        """Sends one message; ``service`` names the sender of a health message."""
+        if type(message) is not topic.message:
+            raise MessageError(f"{topic.name}: got {type(message).__name__}, wanted {topic.message.__name__}")
+        key = key_of(self.fleet, robot, topic, service)
+        self._transport.put(key, encode(message), never_drop=topic.delivery == "all")
+
+    def inbox(self, topics: tuple[Topic, ...], robot: str = "*", *, keep_all: bool = False) -> Inbox:
+        """Subscribes to topics of one robot or, with ``*``, of every robot; ``keep_all`` drops nothing of any."""
+        inbox = Inbox()
+        for topic in topics:
+            accept = inbox.keep_all if keep_all or topic.delivery == "all" else inbox.keep_latest
+            self._transport.subscribe(key_of(self.fleet, robot, topic, "*"), accept)
+        return inbox
+
+    def announce(self, robot: str, service: str, instance: str) -> None:
+        """Shows that ``service`` lives; for services of the whole fleet the robot is ``-``."""
+        self._transport.declare_alive(f"safedpa/{self.fleet}/{robot}/alive/{service}/{instance}")
+
+    def instances(self, robot: str, service: str) -> list[str]:
+        """Which instances of a service live now."""
+        keys = self._transport.alive(f"safedpa/{self.fleet}/{robot}/alive/{service}/*")
+        return [key.rsplit("/", 1)[1] for key in keys]
+
+    def claim(self, robot: str, service: str, instance: str) -> None:
+        """Announces the only instance of a service.
+
+        Raises BusError when another one lives under the same name; of two that start at once the lower instance stays.
+        """
+        others = [other for other in self.instances(robot, service) if other != instance]
+        if not others:
+            self.announce(robot, service, instance)
+            others = [other for other in self.instances(robot, service) if other < instance]
+        if others:
+            raise BusError(
+                f"{service} '{robot}' of fleet '{self.fleet}' lives already (instance {others[0]}); "
+                "choose another name, or end the other one first"
+            )
+
+    def close(self) -> None:
+        """Leaves the bus."""
+        self._transport.close()
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,49 @@
+"""A bus inside one process, for tests and for experiments faster than real time. Delivery is immediate."""
+
+from __future__ import annotations
+
+from typing import final
+
+from safedpa.bus.transport import AbstractTransport, OnSample
+
+__all__ = ["MemoryBroker", "MemoryTransport"]
+
+
+class MemoryBroker:
+    """The common ground of all ``MemoryTransport`` that shall hear each other."""
+
+    def __init__(self) -> None:
+        self.subscribers: list[tuple[MemoryTransport, str, OnSample]] = []
+        self.tokens: list[tuple[MemoryTransport, str]] = []
+
+
+@final
+class MemoryTransport(AbstractTransport):
+    """One participant. ``put`` calls the subscribers before it returns, in the order in which they subscribed."""
+
+    def __init__(self, broker: MemoryBroker) -> None:
+        self._broker = broker
+
+    def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
+        del never_drop
+        for _, expression, on_sample in tuple(self._broker.subscribers):
+            if _matches(expression, key):
+                on_sample(key, payload)
+
+    def subscribe(self, key_expression: str, on_sample: OnSample) -> None:  # noqa: D102
+        self._broker.subscribers.append((self, key_expression, on_sample))
+
+    def declare_alive(self, key: str) -> None:  # noqa: D102
+        self._broker.tokens.append((self, key))
+
+    def alive(self, key_expression: str) -> list[str]:  # noqa: D102
+        return sorted(key for _, key in self._broker.tokens if _matches(key_expression, key))
+
+    def close(self) -> None:  # noqa: D102
+        self._broker.subscribers = [entry for entry in self._broker.subscribers if entry[0] is not self]
+        self._broker.tokens = [entry for entry in self._broker.tokens if entry[0] is not self]
+
+
+def _matches(expression: str, key: str) -> bool:
+    wanted, got = expression.split("/"), key.split("/")
+    return len(wanted) == len(got) and all(part in ("*", other) for part, other in zip(wanted, got, strict=True))

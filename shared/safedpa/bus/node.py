@@ -1,0 +1,58 @@
+"""What a service computes: a node, one pure step per tick of each robot. Waiting and publishing is the loop's work."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from safedpa.bus.messages import Message, StateMessage
+from safedpa.bus.topics import Topic
+
+__all__ = ["AbstractNode", "Inputs", "Outputs", "Stale"]
+
+
+@dataclass(frozen=True, slots=True)
+class Stale:
+    """Stands in place of an input that did not arrive in time."""
+
+    topic: Topic
+    age_ticks: int | None
+    """Ticks since the last one that did; None when there never was one."""
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        if self.age_ticks is None:
+            return f"no {self.topic.name} has arrived"
+        return f"the {self.topic.name} is {self.age_ticks} ticks old"
+
+
+Inputs = Mapping[Topic, "Message | Stale"]
+"""The inputs besides the state, each of the state's tick or stale."""
+
+Outputs = Mapping[Topic, Message]
+"""What a step publishes."""
+
+
+class AbstractNode(ABC):
+    """The computing part of one service. It serves any number of robots; each has a state of its own inside.
+
+    - ``inputs``: topics needed besides the state;
+    - ``outputs``: topics published;
+    - ``share``: part of the robot's period after which, in real time, the step runs with what is there.
+    """
+
+    name: ClassVar[str]
+    inputs: ClassVar[tuple[Topic, ...]]
+    outputs: ClassVar[tuple[Topic, ...]]
+    share: ClassVar[float]
+
+    @abstractmethod
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
+        """The outputs of one tick; called once per tick and robot, ticks growing."""
+
+    def forget(self, robot: str) -> None:
+        """Drops what is remembered of a robot: it started anew, or left."""
+        del robot

@@ -1,0 +1,95 @@
+"""How a process of the fleet starts and ends: bus options, one way out, no process left behind.
+
+A process that dies of an error must be seen dying: a thread of the network library would keep it, and its sign of life,
+for ever. So every uncaught error, on any thread, ends the process with exit code 70. A process that was started by a
+supervisor ends when the supervisor does, however that ended, because its standard input then closes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from types import TracebackType
+
+from safedpa.bus.bus import Bus
+from safedpa.bus.zenoh_transport import ZenohSettings, ZenohTransport
+from safedpa.errors import SafedpaError
+
+__all__ = ["Stop", "add_bus_options", "bus_from", "run_process"]
+
+EXIT_CRASHED = 70
+EXIT_BAD_INPUT = 2
+
+
+class Stop:
+    """Says when to end: after SIGTERM or SIGINT, or when the supervisor is gone. ``reason`` tells which."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self.reason = ""
+
+    def __call__(self) -> bool:
+        """True once the process shall end."""
+        return self._event.is_set()
+
+    def set(self, reason: str) -> None:
+        """Asks the process to end; the first reason stays."""
+        self.reason = self.reason or reason
+        self._event.set()
+
+
+def add_bus_options(parser: argparse.ArgumentParser) -> None:
+    """The options by which a process joins a fleet."""
+    parser.add_argument("--fleet", default="fleet", help="name of the fleet")
+    parser.add_argument("--mode", choices=("peer", "client", "router"), default="peer")
+    parser.add_argument("--listen", action="append", default=[], metavar="ENDPOINT", help="such as tcp/0.0.0.0:7447")
+    parser.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help="such as tcp/10.0.0.1:7447")
+    parser.add_argument("--supervised", action="store_true", help="end when standard input closes")
+
+
+def bus_from(options: argparse.Namespace) -> Bus:
+    """The bus that the options describe. Raises BusError when it cannot be opened."""
+    settings = ZenohSettings(options.mode, tuple(options.listen), tuple(options.connect))
+    return Bus(ZenohTransport(settings), options.fleet)
+
+
+def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argparse.ArgumentParser) -> None:
+    """Parses the options, runs ``work``, and ends the process with its exit code; never returns."""
+    sys.excepthook = _end_at_once
+    threading.excepthook = lambda arguments: _end_at_once(
+        arguments.exc_type, arguments.exc_value or arguments.exc_type(), arguments.exc_traceback
+    )
+    options = parser.parse_args()
+    stop = Stop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda received, _frame: stop.set(signal.Signals(received).name))
+    if options.supervised:
+        threading.Thread(target=_watch_supervisor, args=(stop,), daemon=True).start()
+    try:
+        code = work(options, stop)
+    except SafedpaError as error:
+        sys.stderr.write(f"{parser.prog}: {error}\n")
+        code = EXIT_BAD_INPUT
+    _leave(code)
+
+
+def _watch_supervisor(stop: Stop) -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        continue
+    stop.set("the supervisor is gone")
+
+
+def _end_at_once(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    traceback.print_exception(kind, error, trace)
+    _leave(EXIT_CRASHED)
+
+
+def _leave(code: int) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)  # threads of the network library would delay or prevent an ordinary end

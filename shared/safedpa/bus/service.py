@@ -1,0 +1,191 @@
+"""The loop of every service, written once: collect the inputs of a tick, step, publish, tell the own health.
+
+In lockstep a node steps when every input of the state's tick is there, however long it takes; the robot repeats its
+state meanwhile and a repeated tick is answered with the same output again. In real time it steps at the latest when its
+share of the period is over, with the missing inputs named as stale. A robot that starts anew has a new epoch; messages of a
+second robot under a name in use are refused.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from safedpa.bus.bus import Bus, Received, Refused
+from safedpa.bus.messages import HealthMessage, Message, StateMessage
+from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
+from safedpa.bus.topics import HEALTH, STATE, Topic
+
+__all__ = ["NO_ROBOT", "ServiceLoop"]
+
+NO_ROBOT = "-"
+"""Stands for the robot in the health key of a service that serves none yet."""
+
+_HEARTBEAT_SECONDS = 0.25
+_SILENCE_SECONDS = 0.3
+"""A robot that was silent for so long may start anew under its name; one that speaks is not replaced."""
+
+_FORGET_SECONDS = 30.0
+"""A robot that was silent for so long has left."""
+
+
+@dataclass
+class _Slot:
+    """What the loop knows of one robot."""
+
+    state: StateMessage
+    arrived: float
+    inputs: dict[Topic, Message] = field(default_factory=dict)
+    outputs: Outputs | None = None
+    """Of the state's tick; None while the step is due."""
+
+
+@dataclass
+class _Counts:
+    steps: int = 0
+    stale: int = 0
+    refused: int = 0
+    microseconds: float = 0.0
+    detail: str = ""
+
+
+class ServiceLoop:
+    """Runs one node for every robot that appears in the bus's fleet (or for one robot by name)."""
+
+    def __init__(
+        self, node: AbstractNode, bus: Bus, robot: str = "*", clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._node = node
+        self._bus = bus
+        self._clock = clock
+        self._inbox = bus.inbox((STATE, *node.inputs), robot)
+        self._slots: dict[str, _Slot] = {}
+        self._counts = _Counts()
+        self._next_heartbeat = clock()
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        """Turns until ``stopped`` says so; looks at it at least four times a second."""
+        while not stopped():
+            self.turn(_HEARTBEAT_SECONDS)
+
+    def turn(self, longest_wait: float) -> None:
+        """Takes what arrived, steps what is due, sends a heartbeat when it is time."""
+        for item in self._inbox.take(self._patience(longest_wait)):
+            if isinstance(item, Refused):
+                self._refuse(item.reason)
+            elif item.topic is STATE:
+                self._take_state(item)
+            else:
+                self._take_input(item)
+        for robot, slot in self._slots.items():
+            if slot.outputs is None and self._is_due(slot):
+                self._step(robot, slot)
+        if self._clock() >= self._next_heartbeat:
+            self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
+            self._forget_silent()
+            self._tell_health()
+
+    def _patience(self, longest_wait: float) -> float:
+        now = self._clock()
+        waits = [self._deadline(slot) - now for slot in self._slots.values() if slot.outputs is None]
+        return max(0.0, min([longest_wait, *waits]))
+
+    def _deadline(self, slot: _Slot) -> float:
+        if slot.state.lockstep:
+            return float("inf")
+        return slot.arrived + self._node.share * slot.state.period
+
+    def _take_state(self, item: Received) -> None:
+        state = item.message
+        assert isinstance(state, StateMessage)
+        slot = self._slots.get(item.robot)
+        if slot is None or self._is_new_epoch(slot, state, item.at):
+            self._node.forget(item.robot)
+            self._slots[item.robot] = _Slot(state, item.at)
+        elif state.epoch != slot.state.epoch:
+            self._refuse(f"a second robot speaks as '{item.robot}'")
+        elif state.tick < slot.state.tick:
+            self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}")
+        elif state.tick > slot.state.tick:
+            slot.state, slot.arrived, slot.outputs = state, item.at, None
+        elif slot.outputs is not None:
+            slot.arrived = item.at  # the robot still waits: something on the way was lost or started late
+            self._publish(item.robot, slot.outputs)
+
+    def _is_new_epoch(self, slot: _Slot, state: StateMessage, at: float) -> bool:
+        return state.epoch != slot.state.epoch and at - slot.arrived > max(_SILENCE_SECONDS, 3.0 * slot.state.period)
+
+    def _take_input(self, item: Received) -> None:
+        slot = self._slots.get(item.robot)
+        if slot is None or item.message.epoch != slot.state.epoch:
+            return  # of a robot not heard yet, or of an epoch that ended: repeated if it still matters
+        known = slot.inputs.get(item.topic)
+        if known is None or known.epoch != item.message.epoch or known.tick < item.message.tick:
+            slot.inputs[item.topic] = item.message
+
+    def _is_due(self, slot: _Slot) -> bool:
+        if all(_fits(slot.inputs.get(topic), slot.state) for topic in self._node.inputs):
+            return True
+        return self._clock() >= self._deadline(slot)
+
+    def _step(self, robot: str, slot: _Slot) -> None:
+        inputs = self._inputs(slot)
+        started = time.perf_counter()
+        slot.outputs = self._node.step(robot, slot.state, inputs)
+        self._counts.microseconds = 1e6 * (time.perf_counter() - started)
+        self._counts.steps += 1
+        late = [item.sentence for item in inputs.values() if isinstance(item, Stale)]
+        self._counts.stale += bool(late)
+        self._counts.detail = "; ".join(late)
+        self._publish(robot, slot.outputs)
+
+    def _inputs(self, slot: _Slot) -> Inputs:
+        found: dict[Topic, Message | Stale] = {}
+        for topic in self._node.inputs:
+            message = slot.inputs.get(topic)
+            if message is not None and _fits(message, slot.state):
+                found[topic] = message
+            else:
+                known = message is not None and message.epoch == slot.state.epoch
+                found[topic] = Stale(topic, slot.state.tick - message.tick if message and known else None)
+        return found
+
+    def _publish(self, robot: str, outputs: Outputs) -> None:
+        for topic, message in outputs.items():
+            self._bus.publish(topic, robot, message)
+
+    def _forget_silent(self) -> None:
+        oldest = self._clock() - _FORGET_SECONDS
+        for robot in [robot for robot, slot in self._slots.items() if slot.arrived < oldest]:
+            self._node.forget(robot)
+            del self._slots[robot]
+
+    def _refuse(self, reason: str) -> None:
+        self._counts.refused += 1
+        self._counts.detail = f"refused: {reason}"
+
+    def _tell_health(self) -> None:
+        counts = self._counts
+        for robot in self._slots or (NO_ROBOT,):
+            slot = self._slots.get(robot)
+            message = HealthMessage(
+                epoch=slot.state.epoch if slot else 0,
+                tick=slot.state.tick if slot else 0,
+                robot_time=slot.state.robot_time if slot else 0.0,
+                publish_time=time.time(),
+                service=self._node.name,
+                pid=os.getpid(),
+                state="running" if slot else "ready",
+                detail=counts.detail,
+                steps=counts.steps,
+                stale=counts.stale,
+                refused=counts.refused,
+                step_microseconds=counts.microseconds,
+            )
+            self._bus.publish(HEALTH, robot, message, self._node.name)
+
+
+def _fits(message: Message | None, state: StateMessage) -> bool:
+    return message is not None and message.epoch == state.epoch and message.tick == state.tick

@@ -1,0 +1,35 @@
+"""The seam under the bus: bytes under keys, and who is alive. One implementation is Zenoh, one is memory."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+__all__ = ["AbstractTransport", "OnSample"]
+
+OnSample = Callable[[str, bytes], None]
+"""Called with key and payload, on any thread; must return at once."""
+
+
+class AbstractTransport(ABC):
+    """Publishes and subscribes bytes under keys like ``safedpa/fleet/robot/state``; ``*`` matches one part of a key."""
+
+    @abstractmethod
+    def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:
+        """Sends at once and never blocks for long; ``never_drop`` prefers completeness over age."""
+
+    @abstractmethod
+    def subscribe(self, key_expression: str, on_sample: OnSample) -> None:
+        """Calls ``on_sample`` for everything that is put under matching keys from now on, until ``close``."""
+
+    @abstractmethod
+    def declare_alive(self, key: str) -> None:
+        """Shows ``key`` to everyone who asks ``alive``, until ``close`` or the end of this process."""
+
+    @abstractmethod
+    def alive(self, key_expression: str) -> list[str]:
+        """Keys now declared alive that match, sorted."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Ends every subscription and declaration. Calling it again does nothing."""

@@ -1,0 +1,128 @@
+"""A controller that knows its goal and nothing of obstacles: whatever keeps it from hitting them is the filter.
+
+Towards the goal it follows an arc (pure pursuit): with the goal at distance d and bearing b from the heading,
+
+    steer = atan(2 wheelbase sin(b) / d),   target_speed = min(cruise, approach d) max(cos(b), slow)
+
+and where it makes no headway (the filter holds it back, or it stands against a wall) it backs off, then heads past the
+goal's direction to one side, to the other side the next time. Source of pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from enum import Enum
+
+from safedpa.errors import InputError
+
+__all__ = ["GoalSeeker", "GoalSeekerSettings"]
+
+
+@dataclass(frozen=True)
+class GoalSeekerSettings:
+    """How the goal seeker drives: SI units, radians."""
+
+    wheelbase: float = 0.32
+    steer_limit: float = 0.34
+    cruise_speed: float = 1.6
+    reverse_speed: float = -0.5
+    approach_gain: float = 1.5
+    """1/s; target speed per metre to the goal."""
+    slowest_share: float = 0.35
+    """Of the speed, where the goal lies abeam or behind."""
+    patience_seconds: float = 1.5
+    """Without headway for so long, it backs off."""
+    headway: float = 0.12
+    """m within the patience that count as headway."""
+    back_off_seconds: float = 1.4
+    detour_seconds: float = 1.6
+    detour_bearing: float = 1.0
+    """rad to the side of the goal that a detour heads for."""
+
+    def __post_init__(self) -> None:
+        if not (self.steer_limit > 0.0 and self.wheelbase > 0.0 and self.cruise_speed > 0.0 > self.reverse_speed):
+            raise InputError(f"goal seeker: got {self}, wanted positive limits and a negative reverse speed")
+
+
+class _Mode(Enum):
+    SEEK = "seek"
+    BACK_OFF = "back_off"
+    DETOUR = "detour"
+
+
+@dataclass
+class GoalSeeker:
+    """The controller of one robot; ``wish`` is called once per period."""
+
+    settings: GoalSeekerSettings = field(default_factory=GoalSeekerSettings)
+
+    def __post_init__(self) -> None:
+        self._mode = _Mode.SEEK
+        self._mode_ends = 0.0
+        self._side = 1.0
+        self._attempts = 0
+        self._goal: tuple[float, ...] = ()
+        self._trail: deque[tuple[float, float, float]] = deque()
+
+    @property
+    def mode(self) -> str:
+        """What it is about: seek, back_off or detour."""
+        return self._mode.value
+
+    def wish(self, time: float, state: tuple[float, ...], goal: tuple[float, ...]) -> tuple[float, float]:
+        """(target_speed [m/s], steer [rad]) at robot time [s] for state (x, y, yaw, speed) and goal (x, y)."""
+        x, y, yaw, _ = state
+        if goal != self._goal:
+            self._goal, self._attempts, self._mode = goal, 0, _Mode.SEEK
+            self._trail.clear()
+        self._change_mode(time, x, y, yaw)
+        distance = math.hypot(goal[0] - x, goal[1] - y)
+        bearing = _wrapped(math.atan2(goal[1] - y, goal[0] - x) - yaw)
+        if self._mode is _Mode.BACK_OFF:
+            return self.settings.reverse_speed, -self._side * self.settings.steer_limit
+        if self._mode is _Mode.DETOUR:
+            bearing = _wrapped(bearing + self._side * self.settings.detour_bearing)
+        return self._pursue(distance, bearing)
+
+    def _pursue(self, distance: float, bearing: float) -> tuple[float, float]:
+        settings = self.settings
+        steer = math.atan(2.0 * settings.wheelbase * math.sin(bearing) / max(distance, 0.05))
+        if abs(bearing) > math.pi / 2:
+            steer = math.copysign(settings.steer_limit, bearing)
+        speed = min(settings.cruise_speed, settings.approach_gain * distance)
+        speed *= max(math.cos(bearing), settings.slowest_share)
+        return speed, max(-settings.steer_limit, min(settings.steer_limit, steer))
+
+    def _change_mode(self, time: float, x: float, y: float, yaw: float) -> None:
+        if self._mode is _Mode.SEEK:
+            if self._is_stuck(time, x, y):
+                self._attempts += 1
+                self._side = self._first_side(x, y, yaw) if self._attempts == 1 else -self._side
+                self._enter(_Mode.BACK_OFF, time + self.settings.back_off_seconds)
+        elif time >= self._mode_ends:
+            if self._mode is _Mode.BACK_OFF:
+                self._enter(_Mode.DETOUR, time + self.settings.detour_seconds * min(self._attempts, 4))
+            else:
+                self._enter(_Mode.SEEK, time)
+
+    def _enter(self, mode: _Mode, ends: float) -> None:
+        self._mode, self._mode_ends = mode, ends
+        self._trail.clear()
+
+    def _first_side(self, x: float, y: float, yaw: float) -> float:
+        bearing = _wrapped(math.atan2(self._goal[1] - y, self._goal[0] - x) - yaw)
+        return 1.0 if bearing >= 0.0 else -1.0
+
+    def _is_stuck(self, time: float, x: float, y: float) -> bool:
+        self._trail.append((time, x, y))
+        while self._trail[-1][0] - self._trail[0][0] > self.settings.patience_seconds:
+            self._trail.popleft()
+        oldest, past_x, past_y = self._trail[0]
+        watched = time - oldest >= 0.9 * self.settings.patience_seconds
+        return watched and math.hypot(x - past_x, y - past_y) < self.settings.headway
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
