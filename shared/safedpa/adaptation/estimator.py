@@ -48,7 +48,8 @@ class EstimatorSettings:
 class LatentEstimator:
     """Estimates z of one robot. ``latent`` (latents,) and ``deviations`` (latents,) are the result so far."""
 
-    def __init__(self, model: PhysicsModel, settings: EstimatorSettings = EstimatorSettings()) -> None:
+    def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
+        settings = settings or EstimatorSettings()
         if len(settings.measurement_deviation) != len(model.system.state):
             raise InputError(
                 f"measurement_deviation: got {len(settings.measurement_deviation)} entries, "

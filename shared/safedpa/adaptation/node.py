@@ -32,9 +32,9 @@ class AdaptationNode(AbstractNode):
     outputs = (LATENT,)
     share = 0.0
 
-    def __init__(self, model: PhysicsModel, settings: EstimatorSettings = EstimatorSettings()) -> None:
+    def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
         self._model = model
-        self._settings = settings
+        self._settings = settings or EstimatorSettings()
         self._fingerprint = fingerprint(model)
         self._robots: dict[str, _Memory] = {}
 

@@ -2,8 +2,8 @@
 
 In lockstep a node steps when every input of the state's tick is there, however long it takes; the robot repeats its
 state meanwhile and a repeated tick is answered with the same output again. In real time it steps at the latest when its
-share of the period is over, with the missing inputs named as stale. A robot that starts anew has a new epoch; messages of a
-second robot under a name in use are refused.
+share of the period is over, with the missing inputs named as stale. A robot that starts anew has a new epoch; messages
+of a second robot under a name in use are refused.
 """
 
 from __future__ import annotations
