@@ -1,0 +1,219 @@
+"""Column maps on disk: TOML files, some of them shipped."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+from safedpa.errors import ColumnMapError, did_you_mean
+from safedpa.records.column_map import (
+    DERIVATIONS,
+    ColumnMap,
+    DerivedColumn,
+    SkipRows,
+    SourceColumn,
+    TrackedPoint,
+)
+from safedpa.records.units import UNITS
+
+__all__ = ["load_column_map", "parse_column_map", "shipped_column_maps"]
+
+FORMAT = 1
+_TOP = ("format", "robot", "columns", "unwrap", "skip_first_rows", "skip_where", "tracked_point", "keep_period")
+_SOURCE_KEYS = ("from", "unit", "scale", "offset", "flip")
+_DERIVED_KEYS = ("derive", "window")
+
+
+def load_column_map(source: str | Path) -> ColumnMap:
+    """The column map in a TOML file, or one that ships with the project, by its name (with or without ``.toml``).
+
+    Raises ColumnMapError naming the file and the key.
+    """
+    path = Path(source)
+    shipped = shipped_column_maps()
+    if not path.exists() and path.stem in shipped and path.parent == Path():
+        path = shipped[path.stem]
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ColumnMapError(
+            f"{source}: cannot be read ({reason}); wanted a column map file, or one of {', '.join(shipped)}"
+        ) from error
+    try:
+        return parse_column_map(text, path.stem)
+    except ColumnMapError as error:
+        raise ColumnMapError(f"{source}: {error}") from error
+
+
+def shipped_column_maps() -> dict[str, Path]:
+    """Column maps that ship with the project, by name without the ending."""
+    with as_file(files("safedpa.records") / "maps") as folder:
+        return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def parse_column_map(text: str, name: str = "map") -> ColumnMap:
+    """The column map that a TOML text describes; see docs/column-maps.md.
+
+    Raises ColumnMapError naming the key.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ColumnMapError(f"not TOML: {error}") from error
+    _refuse_unknown(table, _TOP, "")
+    if table.get("format") != FORMAT:
+        raise ColumnMapError(f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other")
+    columns = _columns(table.get("columns"))
+    return ColumnMap(
+        name=name,
+        robot=_text("robot", table.get("robot"), "the robot's name, 'car' say"),
+        columns=columns,
+        unwrap=_unwrap(table, columns),
+        skip_first_rows=_count("skip_first_rows", table.get("skip_first_rows", 0)),
+        skip_where=_skip_where(table.get("skip_where", [])),
+        tracked_point=_tracked_point(table.get("tracked_point")),
+        keep_period=_positive("keep_period", table["keep_period"]) if "keep_period" in table else None,
+    )
+
+
+def _columns(table: Any) -> dict[str, SourceColumn | DerivedColumn]:
+    if not isinstance(table, dict) or not table:
+        raise ColumnMapError('columns: missing; wanted a table [columns] with lines like x = "position x"')
+    columns: dict[str, SourceColumn | DerivedColumn] = {}
+    targets: dict[str, str] = {}
+    for target, entry in table.items():
+        column = columns[target] = _column(target, entry)
+        if isinstance(column, SourceColumn):
+            if column.source in targets:
+                raise ColumnMapError(
+                    f"columns.{target}: column '{column.source}' is already the source of '{targets[column.source]}'; "
+                    "one column can be one target only"
+                )
+            targets[column.source] = target
+    for target, column in columns.items():
+        _check_derivation(target, column, columns)
+    return columns
+
+
+def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
+    key = f"columns.{target}"
+    table = {"from": entry} if isinstance(entry, str) else entry
+    if not isinstance(table, dict):
+        raise ColumnMapError(f'{key}: got {entry!r}, wanted a column\'s name or a table like {{ from = "name" }}')
+    if "derive" in table:
+        return _derived(key, table)
+    _refuse_unknown(table, (*_SOURCE_KEYS, "derive"), f"{key}.")
+    unit = table.get("unit")
+    if unit is not None and _text(f"{key}.unit", unit, "a unit's name") not in UNITS:
+        raise ColumnMapError(f"{key}.unit: unknown unit '{unit}'; {did_you_mean(unit, UNITS)}")
+    scale = _number(f"{key}.scale", table.get("scale", 1.0))
+    if scale == 0.0:
+        raise ColumnMapError(f"{key}.scale: got 0, wanted another number; 0 would erase the column")
+    return SourceColumn(
+        source=_text(f"{key}.from", table.get("from"), "a column's name"),
+        unit=unit,
+        scale=scale,
+        offset=_number(f"{key}.offset", table.get("offset", 0.0)),
+        flip=_boolean(f"{key}.flip", table.get("flip", False)),
+    )
+
+
+def _derived(key: str, table: Mapping[str, Any]) -> DerivedColumn:
+    _refuse_unknown(table, _DERIVED_KEYS, f"{key}.")
+    derive = _text(f"{key}.derive", table["derive"], "what to derive")
+    if derive not in DERIVATIONS:
+        raise ColumnMapError(f"{key}.derive: got '{derive}'; {did_you_mean(derive, DERIVATIONS)}")
+    if "window" not in table:
+        raise ColumnMapError(f"{key}.window: missing; wanted the seconds over which the slope is taken, 0.1 say")
+    return DerivedColumn(derive, _positive(f"{key}.window", table["window"]))
+
+
+def _check_derivation(
+    target: str, column: SourceColumn | DerivedColumn, columns: Mapping[str, SourceColumn | DerivedColumn]
+) -> None:
+    if isinstance(column, SourceColumn):
+        return
+    wanted, needs = DERIVATIONS[column.derive]
+    if target != wanted:
+        raise ColumnMapError(f"columns.{target}.derive: '{column.derive}' gives '{wanted}', not '{target}'")
+    for name in needs:
+        if not isinstance(columns.get(name), SourceColumn):
+            raise ColumnMapError(f"columns.{target}.derive: '{column.derive}' needs the column '{name}' of the log")
+
+
+def _unwrap(table: Mapping[str, Any], columns: Mapping[str, Any]) -> tuple[str, ...] | None:
+    names = table.get("unwrap")
+    if names is None:
+        return None
+    if not isinstance(names, list):
+        raise ColumnMapError(f"unwrap: got {names!r}, wanted a list of names")
+    for name in names:
+        if name not in columns:
+            raise ColumnMapError(f"unwrap: got {name!r}; {did_you_mean(str(name), columns)}")
+    return tuple(names)
+
+
+def _skip_where(entries: Any) -> tuple[SkipRows, ...]:
+    rules = [entries] if isinstance(entries, dict) else entries
+    if not isinstance(rules, list) or not all(isinstance(rule, dict) for rule in rules):
+        raise ColumnMapError(f'skip_where: got {entries!r}, wanted {{ column = "name", equals = 0.0 }}')
+    for rule in rules:
+        _refuse_unknown(rule, ("column", "equals"), "skip_where.")
+    return tuple(
+        SkipRows(
+            _text("skip_where.column", rule.get("column"), "a column's name"),
+            _number("skip_where.equals", rule.get("equals")),
+        )
+        for rule in rules
+    )
+
+
+def _tracked_point(table: Any) -> TrackedPoint | None:
+    if table is None:
+        return None
+    if not isinstance(table, dict):
+        raise ColumnMapError(f"tracked_point: got {table!r}, wanted a table with ahead, left [m] and yaw_offset [rad]")
+    _refuse_unknown(table, ("ahead", "left", "yaw_offset"), "tracked_point.")
+    return TrackedPoint(**{key: _number(f"tracked_point.{key}", value) for key, value in table.items()})
+
+
+def _text(key: str, value: Any, wanted: str) -> str:
+    if not isinstance(value, str) or not value:
+        raise ColumnMapError(f"{key}: got {value!r}, wanted {wanted} in quotes")
+    return value
+
+
+def _number(key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ColumnMapError(f"{key}: got {value!r}, wanted a finite number")
+    return float(value)
+
+
+def _positive(key: str, value: Any) -> float:
+    number = _number(key, value)
+    if number <= 0.0:
+        raise ColumnMapError(f"{key}: got {value!r}, wanted seconds above 0")
+    return number
+
+
+def _count(key: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ColumnMapError(f"{key}: got {value!r}, wanted a whole number, 0 or more")
+    return value
+
+
+def _boolean(key: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ColumnMapError(f"{key}: got {value!r}, wanted true or false")
+    return value
+
+
+def _refuse_unknown(table: Mapping[str, Any], known: tuple[str, ...], prefix: str) -> None:
+    for key in table:
+        if key not in known:
+            raise ColumnMapError(f"{prefix}{key}: unknown key; {did_you_mean(key, known)}")

@@ -1,0 +1,28 @@
+"""Derivatives of measured signals, central and without phase shift."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Vector", "slope"]
+
+Vector = NDArray[np.float64]
+
+
+def slope(t: Vector, values: Vector, window: float) -> Vector:
+    """d(values)/dt at every row, shape (rows,): sum_j j values[i+j] / sum_j j t[i+j], j from -m to m.
+
+    With even sampling this is the least-squares slope over 2 m + 1 rows; m rows span window / 2 [s], at least one.
+    It is central, so without phase shift, and exact for a parabola; a sine of f [Hz] keeps about 1 - (pi f window)^2 / 10 of
+    its slope. NaN in the first and last m rows, where the window does not fit. (Savitzky and Golay, 1964, first
+    derivative.)
+    """
+    rows = len(t)
+    half = max(1, round(window / 2.0 / float(np.median(np.diff(t))))) if rows > 1 else 1
+    result = np.full(rows, np.nan)
+    if rows >= 2 * half + 1:
+        weights = np.arange(half, -half - 1, -1, dtype=np.float64)
+        change = np.convolve(values - values[0], weights, "valid")
+        result[half : rows - half] = change / np.convolve(t - t[0], weights, "valid")
+    return result
