@@ -37,6 +37,11 @@ class Stop:
         """True once the process shall end."""
         return self._event.is_set()
 
+    def listen_to_signals(self) -> None:
+        """Ends in order on SIGTERM and SIGINT instead of at once; only the main thread may call it."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda received, _frame: self.set(signal.Signals(received).name))
+
     def set(self, reason: str) -> None:
         """Asks the process to end; the first reason stays."""
         self.reason = self.reason or reason
@@ -66,8 +71,7 @@ def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argpars
     )
     options = parser.parse_args()
     stop = Stop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda received, _frame: stop.set(signal.Signals(received).name))
+    stop.listen_to_signals()
     if options.supervised:
         threading.Thread(target=_watch_supervisor, args=(stop,), daemon=True).start()
     try:

@@ -1,0 +1,116 @@
+"""``safedpa up``: the whole closed loop of one robot, each part its own process, until Ctrl-C or --seconds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from safedpa.errors import InputError
+
+if TYPE_CHECKING:
+    from safedpa.bus.process import Stop
+    from safedpa_services.supervisor.plan import Plan
+
+LOADS = ("none", "box", "chair", "large_chair")
+
+
+@click.command()
+@click.option("--robot", type=click.Choice(["car"]), default="car", show_default=True, help="kind of robot")
+@click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
+@click.option("--load", type=click.Choice(LOADS), default="none", show_default=True, help="what the car tows")
+@click.option("--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: until Ctrl-C")
+@click.option("--seed", type=int, default=0, show_default=True, help="scene: obstacles, start, goals")
+@click.option("--rate", type=float, default=20.0, show_default=True, help="ticks per second")
+@click.option("--lockstep", is_flag=True, help="the robot waits for each action: repeats bit for bit")
+@click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
+@click.option("--headless", is_flag=True, help="no dashboard")
+@click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
+@click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
+@click.option("--listen", default="", help="endpoint for others to join, such as tcp/0.0.0.0:7447")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="for recordings")
+@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+def command(**options: Any) -> None:
+    """Drive: robot, adaptation, policy, safety filter, recorder and dashboard, each its own process."""
+    from safedpa.bus.process import Stop
+
+    plan = _plan(options)
+    stop = Stop()
+    stop.listen_to_signals()
+    summary = _drive(plan, stop, quiet=options["as_json"])
+    if options["as_json"]:
+        click.echo(json.dumps(summary))
+    else:
+        _tell(summary)
+
+
+def _plan(options: dict[str, Any]) -> Plan:
+    from safedpa.dynamics import load_model
+    from safedpa_services.supervisor.plan import Plan, free_port
+
+    if not 0.0 <= options["seconds"] < 1e9:
+        raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
+    if not 1.0 <= options["rate"] <= 500.0:
+        raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
+    system = load_model(options["model"]).system
+    if system.name != options["robot"] or "target_speed" not in system.action_names:
+        raise InputError(
+            f"--model {options['model']}: a {system.name} with {', '.join(system.action_names)}, "
+            "wanted a car with target_speed, steer"
+        )
+    return Plan(
+        robot=options["robot"],
+        name=options["name"],
+        load=options["load"],
+        seconds=options["seconds"],
+        seed=options["seed"],
+        rate=options["rate"],
+        lockstep=options["lockstep"],
+        filtered=not options["unfiltered"],
+        dashboard=not options["headless"],
+        model=options["model"],
+        fleet=options["fleet"],
+        endpoint=options["listen"] or f"tcp/127.0.0.1:{free_port()}",
+        folder=Plan.new_folder(options["out"], options["name"]),
+    )
+
+
+def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
+    from safedpa.bus import Bus, ZenohSettings, ZenohTransport
+    from safedpa.errors import SafedpaError
+    from safedpa_services.supervisor.summary import summary_of
+    from safedpa_services.supervisor.supervisor import Supervisor
+    from safedpa_services.supervisor.watch import Watch
+
+    services, robot = plan.services(), plan.robot_process()
+    with Bus(ZenohTransport(ZenohSettings(listen=(plan.endpoint,))), plan.fleet) as bus:
+        watch = Watch(bus)
+        with _screen(plan, watch, services, robot, quiet=quiet) as on_turn:
+            code = Supervisor(services, robot, watch, stop, on_turn).run()
+    if code != 0:
+        raise SafedpaError(f"robot: {robot.last_words()}")
+    health = {name: message for name, (message, _) in watch.health.items()}
+    return summary_of(plan.summary, watch.verdicts, [robot, *services], health, plan.recording)
+
+
+def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -> Any:
+    from safedpa_services.supervisor.screen import screen
+
+    hints = [f"recording {plan.recording}", f"others join with --connect {plan.endpoint} --fleet {plan.fleet}"]
+    return screen(watch, services, robot, hints, quiet=quiet)
+
+
+def _tell(summary: dict[str, Any]) -> None:
+    verdicts = ", ".join(f"{count} {status}" for status, count in summary["verdicts"].items())
+    latency = summary["latency_us"]
+    click.echo(f"{summary['ticks']} ticks, {summary['goals_reached']} goals, {summary['collisions']} collisions")
+    click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
+    click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
+    restarts = {service["name"]: service["restarts"] for service in summary["services"] if service["restarts"]}
+    if restarts:
+        click.echo("restarted: " + ", ".join(f"{name} {count} times" for name, count in restarts.items()))
+    if summary["recording_error"]:
+        click.echo(f"recording broke off: {summary['recording_error']}", err=True)
+    click.echo(f"recording: {summary['recording']}")

@@ -1,0 +1,22 @@
+"""``python -m safedpa_services.recorder``: writes every message of a fleet to an MCAP file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa_services.recorder.recorder import Recorder
+from safedpa_services.serving import service_parser
+
+
+def work(options: argparse.Namespace, stop: Stop) -> int:
+    """Records until ``stop``; returns 0, or 1 when the recording broke off."""
+    with bus_from(options) as bus:
+        return Recorder(bus, Path(options.out), options.robot).run(stop)
+
+
+if __name__ == "__main__":
+    parser = service_parser("safedpa-recorder")
+    parser.add_argument("--out", required=True, metavar="FILE.mcap")
+    run_process(work, parser)

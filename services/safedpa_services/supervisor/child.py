@@ -1,0 +1,105 @@
+"""One supervised process: started, watched, restarted, ended; its output goes to a file of its own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["Child"]
+
+_FIRST_PAUSE_SECONDS = 0.1
+_LONGEST_PAUSE_SECONDS = 5.0
+_HEALTHY_SECONDS = 10.0
+"""After living for so long a process is started again without a pause."""
+
+
+@dataclass
+class Child:
+    """A Python module run as a process of its own.
+
+    It leads a process group, so that an interrupt from the terminal reaches the supervisor alone, which ends everything
+    in order. Its standard input is a pipe from the supervisor and closes with it: nothing is left behind even if the
+    supervisor is killed.
+    """
+
+    name: str
+    module: str
+    arguments: tuple[str, ...]
+    log: Path
+    restarts: int = 0
+
+    def __post_init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._started = 0.0
+        self._died = 0.0
+        self._pause = 0.0
+
+    @property
+    def pid(self) -> int:
+        """Of the process that runs now or ran last; 0 before the first start."""
+        return self._process.pid if self._process else 0
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs."""
+        return self._process.poll() if self._process else None
+
+    def start(self) -> None:
+        """Starts the process; a later call starts it anew."""
+        command = [sys.executable, "-m", self.module, *self.arguments, "--supervised"]
+        with self.log.open("ab") as log:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                env={**os.environ, "PYTHONSAFEPATH": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            )
+        self._started = time.monotonic()
+        self._died = 0.0
+
+    def restart_if_due(self) -> bool:
+        """Starts a process that died, after a pause that grows with quick deaths; True when it did so now."""
+        now = time.monotonic()
+        if self._died == 0.0:
+            self._died = now
+            lived = now - self._started
+            self._pause = (
+                0.0
+                if lived > _HEALTHY_SECONDS
+                else min(max(2.0 * self._pause, _FIRST_PAUSE_SECONDS), _LONGEST_PAUSE_SECONDS)
+            )
+        if now - self._died < self._pause:
+            return False
+        self.restarts += 1
+        self.start()
+        return True
+
+    def last_words(self) -> str:
+        """The last line that it wrote."""
+        lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
+        return lines[-1] if lines else "it said nothing"
+
+    def terminate(self) -> None:
+        """Asks it to end."""
+        if self.exit_code is None and self._process is not None:
+            self._process.terminate()
+
+    def end(self, patience: float) -> None:
+        """Asks it to end, waits up to ``patience`` [s], then kills it and its group."""
+        if self._process is None:
+            return
+        self.terminate()
+        try:
+            self._process.wait(patience)
+        except subprocess.TimeoutExpired:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+        if self._process.stdin is not None:
+            self._process.stdin.close()

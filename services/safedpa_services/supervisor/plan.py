@@ -1,0 +1,92 @@
+"""Which processes a loop consists of, with which options, and where their files go."""
+
+from __future__ import annotations
+
+import socket
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from safedpa.errors import InputError
+from safedpa_services.supervisor.child import Child
+
+__all__ = ["Plan", "free_port"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One robot's loop, as the person asked for it."""
+
+    robot: str
+    name: str
+    load: str
+    seconds: float
+    seed: int
+    rate: float
+    lockstep: bool
+    filtered: bool
+    dashboard: bool
+    model: str
+    fleet: str
+    endpoint: str
+    """Where the supervisor's own session listens; every process connects to it and learns of the others there."""
+    folder: Path
+
+    @property
+    def recording(self) -> Path:
+        """The MCAP file of the run."""
+        return self.folder / "recording.mcap"
+
+    @property
+    def summary(self) -> Path:
+        """What the robot says of itself at its end, as JSON."""
+        return self.folder / "robot.json"
+
+    def services(self) -> list[Child]:
+        """Every process but the robot."""
+        model = ("--model", self.model)
+        unfiltered = () if self.filtered else ("--off",)
+        children = [
+            self._child("adaptation", "safedpa_services.adaptation", *model),
+            self._child("policy", "safedpa_services.policy", *model),
+            self._child("safety_filter", "safedpa_services.safety_filter", *model, *unfiltered),
+            self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
+        ]
+        if self.dashboard:
+            saved = ("--save", str(self.folder / "dashboard.rrd"))
+            children.append(self._child("dashboard", "safedpa_services.dashboard", *model, *saved))
+        return children
+
+    def robot_process(self) -> Child:
+        """The robot."""
+        options = ["--robot", self.robot, "--name", self.name, "--load", self.load, "--seed", str(self.seed)]
+        options += ["--rate", repr(self.rate), "--seconds", repr(self.seconds), "--summary", str(self.summary)]
+        options += ["--lockstep"] if self.lockstep else []
+        return self._child("robot", "safedpa_sim.robots", *options)
+
+    def _child(self, name: str, module: str, *arguments: str) -> Child:
+        bus = ("--fleet", self.fleet, "--connect", self.endpoint)
+        return Child(name, module, (*arguments, *bus), self.folder / f"{name}.log")
+
+    @staticmethod
+    def new_folder(parent: Path, name: str) -> Path:
+        """A folder for one run, ``<time>-<name>`` under ``parent``; raises InputError when it cannot be made."""
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        for attempt in range(100):
+            folder = parent / (f"{stamp}-{name}" + (f"-{attempt}" if attempt else ""))
+            try:
+                folder.mkdir(parents=True)
+            except FileExistsError:
+                continue
+            except OSError as error:
+                raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from error
+            return folder
+        raise InputError(f"{parent}: holds a hundred runs of this second; choose another --out")
+
+
+def free_port() -> int:
+    """A TCP port of the loopback interface that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,43 @@
+"""What a finished loop amounts to, as one JSON document."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from safedpa.bus import HealthMessage
+from safedpa.errors import SafedpaError
+from safedpa_services.supervisor.child import Child
+
+__all__ = ["summary_of"]
+
+_UNTOUCHED = ("passed", "disabled")
+
+
+def summary_of(
+    robot_summary: Path,
+    verdicts: Counter[str],
+    children: list[Child],
+    health: dict[str, HealthMessage],
+    recording: Path,
+) -> dict[str, Any]:
+    """The robot's own account, verdicts per status, interventions, services with restarts, and the recording.
+
+    Raises SafedpaError when the robot left no account.
+    """
+    try:
+        account = json.loads(robot_summary.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SafedpaError(f"the robot left no account of its run ({error}); see {robot_summary.parent}") from error
+    recorder = health.get("recorder")
+    failed = recorder.detail if recorder is not None and recorder.state == "failing" else None
+    return {
+        **account,
+        "verdicts": dict(sorted(verdicts.items())),
+        "interventions": sum(count for status, count in verdicts.items() if status not in _UNTOUCHED),
+        "services": [{"name": child.name, "pid": child.pid, "restarts": child.restarts} for child in children],
+        "recording": str(recording),
+        "recording_error": failed,
+    }

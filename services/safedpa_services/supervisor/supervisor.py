@@ -1,0 +1,87 @@
+"""Keeps the processes of a loop alive: services first, the robot when they are ready, the robot's end is the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from safedpa.errors import SafedpaError
+from safedpa_services.supervisor.child import Child
+from safedpa_services.supervisor.watch import Watch
+
+__all__ = ["Supervisor"]
+
+_READY_SECONDS = 30.0
+_TURN_SECONDS = 0.05
+_ROBOT_PATIENCE_SECONDS = 8.0
+"""A robot brakes to a standstill before it ends."""
+_SERVICE_PATIENCE_SECONDS = 4.0
+_BAD_INPUT = 2
+
+
+@dataclass
+class Supervisor:
+    """Runs the services and the robot until the robot ends by itself or ``stopped`` says so."""
+
+    services: list[Child]
+    robot: Child
+    watch: Watch
+    stopped: Callable[[], bool]
+    on_turn: Callable[[], None]
+    """Called many times a second, to show what is going on."""
+
+    def run(self) -> int:
+        """Returns the robot's exit code, or 0 when stopped. Everything has ended afterwards, whatever happened.
+
+        Raises SafedpaError when a service cannot be brought up, or refuses its input.
+        """
+        try:
+            for child in self.services:
+                child.start()
+            self._await_services()
+            if not self.stopped():
+                self.robot.start()
+            return self._attend()
+        finally:
+            self._end()
+
+    def _await_services(self) -> None:
+        deadline = time.monotonic() + _READY_SECONDS
+        while not self.stopped() and any(child.name not in self.watch.health for child in self.services):
+            self._turn()
+            if time.monotonic() > deadline:
+                silent = [child for child in self.services if child.name not in self.watch.health]
+                raise SafedpaError(
+                    f"{silent[0].name}: not ready after {_READY_SECONDS:.0f} s: {silent[0].last_words()}"
+                )
+
+    def _attend(self) -> int:
+        while not self.stopped():
+            self._turn()
+            code = self.robot.exit_code
+            if code in (0, 1):
+                return code
+            if code is not None:
+                self._revive(self.robot)
+        return 0
+
+    def _turn(self) -> None:
+        self.watch.listen(_TURN_SECONDS)
+        for child in self.services:
+            if child.exit_code is not None:
+                self._revive(child)
+        self.on_turn()
+
+    def _revive(self, child: Child) -> None:
+        if child.exit_code == _BAD_INPUT:
+            raise SafedpaError(child.last_words())
+        child.restart_if_due()
+
+    def _end(self) -> None:
+        self.robot.end(_ROBOT_PATIENCE_SECONDS)
+        self.watch.listen(0.0)
+        for child in self.services:
+            child.terminate()
+        for child in self.services:
+            child.end(_SERVICE_PATIENCE_SECONDS)

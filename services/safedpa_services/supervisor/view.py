@@ -1,0 +1,72 @@
+"""The terminal view of a running loop: robot, verdicts, health of every process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from safedpa_services.supervisor.child import Child
+from safedpa_services.supervisor.watch import Watch
+
+__all__ = ["view_of"]
+
+_SILENT_SECONDS = 1.0
+_COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "fallback": "red", "disabled": "red"}
+
+
+def view_of(watch: Watch, services: Sequence[Child], robot: Child, hints: Sequence[str]) -> Group:
+    """A headline, the table of processes, and hints where to look."""
+    return Group(_headline(watch), _processes(watch, services, robot), *(Text(hint, style="dim") for hint in hints))
+
+
+def _headline(watch: Watch) -> Text:
+    state, verdict = watch.state, watch.verdict
+    if state is None:
+        return Text("waiting for the robot")
+    line = Text.assemble(
+        (f"{state.robot_time:7.1f} s  ", "bold"),
+        f"{state.values[3]:+.2f} m/s  goals {state.goals_reached}  ",
+        (f"collisions {state.collisions}  ", "bold red" if state.collisions else "green"),
+    )
+    if verdict is not None:
+        line.append(f"{verdict.status:<9} ", style=_COLOURS.get(verdict.status, ""))
+        line.append(f"h {verdict.h_now:+.2f}  margin {verdict.margin:.3f}  {verdict.microseconds:.0f} us")
+    return line
+
+
+def _processes(watch: Watch, services: Sequence[Child], robot: Child) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for column in ("process", "state", "pid", "steps", "stale", "refused", "last step", "restarts", ""):
+        table.add_column(column, justify="right" if column in ("pid", "steps", "stale", "refused") else "left")
+    for child in (robot, *services):
+        table.add_row(*_row(watch, child))
+    return table
+
+
+def _row(watch: Watch, child: Child) -> tuple[str | Text, ...]:
+    heard = watch.health.get(child.name)
+    if child.exit_code is not None:
+        state = Text("ended", style="red")
+    elif heard is None:
+        state = Text("starting", style="yellow")
+    elif watch.silent_for(child.name) > _SILENT_SECONDS:
+        state = Text("silent", style="red")
+    else:
+        state = Text(heard[0].state, style="red" if heard[0].state == "failing" else "green")
+    if heard is None:
+        return (child.name, state, str(child.pid), "", "", "", "", str(child.restarts), "")
+    message = heard[0]
+    return (
+        child.name,
+        state,
+        str(child.pid),
+        str(message.steps),
+        str(message.stale),
+        str(message.refused),
+        f"{message.step_microseconds:.0f} us",
+        str(child.restarts),
+        message.detail[:60],
+    )

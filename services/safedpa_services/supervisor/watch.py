@@ -1,0 +1,48 @@
+"""What the supervisor hears on the bus: health of the services, verdicts, states; counted once per tick."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+from safedpa.bus import HEALTH, STATE, VERDICT, Bus, HealthMessage, Received, StateMessage, VerdictMessage
+
+__all__ = ["Watch"]
+
+
+@dataclass
+class Watch:
+    """Collects until asked; ``listen`` must be called often."""
+
+    bus: Bus
+    health: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
+    """By service: the newest heartbeat and when it came (monotonic, s)."""
+    verdicts: Counter[str] = field(default_factory=Counter)
+    verdict: VerdictMessage | None = None
+    state: StateMessage | None = None
+
+    def __post_init__(self) -> None:
+        self._inbox = self.bus.inbox((HEALTH, VERDICT, STATE))
+        self._last: tuple[int, int] = (0, -1)
+
+    def listen(self, longest_wait: float) -> None:
+        """Takes in what arrived, waiting up to ``longest_wait`` [s] for the first."""
+        for item in self._inbox.take(longest_wait):
+            if isinstance(item, Received):
+                self._take(item)
+
+    def silent_for(self, service: str) -> float:
+        """Seconds since the last heartbeat; infinite before the first."""
+        return time.monotonic() - self.health[service][1] if service in self.health else float("inf")
+
+    def _take(self, item: Received) -> None:
+        message = item.message
+        if isinstance(message, HealthMessage):
+            self.health[message.service] = (message, item.at)
+        elif isinstance(message, StateMessage):
+            self.state = message
+        elif isinstance(message, VerdictMessage) and (message.epoch, message.tick) != self._last:
+            self._last = (message.epoch, message.tick)
+            self.verdict = message
+            self.verdicts[message.status] += 1

@@ -1,0 +1,73 @@
+"""A robot and the real nodes of the services in one process, in lockstep over an in-memory bus: for experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from safedpa.bus import (
+    ACTION,
+    STATE,
+    VERDICT,
+    AbstractNode,
+    ActionMessage,
+    Bus,
+    MemoryBroker,
+    MemoryTransport,
+    Received,
+    ServiceLoop,
+    StateMessage,
+    VerdictMessage,
+)
+from safedpa.errors import BusError
+
+__all__ = ["Robot", "Tick", "drive"]
+
+_NAME = "r1"
+
+
+class Robot(Protocol):
+    """What the closed loop needs of a robot."""
+
+    def state_message(self) -> StateMessage:
+        """The state of this tick."""
+
+    def receive(self, message: ActionMessage) -> str | None:
+        """Accepts an action, or says why not."""
+
+    def advance(self) -> None:
+        """Lives through one period."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What happened in one period."""
+
+    state: StateMessage
+    verdict: VerdictMessage
+    refusal: str | None
+
+
+def drive(robot: Robot, nodes: Sequence[AbstractNode], ticks: int, fleet: str = "experiment") -> Iterator[Tick]:
+    """Runs ``ticks`` periods; nodes in the order of the data flow, the one that sends actions last.
+
+    The messages are encoded and decoded as on the network. Raises BusError when no action comes out of a tick.
+    """
+    broker = MemoryBroker()
+    with Bus(MemoryTransport(broker), fleet) as bus:
+        inbox = bus.inbox((ACTION, VERDICT), _NAME)
+        loops = [ServiceLoop(node, Bus(MemoryTransport(broker), fleet)) for node in nodes]
+        for _ in range(ticks):
+            state = robot.state_message()
+            bus.publish(STATE, _NAME, state)
+            for loop in loops:
+                loop.turn(0.0)
+            messages = [item.message for item in inbox.take(0.0) if isinstance(item, Received)]
+            actions = [message for message in messages if isinstance(message, ActionMessage)]
+            verdicts = [message for message in messages if isinstance(message, VerdictMessage)]
+            if not actions or not verdicts:
+                raise BusError(f"tick {state.tick}: got no action, wanted one; does one of the nodes send it?")
+            refusal = robot.receive(actions[-1])
+            robot.advance()
+            yield Tick(state, verdicts[-1], refusal)
