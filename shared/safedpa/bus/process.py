@@ -37,6 +37,10 @@ class Stop:
         """True once the process shall end."""
         return self._event.is_set()
 
+    def wait(self) -> None:
+        """Returns once the process shall end."""
+        self._event.wait()
+
     def listen_to_signals(self) -> None:
         """Ends in order on SIGTERM and SIGINT instead of at once; only the main thread may call it."""
         for number in (signal.SIGTERM, signal.SIGINT):
