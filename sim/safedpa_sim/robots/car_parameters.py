@@ -1,0 +1,67 @@
+"""The numbers of the simulated car: the reality that models of it are measured against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["CAR_PARAMETERS", "GRAVITY", "SUBSTEP", "CarParameters"]
+
+GRAVITY = 9.81
+"""m/s2."""
+
+SUBSTEP = 1.0 / 400.0
+"""s, longest step of the physics: the tyres' sideways damping at standstill needs less than 1/200 s to be stable."""
+
+
+@dataclass(frozen=True)
+class CarParameters:
+    """A 1:10 car; lengths from the middle of the rear axle, forward positive. Assumed, in the range of such cars."""
+
+    mass: float = 2.5
+    """kg."""
+    inertia: float = 0.06
+    """kg m2 about the vertical axis through the centre of mass: mass (length^2 + width^2) / 12."""
+    wheelbase: float = 0.32
+    """m."""
+    centre_of_mass: float = 0.15
+    """m ahead of the rear axle."""
+    centre_height: float = 0.05
+    """m above the floor: braking loads the front axle."""
+    rear: float = 0.08
+    """m from the rear axle to the back of the body; the hitch is there."""
+    front: float = 0.40
+    """m from the rear axle to the nose."""
+    width: float = 0.24
+    """m."""
+    friction: float = 0.9
+    """Largest tyre force over its normal force."""
+    front_slip: float = 0.09
+    """rad; slip angle scale of the front tyres (s = 1)."""
+    rear_slip: float = 0.07
+    """rad; smaller than in front: the car understeers a little."""
+    slip_speed: float = 0.3
+    """m/s added to the rolling speed in the slip angle, so that it is defined at standstill."""
+    servo_gain: float = 5.0
+    """1/s."""
+    servo_limit: float = 5.0
+    """m/s2 times the car's mass is the largest drive and brake force."""
+    servo_lag: float = 0.03
+    """s; the motor current behind its command."""
+    rolling: float = 0.12
+    """m/s2; rolling resistance over mass."""
+    drag: float = 0.03
+    """1/m; air drag over mass and speed squared."""
+    steer_lag: float = 0.08
+    """s; the steering actuator behind its command."""
+    steer_rate: float = 4.0
+    """rad/s; its fastest turning."""
+    steer_limit: float = 0.34
+    """rad; largest command."""
+    speed_low: float = -0.6
+    """m/s; largest command backwards."""
+    speed_high: float = 2.0
+    """m/s; largest command forwards."""
+
+
+CAR_PARAMETERS = CarParameters()
+"""The default car."""

@@ -1,0 +1,75 @@
+"""Counting collisions: pymunk says when two shapes begin and end to touch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pymunk
+
+__all__ = ["CAR", "LOAD", "OBSTACLE", "WALL", "Collision", "ContactCounter"]
+
+CAR, LOAD, OBSTACLE, WALL = 1, 2, 3, 4
+"""pymunk's collision types."""
+
+_SAME_CONTACT_SECONDS = 0.2
+"""A contact that breaks off for less than this is still the same one: bodies rattle before they rest."""
+
+
+@dataclass(frozen=True)
+class Collision:
+    """One contact of body or load with something solid."""
+
+    time: float
+    """s since the robot's start."""
+    part: str
+    """``car`` or ``load``."""
+    what: str
+    """``obstacle 3`` or ``wall east``."""
+    x: float
+    y: float
+    """m; where the car or load was."""
+    speed: float
+    """m/s; how fast its centre moved when it touched."""
+
+    def __str__(self) -> str:
+        return f"{self.part} against {self.what} at t={self.time:.2f} s, {self.speed:.2f} m/s"
+
+
+class ContactCounter:
+    """Collects the collisions of car and load with obstacles and walls."""
+
+    def __init__(self, space: pymunk.Space) -> None:
+        self.collisions: list[Collision] = []
+        self.time = 0.0
+        """s; kept up to date by the world."""
+        self._names: dict[pymunk.Shape, str] = {}
+        self._touching: set[tuple[str, str]] = set()
+        self._ended: dict[tuple[str, str], float] = {}
+        for part in (CAR, LOAD):
+            for solid in (OBSTACLE, WALL):
+                space.on_collision(part, solid, begin=self._begin, separate=self._separate)
+
+    def name(self, shape: pymunk.Shape, name: str) -> None:
+        """What collisions with ``shape`` are called."""
+        self._names[shape] = name
+
+    def _pair(self, arbiter: pymunk.Arbiter) -> tuple[str, str]:
+        part, solid = arbiter.shapes
+        return self._names[part], self._names[solid]
+
+    def _begin(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+        del space, data
+        pair = self._pair(arbiter)
+        ended = self._ended.get(pair, -_SAME_CONTACT_SECONDS)
+        if pair not in self._touching and self.time - ended >= _SAME_CONTACT_SECONDS:
+            body = arbiter.shapes[0].body
+            assert body is not None
+            x, y = body.position
+            self.collisions.append(Collision(self.time, *pair, x, y, body.velocity.length))
+        self._touching.add(pair)
+
+    def _separate(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+        del space, data
+        pair = self._pair(arbiter)
+        self._touching.discard(pair)
+        self._ended[pair] = self.time
