@@ -14,9 +14,9 @@ def slope(t: Vector, values: Vector, window: float) -> Vector:
     """d(values)/dt at every row, shape (rows,): sum_j j values[i+j] / sum_j j t[i+j], j from -m to m.
 
     With even sampling this is the least-squares slope over 2 m + 1 rows; m rows span window / 2 [s], at least one.
-    It is central, so without phase shift, and exact for a parabola; a sine of f [Hz] keeps about 1 - (pi f window)^2 / 10 of
-    its slope. NaN in the first and last m rows, where the window does not fit. (Savitzky and Golay, 1964, first
-    derivative.)
+    It is central, so without phase shift, and exact for a parabola; a sine of f [Hz] keeps about
+    1 - (pi f window)^2 / 10 of its slope. NaN in the first and last m rows, where the window does not fit.
+    (Savitzky and Golay, 1964: smoothing and differentiation by least squares, first derivative.)
     """
     rows = len(t)
     half = max(1, round(window / 2.0 / float(np.median(np.diff(t))))) if rows > 1 else 1

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from safedpa.errors import RunError
-from safedpa.records.apply_map import Rows, check_map, derive_states, keep_rows, mapped_rows
+from safedpa.errors import ColumnMapError
+from safedpa.records.apply_map import check_map, mapped_rows
 from safedpa.records.column_map import ColumnMap, native_map
-from safedpa.records.quality import judged
-from safedpa.records.run import Finding, Run
+from safedpa.records.run import Run
+from safedpa.records.run_of_rows import run_of_rows
 from safedpa.records.table import Table, require_file
 from safedpa.systems import System
 
-__all__ = ["load_run", "run_of_rows"]
+__all__ = ["load_run"]
 
 
 def load_run(path: str | Path, system: System, columns: ColumnMap | None = None) -> Run:
     """The run in a file: .csv, .parquet or .mcap by its ending, by its content when it has none of these.
 
     Without a column map the columns carry the native names: ``t`` [s] and those of the system's states and actions.
-    Time starts at 0 with the first row. Raises RunError when the file cannot be used, with all findings when no stretch
+    Time is that of the file. Raises RunError when the file cannot be used, with all findings when no stretch
     of it can, and ColumnMapError when the map does not fit the system.
     """
     path = Path(path)
@@ -27,26 +27,14 @@ def load_run(path: str | Path, system: System, columns: ColumnMap | None = None)
     check_map(mapping, system)
     require_file(path)
     kind = _kind(path)
+    if kind == "mcap":
+        if columns is not None:
+            raise ColumnMapError(f"{columns.name}: {path} is a recording of the bus; leave the column map out")
+        from safedpa.records.mcap_run import read_run_from_mcap
+
+        return read_run_from_mcap(path, system)
     table = _read(path, kind, mapping)
     return run_of_rows(path, system, mapping, mapped_rows(table, mapping, system), table.findings)
-
-
-def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, findings: tuple[Finding, ...]) -> Run:
-    """The run that the rows of a file make: judged, cut, derived, thinned; raises RunError when nothing is left."""
-    if not len(rows.t):
-        raise RunError(f"{path}: no rows" + _listed(findings) + "; wanted at least two")
-    rows, stretches, found = judged(rows, mapping, system)
-    rows, stretches, derived = derive_states(rows, stretches, mapping, system)
-    if mapping.keep_period is not None:
-        rows, stretches = keep_rows(rows, stretches, mapping.keep_period)
-    every = (*findings, *found, *derived)
-    if not stretches:
-        raise RunError(f"{path}: no usable stretch of rows" + _listed(every))
-    return Run(path.stem, system, rows.t, rows.states, rows.actions, tuple(stretches), every)
-
-
-def _listed(findings: tuple[Finding, ...]) -> str:
-    return ": " + "; ".join(finding.message for finding in findings) if findings else ""
 
 
 def _kind(path: Path) -> str:

@@ -1,0 +1,31 @@
+"""Files that are there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from uuid import uuid4
+
+from safedpa.errors import RecordingError
+
+__all__ = ["atomic_path"]
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A temporary path beside ``path``; renamed to it at the end, removed when the block raises.
+
+    Raises RecordingError when it cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{uuid4().hex[:8]}.part")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot be written ({error.strerror or error}); nothing was changed there; choose another place"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)

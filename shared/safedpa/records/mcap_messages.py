@@ -1,0 +1,102 @@
+"""Reading recordings of the bus: every message that can be read, up to where the file is damaged."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from safedpa.bus.codec import decode
+from safedpa.bus.messages import Message
+from safedpa.bus.topics import Topic, topic_of
+from safedpa.errors import InputError, MessageError, RunError
+from safedpa.records.run import Finding
+from safedpa.records.table import require_file
+
+if TYPE_CHECKING:
+    from mcap.records import Channel
+
+__all__ = ["read_messages"]
+
+_MAGIC = b"\x89MCAP0\r\n"
+_LARGEST_RECORD_BYTES = 64 * 1024 * 1024
+"""Chunks are some kilobytes; a longer record is damage, which must not fill the memory."""
+
+
+def read_messages(
+    path: str | Path, findings: list[Finding] | None = None, topics: Collection[Topic] | None = None
+) -> Iterator[tuple[str, int, Message]]:
+    """(key, log time in ns, message) of a recording, in the order in which they were recorded.
+
+    ``topics`` limits what is decoded. A file that was cut off or damaged is read up to there. What was found (cut off,
+    messages that could not be decoded) is appended to ``findings``. Raises RunError when the file is no MCAP file.
+    """
+    from mcap.records import Channel
+    from mcap.records import Message as Record
+
+    path = Path(path)
+    require_file(path)
+    found = findings if findings is not None else []
+    channels: dict[int, tuple[str, Topic] | None] = {}
+    refused: Counter[str] = Counter()
+    for record in _records(path, found):
+        if isinstance(record, Channel):
+            channels[record.id] = _known(record)
+        elif isinstance(record, Record):
+            entry = channels.get(record.channel_id)
+            if entry is None or (topics is not None and entry[1] not in topics):
+                continue
+            try:
+                message = decode(entry[1].message, record.data)
+            except MessageError as error:
+                refused[str(error)] += 1
+                continue
+            yield entry[0], record.log_time, message
+    if refused:
+        reason, _ = refused.most_common(1)[0]
+        total = sum(refused.values())
+        found.append(
+            Finding("unreadable_message", f"{total} messages could not be decoded ({reason}); left out", total)
+        )
+
+
+def _known(channel: Channel) -> tuple[str, Topic] | None:
+    """Key and topic of a channel; None for channels of others."""
+    try:
+        return (channel.topic, topic_of(channel.topic)[2]) if channel.message_encoding == "msgpack" else None
+    except InputError:
+        return None
+
+
+def _records(path: Path, findings: list[Finding]) -> Iterator[Any]:
+    """Records of the file, chunks opened, up to its end or to the first damage."""
+    import zstandard
+    from mcap.exceptions import McapError
+    from mcap.stream_reader import StreamReader
+
+    with path.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise RunError(f"{path}: is no MCAP file; wanted a recording of the bus")
+        file.seek(0)
+        records = StreamReader(file, validate_crcs=True, record_size_limit=_LARGEST_RECORD_BYTES).records
+        while True:
+            try:
+                record = next(records)
+            except StopIteration:
+                return
+            except (McapError, ValueError, struct.error, zstandard.ZstdError):
+                findings.append(_damage(file.tell(), path.stat().st_size))
+                return
+            yield record
+
+
+def _damage(offset: int, size: int) -> Finding:
+    if offset >= size:
+        return Finding(
+            "cut_off", f"the recording was not closed: it ends at byte {size} without an index; read up to there"
+        )
+    return Finding(
+        "damaged", f"the recording is damaged at byte {offset} of {size}; read up to there, the rest left out"
+    )

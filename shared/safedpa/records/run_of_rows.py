@@ -1,0 +1,32 @@
+"""From rows to a run: judged, cut, derived, thinned."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from safedpa.errors import RunError
+from safedpa.records.apply_map import Rows, derive_states, keep_rows
+from safedpa.records.column_map import ColumnMap
+from safedpa.records.quality import judged
+from safedpa.records.run import Finding, Run
+from safedpa.systems import System
+
+__all__ = ["run_of_rows"]
+
+
+def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, findings: tuple[Finding, ...]) -> Run:
+    """The run that the rows of a file make: judged, cut, derived, thinned; raises RunError when nothing is left."""
+    if not len(rows.t):
+        raise RunError(f"{path}: no rows" + _listed(findings) + "; wanted at least two")
+    rows, stretches, found = judged(rows, mapping, system)
+    rows, stretches, derived = derive_states(rows, stretches, mapping, system)
+    if mapping.keep_period is not None:
+        rows, stretches = keep_rows(rows, stretches, mapping.keep_period)
+    every = (*findings, *found, *derived)
+    if not stretches:
+        raise RunError(f"{path}: no usable stretch of rows" + _listed(every))
+    return Run(path.stem, system, rows.t, rows.states, rows.actions, tuple(stretches), every)
+
+
+def _listed(findings: tuple[Finding, ...]) -> str:
+    return ": " + "; ".join(finding.message for finding in findings) if findings else ""
