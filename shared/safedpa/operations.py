@@ -42,11 +42,10 @@ class Operations:
     sign: Callable[[Scalar], Scalar]
     minimum: Callable[[Scalar, Scalar], Scalar]
     maximum: Callable[[Scalar, Scalar], Scalar]
+    clip: Callable[[Scalar, Scalar, Scalar], Scalar]
+    """clip(value, low, high) = min(max(value, low), high)"""
     where: Callable[[Any, Scalar, Scalar], Scalar]
-
-    def clip(self, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
-        """min(max(value, low), high), elementwise."""
-        return self.minimum(self.maximum(value, low), high)
+    """where(condition, yes, no)"""
 
 
 FLOATS = Operations(
@@ -61,6 +60,7 @@ FLOATS = Operations(
     sign=lambda value: float((value > 0) - (value < 0)),
     minimum=min,
     maximum=max,
+    clip=lambda value, low, high: low if value < low else high if value > high else value,
     where=lambda condition, yes, no: yes if condition else no,
 )
 
@@ -76,6 +76,7 @@ NUMPY = Operations(
     sign=np.sign,
     minimum=np.minimum,
     maximum=np.maximum,
+    clip=lambda value, low, high: np.minimum(np.maximum(value, low), high),
     where=np.where,
 )
 
@@ -85,24 +86,22 @@ def torch_operations() -> Operations:
     """The table for torch tensors; plain numbers are allowed beside tensors."""
     import torch
 
-    def lifted(function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(first: Any, second: Any) -> Any:
-            reference = first if isinstance(first, torch.Tensor) else second
-            if not isinstance(reference, torch.Tensor):
-                reference = torch.zeros((), dtype=torch.float64)
-            return function(
-                torch.as_tensor(first, dtype=reference.dtype, device=reference.device),
-                torch.as_tensor(second, dtype=reference.dtype, device=reference.device),
-            )
-
-        return call
+    def tensor(value: Any, beside: Any = None) -> Any:
+        # A plain number becomes a tensor without axes, in double precision unless a tensor stands beside it: in what
+        # follows the tensors with axes decide the precision.
+        if isinstance(value, torch.Tensor):
+            return value
+        if isinstance(beside, torch.Tensor):
+            return torch.as_tensor(value, dtype=beside.dtype, device=beside.device)
+        return torch.tensor(value, dtype=torch.float64)
 
     def unary(function: Callable[..., Any]) -> Callable[[Any], Any]:
-        def call(value: Any) -> Any:
-            # A plain number becomes a tensor without axes: it takes the precision of what it is combined with.
-            return function(value if isinstance(value, torch.Tensor) else torch.tensor(value, dtype=torch.float64))
+        return lambda value: function(tensor(value))
 
-        return call
+    def binary(function: Callable[..., Any]) -> Callable[[Any, Any], Any]:
+        return lambda first, second: function(tensor(first, second), tensor(second, first))
+
+    minimum, maximum = binary(torch.minimum), binary(torch.maximum)
 
     return Operations(
         sin=unary(torch.sin),
@@ -114,9 +113,12 @@ def torch_operations() -> Operations:
         sqrt=unary(torch.sqrt),
         absolute=unary(torch.abs),
         sign=unary(torch.sign),
-        minimum=lifted(torch.minimum),
-        maximum=lifted(torch.maximum),
-        where=torch.where,
+        minimum=minimum,
+        maximum=maximum,
+        clip=lambda value, low, high: minimum(maximum(value, low), high),
+        where=lambda condition, yes, no: torch.where(
+            torch.as_tensor(condition, device=getattr(yes, "device", None)), tensor(yes, no), tensor(no, yes)
+        ),
     )
 
 

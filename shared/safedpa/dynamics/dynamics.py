@@ -16,8 +16,9 @@ Array = Any
 class AbstractDynamics(ABC):
     """A discrete-time model x[t+1] = step(x[t], a[t]), seen by the filter as f(x, z) + g(x, z) a.
 
-    Shapes: state (..., states), action (..., actions), latent (..., latents). One state without leading axes may be a
-    numpy array and then takes the fast path; batches are numpy arrays or torch tensors.
+    Shapes: state (..., states), action (..., actions), latent (..., latents); leading axes broadcast, so that one
+    action or one latent may serve a whole batch of states. Numpy arrays without leading axes take the fast path for one
+    robot; batches are numpy arrays or torch tensors.
     """
 
     system: System
@@ -49,10 +50,17 @@ class AbstractDynamics(ABC):
 
     @abstractmethod
     def affine(
-        self, state: Array, latent: Array | None = None, *, around: Array | None = None, memory: Any = None
+        self,
+        state: Array,
+        latent: Array | None = None,
+        *,
+        around: Array | None = None,
+        memory: Any = None,
+        time: float = 0.0,
     ) -> tuple[Array, Array]:
         """(f, g) with x[t+1] = f + g a, shapes (..., states) and (..., states, actions).
 
         Exact where the model is affine in the action; else the tangent at the action ``around`` (..., actions), by
         default the middle of the actuator bounds. ``memory`` as from ``advance``; by default settled at ``around``.
+        ``time`` [s] counts from the run's start.
         """

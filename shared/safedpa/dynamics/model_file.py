@@ -11,8 +11,9 @@ from typing import Any
 
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
-from safedpa.dynamics.physics import PhysicsModel, Setting
+from safedpa.dynamics.physics import PhysicsModel
 from safedpa.dynamics.rigid_pendulum import RigidPendulum
+from safedpa.dynamics.settings import Setting, wanted
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
@@ -63,7 +64,8 @@ def parse_model(text: str) -> PhysicsModel:
         raise ModelFileError(f"not TOML: {error}") from error
     _refuse_unknown(table, _TOP, "")
     if table.get("format") != FORMAT:
-        raise ModelFileError(f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other")
+        got = f"got {table['format']!r}" if "format" in table else "missing"
+        raise ModelFileError(f"format: {got}, wanted {FORMAT}; this program reads no other")
     robot = table.get("robot")
     base_table = table.get("base")
     if not isinstance(base_table, dict):
@@ -130,14 +132,15 @@ def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
 def _effect_tables(table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     entries = table.get("effects", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise ModelFileError("effects: wanted tables that begin with [[effects]]")
+        raise ModelFileError("effects: wanted one table [[effects]] per effect, with the key 'name'")
     return entries
 
 
 def _effect(base: AbstractBase, entry: Mapping[str, Any]) -> AbstractEffect:
     name = entry.get("name")
     if not isinstance(name, str):
-        raise ModelFileError(f"effects.name: got {name!r}, wanted the name of an effect")
+        got = f"got {name!r}" if "name" in entry else "missing"
+        raise ModelFileError(f"effects.name: {got}, wanted the name of an effect; 'safedpa effects' lists them")
     try:
         return effect(base.system.name, name)
     except InputError as error:
@@ -155,6 +158,8 @@ def _settings(
             found[path] = _setting(path, parameter, table[parameter.name])
         elif owner == "base" and parameter.neutral is not None:
             found[path] = Setting(parameter.neutral)
+        # an effect's parameter that is left out is an error, raised by the model: an effect that silently does
+        # nothing, or something typical, would be worse
     return found
 
 
@@ -167,19 +172,22 @@ def _setting(path: str, parameter: Parameter, entry: Any) -> Setting:
     free = table.get("free", False)
     if not isinstance(free, bool):
         raise ModelFileError(f"{path}.free: got {free!r}, wanted true or false")
-    return Setting(_number(path, parameter.unit, table.get("value")), free)
+    if "value" not in table:
+        raise ModelFileError(f"{path}.value: missing; give a number, {wanted(parameter)}")
+    return Setting(_number(path, parameter.unit, table["value"]), free)
 
 
 def _period(table: Mapping[str, Any]) -> float:
     period = _number("period", "s", table.get("period", 0.05))
     if not 1e-4 <= period <= 1.0:
-        raise ModelFileError(f"period: got {period}, wanted 0.0001 to 1 s")
+        raise ModelFileError(f"period: got {period:g}, wanted 0.0001 to 1 s")
     return period
 
 
 def _number(path: str, unit: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ModelFileError(f"{path}: got {value!r}, wanted a finite number in {unit}")
+        in_unit = "without unit" if unit == "1" else f"in {unit}"
+        raise ModelFileError(f"{path}: got {value!r}, wanted a finite number {in_unit}")
     return float(value)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
 
@@ -11,31 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
-from safedpa.effects.effect import (
-    AbstractEffect,
-    CommandEffect,
-    Context,
-    Named,
-    RateEffect,
-    SensorEffect,
-)
+from safedpa.dynamics.runge_kutta import runge_kutta
+from safedpa.dynamics.settings import Setting, check_effects, check_settings
+from safedpa.dynamics.tangent import batched_difference, forward_mode, single_difference
+from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
-from safedpa.operations import FLOATS, NUMPY, Operations, Scalar, operations_for
+from safedpa.operations import FLOATS, Operations, Scalar
 
 __all__ = ["PhysicsModel", "Setting"]
 
-_ACTION_NUDGE = 1e-4
-"""Share of an actuator's range by which the action is moved for a central difference: error 1e-8 of the range."""
-
-
-@dataclass(frozen=True)
-class Setting:
-    """The value of one parameter; ``free`` ones are refitted by diagnosis and estimated by adaptation."""
-
-    value: float
-    free: bool = False
+_Values = Mapping[str, Named]
+"""Parameter values by owner ("base" or an effect's name) and name."""
 
 
 @final
@@ -44,6 +32,7 @@ class PhysicsModel(AbstractDynamics):
 
     The latent z is the vector of all free parameters, in SI units, in the order base first, then effects as listed.
     ``settings`` maps "base.<parameter>" and "<effect>.<parameter>" to values; every parameter must be there.
+    Models are immutable: the ``with_`` methods return new ones.
 
     Raises ModelFileError when an effect does not fit the robot or its actions, stands twice, or a parameter is missing,
     unknown or out of bounds.
@@ -61,9 +50,13 @@ class PhysicsModel(AbstractDynamics):
         self.system = base.system
         self.period = period
         self.settings = dict(settings or {})
-        _check_effects(base, self.effects)
-        _check_settings(self.parameters, self.settings)
+        check_effects(base, self.effects)
+        check_settings(self.parameters, self.settings)
         self.latent_names = tuple(path for path in self.parameters if self.settings[path].free)
+        ordered = sorted(self.effects, key=lambda item: item.stage)
+        self._commands = tuple(item for item in ordered if isinstance(item, CommandEffect))
+        self._rates = tuple(item for item in ordered if isinstance(item, RateEffect))
+        self._sensors = tuple(item for item in ordered if isinstance(item, SensorEffect))
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -78,50 +71,16 @@ class PhysicsModel(AbstractDynamics):
         """The latent that the settings stand for, shape (latents,)."""
         return np.array([self.settings[path].value for path in self.latent_names])
 
-    @cached_property
-    def _commands(self) -> tuple[CommandEffect, ...]:
-        return tuple(sorted((e for e in self.effects if isinstance(e, CommandEffect)), key=_stage))
-
-    @cached_property
-    def _rates(self) -> tuple[RateEffect, ...]:
-        return tuple(sorted((e for e in self.effects if isinstance(e, RateEffect)), key=_stage))
-
-    @cached_property
-    def _sensors(self) -> tuple[SensorEffect, ...]:
-        return tuple(sorted((e for e in self.effects if isinstance(e, SensorEffect)), key=_stage))
-
-    @cached_property
-    def _fixed(self) -> dict[str, dict[str, float]]:
-        owners: dict[str, dict[str, float]] = {"base": {}, **{item.name: {} for item in self.effects}}
-        for path, setting in self.settings.items():
-            owner, name = path.split(".")
-            owners[owner][name] = setting.value
-        return owners
-
-    def _values(self, latent: Array | None) -> Mapping[str, Named]:
-        if latent is None:
-            return self._fixed
-        if latent.shape[-1] != len(self.latent_names):
-            raise ModelFileError(
-                f"latent: got {latent.shape[-1]} entries, wanted {len(self.latent_names)}: "
-                f"{', '.join(self.latent_names)}"
-            )
-        owners: dict[str, dict[str, Scalar]] = {owner: dict(named) for owner, named in self._fixed.items()}
-        for path, value in zip(self.latent_names, _columns(latent), strict=True):
-            owner, name = path.split(".")
-            owners[owner][name] = value
-        return owners
-
     def with_settings(self, settings: Mapping[str, Setting]) -> PhysicsModel:
         """The same model with some settings replaced."""
         return PhysicsModel(self.base, self.effects, {**self.settings, **settings}, self.period)
 
     def with_effect(self, item: AbstractEffect, settings: Mapping[str, Setting]) -> PhysicsModel:
-        """The model with one more effect; ``settings`` by parameter name, neutral values where left out."""
-        own = {
-            f"{item.name}.{p.name}": settings.get(p.name, Setting(p.neutral if p.neutral is not None else p.typical))
-            for p in item.parameters
-        }
+        """The model with one more effect; ``settings`` by parameter name, where left out those that do nothing."""
+        unknown = set(settings) - {parameter.name for parameter in item.parameters}
+        if unknown:
+            raise ModelFileError(f"{item.name}.{min(unknown)}: unknown parameter; leave it out")
+        own = {f"{item.name}.{p.name}": settings.get(p.name, Setting(p.start)) for p in item.parameters}
         return PhysicsModel(self.base, (*self.effects, item), {**self.settings, **own}, self.period)
 
     def with_latent(self, latent: Array) -> PhysicsModel:
@@ -131,8 +90,8 @@ class PhysicsModel(AbstractDynamics):
         )
 
     def initial_memory(self, action: Array) -> Any:  # noqa: D102
-        named = dict(zip(self.system.action_names, _columns(action), strict=True))
-        return tuple(item.initial_memory(named) for item in self._commands)
+        named = dict(zip(self.system.action_names, columns(action, action), strict=True))
+        return self._settled(named)
 
     def advance(  # noqa: D102
         self,
@@ -144,171 +103,131 @@ class PhysicsModel(AbstractDynamics):
         period: float | None = None,
         time: float = 0.0,
     ) -> tuple[Array, Any]:
-        operations = FLOATS if _is_single(state) else operations_for(state)
-        columns, memory = self._advance(
-            dict(zip(self.system.state_names, _columns(state), strict=True)),
-            dict(zip(self.system.action_names, _columns(action), strict=True)),
-            memory,
-            self._values(latent),
-            self.period if period is None else period,
-            time,
-            operations,
+        operations = common_operations(state, action, latent)
+        true = self._restored(state, values := self._values(latent, state))
+        named = dict(zip(self.system.action_names, columns(action, state), strict=True))
+        entries, memory = self._advance(
+            true, named, memory, values, self.period if period is None else period, time, operations
         )
-        return _joined([columns[name] for name in self.system.state_names], operations), memory
+        return joined(entries, operations), memory
+
+    def affine(  # noqa: D102
+        self,
+        state: Array,
+        latent: Array | None = None,
+        *,
+        around: Array | None = None,
+        memory: Any = None,
+        time: float = 0.0,
+    ) -> tuple[Array, Array]:
+        if around is None:
+            around = self._middle
+        operations = common_operations(state, around, latent)
+        values = self._values(latent, state)
+        true = self._restored(state, values)
+        names = self.system.action_names
+        if memory is None:
+            memory = self._settled(dict(zip(names, columns(around, state), strict=True)))
+
+        def entries(action: Sequence[Scalar]) -> list[Scalar]:
+            named = dict(zip(names, action, strict=True))
+            return self._advance(true, named, memory, values, self.period, time, operations)[0]
+
+        if operations is FLOATS:
+            return single_difference(entries, around.tolist(), self._ranges)
+
+        def step(action: Array) -> Array:
+            return joined(entries(columns(action, state)), operations)
+
+        if is_torch(state):
+            around = like(state, around) if isinstance(around, np.ndarray) else around
+            return forward_mode(step, around.expand(*state.shape[:-1], len(names)) if around.ndim == 1 else around)
+        return batched_difference(step, np.asarray(around, dtype=np.float64), self._ranges)
 
     def _advance(
         self,
         state: Named,
         action: Named,
         memory: Any,
-        values: Mapping[str, Named],
+        values: _Values,
         period: float,
         time: float,
         operations: Operations,
-    ) -> tuple[Named, Any]:
-        for sensor in self._sensors:
-            state = sensor.restore(state, values[sensor.name])
+    ) -> tuple[list[Scalar], Any]:
+        """The measured entries and the memory after one period, from the true state."""
+        if self._commands:
+            action, memory = self._felt(action, memory, values, period, operations)
+        base, known = values["base"], self.base.rates
+        effects = [(item.modify, values[item.name]) for item in self._rates]
+
+        def derivative(now: Named, seconds: Scalar) -> Named:
+            rates = known(now, action, base, operations)
+            if effects:
+                context = Context(now, action, base, seconds, period, operations)
+                for modify, own in effects:
+                    rates = modify(rates, own, context)
+            return rates
+
+        after = runge_kutta(derivative, state, time, period)
+        for sensor in reversed(self._sensors):
+            after = sensor.measure(after, values[sensor.name])
+        return [after[name] for name in self.system.state_names], memory
+
+    def _felt(
+        self, action: Named, memory: Any, values: _Values, period: float, operations: Operations
+    ) -> tuple[Named, tuple[Any, ...]]:
+        """What the mechanics feel of an action, and the actuators' memory after it."""
         remembered = []
         for command, own in zip(self._commands, memory, strict=True):
-            action, own_next = command.transform(action, own, values[command.name], period, operations)
-            remembered.append(own_next)
-        state = self._runge_kutta(state, action, values, period, time, operations)
-        for sensor in reversed(self._sensors):
-            state = sensor.measure(state, values[sensor.name])
-        return state, tuple(remembered)
+            action, kept = command.transform(action, own, values[command.name], period, operations)
+            remembered.append(kept)
+        return action, tuple(remembered)
 
-    def _derivative(
-        self, state: Named, action: Named, values: Mapping[str, Named], time: float, operations: Operations
-    ) -> Named:
-        base = values["base"]
-        rates = self.base.rates(state, action, base, operations)
-        context = Context(state, action, base, time, operations)
-        for item in self._rates:
-            rates = item.modify(rates, values[item.name], context)
-        return rates
+    def _settled(self, action: Named) -> tuple[Any, ...]:
+        return tuple(item.initial_memory(action) for item in self._commands)
 
-    def _runge_kutta(
-        self,
-        state: Named,
-        action: Named,
-        values: Mapping[str, Named],
-        period: float,
-        time: float,
-        operations: Operations,
-    ) -> Named:
-        half = 0.5 * period
+    def _restored(self, state: Array, values: _Values) -> Named:
+        named: Named = dict(zip(self.system.state_names, columns(state, state), strict=True))
+        for sensor in self._sensors:
+            named = sensor.restore(named, values[sensor.name])
+        return named
 
-        def moved(rates: Named, seconds: float) -> Named:
-            return {name: state[name] + seconds * rates[name] for name in state}
-
-        first = self._derivative(state, action, values, time, operations)
-        second = self._derivative(moved(first, half), action, values, time + half, operations)
-        third = self._derivative(moved(second, half), action, values, time + half, operations)
-        fourth = self._derivative(moved(third, period), action, values, time + period, operations)
-        sixth = period / 6.0
-        return {
-            name: state[name] + sixth * (first[name] + 2.0 * (second[name] + third[name]) + fourth[name])
-            for name in state
-        }
-
-    def affine(  # noqa: D102
-        self, state: Array, latent: Array | None = None, *, around: Array | None = None, memory: Any = None
-    ) -> tuple[Array, Array]:
-        if around is None:
-            around = _like(state, 0.5 * (self.system.action_low + self.system.action_high))
-        if memory is None:
-            memory = self.initial_memory(around)
-
-        def next_state(action: Array) -> Array:
-            return self.advance(state, action, memory, latent)[0]
-
-        if isinstance(state, np.ndarray):
-            return self._central_difference(next_state, around)
-        return _forward_mode(next_state, around)
-
-    def _central_difference(self, next_state: Any, around: Array) -> tuple[Array, Array]:
-        columns = []
-        for index, variable in enumerate(self.system.action):
-            nudge = _ACTION_NUDGE * (variable.high - variable.low)
-            up, down = np.array(around, dtype=np.float64), np.array(around, dtype=np.float64)
-            up[..., index] += nudge
-            down[..., index] -= nudge
-            columns.append((next_state(up) - next_state(down)) / (2.0 * nudge))
-        g = np.stack(columns, axis=-1)
-        return next_state(around) - np.einsum("...sa,...a->...s", g, around), g
-
-
-def _forward_mode(next_state: Any, around: Any) -> tuple[Any, Any]:
-    import torch
-
-    value, columns = next_state(around), []
-    for index in range(around.shape[-1]):
-        direction = torch.zeros_like(around)
-        direction[..., index] = 1.0
-        slope = torch.func.jvp(next_state, (around,), (direction,))[1]
-        columns.append(slope)
-    g = torch.stack(columns, dim=-1)
-    return value - torch.einsum("...sa,...a->...s", g, around), g
-
-
-def _stage(item: AbstractEffect) -> int:
-    return int(item.stage)
-
-
-def _is_single(array: Array) -> bool:
-    return isinstance(array, np.ndarray) and array.ndim == 1
-
-
-def _columns(array: Array) -> list[Scalar]:
-    if _is_single(array):
-        return [float(value) for value in array]
-    return [array[..., index] for index in range(array.shape[-1])]
-
-
-def _joined(columns: list[Scalar], operations: Operations) -> Array:
-    if operations is FLOATS:
-        return np.array(columns)
-    if operations is NUMPY:
-        return np.stack(np.broadcast_arrays(*columns), axis=-1)
-    import torch
-
-    return torch.stack(torch.broadcast_tensors(*columns), dim=-1)  # type: ignore[no-untyped-call]
-
-
-def _like(state: Array, action: NDArray[np.float64]) -> Array:
-    shape = (*state.shape[:-1], len(action))
-    if isinstance(state, np.ndarray):
-        return np.broadcast_to(action, shape)
-    import torch
-
-    return torch.as_tensor(action, dtype=state.dtype, device=state.device).expand(shape).clone()
-
-
-def _check_effects(base: AbstractBase, effects: Sequence[AbstractEffect]) -> None:
-    seen: set[str] = set()
-    for item in effects:
-        if item.robot != base.system.name:
+    def _values(self, latent: Array | None, state: Array) -> _Values:
+        """Every parameter's value, the free ones from the latent (latents,) or (..., latents)."""
+        if latent is None:
+            return self._fixed
+        if latent.shape[-1] != len(self.latent_names):
             raise ModelFileError(
-                f"effect '{item.name}' belongs to robot '{item.robot}', the model to '{base.system.name}'"
+                f"latent: got {latent.shape[-1]} entries, wanted {len(self.latent_names)}: "
+                f"{', '.join(self.latent_names)}"
             )
-        if item.name in seen:
-            raise ModelFileError(f"effect '{item.name}' stands twice; leave one out")
-        missing = [name for name in item.needs if name not in base.system.action_names]
-        if missing:
-            raise ModelFileError(
-                f"effect '{item.name}' needs the action '{missing[0]}', the model has "
-                f"{', '.join(base.system.action_names)}; choose another effect or another drive"
-            )
-        seen.add(item.name)
+        owners: dict[str, Named] = dict(self._fixed)
+        entries = columns(latent, state)
+        for owner, free in self._free.items():
+            owners[owner] = {**owners[owner], **{name: entries[index] for name, index in free}}
+        return owners
 
+    @cached_property
+    def _fixed(self) -> dict[str, dict[str, float]]:
+        owners: dict[str, dict[str, float]] = {"base": {}, **{item.name: {} for item in self.effects}}
+        for path, setting in self.settings.items():
+            owner, name = path.split(".")
+            owners[owner][name] = setting.value
+        return owners
 
-def _check_settings(parameters: Mapping[str, Parameter], settings: Mapping[str, Setting]) -> None:
-    for path, parameter in parameters.items():
-        if path not in settings:
-            raise ModelFileError(f"{path}: missing; give a value in {parameter.unit}")
-        value = settings[path].value
-        if not parameter.low <= value <= parameter.high:  # refuses NaN as well
-            raise ModelFileError(f"{path}: got {value}, wanted {parameter.low} to {parameter.high} {parameter.unit}")
-    unknown = [path for path in settings if path not in parameters]
-    if unknown:
-        raise ModelFileError(f"{unknown[0]}: unknown parameter; known: {', '.join(parameters)}")
+    @cached_property
+    def _free(self) -> dict[str, list[tuple[str, int]]]:
+        """The names of the free parameters and their places in the latent, by owner."""
+        owners: dict[str, list[tuple[str, int]]] = {}
+        for index, path in enumerate(self.latent_names):
+            owner, name = path.split(".")
+            owners.setdefault(owner, []).append((name, index))
+        return owners
+
+    @cached_property
+    def _middle(self) -> NDArray[np.float64]:
+        return 0.5 * (self.system.action_low + self.system.action_high)
+
+    @cached_property
+    def _ranges(self) -> tuple[float, ...]:
+        return tuple((self.system.action_high - self.system.action_low).tolist())

@@ -8,7 +8,7 @@ from safedpa.effects.effect import (
     SensorEffect,
     Stage,
 )
-from safedpa.effects.library import effect, effects_of, load_effects
+from safedpa.effects.library import effect, effects_of, load_effects, robots
 from safedpa.effects.parameter import Parameter
 
 __all__ = [
@@ -22,4 +22,5 @@ __all__ = [
     "effect",
     "effects_of",
     "load_effects",
+    "robots",
 ]

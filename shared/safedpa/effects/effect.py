@@ -14,9 +14,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, NamedTuple
 
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations, Scalar
@@ -28,30 +27,46 @@ Named = Mapping[str, Scalar]
 
 
 class Stage(IntEnum):
-    """When an effect applies; lower first. The physical order from command to motion."""
+    """When an effect applies; lower first. The physical order from command to motion.
+
+    Effects of one stage may stand in any order: they act on different quantities, or add up.
+    """
 
     COMMAND_SCALE = 10
-    """What the receiver makes of the number that was sent: gains, offsets, dead zones."""
+    """What the receiver makes of the number that was sent: gains, dead zones."""
     COMMAND_DELAY = 20
     """Pure delay of what was received."""
     COMMAND_LAG = 30
     """The actuator's inertia."""
-    COMMAND_GEOMETRY = 40
-    """Where the linkage really stands: steering offset, asymmetry, stops."""
+    COMMAND_OFFSET = 40
+    """Where the linkage stands when nothing is asked: trim."""
+    COMMAND_LINKAGE = 42
+    """What the linkage makes of it: left and right differ, play."""
+    COMMAND_STOPS = 44
+    """How far the linkage can go."""
+    SUPPLY = 46
+    """What the supply lets the drive deliver: battery."""
     DRIVE = 50
-    """How strong the drive is: sag, back-EMF, mass."""
+    """What the drive itself loses: back-EMF."""
     RESISTANCE = 60
-    """Forces that act beside the drive."""
-    MASS = 65
-    """Inertia that drive and resistance share."""
+    """Forces beside the drive that do not depend on the robot's mass: air, springs, bearings."""
+    OWN_MASS = 62
+    """Mass on board: it divides drive and resistance."""
+    WEIGHT = 64
+    """Decelerations that mass on board does not change, because the force grows with the weight: rolling, cornering."""
+    MASS = 66
+    """Inertia that all of the above has to move: a towed load, a mass at the tip."""
     MOTION = 70
-    """How wheels turn into motion: understeer, slip, drift."""
+    """How steering turns into a yaw rate: understeer."""
+    SLIP = 72
+    """Where the car travels beside where it points."""
+    DRIFT = 74
+    """Motion of the medium or ground that carries the robot."""
     SENSOR = 80
     """What the sensor makes of the true state."""
 
 
-@dataclass(frozen=True)
-class Context:
+class Context(NamedTuple):
     """What a rate effect may look at: the state and the transformed action now, the base's parameters."""
 
     state: Named
@@ -59,6 +74,8 @@ class Context:
     base: Named
     time: Scalar
     """Seconds since the start of the run."""
+    period: float
+    """Seconds over which the action is held: friction laws round off their sign so that no period overshoots rest."""
     operations: Operations
 
 
@@ -75,7 +92,8 @@ class AbstractEffect(ABC):
     - ``signature``: what the residuals of a model without it look like;
     - ``source``: where the equation stands.
 
-    At the neutral values of all parameters the model is exactly the model without the effect.
+    At the neutral values of all parameters the model is exactly the model without the effect. A parameter whose
+    neutral value is None only shapes the effect: it may have any value while the others are neutral.
     """
 
     name: ClassVar[str]
@@ -87,6 +105,8 @@ class AbstractEffect(ABC):
     source: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of actions without which the effect has no meaning (``throttle`` for a dead zone of the throttle)."""
+    mirrored: ClassVar[tuple[str, ...]] = ()
+    """Parameters whose sign flips when left and right are swapped (an offset of the steering)."""
 
 
 class CommandEffect(AbstractEffect):
@@ -127,7 +147,3 @@ class SensorEffect(AbstractEffect):
     @abstractmethod
     def restore(self, state: Named, parameters: Named) -> Named:
         """The true state, from the measured one."""
-
-
-STICTION_SPEED: Final = 0.03
-"""m/s; below it the sign of the speed in friction laws is rounded off, so that a standing car stays put."""

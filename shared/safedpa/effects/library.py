@@ -14,9 +14,10 @@ from pathlib import Path
 from types import ModuleType
 
 from safedpa.effects.effect import AbstractEffect
+from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
 
-__all__ = ["effect", "effects_of", "load_effects"]
+__all__ = ["effect", "effects_of", "load_effects", "robots"]
 
 _own: dict[tuple[str, str], AbstractEffect] = {}
 """Effects that were loaded from files outside the project, in this process."""
@@ -28,21 +29,32 @@ def effects_of(robot: str) -> dict[str, AbstractEffect]:
     return {name: item for (owner, name), item in sorted(merged.items()) if owner == robot}
 
 
+def robots() -> tuple[str, ...]:
+    """Names of the robots that have effects, in alphabetical order."""
+    return tuple(sorted({owner for owner, _ in {**_shipped(), **_own}}))
+
+
 def effect(robot: str, name: str) -> AbstractEffect:
     """One effect by name.
 
     Raises InputError with the nearest names when there is none.
     """
     known = effects_of(robot)
-    if name not in known:
-        raise InputError(f"effect '{name}' is not known for robot '{robot}': {did_you_mean(name, known)}")
-    return known[name]
+    if name in known:
+        return known[name]
+    owners = [owner for owner in robots() if name in effects_of(owner)]
+    if owners:
+        raise InputError(
+            f"effect '{name}' belongs to robot '{owners[0]}', not to '{robot}': {did_you_mean(name, known)}"
+        )
+    raise InputError(f"effect '{name}' is not known for robot '{robot}': {did_you_mean(name, known)}")
 
 
 def load_effects(path: Path) -> list[AbstractEffect]:
     """Adds the effects that a Python file defines to the library of this process.
 
-    Raises InputError when the file cannot be read as Python, defines no effect, or reuses a name.
+    Loading a file again replaces the effects that it defined before. Raises InputError when the file cannot be read as
+    Python, defines no effect or an incomplete one, or reuses a name of the library.
     """
     module = _module_from(path)
     found = list(_effects_in(module))
@@ -51,12 +63,26 @@ def load_effects(path: Path) -> list[AbstractEffect]:
             f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect or SensorEffect"
         )
     for item in found:
+        _check_declaration(item, path)
         if (item.robot, item.name) in _shipped():
             raise InputError(
                 f"{path}: effect '{item.name}' of robot '{item.robot}' exists already; choose another name"
             )
-        _own[item.robot, item.name] = item
+    _own.update({(item.robot, item.name): item for item in found})
     return found
+
+
+def _check_declaration(item: AbstractEffect, path: Path) -> None:
+    label = f"{path}: class {type(item).__name__}"
+    for attribute in ("name", "robot", "stage", "equation", "parameters", "signature", "source"):
+        if not hasattr(item, attribute):
+            raise InputError(f"{label}: attribute '{attribute}' is missing; give it in the class")
+    if not item.name.isidentifier():
+        raise InputError(f"{label}: name: got {item.name!r}, wanted letters, digits and underscores")
+    if item.robot not in robots():
+        raise InputError(f"{label}: robot: got {item.robot!r}; {did_you_mean(item.robot, robots())}")
+    if not item.parameters or not all(isinstance(parameter, Parameter) for parameter in item.parameters):
+        raise InputError(f"{label}: parameters: got {item.parameters!r}, wanted a tuple of Parameter(...)")
 
 
 @cache

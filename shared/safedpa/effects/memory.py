@@ -2,49 +2,69 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any
 
 from safedpa.operations import Operations, Scalar
 
-__all__ = ["delayed", "follow"]
+__all__ = ["History", "delayed", "follow", "settled"]
 
-_SMALLEST_TIME_CONSTANT = 1e-6
-"""s; keeps exp(-period / time_constant) defined at the neutral value 0, where the lag vanishes to 1e-6."""
+History = tuple[tuple[Scalar, float], ...]
+"""Commands and the seconds for which each was held, newest first; the last one has been held for ever."""
+
+_SMALLEST_TIME_CONSTANT = 1e-9
+"""s; below it exp(-period / time_constant) is 0 in every precision, and the division stays defined."""
 
 
 def follow(
     command: Scalar, felt: Scalar, time_constant: Scalar, period: float, operations: Operations
 ) -> tuple[Scalar, Scalar]:
-    """First-order lag over one period, exact for a held command.
+    """First-order lag over one period, exact for a held command; no lag at all at time_constant 0.
 
     felt(t) = command + (felt - command) exp(-t / time_constant). Returns the mean of felt over the period and its
     value at the end.
     """
-    time_constant = operations.maximum(time_constant, _SMALLEST_TIME_CONSTANT)
-    ratio = period / time_constant
-    decay = operations.exp(-ratio)
+    decay = operations.exp(-period / operations.maximum(time_constant, _SMALLEST_TIME_CONSTANT))
     difference = felt - command
-    return command + difference * (1.0 - decay) / ratio, command + difference * decay
+    return command + difference * ((1.0 - decay) * time_constant / period), command + difference * decay
+
+
+def settled(command: Scalar) -> History:
+    """The history of a command that has been held for ever."""
+    return ((command, inf),)
 
 
 def delayed(
-    command: Scalar, history: tuple[Scalar, ...], delay: Scalar, period: float, operations: Operations
-) -> tuple[Scalar, tuple[Scalar, ...]]:
-    """Pure delay over one period, exact in the mean for a held command.
+    command: Scalar, history: History, delay: Scalar, longest: float, period: float, operations: Operations
+) -> tuple[Scalar, History]:
+    """Pure delay over one period: the exact mean of command(t - delay), also for periods of unequal length.
 
-    ``history`` holds the commands of the last periods, newest first. With n = delay / period the mean of
-    command(t - delay) over the period is the triangular average sum_i max(0, 1 - |n - i|) command[-i]; delays
-    longer than the history take its oldest entry.
+    Returns that mean and the history at the end of the period, as far back as the ``longest`` delay [s] reaches.
     """
-    commands: tuple[Scalar, ...] = (command, *history)
-    periods = delay / period
-    if isinstance(periods, float):
-        steps = min(int(periods), len(commands) - 1)
-        rest = min(periods - steps, 1.0)
-        older = commands[min(steps + 1, len(commands) - 1)]
-        return (1.0 - rest) * commands[steps] + rest * older, commands[:-1]
-    periods = operations.minimum(periods, float(len(commands) - 1))
     total: Any = 0.0
-    for index, value in enumerate(commands):
-        total = total + operations.maximum(1.0 - operations.absolute(periods - float(index)), 0.0) * value
-    return total, commands[:-1]
+    end = period
+    # a float delay meets one to three entries: the rest of the history need not be looked at
+    reach = delay if isinstance(delay, float) else longest
+    for value, duration in ((command, period), *history):
+        start = end - duration
+        if end > -reach:
+            total = total + _overlap(start, end, delay, period, operations) / period * value
+        end = start
+        if start <= -reach:
+            break
+    return total, _remembered(((command, period), *history), longest)
+
+
+def _overlap(start: float, end: float, delay: Scalar, period: float, operations: Operations) -> Scalar:
+    """Seconds shared by the window (-delay, period - delay) and the time (start, end) for which a command was held."""
+    shared = operations.minimum(period - delay, end) - operations.maximum(-delay, start)
+    return operations.maximum(shared, 0.0)
+
+
+def _remembered(history: History, longest: float) -> History:
+    age = 0.0
+    for index, (value, duration) in enumerate(history):
+        age += duration
+        if age >= longest:
+            return (*history[:index], (value, inf))
+    return history

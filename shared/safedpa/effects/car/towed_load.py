@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import final
 
-from safedpa.effects.effect import STICTION_SPEED, Context, Named, RateEffect, Stage
+from safedpa.effects.effect import Context, Named, RateEffect, Stage
+from safedpa.effects.friction import REST_SPEED, direction_of
 from safedpa.effects.parameter import Parameter
 
 __all__ = ["TowedLoad"]
@@ -15,7 +16,7 @@ class TowedLoad(RateEffect):
     """A load of mass_ratio times the car's mass, which alone would slide to rest at ``deceleration``.
 
     (1 + mass_ratio) d(speed)/dt = drive and resistance of the car - mass_ratio deceleration sign(speed),
-    the sign rounded off below 0.03 m/s. The hitch is taken as stiff and in line with the car.
+    the sign rounded off near rest. The hitch is taken as stiff and in line with the car.
     """
 
     name = "towed_load"
@@ -24,13 +25,15 @@ class TowedLoad(RateEffect):
     equation = "(1 + mass_ratio) d(speed)/dt = acceleration - mass_ratio deceleration sign(speed)"
     parameters = (
         Parameter("mass_ratio", "1", 0.0, 5.0, 0.5, meaning="mass of the load over mass of the car"),
-        Parameter("deceleration", "m/s2", 0.0, 9.81, 2.0, meaning="friction coefficient of the load times g"),
+        Parameter(
+            "deceleration", "m/s2", 0.0, 9.81, 2.0, neutral=None, meaning="friction coefficient of the load times g"
+        ),
     )
     signature = "all accelerations too small by one factor, and a steady pull against the motion"
     source = "Newton's second law for two bodies on a rigid hitch, Coulomb friction under the towed one"
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
         ratio = parameters["mass_ratio"]
-        direction = context.operations.tanh(context.state["speed"] / STICTION_SPEED)
-        pull = ratio * parameters["deceleration"] * direction
+        pull = ratio * parameters["deceleration"]
+        pull = pull * direction_of(context.state["speed"], pull, REST_SPEED, context)
         return {**rates, "speed": (rates["speed"] - pull) / (1.0 + ratio)}

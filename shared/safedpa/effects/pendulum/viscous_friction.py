@@ -20,7 +20,7 @@ class ViscousFriction(RateEffect):
     equation = "mass length^2 d(rate)/dt -= coefficient rate"
     parameters = (Parameter("coefficient", "N m s/rad", 0.0, 5.0, 0.1),)
     signature = "rate residual proportional to the rate and against it, whatever the angle"
-    source = "Wiberg et al., torque-limited simple pendulum, JOSS 2022"
+    source = "Wiebe et al., Torque-limited simple pendulum, JOSS 7(74), 2022"
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
         inertia = context.base["mass"] * context.base["length"] * context.base["length"]

@@ -1,0 +1,63 @@
+"""The values of a model's parameters, and the checks that they and the effects fit together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from safedpa.dynamics.base import AbstractBase
+from safedpa.effects.effect import AbstractEffect
+from safedpa.effects.parameter import Parameter
+from safedpa.errors import ModelFileError, did_you_mean
+
+__all__ = ["Setting", "check_effects", "check_settings", "wanted"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """The value of one parameter; ``free`` ones are refitted by diagnosis and estimated by adaptation."""
+
+    value: float
+    free: bool = False
+
+    def __post_init__(self) -> None:
+        # fits hand in numpy's numbers, which a model file would print as np.float64(...)
+        object.__setattr__(self, "value", float(self.value))
+
+
+def wanted(parameter: Parameter) -> str:
+    """What a parameter accepts, for messages: ``0 to 5 m/s2``."""
+    unit = "(no unit)" if parameter.unit == "1" else parameter.unit
+    return f"{parameter.low:g} to {parameter.high:g} {unit}"
+
+
+def check_effects(base: AbstractBase, effects: Sequence[AbstractEffect]) -> None:
+    """Raises ModelFileError when an effect stands twice, or fits neither the robot nor its actions."""
+    seen: set[str] = set()
+    for item in effects:
+        if item.robot != base.system.name:
+            raise ModelFileError(
+                f"effect '{item.name}' belongs to robot '{item.robot}', the model to '{base.system.name}'; leave it out"
+            )
+        if item.name in seen:
+            raise ModelFileError(f"effect '{item.name}' stands twice; leave one out")
+        missing = [name for name in item.needs if name not in base.system.action_names]
+        if missing:
+            raise ModelFileError(
+                f"effect '{item.name}' needs the action '{missing[0]}', the model has "
+                f"{', '.join(base.system.action_names)}; choose another effect or another drive"
+            )
+        seen.add(item.name)
+
+
+def check_settings(parameters: Mapping[str, Parameter], settings: Mapping[str, Setting]) -> None:
+    """Raises ModelFileError when a parameter is missing, unknown, out of bounds or not a number."""
+    for path in settings:
+        if path not in parameters:
+            raise ModelFileError(f"{path}: unknown parameter; {did_you_mean(path, parameters)}")
+    for path, parameter in parameters.items():
+        if path not in settings:
+            raise ModelFileError(f"{path}: missing; give a number, {wanted(parameter)}")
+        value = settings[path].value
+        if not parameter.low <= value <= parameter.high:  # refuses NaN as well
+            raise ModelFileError(f"{path}: got {value:g}, wanted {wanted(parameter)}")

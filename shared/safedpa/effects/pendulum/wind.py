@@ -1,0 +1,47 @@
+"""Wind on the mass."""
+
+from __future__ import annotations
+
+from typing import final
+
+from safedpa.effects.effect import Context, Named, RateEffect, Stage
+from safedpa.effects.parameter import Parameter
+
+__all__ = ["Wind"]
+
+_CALM = 1e-12
+"""m2/s2; keeps the slope of the square root finite where the tip runs exactly with the wind."""
+
+
+@final
+class Wind(RateEffect):
+    """torque = length (cos(angle) F_x + sin(angle) F_y), F = drag |R| R, R = wind - velocity of the tip.
+
+    The wind is horizontal; x points to where positive angles lean, y down, so the tip moves with length rate
+    (cos(angle), sin(angle)).
+
+    The original's further term, a friction in proportion to the rate, is viscous_friction here.
+    """
+
+    name = "wind"
+    robot = "pendulum"
+    stage = Stage.RESISTANCE
+    equation = (
+        "mass length^2 d(rate)/dt += length (cos(angle) F_x + sin(angle) F_y), F = drag |R| R, R = wind - tip velocity"
+    )
+    parameters = (
+        Parameter("speed", "m/s", -30.0, 30.0, 3.0, neutral=None, meaning="towards positive angles"),
+        Parameter("drag", "N s2/m2", 0.0, 10.0, 0.5),
+    )
+    signature = "rate residual of one direction in space, largest at top and bottom, none when level"
+    source = "Shi et al., Meta-Adaptive Nonlinear Control, NeurIPS 2021, inverted pendulum in wind"
+    mirrored = ("speed",)
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        operations, base = context.operations, context.base
+        cosine, sine = operations.cos(context.state["angle"]), operations.sin(context.state["angle"])
+        tip = base["length"] * context.state["rate"]
+        across, down = parameters["speed"] - tip * cosine, -tip * sine
+        size = operations.sqrt(across * across + down * down + _CALM)
+        torque = base["length"] * parameters["drag"] * size * (cosine * across + sine * down)
+        return {**rates, "rate": rates["rate"] + torque / (base["mass"] * base["length"] * base["length"])}
