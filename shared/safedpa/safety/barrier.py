@@ -1,0 +1,58 @@
+"""A barrier: h(x) >= 0 describes the safe set; one object may hold many of them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["AbstractBarrier", "Barriers"]
+
+Values = NDArray[np.float64]
+
+
+class AbstractBarrier(ABC):
+    """m functions h_i(x) >= 0 of the state x (states,), in a unit of the barrier's own choice."""
+
+    kind: str
+    """Which margin applies: ``obstacle``, ``field``, ``speed`` or a name of the user's own."""
+    names: tuple[str, ...]
+    """(m,) what each of them is called in verdicts."""
+
+    @abstractmethod
+    def values(self, state: Values) -> Values:
+        """h (m,) at ``state`` (states,)."""
+
+    @abstractmethod
+    def evaluate(self, state: Values) -> tuple[Values, Values]:
+        """h (m,) and its gradient d(h_i)/d(x_j) (m, states) at ``state`` (states,)."""
+
+
+@final
+class Barriers:
+    """Several barriers, side by side: h stacked in the order given."""
+
+    def __init__(self, parts: Sequence[AbstractBarrier]) -> None:
+        self.parts = tuple(parts)
+        self.names = tuple(name for part in self.parts for name in part.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def values(self, state: Values) -> Values:
+        """h (m,) of all parts at ``state`` (states,)."""
+        return np.concatenate([part.values(state) for part in self.parts])
+
+    def evaluate(self, state: Values) -> tuple[Values, Values]:
+        """h (m,) and gradient (m, states) of all parts at ``state`` (states,)."""
+        pairs = [part.evaluate(state) for part in self.parts]
+        return np.concatenate([h for h, _ in pairs]), np.concatenate([gradient for _, gradient in pairs])
+
+    def of_each(self, by_kind: dict[str, float], otherwise: float) -> Values:
+        """(m,) the number that belongs to each barrier's kind."""
+        return np.repeat(
+            [by_kind.get(part.kind, otherwise) for part in self.parts], [len(part.names) for part in self.parts]
+        ).astype(np.float64)

@@ -1,0 +1,29 @@
+"""All barriers of a car, from what it perceives in one tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.field_barrier import FieldBarrier
+from safedpa.safety.obstacle_barrier import ObstacleBarrier
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.speed_barrier import SpeedBarrier
+
+__all__ = ["car_barriers"]
+
+
+def car_barriers(
+    settings: FilterSettings, footprint: Sequence[float], obstacles: ArrayLike, field: Sequence[float] | None = None
+) -> list[AbstractBarrier]:
+    """Obstacles (m, 3), field (4,) if there is one, and speed, for state (x, y, yaw, speed) and footprint (3,).
+
+    Raises InputError for a wrong shape or a number that is not finite.
+    """
+    braking, clearance = settings.braking, settings.clearance
+    barriers: list[AbstractBarrier] = [ObstacleBarrier(obstacles, footprint, braking, clearance)]
+    if field is not None:
+        barriers.append(FieldBarrier(field, footprint, braking, clearance))
+    return [*barriers, SpeedBarrier(settings.speed_low, settings.speed_high)]

@@ -1,0 +1,120 @@
+"""The barrier conditions at one state: kept or broken by an action, and linearised about one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+from safedpa.safety.barrier import Barriers
+from safedpa.safety.prediction import Prediction
+
+__all__ = ["Conditions", "Outcome"]
+
+Values = NDArray[np.float64]
+
+_NO_INFLUENCE = 1e-9
+"""A column of g this small, relative to the size of the state, is rounding error: the actuator is saturated."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What the model predicts for one action."""
+
+    action: Values
+    next_state: Values
+    h_next: Values
+    residual: Values
+    """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i): negative where a condition is broken."""
+
+    @property
+    def violation(self) -> float:
+        """The slack that this action needs: max(0, -min residual)."""
+        return max(0.0, -float(self.residual.min()))
+
+    @property
+    def least(self) -> float:
+        """Smallest h_i(x+)."""
+        return float(self.h_next.min())
+
+
+@final
+class Conditions:
+    """h_i(x[t+1]) >= (1 - eta) h_i(x[t]) + epsilon_i for every barrier i, at one state and latent.
+
+    ``low`` and ``high`` (actions,) are the actuator bounds.
+
+    Raises InputError when a barrier or the model returns a wrong shape or a number that is not finite.
+    """
+
+    def __init__(
+        self,
+        barriers: Barriers,
+        prediction: Prediction,
+        state: Values,
+        latent: Values | None,
+        memory: Any,
+        eta: float,
+        epsilon: Values,
+        low: Values,
+        high: Values,
+    ) -> None:
+        self.barriers, self._prediction = barriers, prediction
+        self._state, self._latent, self._memory = state, latent, memory
+        self._low, self._high = low, high
+        self.h_now = _finite("h at the state", barriers.values(state), (len(barriers),))
+        self.required = (1.0 - eta) * self.h_now + epsilon
+        self._last_g: Values | None = None
+
+    def outcome(self, action: Values) -> Outcome:
+        """What ``action`` (actions,) leads to."""
+        following = self._prediction.next_state(self._state, action, self._latent, self._memory)
+        _finite("predicted state", following, self._state.shape)
+        h_next = _finite("h at the predicted state", self.barriers.values(following), self.required.shape)
+        return Outcome(action, following, h_next, h_next - self.required)
+
+    def linearised(self, about: Outcome) -> tuple[Values, Values]:
+        """A (m, actions), b (m,): the conditions A a >= b, tangent at ``about.action``.
+
+        h(x+) is taken as h + p'(x - x+) and x as x+ + g (a - about), x+ the predicted state under ``about``.
+        """
+        _, g = self._prediction.tangent(self._state, about.action, self._latent, self._memory)
+        _finite("g of the model", g, (len(self._state), len(about.action)))
+        _, p = self.barriers.evaluate(about.next_state)
+        _finite("gradient of h", p, (len(self.required), len(self._state)))
+        A = p @ self._unsaturated(g, about)
+        return A, A @ about.action - about.residual
+
+    def _unsaturated(self, g: Values, about: Outcome) -> Values:
+        """g with a chord in place of each column that vanishes because the actuator saturates at ``about``.
+
+        A tangent of zero would say that this action does not matter, though its other values do: the chord leads to the
+        bound that is further away, unless an earlier tangent knows the slope.
+        """
+        silent = np.flatnonzero(np.abs(g).max(axis=0) <= _NO_INFLUENCE * (1.0 + np.abs(about.next_state).max()))
+        if len(silent):
+            g = g.copy()
+            for index in silent:
+                g[:, index] = self._chord(about, int(index)) if self._last_g is None else self._last_g[:, index]
+        self._last_g = g
+        return g
+
+    def _chord(self, about: Outcome, index: int) -> Values:
+        value, low, high = about.action[index], self._low[index], self._high[index]
+        other = about.action.copy()
+        other[index] = low if value - low > high - value else high
+        following = self._prediction.next_state(self._state, other, self._latent, self._memory)
+        _finite("predicted state", following, self._state.shape)
+        return np.asarray((following - about.next_state) / (other[index] - value))
+
+
+def _finite(what: str, array: Values, shape: tuple[int, ...]) -> Values:
+    if array.shape != shape:
+        raise InputError(f"{what}: got shape {array.shape}, wanted {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
+    return array

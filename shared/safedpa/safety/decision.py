@@ -1,0 +1,206 @@
+"""One decision: from inputs to a verdict, down the ladder of fallbacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.safety.barrier import Barriers
+from safedpa.safety.conditions import Conditions, Outcome
+from safedpa.safety.inputs import Plausible, Unusable, checked_input
+from safedpa.safety.prediction import Prediction
+from safedpa.safety.quadratic_program import QuadraticProgram
+from safedpa.safety.search import DecisionError, search
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.verdict import Status, Verdict
+
+__all__ = ["Backup", "Decision", "Request", "Tools"]
+
+Values = NDArray[np.float64]
+Backup = Callable[[Values | None], Any]
+"""The backup action (actions,) at a state (states,); None when the state is not known."""
+
+_BINDING = 10.0
+"""A condition within this many slack tolerances of its limit is reported as active."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Tools:
+    """What does not change from tick to tick."""
+
+    settings: FilterSettings
+    prediction: Prediction
+    program: QuadraticProgram
+    backup: Backup | None
+    resting_action: Values
+    state_range: Plausible | None
+    wish_range: Plausible
+    latent_range: Plausible | None
+    clock: Callable[[], float]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What one tick brings; nothing of it is trusted."""
+
+    state: Any
+    wish: Any
+    latent: Any
+    memory: Any
+    barriers: Barriers
+    epsilon: Mapping[str, float]
+    stale: Sequence[str]
+
+
+@final
+class Decision:
+    """What is known so far of one decision, so that a failure half way can still report it."""
+
+    def __init__(self, tools: Tools, request: Request) -> None:
+        self._tools, self._request = tools, request
+        self._start = tools.clock()
+        self._problems = [f"{name} is stale" for name in request.stale]
+        self._state = self._checked("state", request.state, tools.state_range)
+        self._wish = self._checked("wish", request.wish, tools.wish_range)
+        wanted = tools.latent_range
+        self._needs_latent = wanted is not None and len(wanted.names) > 0
+        given = self._needs_latent or request.latent is not None
+        self._latent = self._checked("latent", request.latent, wanted) if given else None
+        self._margin = 0.0
+        self._conditions: Conditions | None = None
+
+    def run(self) -> Verdict:
+        """The verdict; raises DecisionError, or whatever a user's function raises, when there is none."""
+        if self._problems:
+            raise DecisionError("; ".join(self._problems))
+        assert self._wish is not None
+        conditions = self._posed()
+        asked = conditions.outcome(self._within(self._wish))
+        if not self._tools.settings.enabled:
+            return self._verdict(Status.disabled, asked, "", "not run")
+        if asked.violation <= self._tools.settings.slack_tolerance:
+            if np.array_equal(asked.action, self._wish):
+                return self._verdict(Status.passed, asked, "", "not needed")
+            return self._verdict(Status.corrected, asked, "The wish lay outside the actuator limits.", "not needed")
+        return self._corrected(conditions, self._wish, asked)
+
+    def fallback(self, reason: str, solver: str) -> Verdict:
+        """The backup action, and of what it leads to whatever can still be computed; raises nothing."""
+        action, status = self._backup_action(), Status.fallback
+        if self._wish is not None and not self._tools.settings.enabled:
+            action, status = self._within(self._wish), Status.disabled
+        reason = f"Reason: {reason}."
+        try:
+            conditions = self._conditions or self._posed()
+            return self._verdict(status, conditions.outcome(action), reason, solver)
+        except Exception:  # noqa: BLE001 - the same failure may strike again; then h stays unknown
+            return self._answer(status, action, reason, solver)
+
+    def _checked(self, what: str, value: Any, plausible: Plausible | None) -> Values | None:
+        checked = checked_input(what, value, plausible)
+        if isinstance(checked, Unusable):
+            self._problems.append(checked.reason)
+            return None
+        return checked
+
+    def _posed(self) -> Conditions:
+        """The conditions at this state; raises DecisionError when an input that they need is missing."""
+        request, settings = self._request, self._tools.settings
+        if self._state is None or (self._needs_latent and self._latent is None):
+            raise DecisionError("state or latent unusable")
+        if len(request.barriers) == 0:
+            raise DecisionError("there is no barrier to keep")
+        margins = {**settings.epsilon, **request.epsilon}
+        epsilon = request.barriers.of_each(margins, margins.get("default", 0.0))
+        if not np.isfinite(epsilon).all() or (epsilon < 0.0).any():
+            raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
+        self._margin = float(epsilon.max())
+        self._conditions = Conditions(
+            request.barriers,
+            self._tools.prediction,
+            self._state,
+            self._latent,
+            request.memory,
+            settings.eta,
+            epsilon,
+            self._tools.program.low,
+            self._tools.program.high,
+        )
+        return self._conditions
+
+    def _corrected(self, conditions: Conditions, wish: Values, asked: Outcome) -> Verdict:
+        settings, program = self._tools.settings, self._tools.program
+        rounds, tolerance = settings.relinearisations + 1, settings.slack_tolerance
+        found, solver = search(conditions, program, wish, asked, rounds, tolerance)
+        if found.violation <= tolerance:
+            return self._verdict(Status.corrected, found, "", solver)
+        braking = conditions.outcome(self._backup_action())
+        if braking.violation <= tolerance:
+            other, solver = search(conditions, program, wish, braking, rounds, tolerance)
+            if other.violation <= tolerance:
+                return self._verdict(Status.corrected, other, "Found from the backup action.", solver)
+            return self._verdict(Status.corrected, braking, "The backup action keeps every condition.", solver)
+        if found.least > braking.least:
+            return self._verdict(Status.relaxed, found, "The least violating action, better than the backup.", solver)
+        return self._verdict(Status.relaxed, braking, "The backup action, at least as good as the QP's.", solver)
+
+    def _backup_action(self) -> Values:
+        """The user's backup within the bounds; the resting action where there is none or it fails."""
+        if self._tools.backup is None:
+            return self._tools.resting_action
+        try:
+            action = np.array(self._tools.backup(self._state), dtype=np.float64)
+        except Exception:  # noqa: BLE001 - the last resort must not depend on a user's function
+            return self._tools.resting_action
+        if action.shape != self._tools.resting_action.shape or not np.isfinite(action).all():
+            return self._tools.resting_action
+        return self._within(action)
+
+    def _within(self, action: Values) -> Values:
+        return np.minimum(np.maximum(action, self._tools.program.low), self._tools.program.high)
+
+    def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
+        return self._answer(
+            status, outcome.action, reason, solver, outcome.violation, self._active(outcome), outcome.least
+        )
+
+    def _answer(
+        self,
+        status: Status,
+        action: Values,
+        reason: str,
+        solver: str,
+        slack: float = 0.0,
+        active: tuple[str, ...] = (),
+        h_next: float | None = None,
+    ) -> Verdict:
+        taken = action.copy()
+        taken.flags.writeable = False
+        known = self._conditions is not None and h_next is not None
+        return Verdict(
+            action=taken,
+            status=status,
+            reason=reason,
+            slack=slack,
+            active=active,
+            h_now=float(self._conditions.h_now.min()) if self._conditions is not None else 0.0,
+            h_next=0.0 if h_next is None else h_next,
+            margin=self._margin,
+            solver=solver,
+            microseconds=1e6 * (self._tools.clock() - self._start),
+            wish=self._wish,
+            known=known,
+        )
+
+    def _active(self, outcome: Outcome) -> tuple[str, ...]:
+        binding = outcome.residual <= _BINDING * self._tools.settings.slack_tolerance
+        if not binding.any():
+            return ()
+        names = self._request.barriers.names
+        return tuple(names[index] for index in np.argsort(outcome.residual, kind="stable") if binding[index])

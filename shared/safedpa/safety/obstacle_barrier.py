@@ -1,0 +1,112 @@
+"""Round obstacles around a robot whose body is a capsule, stretched by its stopping distance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, isfinite, sin
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from safedpa.errors import InputError
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.braking import Braking
+
+__all__ = ["Footprint", "ObstacleBarrier"]
+
+Values = NDArray[np.float64]
+Footprint = tuple[float, float, float]
+"""(rear, front, radius) [m]: the body is the segment p - rear e .. p + front e, thickened by the radius."""
+
+_SMALLEST_DISTANCE = 1e-12
+"""m; keeps the gradient finite when an obstacle's centre lies on the segment (then h < 0 anyway)."""
+
+
+@final
+class ObstacleBarrier(AbstractBarrier):
+    """h_i = distance(c_i, S(x)) - (R_i + r + clearance), for obstacles with centre c_i and radius R_i [m].
+
+    State x = (x, y, yaw, speed); e = (cos yaw, sin yaw), p = (x, y); the swept segment is
+    S(x) = [p - (rear - min(D, 0)) e, p + (front + max(D, 0)) e], D = stopping distance at that speed: driving forward
+    stretches the front end, reversing the rear end. Braking straight ahead moves both ends inward only, so that h never
+    falls under the braking action (the docs page on safety has the proof). The gradient is analytic:
+    with u, w the coordinates of c_i - p along and across the heading, t = u clipped to the segment, d the distance,
+
+        d(h)/d(p) = -((u - t) e + w n) / d,   d(h)/d(yaw) = -t w / d,
+        d(h)/d(speed) = -(u - t) D' / d at a stretched end, else 0.
+
+    ``obstacles`` (m, 3): x, y, radius. Raises InputError for a wrong shape, a number that is not finite or a negative
+    length.
+    """
+
+    kind = "obstacle"
+
+    def __init__(
+        self,
+        obstacles: ArrayLike,
+        footprint: Sequence[float],
+        braking: Braking,
+        clearance: float = 0.0,
+        names: Sequence[str] | None = None,
+    ) -> None:
+        table = np.asarray(obstacles, dtype=np.float64)
+        if table.size == 0:
+            table = table.reshape(0, 3)
+        if table.ndim != 2 or table.shape[1] != 3:
+            raise InputError(f"obstacles: got shape {table.shape}, wanted (obstacles, 3): x, y, radius in m")
+        if not np.isfinite(table).all() or (table[:, 2] < 0.0).any():
+            raise InputError(
+                "obstacles: got NaN, infinity or a negative radius, wanted finite x, y and radius >= 0 in m"
+            )
+        self.rear, self.front, self.radius = checked_footprint(footprint)
+        if not (isfinite(clearance) and clearance >= 0.0):
+            raise InputError(f"clearance: got {clearance}, wanted a finite number >= 0 in m")
+        self.braking = braking
+        self.names = tuple(names) if names is not None else tuple(f"obstacle {i}" for i in range(len(table)))
+        if len(self.names) != len(table):
+            raise InputError(f"names of obstacles: got {len(self.names)}, wanted {len(table)}, one for each obstacle")
+        self._x, self._y = table[:, 0].copy(), table[:, 1].copy()
+        self._reach = table[:, 2] + (self.radius + clearance)
+
+    def values(self, state: Values) -> Values:  # noqa: D102
+        return self._geometry(state)[0] - self._reach
+
+    def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
+        distance, along, across, nearest, low, high = self._geometry(state)
+        safe = np.maximum(distance, _SMALLEST_DISTANCE)
+        beyond = (along - nearest) / safe
+        sideways = across / safe
+        sideways[distance == 0.0] = 1.0
+        c, s, speed = cos(state[2]), sin(state[2]), float(state[3])
+        gradient = np.zeros((len(safe), len(state)))
+        gradient[:, 0] = s * sideways - c * beyond
+        gradient[:, 1] = -s * beyond - c * sideways
+        gradient[:, 2] = -nearest * sideways
+        stretched = ((nearest == high) & (speed >= 0.0)) | ((nearest == low) & (speed <= 0.0))
+        gradient[:, 3] = np.where(stretched, -self.braking.slope(speed) * beyond, 0.0)
+        return distance - self._reach, gradient
+
+    def _geometry(self, state: Values) -> tuple[Values, Values, Values, Values, float, float]:
+        x, y, yaw, speed = state.tolist()[:4]
+        c, s = cos(yaw), sin(yaw)
+        stretch = self.braking.distance(speed)
+        low, high = -self.rear + min(stretch, 0.0), self.front + max(stretch, 0.0)
+        east, north = self._x - x, self._y - y
+        along = c * east + s * north
+        across = c * north - s * east
+        nearest = np.minimum(np.maximum(along, low), high)
+        return np.hypot(along - nearest, across), along, across, nearest, low, high
+
+
+def checked_footprint(footprint: Sequence[float]) -> Footprint:
+    """(rear, front, radius) as floats; raises InputError unless finite, radius >= 0 and rear + front >= 0."""
+    if len(footprint) != 3:
+        raise InputError(f"footprint: got {len(footprint)} numbers, wanted 3: rear, front, radius in m")
+    rear, front, radius = (float(value) for value in footprint)
+    if not (isfinite(rear) and isfinite(front) and isfinite(radius)) or radius < 0.0 or rear + front < 0.0:
+        raise InputError(
+            f"footprint: got {rear}, {front}, {radius}, wanted finite rear, front, radius in m, radius >= 0, "
+            "front not behind rear"
+        )
+    return rear, front, radius

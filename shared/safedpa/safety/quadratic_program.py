@@ -1,0 +1,94 @@
+"""The filter's quadratic program: the nearest action to the wish that keeps linear conditions, with slack."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["QuadraticProgram", "Solution"]
+
+Values = NDArray[np.float64]
+
+_NO_CONDITION = -1.0
+"""Right-hand side of padding rows 0 a + s >= -1, which always hold."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Minimiser; ``solved`` is False when the solver did not vouch for it: then it must not be used."""
+
+    action: Values
+    """(actions,)."""
+    slack: Values
+    """(m,) in the conditions' units."""
+    solved: bool
+    status: str
+
+
+@final
+class QuadraticProgram:
+    """min (a - wish)' W (a - wish) + rho |s|^2 + rho1 sum s  s.t.  A a + s >= b,  low <= a <= high,  s >= 0.
+
+    W = diag(weights / (high - low)^2). Always feasible: any a within its bounds with s = max(0, b - A a). Solved in the
+    variables u = (a - low) / (high - low) of [0, 1]; rows that no action within the bounds can break are left out
+    (exact: their slack is 0), the others are padded to a power of two, so that each of PIQP's workspaces is built once.
+    """
+
+    def __init__(self, low: Values, high: Values, weights: Values, quadratic: float, linear: float) -> None:
+        self.low, self.high, self.range = low, high, high - low
+        self.weights, self.quadratic, self.linear = weights, quadratic, linear
+        self._workspaces: dict[int, _Workspace] = {}
+
+    def solve(self, A: Values, b: Values, wish: Values) -> Solution:
+        """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,)."""
+        scaled = A * self.range
+        limits = b - A @ self.low
+        needed = np.flatnonzero(np.minimum(scaled, 0.0).sum(axis=1) < limits)
+        slack = np.zeros(len(b))
+        if len(needed) == 0:
+            return Solution(np.minimum(np.maximum(wish, self.low), self.high), slack, True, "not needed")
+        workspace = self._workspace(len(needed))
+        solved, status, solution = workspace.solve(scaled[needed], limits[needed], (wish - self.low) / self.range)
+        actions = len(self.low)
+        slack[needed] = solution[actions : actions + len(needed)]
+        return Solution(self.low + self.range * solution[:actions], slack, solved, status)
+
+    def _workspace(self, rows: int) -> _Workspace:
+        size = 1 << (rows - 1).bit_length()
+        if size not in self._workspaces:
+            self._workspaces[size] = _Workspace(size, self.weights, self.quadratic, self.linear)
+        return self._workspaces[size]
+
+
+@final
+class _Workspace:
+    """PIQP for a fixed number of rows, in the scaled variables (u, s)."""
+
+    def __init__(self, rows: int, weights: Values, quadratic: float, linear: float) -> None:
+        import piqp
+
+        self._actions, self._rows, self._weights = len(weights), rows, weights
+        self._solved = piqp.PIQP_SOLVED
+        self._solver: Any = piqp.DenseSolver()
+        self._costs = np.concatenate([np.zeros(len(weights)), np.full(rows, linear)])
+        self._left = np.zeros((rows, len(weights) + rows), order="F")
+        self._left[:, len(weights) :] = np.eye(rows)
+        self._right = np.full(rows, _NO_CONDITION)
+        hessian = np.asfortranarray(np.diag(2.0 * np.concatenate([weights, np.full(rows, quadratic)])))
+        upper = np.concatenate([np.ones(len(weights)), np.full(rows, np.inf)])
+        self._solver.setup(hessian, self._costs, None, None, self._left, self._right, None, np.zeros(len(upper)), upper)
+
+    def solve(self, left: Values, right: Values, wish: Values) -> tuple[bool, str, Values]:
+        """Whether it was solved, the solver's word, and (u, s) (actions + rows,)."""
+        rows = len(right)
+        self._left[:rows, : self._actions], self._left[rows:, : self._actions] = left, 0.0
+        self._right[:rows], self._right[rows:] = right, _NO_CONDITION
+        self._costs[: self._actions] = -2.0 * self._weights * wish
+        self._solver.update(c=self._costs, G=self._left, h_l=self._right)
+        status = self._solver.solve()
+        name = str(status.name).removeprefix("PIQP_").lower().replace("_", " ")
+        return status == self._solved, name, np.array(self._solver.result.x)

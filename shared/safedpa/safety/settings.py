@@ -1,0 +1,203 @@
+"""What a person may set about the filter, and its TOML file. Errors name the key."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError, did_you_mean
+from safedpa.safety.braking import Braking
+
+__all__ = ["FilterSettings", "load_settings", "parse_settings", "save_settings", "write_settings"]
+
+FORMAT = 1
+
+
+@final
+@dataclass(frozen=True)
+class FilterSettings:
+    """Numbers of the filter, checked at construction; the defaults fit the pymunk car at 20 Hz.
+
+    Raises InputError naming the key, what was got and what was wanted.
+    """
+
+    enabled: bool = True
+    eta: float = 0.2
+    """1 per step, in (0, 1]: the share of h that one step may use up; h falls with a time constant of period / eta."""
+    epsilon: Mapping[str, float] = field(default_factory=lambda: {"obstacle": 0.01, "field": 0.01, "speed": 0.01})
+    """Margin by kind of barrier, in the unit of h, >= 0; ``default`` for kinds not named, else 0."""
+    action_low: tuple[float, ...] = (-0.6, -0.34)
+    """(actions,) hard actuator bounds; car: m/s, rad."""
+    action_high: tuple[float, ...] = (2.0, 0.34)
+    weights: tuple[float, ...] = ()
+    """(actions,) > 0: cost of changing an action over its whole range; empty: all 1."""
+    backup_action: tuple[float, ...] = ()
+    """(actions,) what is done when nothing can be computed; empty: 0 within the bounds (the car brakes straight)."""
+    slack_tolerance: float = 1e-4
+    """Unit of h: a condition broken by no more than this counts as kept."""
+    slack_quadratic: float = 1e5
+    """rho: cost of slack squared. 1 cm of slack costs 10 changes of an action over its whole range, and more below."""
+    slack_linear: float = 1e4
+    """rho1: cost of slack. Exact while an action's whole range moves h by more than 2 / rho1 = 0.2 mm in one step."""
+    relinearisations: int = 3
+    """How often the program is posed anew about its solution where the model is not affine in the action."""
+    plausible_wish: float = 10.0
+    """A wish that lies further outside the bounds than this many ranges is not believed."""
+    braking_deceleration: float = 2.0
+    """m/s2 that the robot can brake at least, with every load."""
+    braking_gain: float = 2.5
+    """1/s of its speed servo at least, with every load."""
+    clearance: float = 0.05
+    """m kept to obstacles and walls beyond the robot's own radius."""
+    speed_low: float = -0.8
+    """m/s; a little beyond the actuator's, so that driving at full speed is no conflict."""
+    speed_high: float = 2.2
+
+    def __post_init__(self) -> None:
+        for name in ("action_low", "action_high", "weights", "backup_action"):
+            object.__setattr__(self, name, _numbers(name, getattr(self, name)))
+        object.__setattr__(self, "epsilon", _margins(self.epsilon))
+        if not isinstance(self.enabled, bool):
+            raise InputError(f"enabled: got {self.enabled!r}, wanted true or false")
+        self._check_actions()
+        for name in _POSITIVE:
+            _number(name, getattr(self, name), 0.0, math.inf, open_low=True)
+        _number("eta", self.eta, 0.0, 1.0, open_low=True)
+        _number("clearance", self.clearance, 0.0, math.inf)
+        _number("speed_low", self.speed_low, -math.inf, math.inf)
+        _number("speed_high", self.speed_high, self.speed_low, math.inf, open_low=True)
+        if isinstance(self.relinearisations, bool) or not isinstance(self.relinearisations, int):
+            raise InputError(f"relinearisations: got {self.relinearisations!r}, wanted a whole number")
+        _number("relinearisations", self.relinearisations, 0, 20)
+
+    def _check_actions(self) -> None:
+        count = len(self.action_low)
+        if count == 0 or len(self.action_high) != count:
+            raise InputError(
+                f"action_high: got {len(self.action_high)} numbers, action_low has {count}; wanted as many, at least 1"
+            )
+        for low, high in zip(self.action_low, self.action_high, strict=True):
+            if low >= high:
+                raise InputError(f"action_low: got {low}, wanted less than action_high {high}")
+        for name in ("weights", "backup_action"):
+            if len(getattr(self, name)) not in (0, count):
+                raise InputError(f"{name}: got {len(getattr(self, name))} numbers, wanted {count} or none")
+        if any(weight <= 0.0 for weight in self.weights):
+            raise InputError(f"weights: got {self.weights}, wanted positive numbers")
+        for low, value, high in zip(self.action_low, self.backup_action, self.action_high, strict=False):
+            if not low <= value <= high:
+                raise InputError(f"backup_action: got {value}, wanted {low} to {high}")
+
+    @property
+    def braking(self) -> Braking:
+        """The guaranteed braking ability."""
+        return Braking(self.braking_deceleration, self.braking_gain)
+
+    @property
+    def low(self) -> NDArray[np.float64]:
+        """Lower actuator bounds (actions,)."""
+        return np.array(self.action_low)
+
+    @property
+    def high(self) -> NDArray[np.float64]:
+        """Upper actuator bounds (actions,)."""
+        return np.array(self.action_high)
+
+    @property
+    def weight_vector(self) -> NDArray[np.float64]:
+        """Weights (actions,), 1 where none are set."""
+        return np.array(self.weights or (1.0,) * len(self.action_low))
+
+    @property
+    def resting_action(self) -> NDArray[np.float64]:
+        """The backup action (actions,) that needs no state."""
+        wanted = np.array(self.backup_action or (0.0,) * len(self.action_low))
+        return np.asarray(np.minimum(np.maximum(wanted, self.low), self.high))
+
+
+_POSITIVE = (
+    "slack_tolerance",
+    "slack_quadratic",
+    "slack_linear",
+    "plausible_wish",
+    "braking_deceleration",
+    "braking_gain",
+)
+
+
+def load_settings(path: str | Path) -> FilterSettings:
+    """Settings from a TOML file; raises InputError naming the file and the key."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); wanted a settings file of the filter") from error
+    try:
+        return parse_settings(text)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def parse_settings(text: str) -> FilterSettings:
+    """Settings from a TOML text; keys left out keep their defaults. Raises InputError naming the key."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"not TOML: {error}") from error
+    known = [item.name for item in fields(FilterSettings)]
+    if table.pop("format", FORMAT) != FORMAT:
+        raise InputError(f"format: wanted {FORMAT}; this program reads no other")
+    for key in table:
+        if key not in known:
+            raise InputError(f"{key}: unknown key; {did_you_mean(key, known)}")
+    return FilterSettings(**table)
+
+
+def save_settings(settings: FilterSettings, path: str | Path) -> None:
+    """Writes ``write_settings`` to a file."""
+    Path(path).write_text(write_settings(settings), encoding="utf-8")
+
+
+def write_settings(settings: FilterSettings) -> str:
+    """The TOML text that ``parse_settings`` reads back to the same settings."""
+    lines = [f"format = {FORMAT}"]
+    for item in fields(FilterSettings):
+        value = getattr(settings, item.name)
+        if isinstance(value, tuple):
+            lines.append(f"{item.name} = {list(value)!r}")
+        elif isinstance(value, Mapping):
+            entries = ", ".join(f'"{kind}" = {number!r}' for kind, number in value.items())
+            lines.append(f"{item.name} = {{ {entries} }}")
+        else:
+            lines.append(f"{item.name} = {str(value).lower() if isinstance(value, bool) else repr(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _margins(value: Any) -> dict[str, float]:
+    table = value if isinstance(value, Mapping) else {"default": value}
+    return {str(kind): _number(f"epsilon.{kind}", number, 0.0, math.inf) for kind, number in table.items()}
+
+
+def _numbers(name: str, value: Any) -> tuple[float, ...]:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, (list, tuple)):
+        raise InputError(f"{name}: got {value!r}, wanted a list of numbers")
+    return tuple(_number(name, entry, -math.inf, math.inf) for entry in value)
+
+
+def _number(name: str, value: Any, low: float, high: float, *, open_low: bool = False) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(f"{name}: got {value!r}, wanted a finite number")
+    if not low <= value <= high or (open_low and value == low):
+        above = "more than" if open_low else "at least"
+        raise InputError(
+            f"{name}: got {value}, wanted {above} {low}" + ("" if high == math.inf else f", at most {high}")
+        )
+    return float(value)

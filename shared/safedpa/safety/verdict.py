@@ -1,0 +1,94 @@
+"""What the filter answers: an action and everything that one must know about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Status", "Verdict"]
+
+
+@final
+class Status(Enum):
+    """How the action came about; each has a sentence and a defined action."""
+
+    passed = "passed"
+    corrected = "corrected"
+    relaxed = "relaxed"
+    fallback = "fallback"
+    disabled = "disabled"
+
+    @property
+    def sentence(self) -> str:
+        """The status in words."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Status.passed: "The wish keeps every barrier condition and is handed on unchanged.",
+    Status.corrected: "The wish was changed to the nearest action that keeps every barrier condition.",
+    Status.relaxed: "No action was found that keeps every barrier condition; the less unsafe one is taken.",
+    Status.fallback: "No decision could be computed; the backup action is taken.",
+    Status.disabled: "The filter is switched off; the wish is handed on within the actuator limits.",
+}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """One decision of the filter. Every number in it is finite, whatever the inputs were."""
+
+    action: NDArray[np.float64]
+    """(actions,) what the robot shall do; always within the actuator limits; not writeable."""
+    status: Status
+    reason: str
+    """One sentence about this decision: which input, which barrier, which of two actions."""
+    slack: float
+    """max_i max(0, (1 - eta) h_i(x) + epsilon_i - h_i(x+)) under ``action``, x+ by the model; 0 when all hold."""
+    active: tuple[str, ...]
+    """Names of the barriers whose condition binds or is broken, the tightest first."""
+    h_now: float
+    """Smallest h_i at the state; 0 when unknown, see ``known``."""
+    h_next: float
+    """Smallest h_i that the model predicts one period ahead under ``action``; 0 when unknown."""
+    margin: float
+    """Largest epsilon_i in force."""
+    solver: str
+    """What the QP solver said: ``solved``, ``not needed`` or why there is no solution."""
+    microseconds: float
+    """Time that the decision took."""
+    wish: NDArray[np.float64] | None
+    """(actions,) what was asked for; None when it was missing or unusable."""
+    known: bool = True
+    """False when h_now and h_next could not be computed, or were not because the filter is switched off."""
+
+    @property
+    def sentence(self) -> str:
+        """Status and reason in words."""
+        return f"{self.status.sentence} {self.reason}".strip()
+
+    @property
+    def intervened(self) -> bool:
+        """Whether the action may differ from the wish because of safety."""
+        return self.status in (Status.corrected, Status.relaxed, Status.fallback)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists: for JSON and logs."""
+        return {
+            "action": self.action.tolist(),
+            "status": self.status.value,
+            "sentence": self.sentence,
+            "slack": self.slack,
+            "active": list(self.active),
+            "h_now": self.h_now,
+            "h_next": self.h_next,
+            "margin": self.margin,
+            "solver": self.solver,
+            "microseconds": self.microseconds,
+            "wish": None if self.wish is None else self.wish.tolist(),
+            "known": self.known,
+        }
