@@ -65,7 +65,7 @@ class ContactCounter:
             body = arbiter.shapes[0].body
             assert body is not None
             x, y = body.position
-            self.collisions.append(Collision(self.time, *pair, x, y, body.velocity.length))
+            self.collisions.append(Collision(round(self.time, 6), *pair, x, y, body.velocity.length))
         self._touching.add(pair)
 
     def _separate(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:

@@ -1,0 +1,79 @@
+"""``python -m safedpa_sim.robots``: one simulated robot as a process of its own that speaks only the bus."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import secrets
+import sys
+import uuid
+from pathlib import Path
+
+from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.errors import InputError
+from safedpa_sim.robots.account import account_of, check_writable, write_account
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.loads import LOADS
+from safedpa_sim.robots.loop import NoActionError, RobotLoop
+from safedpa_sim.robots.scene import Scene
+
+_EPOCH_BITS = 53
+"""Whole numbers that every reader of a recording holds exactly."""
+
+
+def robot_parser() -> argparse.ArgumentParser:
+    """The options of a simulated robot."""
+    parser = argparse.ArgumentParser(prog="safedpa-robot", description="a simulated robot on the bus")
+    add_bus_options(parser)
+    parser.add_argument("--robot", choices=("car",), default="car", help="kind of robot")
+    parser.add_argument("--name", default="r1", help="name on the bus; one robot each")
+    parser.add_argument("--load", choices=("none", *LOADS), default="none", help="what it tows")
+    parser.add_argument("--seed", type=int, default=0, help="scene: obstacles, start, goals")
+    parser.add_argument(
+        "--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: for ever"
+    )
+    parser.add_argument("--lockstep", action="store_true", help="wait for each action: a run repeats bit for bit")
+    parser.add_argument("--rate", type=float, default=20.0, help="ticks per second")
+    parser.add_argument("--summary", type=Path, default=None, help="write the account of the run here")
+    return parser
+
+
+def work(options: argparse.Namespace, stop: Stop) -> int:
+    """Drives until the time is over or ``stop``; 0, or 1 when in lockstep nobody answered."""
+    robot = _robot(options)
+    if options.summary is not None:
+        check_writable(options.summary)
+    with bus_from(options) as bus:
+        bus.claim(options.name, "robot", uuid.uuid4().hex[:12])
+        loop = RobotLoop(robot, bus, options.name)
+        code = 0
+        try:
+            loop.run(stop, round(options.seconds * options.rate))
+        except NoActionError as error:
+            sys.stderr.write(f"safedpa-robot: {error}\n")
+            code = 1
+        end = stop.reason or ("time is over" if code == 0 else "no action")
+        if stop():
+            loop.brake(publish=True)
+        account = account_of(robot, loop.latencies, loop.overruns, end)
+        if not stop():
+            loop.brake(publish=False)  # after the account: a run of N seconds has N seconds' ticks
+        if options.summary is not None:
+            write_account(account, options.summary)
+        sys.stdout.write(json.dumps(account) + "\n")
+    return code
+
+
+def _robot(options: argparse.Namespace) -> CarRobot:
+    if not 1.0 <= options.rate <= 500.0:
+        raise InputError(f"--rate: got {options.rate}, wanted 1 to 500 ticks per second")
+    if not 0.0 <= options.seconds < 1e9:
+        raise InputError(f"--seconds: got {options.seconds}, wanted 0 (for ever) or more")
+    if options.seed < 0:
+        raise InputError(f"--seed: got {options.seed}, wanted 0 or more")
+    scene = Scene.random(options.seed, options.load)
+    return CarRobot(scene, 1.0 / options.rate, options.lockstep, epoch=secrets.randbits(_EPOCH_BITS))
+
+
+if __name__ == "__main__":
+    run_process(work, robot_parser())

@@ -1,0 +1,62 @@
+"""What a robot says of its run when it ends."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from safedpa.errors import InputError, RecordingError
+from safedpa_sim.robots.core import CarRobot
+
+__all__ = ["account_of", "check_writable", "percentile", "write_account"]
+
+
+def account_of(robot: CarRobot, latencies: list[float], overruns: int, end: str) -> dict[str, Any]:
+    """The run in numbers: ticks, goals, collisions, watchdog, refusals, sense-to-act latency, hash of the states.
+
+    ``latencies`` [s] run from the first publication of a state to the acceptance of its action; without any, both
+    percentiles are null.
+    """
+    return {
+        "ticks": robot.tick,
+        "robot_seconds": round(robot.tick * robot.period, 9),
+        "lockstep": robot.lockstep,
+        "seed": robot.scene.seed,
+        "load": robot.scene.load.name if robot.scene.load else "none",
+        "goals_reached": robot.goals_reached,
+        "collisions": len(robot.collisions),
+        "collision_list": [asdict(collision) for collision in robot.collisions],
+        "watchdog_ticks": robot.watchdog_ticks,
+        "refusals": dict(sorted(robot.guard.refusals.items())),
+        "latency_us": {"p50": percentile(latencies, 0.50), "p99": percentile(latencies, 0.99)},
+        "overruns": overruns,
+        "trajectory_sha256": robot.trajectory_hash,
+        "end": end,
+    }
+
+
+def percentile(seconds: list[float], share: float) -> float | None:
+    """The smallest entry that at least ``share`` of all do not exceed, in microseconds; None of nothing."""
+    if not seconds:
+        return None
+    return 1e6 * sorted(seconds)[math.ceil(share * len(seconds)) - 1]
+
+
+def check_writable(path: Path) -> None:
+    """Raises InputError when no file can be written there: better now than at the end of the run."""
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise InputError(f"--summary {path}: cannot be written; give a file in an existing, writable folder")
+
+
+def write_account(account: dict[str, Any], path: Path) -> None:
+    """Writes one line of JSON, whole or not at all. Raises RecordingError when the disk refuses."""
+    unfinished = path.with_name(path.name + ".unfinished")
+    try:
+        unfinished.write_text(json.dumps(account) + "\n", encoding="utf-8")
+        unfinished.replace(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: not written ({error.strerror}); make room or choose another folder") from error

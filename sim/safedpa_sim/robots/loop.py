@@ -1,0 +1,169 @@
+"""The robot on the bus: publishes state[k], takes action[k], moves; in lockstep or in real time.
+
+Lockstep: the robot waits for the action of its state and repeats the state meanwhile. Real time: state k is published
+at k periods after the start, the action must be there after 0.9 periods; otherwise the watchdog brakes.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+
+from safedpa.bus import ACTION, HEALTH, STATE, Bus, Received
+from safedpa.bus.messages import ActionMessage, HealthMessage
+from safedpa.errors import BusError
+from safedpa_sim.robots.core import CarRobot
+
+__all__ = ["NoActionError", "RobotLoop"]
+
+_REPEAT_SECONDS = 0.1
+_PATIENCE_SECONDS = 60.0
+_DEADLINE_SHARE = 0.9
+"""Of the period, after which an action is late."""
+_HEARTBEAT_SECONDS = 0.25
+_LONGEST_WAIT_SECONDS = 0.1
+"""The loop looks at ``stopped`` and its heartbeat at least so often."""
+_STANDSTILL = 0.01
+"""m/s."""
+_LONGEST_BRAKING_SECONDS = 5.0
+
+
+class NoActionError(BusError):
+    """Nobody answered in lockstep."""
+
+
+class RobotLoop:
+    """Turns one robot on the bus under ``name``."""
+
+    def __init__(
+        self,
+        robot: CarRobot,
+        bus: Bus,
+        name: str,
+        clock: Callable[[], float] = time.monotonic,
+        patience: float = _PATIENCE_SECONDS,
+    ) -> None:
+        self.robot = robot
+        self.latencies: list[float] = []
+        """s from publishing a state to accepting its action."""
+        self.overruns = 0
+        """Periods that started late because this process was held up."""
+        self._bus = bus
+        self._name = name
+        self._clock = clock
+        self._patience = patience
+        self._inbox = bus.inbox((ACTION,), name)
+        self._published = 0.0
+        self._next_heartbeat = clock()
+        self._detail = ""
+        self._step_microseconds = 0.0
+
+    def run(self, stopped: Callable[[], bool], ticks: int) -> None:
+        """Drives until ``stopped`` or for ``ticks`` periods (0: for ever).
+
+        Raises NoActionError when in lockstep no action comes for a minute.
+        """
+        begin = self._clock()
+        while not stopped() and (ticks == 0 or self.robot.tick < ticks):
+            if self.robot.lockstep:
+                self._lockstep_tick(stopped)
+            else:
+                begin = self._real_time_tick(begin)
+
+    def brake(self, publish: bool) -> None:
+        """Drives on without accepting anything, so that the watchdog brakes, until the robot stands."""
+        robot = self.robot
+        last = robot.tick + round(_LONGEST_BRAKING_SECONDS / robot.period)
+        begin = self._clock()
+        while abs(robot.values[3]) > _STANDSTILL and robot.tick < last:
+            if publish:
+                self._publish()
+            begin += 0.0 if robot.lockstep else robot.period
+            while self._clock() < begin:
+                self._inbox.take(max(0.0, begin - self._clock()))
+            self._advance()
+        self._tell_health("braked")
+
+    def _lockstep_tick(self, stopped: Callable[[], bool]) -> None:
+        first = self._publish()
+        repeat = first + _REPEAT_SECONDS
+        while self.robot.guard.accepted is None:
+            self._take(repeat - self._clock())
+            now = self._clock()
+            if self.robot.guard.accepted is None and stopped():
+                return
+            if now - first > self._patience:
+                raise NoActionError(
+                    f"robot '{self._name}': no valid action for tick {self.robot.tick} after {self._patience:.0f} s"
+                    f"{self._why()}; are adaptation, policy and safety_filter running in fleet '{self._bus.fleet}'?"
+                )
+            if self.robot.guard.accepted is None and now >= repeat:
+                self._bus.publish(STATE, self._name, self.robot.state_message())
+                repeat = now + _REPEAT_SECONDS
+        self._advance()
+
+    def _real_time_tick(self, begin: float) -> float:
+        """One period from ``begin``; returns when the next one begins."""
+        period = self.robot.period
+        self._wait(begin)
+        self._publish()
+        self._wait(begin + _DEADLINE_SHARE * period)
+        self._advance()
+        following = begin + period
+        now = self._clock()
+        if now > following:
+            self.overruns += 1
+            return now  # periods that were slept through are not made up in a hurry
+        return following
+
+    def _advance(self) -> None:
+        started = time.perf_counter()
+        self.robot.advance()
+        self._step_microseconds = 1e6 * (time.perf_counter() - started)
+
+    def _wait(self, until: float) -> None:
+        """Takes what comes until then, at least once: what is there already counts."""
+        self._take(until - self._clock())
+        while self._clock() < until:
+            self._take(until - self._clock())
+
+    def _publish(self) -> float:
+        self._published = self._clock()
+        self._bus.publish(STATE, self._name, self.robot.state_message())
+        return self._published
+
+    def _take(self, longest_wait: float) -> None:
+        for item in self._inbox.take(max(0.0, min(longest_wait, _LONGEST_WAIT_SECONDS))):
+            if not isinstance(item, Received) or not isinstance(item.message, ActionMessage):
+                reason: str | None = "malformed"
+                self.robot.guard.refuse("malformed")
+            else:
+                reason = self.robot.receive(item.message)
+            if reason is None and isinstance(item, Received):
+                self.latencies.append(item.at - self._published)
+            self._detail = f"refused: {reason}" if reason else ""
+        if self._clock() >= self._next_heartbeat:
+            self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
+            self._tell_health("running")
+
+    def _why(self) -> str:
+        return f" ({self._detail})" if self._detail else ""
+
+    def _tell_health(self, state: str) -> None:
+        robot = self.robot
+        message = HealthMessage(
+            epoch=robot.guard.epoch,
+            tick=robot.tick,
+            robot_time=robot.tick * robot.period,
+            publish_time=time.time(),
+            service="robot",
+            pid=os.getpid(),
+            state=state,
+            detail=self._detail,
+            steps=robot.tick,
+            stale=robot.watchdog_ticks,
+            refused=sum(robot.guard.refusals.values()),
+            step_microseconds=self._step_microseconds,
+        )
+        self._bus.publish(HEALTH, self._name, message, "robot")
