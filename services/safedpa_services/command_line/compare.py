@@ -1,0 +1,199 @@
+"""``safedpa compare``: a model held against measurements."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from safedpa.diagnosis.comparison import Comparison
+    from safedpa.dynamics import PhysicsModel
+
+__all__ = ["command"]
+
+WORST = 8
+"""Bins that are printed."""
+
+NAME = 24
+"""Characters of a run's name that fit beside the numbers in 80 columns."""
+
+
+@click.command(name="compare")
+@click.argument("model")
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
+@click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path(),
+    metavar="DIR",
+    help="Folder for compare.html and compare.json; by default the current one.",
+)
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects of your own.")
+@click.option("--json", "as_document", is_flag=True, help="Print one JSON document and nothing else.")
+def command(
+    model: str,
+    runs: tuple[str, ...],
+    columns: str | None,
+    horizon: float,
+    out: Path,
+    effects: Path | None,
+    as_document: bool,
+) -> None:
+    """Hold MODEL against recorded RUNs: how large its error is, and where.
+
+    Predicts open loop from a start every 0.1 s, prints the errors beside predictors that know no physics, and writes
+    compare.html (readable offline) with compare.json beside it.
+    """
+    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.page import write_comparison
+    from safedpa.diagnosis.summary import as_json
+    from safedpa.dynamics import load_model
+    from safedpa.effects import load_effects
+
+    if effects is not None:
+        load_effects(effects)
+    loaded = load_model(model)
+    writable(out, create=True)
+    with _progress(len(runs) + 2) as advance:
+        comparison = _compared(loaded, runs, columns, horizon, advance)
+        advance("writing the page")
+        page, _ = write_comparison(comparison, out, Path(model).stem)
+    if as_document:
+        click.echo(json.dumps(as_json(comparison), allow_nan=False))
+    else:
+        _show(comparison, page)
+
+
+def _compared(
+    model: PhysicsModel, runs: tuple[str, ...], columns: str | None, horizon: float, advance: Callable[[str], None]
+) -> Comparison:
+    from safedpa.diagnosis.comparison import compare_model, with_distinct_names
+    from safedpa.records import load_column_map, load_run
+
+    mapping = load_column_map(columns) if columns else None
+    recorded = []
+    for path in runs:
+        advance(f"reading {Path(path).name}")
+        recorded.append(load_run(path, model.system, mapping))
+    advance("predicting")
+    return compare_model(model, with_distinct_names(recorded, runs), horizon)
+
+
+@contextmanager
+def _progress(steps: int) -> Iterator[Callable[[str], None]]:
+    """A bar on standard error when that is a terminal; yields what announces the next step."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=steps)
+
+        def advance(text: str) -> None:
+            bar.update(task, description=text, advance=1)
+
+        yield advance
+
+
+def _show(comparison: Comparison, page: Path) -> None:
+    from rich.console import Console
+
+    from safedpa.diagnosis.summary import naive_sentence, state_sentence, where_sentence
+
+    console = Console(highlight=False, soft_wrap=False)
+    console.print()
+    console.print(where_sentence(comparison), style="bold", markup=False)
+    console.print(f"{state_sentence(comparison)} {naive_sentence(comparison)}", markup=False)
+    console.print(_error_table(comparison))
+    console.print(_where_table(comparison))
+    if len(comparison.runs) > 1:
+        console.print(_run_table(comparison))
+    _show_findings(console, comparison)
+    console.print(f"Page: {page}", markup=False, soft_wrap=True)
+
+
+def _error_table(comparison: Comparison) -> Any:
+    from safedpa.diagnosis.comparison import PREDICTORS
+
+    table = _table(f"Error after {comparison.horizon:g} s and on the way", "state", "after")
+    for name in PREDICTORS:
+        table.add_column(name.replace("_", " "), justify="right")
+    count = len(comparison.horizons)
+    picked = sorted({max(1, round(count * share)) for share in (0.2, 0.5, 1.0)})
+    for index, state in enumerate(comparison.windows.system.state):
+        for position in picked:
+            item = comparison.horizons[position - 1]
+            values = [item.errors[name].per_state[index] * item.errors[name].scale[index] for name in PREDICTORS]
+            first = f"{state.name} ({state.unit})" if position == picked[0] else ""
+            table.add_row(first, f"{item.seconds:.3g} s", *(f"{value:.3g}" for value in values))
+    for position in picked:
+        item = comparison.horizons[position - 1]
+        first = "mean, scaled" if position == picked[0] else ""
+        table.add_row(
+            first, f"{item.seconds:.3g} s", *(f"{item.errors[name].value:.2f}" for name in PREDICTORS), style="bold"
+        )
+    return table
+
+
+def _where_table(comparison: Comparison) -> Any:
+    from safedpa.diagnosis.summary import bin_text, worst_bins
+
+    table = _table("Where it is worst", "range")
+    for title in ("error", "x average", "share", "windows"):
+        table.add_column(title, justify="right")
+    for item in worst_bins(comparison)[:WORST]:
+        table.add_row(
+            bin_text(item, NAME), f"{item.error:.2f}", f"{item.ratio:.2f}", f"{item.share:.1%}", str(item.samples)
+        )
+    return table
+
+
+def _run_table(comparison: Comparison) -> Any:
+    from safedpa.diagnosis.summary import shortened
+
+    table = _table("Runs", "run")
+    for title in ("seconds", "period", "windows", "error"):
+        table.add_column(title, justify="right")
+    for run in comparison.runs:
+        numbers = (f"{run.duration:.1f}", f"{run.period:.4g} s", str(run.windows), f"{run.error:.2f}")
+        table.add_row(shortened(run.name, NAME), *numbers)
+    return table
+
+
+def _show_findings(console: Any, comparison: Comparison) -> None:
+    """What was found about the data; findings that all runs share stand once."""
+    found: dict[str, list[str]] = {}
+    for run, finding in comparison.findings:
+        found.setdefault(finding.message, []).append(run)
+    from safedpa.diagnosis.summary import shortened
+
+    console.print("Data quality", style="italic")
+    if not found:
+        console.print("  nothing to report")
+    for message, runs in found.items():
+        short = [shortened(run, NAME) for run in runs]
+        every = len(runs) == len(comparison.runs) > 1
+        console.print(f"  {'every run' if every else ', '.join(short)}: {message}", markup=False)
+    console.print()
+
+
+def _table(title: str, *columns: str) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in columns:
+        table.add_column(name, overflow="fold")
+    return table

@@ -1,0 +1,40 @@
+"""``safedpa predict``: a model's open-loop predictions along a recorded run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command(name="predict")
+@click.argument("model")
+@click.argument("run")
+@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
+@click.option("--horizon", type=float, required=True, metavar="SECONDS", help="How far to predict.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="FILE.csv", help="Where to write.")
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects of your own.")
+def command(model: str, run: str, columns: str | None, horizon: float, out: Path, effects: Path | None) -> None:
+    """Predict RUN with MODEL, open loop, from every tenth row of it.
+
+    Each prediction starts at the measured state and sees only the run's own actions; FILE.csv has the columns start_t,
+    t and the states, one line per measured row up to the horizon.
+    """
+    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.predict import predict_run
+    from safedpa.dynamics import load_model
+    from safedpa.effects import load_effects
+    from safedpa.records import load_column_map, load_run
+    from safedpa.records.write import write_columns
+
+    if effects is not None:
+        load_effects(effects)
+    loaded = load_model(model)
+    recorded = load_run(run, loaded.system, load_column_map(columns) if columns else None)
+    writable(out.parent)
+    table = predict_run(loaded, recorded, horizon)
+    write_columns(table, out, "csv")
+    starts = len(set(table["start_t"].tolist()))
+    click.echo(f"{out}: {len(table['t'])} predictions from {starts} starts over {horizon:g} s", err=True)

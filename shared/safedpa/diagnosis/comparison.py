@@ -1,0 +1,190 @@
+"""A model held against measurements: what ``safedpa compare`` prints and draws, as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.diagnosis.naive import constant_velocity, no_change
+from safedpa.diagnosis.residuals import Residuals, residuals
+from safedpa.diagnosis.rollout import rollout_at
+from safedpa.diagnosis.rollout_error import RolloutError, error_of, scaled_error, trimmed_rms
+from safedpa.diagnosis.where import Cell, Factor, cells, factors, window_errors
+from safedpa.diagnosis.windows import Floats, Rows, Windows, windows_of
+from safedpa.dynamics import PhysicsModel
+from safedpa.records.run import Finding, Run
+
+__all__ = ["EVERY", "PREDICTORS", "Comparison", "HorizonError", "RunError", "compare_model", "with_distinct_names"]
+
+EVERY = 0.1
+"""s; between the starts of two windows."""
+
+HORIZONS = 10
+"""At how many parts of the horizon the error is looked at."""
+
+PREDICTORS = ("model", "no_change", "constant_velocity")
+
+
+@dataclass(frozen=True)
+class HorizonError:
+    """Errors of every predictor after ``seconds``, by predictor's name, on the scale of that horizon."""
+
+    seconds: float
+    errors: dict[str, RolloutError]
+
+
+@dataclass(frozen=True)
+class RunError:
+    """What one run contributes; its error is on the scale of all runs."""
+
+    name: str
+    rows: int
+    duration: float
+    """s"""
+    period: float
+    """s"""
+    stretches: int
+    windows: int
+    error: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Everything that a comparison found."""
+
+    model: PhysicsModel
+    windows: Windows
+    horizons: tuple[HorizonError, ...]
+    """Shortest first; the last one is the horizon that was asked for."""
+    predicted: Floats
+    """States at the windows' ends, (windows, states)."""
+    errors: Floats
+    """predicted - measured there, angles by the short way round."""
+    factors: tuple[Factor, ...]
+    cells: tuple[Cell, ...]
+    residuals: Residuals
+    runs: tuple[RunError, ...]
+    findings: tuple[tuple[str, Finding], ...]
+    """(name of the run, what was found)"""
+
+    @property
+    def error(self) -> RolloutError:
+        """The model's error at the horizon."""
+        return self.horizons[-1].errors["model"]
+
+    @property
+    def horizon(self) -> float:
+        """s"""
+        return self.windows.horizon
+
+    @property
+    def window_errors(self) -> NDArray[np.float64]:
+        """Scaled error of each window at its end, root mean square over the states, shape (windows,)."""
+        return window_errors(self.errors, self.error.scale)
+
+
+def compare_model(
+    model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0, *, every: float = EVERY
+) -> Comparison:
+    """Rolls the model out from every ``every`` seconds of the runs and says where it fails.
+
+    Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
+    """
+    windows = windows_of(runs, horizon, every=every)
+    parts = _parts(windows)
+    rows = [windows.rows_after(seconds) for seconds in parts[:-1]] + [windows.end]
+    rolled = rollout_at(model, windows, rows)
+    by_horizon = tuple(
+        HorizonError(seconds, _errors(windows, at, predicted))
+        for seconds, at, predicted in zip(parts, rows, rolled, strict=True)
+    )
+    errors = windows.system.difference(rolled[-1], windows.states[windows.end])
+    scale = by_horizon[-1].errors["model"].scale
+    return Comparison(
+        model=model,
+        windows=windows,
+        horizons=by_horizon,
+        predicted=rolled[-1],
+        errors=errors,
+        factors=factors(windows, errors, scale),
+        cells=cells(windows, errors, scale),
+        residuals=residuals(windows, rows, rolled),
+        runs=_by_run(runs, windows, errors, scale),
+        findings=_findings(runs, windows, errors, scale),
+    )
+
+
+def _parts(windows: Windows) -> list[float]:
+    """The horizon in equal parts, as far as there are rows for them; the last is the horizon."""
+    count = int(min(HORIZONS, max(1, np.median(windows.steps))))
+    return [windows.horizon * (index + 1) / count for index in range(count)]
+
+
+def _errors(windows: Windows, rows: Rows, predicted: Floats) -> dict[str, RolloutError]:
+    return {
+        "model": error_of(windows, rows, predicted),
+        "no_change": error_of(windows, rows, no_change(windows, rows)),
+        "constant_velocity": error_of(windows, rows, constant_velocity(windows, rows)),
+    }
+
+
+def _by_run(runs: Sequence[Run], windows: Windows, errors: Floats, scale: Floats) -> tuple[RunError, ...]:
+    found = []
+    for index, run in enumerate(runs):
+        own = windows.run == index
+        error = scaled_error(trimmed_rms(errors[own]), scale).value if own.any() else float("nan")
+        rows = sum(len(part) for part in run.stretches)
+        stretches = len(run.stretches)
+        found.append(RunError(run.name, rows, run.duration, run.period, stretches, int(own.sum()), error))
+    return tuple(found)
+
+
+def _findings(runs: Sequence[Run], windows: Windows, errors: Floats, scale: Floats) -> tuple[tuple[str, Finding], ...]:
+    found = [(run.name, finding) for run in runs for finding in run.findings]
+    for index, run in enumerate(runs):
+        own = windows.run == index
+        found += [(run.name, finding) for finding in _own_findings(run, windows, own, errors)]
+    still = [v.name for v, size in zip(windows.system.state, scale, strict=True) if not size > 0]
+    if still:
+        message = f"{', '.join(still)} never changed over the horizon; left out of the error"
+        found.append(("all", Finding("constant_state", message, len(still))))
+    return tuple(found)
+
+
+def _own_findings(run: Run, windows: Windows, own: NDArray[np.bool_], errors: Floats) -> list[Finding]:
+    found = []
+    if not own.any():
+        message = f"no stretch lasts the horizon of {windows.horizon:g} s; the run was not used"
+        found.append(Finding("too_short", message))
+    elif not np.isfinite(errors[own]).all():
+        lost = ~np.isfinite(errors[own]).all(axis=1)
+        message = f"the model's prediction grows without bound in {int(lost.sum())} of {int(own.sum())} windows"
+        found.append(Finding("diverged", message, int(lost.sum()), float(windows.t[windows.start[own][lost][0]])))
+    steps = np.concatenate([np.diff(t) for t, _, _ in run.parts() if len(t) > 1])
+    spread = float(np.quantile(np.abs(steps - run.period), 0.95)) / run.period
+    if spread > 0.2:
+        message = (
+            f"rows are spaced unevenly: 5 % of the periods differ by more than {spread:.0%} from the median of "
+            f"{run.period:.4g} s; each prediction steps with the period that was measured"
+        )
+        found.append(Finding("irregular_sampling", message))
+    return found
+
+
+def with_distinct_names(runs: Sequence[Run], paths: Sequence[str | Path]) -> list[Run]:
+    """The runs named by their files, with the folders above where it takes them to tell the runs apart.
+
+    A last part that all share (``data_measured`` in a folder each) is left out.
+    """
+    parts = [Path(path).absolute().with_suffix("").parts for path in paths]
+    depth = 1
+    while depth < max(map(len, parts)) and len({part[-depth:] for part in parts}) < len(parts):
+        depth += 1
+    names = [part[-depth:] for part in parts]
+    while all(len(name) > 1 and name[-1] == names[0][-1] for name in names):
+        names = [name[:-1] for name in names]
+    return [replace(run, name="/".join(name)) for run, name in zip(runs, names, strict=True)]

@@ -1,0 +1,148 @@
+"""What a comparison says in plain sentences, and as a JSON document."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from safedpa.diagnosis.comparison import PREDICTORS, Comparison
+from safedpa.diagnosis.rollout_error import RolloutError
+from safedpa.diagnosis.where import Bin, Factor
+
+__all__ = [
+    "as_json",
+    "bin_text",
+    "decisive",
+    "naive_sentence",
+    "shortened",
+    "state_sentence",
+    "where_sentence",
+    "worst_bins",
+]
+
+_PLACE_AND_TIME = ("place", "time")
+
+
+def decisive(comparison: Comparison) -> Factor:
+    """The variable on which the error depends most.
+
+    Place and time stand for anything that happened there; they are named only where they explain clearly more
+    (half as much again, and 0.05) than every state and action.
+    """
+    physical = [item for item in comparison.factors if item.kind not in _PLACE_AND_TIME]
+    best = max(physical, key=lambda item: item.explained)
+    other = comparison.factors[0]
+    clearly = other.explained > 1.5 * max(best.explained, 0.0) + 0.05
+    return other if clearly else best
+
+
+def worst_bins(comparison: Comparison) -> list[Bin]:
+    """All bins of all variables, the largest error first."""
+    return sorted((b for item in comparison.factors for b in item.bins), key=lambda b: -b.error)
+
+
+def where_sentence(comparison: Comparison) -> str:
+    """One sentence: where the model fails, and by how much more than on average."""
+    factor = decisive(comparison)
+    worst = max(factor.bins, key=lambda item: item.error)
+    average = comparison.error.value
+    if not average > 1e-6:
+        return "The model predicts these runs exactly."
+    if not math.isfinite(average):
+        return "The model's predictions grow without bound in more than 5 % of the windows."
+    if factor.explained < 0.02 or worst.ratio < 1.2:
+        return (
+            f"The model fails nowhere in particular: in no range is its error far above the average of {average:.2f}."
+        )
+    return (
+        f"The model fails most at {bin_text(worst)}: its error there is {worst.error:.2f}, {worst.ratio:.1f} times the "
+        f"average of {average:.2f} ({worst.share:.0%} of the squared error in "
+        f"{worst.samples / len(comparison.windows):.0%} of the windows)."
+    )
+
+
+def state_sentence(comparison: Comparison) -> str:
+    """One sentence: which state is predicted worst, and to which side."""
+    error = comparison.error
+    states = comparison.windows.system.state
+    moved = [index for index, size in enumerate(error.scale) if size > 0]
+    worst = max(moved, key=lambda index: error.per_state[index])
+    rms = error.per_state[worst] * error.scale[worst]
+    return (
+        f"The state predicted worst is {states[worst].name}: off by {rms:.3g} {states[worst].unit} after "
+        f"{comparison.horizon:g} s, {error.per_state[worst]:.2f} times as much as it usually changes."
+    )
+
+
+def naive_sentence(comparison: Comparison) -> str:
+    """One sentence: the model beside the predictors that know no physics."""
+    errors = {name: item.value for name, item in comparison.horizons[-1].errors.items()}
+    naive = min(errors["no_change"], errors["constant_velocity"])
+    verdict = "better than both" if errors["model"] < naive else "the model is not worth its physics there"
+    return (
+        f"After {comparison.horizon:g} s the model's error is {errors['model']:.2f}; assuming no change gives "
+        f"{errors['no_change']:.2f}, constant velocity {errors['constant_velocity']:.2f}: {verdict}."
+    )
+
+
+def bin_text(item: Bin, longest: int = 80) -> str:
+    """speed 2 to 2.5 m/s; names of runs lose their beginning where they are longer than ``longest``."""
+    unit = "" if item.unit == "1" else f" {item.unit}"
+    run = f" of {shortened(item.run, longest)}" if item.run else ""
+    return f"{item.variable} {item.low:.3g} to {item.high:.3g}{unit}{run}"
+
+
+def shortened(name: str, longest: int) -> str:
+    """The last ``longest`` characters of a name, marked where it was cut: what differs stands at the end of names."""
+    return name if len(name) <= longest else "…" + name[1 - longest :]
+
+
+def as_json(comparison: Comparison) -> dict[str, Any]:
+    """The document that ``compare --json`` prints; numbers that are not finite are null."""
+    windows = comparison.windows
+    names = windows.system.state_names
+    return {
+        "format": 1,
+        "robot": windows.system.name,
+        "effects": [item.name for item in comparison.model.effects],
+        "horizon": comparison.horizon,
+        "windows": len(windows),
+        "summary": [where_sentence(comparison), state_sentence(comparison), naive_sentence(comparison)],
+        "error": _number(comparison.error.value),
+        "per_state": _named(names, comparison.error.per_state),
+        "scale": _named(names, comparison.error.scale),
+        "naive": {name: _error(names, comparison.horizons[-1].errors[name]) for name in PREDICTORS[1:]},
+        "horizons": [
+            {"seconds": item.seconds, **{name: _error(names, item.errors[name]) for name in PREDICTORS}}
+            for item in comparison.horizons
+        ],
+        "where": [_bin(item) for item in worst_bins(comparison)],
+        "explained": {item.variable: _number(item.explained) for item in comparison.factors},
+        "place": [{key: _number(value) for key, value in vars(cell).items()} for cell in comparison.cells],
+        "runs": [
+            {key: value if isinstance(value, str) else _number(value) for key, value in vars(run).items()}
+            for run in comparison.runs
+        ],
+        "data_quality": [{"run": run, **vars(finding)} for run, finding in comparison.findings],
+    }
+
+
+def _error(names: tuple[str, ...], error: RolloutError) -> dict[str, Any]:
+    rms = error.per_state * error.scale
+    return {"error": _number(error.value), "per_state": _named(names, error.per_state), "rms": _named(names, rms)}
+
+
+def _bin(item: Bin) -> dict[str, Any]:
+    plain = {key: value for key, value in vars(item).items() if not (key == "run" and value is None)}
+    for key in ("low", "high", "error", "ratio", "share"):
+        plain[key] = _number(plain[key])
+    plain["bias"] = {name: _number(value) for name, value in item.bias.items()}
+    return plain
+
+
+def _named(names: tuple[str, ...], values: Any) -> dict[str, float | int | None]:
+    return {name: _number(float(value)) for name, value in zip(names, values, strict=True)}
+
+
+def _number(value: float | int) -> float | int | None:
+    return value if math.isfinite(value) else None
