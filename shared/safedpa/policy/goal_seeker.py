@@ -28,6 +28,9 @@ class GoalSeekerSettings:
     steer_limit: float = 0.34
     cruise_speed: float = 1.6
     reverse_speed: float = -0.5
+    slowest_target: float = -0.6
+    fastest_target: float = 2.0
+    """Limits of the robot's speed command, within which a load may be made up for."""
     approach_gain: float = 1.5
     """1/s; target speed per metre to the goal."""
     slowest_share: float = 0.35

@@ -1,0 +1,164 @@
+"""The whole loop as a person starts it: real processes, real Zenoh sessions."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.processes
+
+SERVICES = ("adaptation", "policy", "safety_filter", "recorder")
+
+
+def up(folder: Path, *options: str) -> tuple[dict[str, Any], str]:
+    command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--out", str(folder), *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("\n") == 1, "one JSON document and nothing else"
+    return json.loads(done.stdout), done.stderr
+
+
+def processes_with(text: str) -> list[int]:
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and int(entry.name) != os.getpid():
+            try:
+                line = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            except OSError:
+                continue
+            if text in line:
+                found.append(int(entry.name))
+    return found
+
+
+def test_lockstep_repeats_bit_for_bit_and_is_safe(tmp_path: Path) -> None:
+    options = ("--robot", "car", "--load", "box", "--seconds", "12", "--lockstep", "--seed", "1")
+    first, _ = up(tmp_path, *options)
+    second, _ = up(tmp_path, *options)
+    assert first["trajectory"] == second["trajectory"]
+    assert first["ticks"] == 240
+    assert first["collisions"] == 0
+    assert first["goals_reached"] >= 1
+    assert sum(first["verdicts"].values()) == first["ticks"]
+    assert first["interventions"] > 0
+    assert {service["name"] for service in first["services"]} == {"robot", *SERVICES}
+    assert all(service["restarts"] == 0 for service in first["services"])
+    assert Path(first["recording"]).stat().st_size > 10_000
+    assert first["recording_error"] is None
+    assert processes_with(str(tmp_path)) == []
+
+
+def test_without_the_filter_the_same_scene_collides(tmp_path: Path) -> None:
+    summary, _ = up(tmp_path, "--load", "box", "--seconds", "20", "--lockstep", "--seed", "1", "--no-filter")
+    assert summary["collisions"] > 0
+    assert set(summary["verdicts"]) == {"disabled"}
+
+
+@contextmanager
+def driving(folder: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--out", str(folder)]
+    command += ["--seconds", repr(seconds), "--seed", "1", "--load", "chair"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def pid_of(folder: Path, module: str) -> int:
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline:
+        for pid in processes_with(module):
+            line = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace")
+            if "--supervised" in line and _belongs(pid, folder):
+                return pid
+        time.sleep(0.05)
+    raise AssertionError(f"{module} never started")
+
+
+def _belongs(pid: int, folder: Path) -> bool:
+    return any(str(folder) in os.readlink(f"/proc/{pid}/fd/{number}") for number in (1, 2))
+
+
+def robot_has_started(folder: Path) -> None:
+    pid_of(folder, "safedpa_sim.robots")
+    time.sleep(2.0)
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_killed_service_comes_back_and_nothing_is_hit(tmp_path: Path, service: str) -> None:
+    with driving(tmp_path, 8.0) as process:
+        robot_has_started(tmp_path)
+        os.kill(pid_of(tmp_path, f"safedpa_services.{service}"), signal.SIGKILL)
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    summary = json.loads(output)
+    assert summary["collisions"] == 0
+    restarts = {entry["name"]: entry["restarts"] for entry in summary["services"]}
+    assert restarts[service] == 1
+    assert sum(restarts.values()) == 1
+    assert sum(count for status, count in summary["verdicts"].items() if status != "fallback") > 60, "it drove on"
+
+
+def test_interrupt_ends_everything(tmp_path: Path) -> None:
+    with driving(tmp_path, 0.0) as process:
+        robot_has_started(tmp_path)
+        assert len(processes_with("--supervised")) >= 5
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=30)
+    assert process.returncode == 0, errors
+    assert json.loads(output)["ticks"] > 0
+    assert _left(tmp_path) == []
+
+
+def test_a_killed_supervisor_leaves_nothing_behind(tmp_path: Path) -> None:
+    with driving(tmp_path, 0.0) as process:
+        robot_has_started(tmp_path)
+        process.kill()
+        process.wait()
+        deadline = time.monotonic() + 10.0
+        while _left(tmp_path) and time.monotonic() < deadline:
+            time.sleep(0.1)
+    assert _left(tmp_path) == []
+
+
+def _left(folder: Path) -> list[int]:
+    left = []
+    for pid in processes_with("--supervised"):
+        try:
+            if _belongs(pid, folder):
+                left.append(pid)
+        except OSError:
+            continue
+    return left
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--seconds", "-1"), "--seconds"),
+        (("--rate", "0"), "--rate"),
+        (("--model", "no_such_model"), "no_such_model"),
+        (("--model", "pendulum"), "wanted a car"),
+        (("--load", "piano"), "piano"),
+        (("--name", "a/b"), "a/b"),
+    ],
+)
+def test_bad_input_is_one_line_and_code_2(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+    command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--out", str(tmp_path), *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
