@@ -35,7 +35,7 @@ class GoalSeekerSettings:
     """1/s; target speed per metre to the goal."""
     slowest_share: float = 0.35
     """Of the speed, where the goal lies abeam or behind."""
-    patience_seconds: float = 1.5
+    patience_seconds: float = 1.0
     """Without headway for so long, it backs off."""
     headway: float = 0.12
     """m within the patience that count as headway."""
