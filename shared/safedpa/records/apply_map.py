@@ -127,10 +127,11 @@ def _trimmed(states: NDArray[np.float64], stretch: Stretch) -> Stretch:
 
 
 def _derived_finding(target: str, column: DerivedColumn) -> Finding:
+    source = "angle" if column.derive == "rate_from_angle" else "position"
     return Finding(
         "derived_state",
-        f"{target} is not measured but the slope of the measured position over {column.window:g} s, central; "
-        f"the first and last {column.window / 2:g} s of each stretch were cut",
+        f"{target} is the slope of the measured {source} over {column.window:g} s, central; "
+        f"the first and last {column.window / 2:g} s of each stretch were cut for it",
     )
 
 

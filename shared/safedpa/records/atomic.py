@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -21,11 +21,14 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """
     temporary = path.with_name(f".{path.name}.{uuid4().hex[:8]}.part")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
         raise RecordingError(
-            f"{path}: cannot be written ({error.strerror or error}); nothing was changed there; choose another place"
+            f"{path}: cannot be written ({reason}); nothing was changed there; choose another place"
         ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # the folder may be what is missing
+            temporary.unlink(missing_ok=True)

@@ -49,8 +49,8 @@ def write_columns(columns: Mapping[str, Any], path: Path, kind: str) -> None:
 def _write_csv(table: pyarrow.Table, path: Path) -> None:
     from pyarrow import csv
 
-    # Without quotes: names and statuses hold no comma, and every program reads the header.
-    csv.write_csv(table, path, csv.WriteOptions(quoting_style="needed", quoting_header="needed"))
+    # Without quotes: names and statuses hold no comma, and every program reads such a file.
+    csv.write_csv(table, path, csv.WriteOptions(quoting_style="none", quoting_header="none"))
 
 
 def _write_parquet(table: pyarrow.Table, path: Path) -> None:

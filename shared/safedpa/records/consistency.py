@@ -1,0 +1,152 @@
+"""Do the columns agree with each other? Speed with the change of position, heading with the direction of motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.records.apply_map import Rows
+from safedpa.records.derive import slope
+from safedpa.records.run import Finding, Stretch
+from safedpa.records.sentences import finding
+from safedpa.systems import System
+
+__all__ = ["consistency_findings"]
+
+_WINDOW = 0.2
+"""s over which slopes are taken; long enough for noise, short against a robot's motion."""
+_FEWEST_ROWS = 30
+_SCALE_TOLERANCE = 0.2
+_MISTAKES = (
+    (1.0 / 3.6, "km/h"),
+    (3.6, "t or speed scaled the other way (m/s divided by 3.6)"),
+    (1.0 / 2.2369, "mph"),
+    (0.01, "cm/s"),
+    (0.001, "mm/s, or t in milliseconds"),
+    (180.0 / np.pi, "radians while the angle is in degrees"),
+    (np.pi / 180.0, "deg/s"),
+    (2.0 * np.pi / 60.0, "rpm"),
+    (1000.0, "m/s while positions are in mm"),
+    (100.0, "m/s while positions are in cm"),
+)
+"""Slope of the position over the measured speed, and the unit in which the speed then probably is."""
+
+Vector = NDArray[np.float64]
+
+
+def consistency_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """What does not fit together; nothing is cut for it."""
+    names = system.state_names
+    if {"x", "y", "yaw", "speed"} <= set(names):
+        return _car(rows, stretches, names, measured[names.index("speed")])
+    if {"angle", "rate"} <= set(names):
+        angle, rate = (rows.states[:, names.index(name)] for name in ("angle", "rate"))
+        moved = _slopes(rows.t, angle, stretches)
+        found = _scale("rate", "angle", rate, moved) if measured[names.index("rate")] else []
+        return found + _upright(angle, moved, _slopes(rows.t, moved, stretches), rows.actions)
+    return []
+
+
+def _upright(angle: Vector, rate: Vector, acceleration: Vector, actions: Vector) -> list[Finding]:
+    """Gravity pulls away from angle 0: in acceleration = a torque + b sin(angle) + c rate + d, b must be positive."""
+    good = np.isfinite(acceleration) & np.isfinite(rate)
+    if int(good.sum()) < _FEWEST_ROWS or np.ptp(angle[good]) < 1.0:
+        return []
+    columns = np.column_stack([np.sin(angle), rate, np.ones_like(rate), actions])[good]
+    wanted = acceleration[good]
+    solution = np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    explained = 1.0 - float(np.var(wanted - columns @ solution)) / max(float(np.var(wanted)), 1e-12)
+    if explained < 0.5 or solution[0] > -1.0:
+        return []
+    text = f"gravity pulls towards angle 0 (acceleration = {solution[0]:.3g} sin(angle) + ...): 0 must be upright"
+    return [finding("angle_zero", f"{text}; offset the angle by half a turn in a column map")]
+
+
+def _slopes(t: Vector, values: Vector, stretches: list[Stretch]) -> Vector:
+    """Derivative within stretches, NaN elsewhere."""
+    result = np.full(len(t), np.nan)
+    for stretch in stretches:
+        part = slice(stretch.start, stretch.stop)
+        inner = np.flatnonzero(np.isfinite(values[part])) + stretch.start
+        if len(inner) > 2:
+            result[inner] = slope(t[inner], values[inner], _WINDOW)
+    return result
+
+
+def _car(rows: Rows, stretches: list[Stretch], names: tuple[str, ...], speed_measured: bool) -> list[Finding]:
+    x, y, yaw, speed = (rows.states[:, names.index(name)] for name in ("x", "y", "yaw", "speed"))
+    along_x, along_y = _slopes(rows.t, x, stretches), _slopes(rows.t, y, stretches)
+    course_speed = np.hypot(along_x, along_y)
+    moving = np.isfinite(course_speed)
+    moving &= course_speed > max(0.05, 0.1 * float(np.quantile(course_speed[moving], 0.9)) if moving.any() else 0.0)
+    if int(moving.sum()) < _FEWEST_ROWS:
+        return []
+    sign = np.where(speed[moving] < 0.0, -1.0, 1.0) if speed_measured else 1.0
+    found = _scale("speed", "position", np.abs(speed), course_speed) if speed_measured else []
+    velocity = np.asarray(sign * (along_x + 1j * along_y)[moving], dtype=np.complex128)
+    return found + _direction(velocity, yaw[moving])
+
+
+def _scale(name: str, source: str, measured: Vector, moved: Vector) -> list[Finding]:
+    """Compares a measured speed with the slope of what moves: gain = sum(moved measured) / sum(measured^2).
+
+    Noise in the measured speed lowers this gain and raises its inverse gain / correlation^2: the true one lies between.
+    """
+    good = np.isfinite(moved) & np.isfinite(measured)
+    measured, moved = measured[good], moved[good]
+    power = float(measured @ measured)
+    if len(measured) < _FEWEST_ROWS or power == 0.0 or not np.any(moved):
+        return []
+    gain = float(measured @ moved) / power
+    correlation = float(measured @ moved) / float(np.sqrt(power * (moved @ moved)))
+    if correlation < -0.7:
+        text = (
+            f"{name} has the opposite sign of the change of {source} (correlation {correlation:.2f}); flip one of them"
+        )
+        return [finding("opposite_sign", text)]
+    highest = gain / max(correlation, 1e-9) ** 2
+    if correlation < 0.7 or (gain <= 1.0 + _SCALE_TOLERANCE and highest >= 1.0 - _SCALE_TOLERANCE):
+        return []
+    gain = float(np.sqrt(gain * highest))
+    ratio = f"the change of {source} is {gain:.4g} times {name} (correlation {correlation:.2f})"
+    for factor, unit in _MISTAKES:
+        if abs(gain / factor - 1.0) < 0.1:
+            return [finding("unit_mistake", f"{ratio}, as if {name} were in {unit}; name the unit in a column map")]
+    return [finding("scale_mismatch", f"{ratio}; check units, wheel radius or gear ratio")]
+
+
+def _direction(velocity: NDArray[np.complex128], yaw: Vector) -> list[Finding]:
+    """Compares the direction of motion with the heading.
+
+    direct = mean exp(i (course - yaw)), mirrored = mean exp(i (course + yaw)), weighted with speed: near 1 in absolute
+    value when the two agree up to a constant angle, directly or as mirror images.
+    """
+    weight = float(np.abs(velocity).sum())
+    direct = complex(np.sum(velocity * np.exp(-1j * yaw))) / weight
+    mirrored = complex(np.sum(velocity * np.exp(1j * yaw))) / weight
+    both_ways = abs(complex(np.sum(velocity**2 / np.abs(velocity) * np.exp(-2j * yaw)))) / weight
+    if abs(direct) >= 0.8 or abs(direct) >= abs(mirrored) - 0.1:
+        if abs(direct) >= 0.8 and abs(np.angle(direct)) > 0.5:
+            degrees = np.degrees(np.angle(direct))
+            text = (
+                f"the direction of motion is turned by {degrees:.0f} degrees against yaw (agreement {abs(direct):.2f})"
+            )
+            return [finding("yaw_offset", f"{text}; offset yaw in a column map, or the car drives backwards")]
+        if abs(direct) < 0.8 and both_ways < 0.8:
+            text = f"yaw does not follow the direction of motion (agreement {abs(direct):.2f}, 1 is perfect)"
+            return [finding("yaw_inconsistent", f"{text}; check the columns x, y and yaw and their units")]
+        return []
+    if abs(mirrored) < 0.8:
+        text = f"yaw does not follow the direction of motion (agreement {abs(direct):.2f}, 1 is perfect)"
+        return [finding("yaw_inconsistent", f"{text}; check the columns x, y and yaw and their units")]
+    return [_mirrored_finding(direct, mirrored)]
+
+
+def _mirrored_finding(direct: complex, mirrored: complex) -> Finding:
+    turned = abs(float(np.degrees(np.angle(mirrored))))
+    agreement = f"agreement {abs(mirrored):.2f} mirrored, {abs(direct):.2f} as it is"
+    if 45.0 < turned < 135.0:
+        text = f"x and y look swapped, or yaw is a compass heading ({agreement}); correct it in a column map"
+        return finding("swapped_columns", text)
+    wrong = "yaw or y" if turned <= 45.0 else "x"
+    return finding("opposite_sign", f"{wrong} seems to have the opposite sign ({agreement}); flip it in a column map")
