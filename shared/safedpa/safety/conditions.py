@@ -12,7 +12,7 @@ from safedpa.errors import InputError
 from safedpa.safety.barrier import Barriers
 from safedpa.safety.prediction import Prediction
 
-__all__ = ["Conditions", "Outcome"]
+__all__ = ["Conditions", "Outcome", "limits"]
 
 Values = NDArray[np.float64]
 
@@ -82,12 +82,15 @@ class Conditions:
 
         h(x+) is taken as h + p'(x - x+) and x as x+ + g (a - about), x+ the predicted state under ``about``.
         """
+        A = self._slopes(about)
+        return A, limits(A, about)
+
+    def _slopes(self, about: Outcome) -> Values:
         _, g = self._prediction.tangent(self._state, about.action, self._latent, self._memory)
         _finite("g of the model", g, (len(self._state), len(about.action)))
         _, p = self.barriers.evaluate(about.next_state)
         _finite("gradient of h", p, (len(self.required), len(self._state)))
-        A = p @ self._unsaturated(g, about)
-        return A, A @ about.action - about.residual
+        return np.asarray(p @ self._unsaturated(g, about))
 
     def _unsaturated(self, g: Values, about: Outcome) -> Values:
         """g with a chord in place of each column that vanishes because the actuator saturates at ``about``.
@@ -110,6 +113,11 @@ class Conditions:
         following = self._prediction.next_state(self._state, other, self._latent, self._memory)
         _finite("predicted state", following, self._state.shape)
         return np.asarray((following - about.next_state) / (other[index] - value))
+
+
+def limits(A: Values, about: Outcome) -> Values:
+    """b (m,) of A a >= b for slopes A (m, actions) and the true residual at ``about``."""
+    return np.asarray(A @ about.action - about.residual)
 
 
 def _finite(what: str, array: Values, shape: tuple[int, ...]) -> Values:

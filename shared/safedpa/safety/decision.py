@@ -85,7 +85,7 @@ class Decision:
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
         if asked.violation <= self._tools.settings.slack_tolerance:
-            if np.array_equal(asked.action, self._wish):
+            if (asked.action == self._wish).all():
                 return self._verdict(Status.passed, asked, "", "not needed")
             return self._verdict(Status.corrected, asked, "The wish lay outside the actuator limits.", "not needed")
         return self._corrected(conditions, self._wish, asked)

@@ -57,6 +57,11 @@ class QuadraticProgram:
         slack[needed] = solution[actions : actions + len(needed)]
         return Solution(self.low + self.range * solution[:actions], slack, solved, status)
 
+    def distance(self, action: Values, wish: Values) -> float:
+        """(action - wish)' W (action - wish)."""
+        change = (action - wish) / self.range
+        return float(self.weights @ (change * change))
+
     def _workspace(self, rows: int) -> _Workspace:
         size = 1 << (rows - 1).bit_length()
         if size not in self._workspaces:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.conditions import Conditions, Outcome
+from safedpa.safety.conditions import Conditions, Outcome, limits
 from safedpa.safety.quadratic_program import QuadraticProgram
 
 __all__ = ["DecisionError", "search"]
@@ -14,6 +14,14 @@ Values = NDArray[np.float64]
 
 _BOUND_TOLERANCE = 1e-6
 """Share of an action's range by which a solution may miss its bounds before it is not believed."""
+
+
+_SERVED_WELL = 0.1
+"""Slopes that brought the violation below this share of the last one are used once more."""
+
+
+_NEEDLESS = 100.0
+"""A solution whose every condition is kept by more than this many tolerances (1 cm) was led astray by its slopes."""
 
 
 class DecisionError(Exception):
@@ -27,24 +35,43 @@ class DecisionError(Exception):
 def search(
     conditions: Conditions, program: QuadraticProgram, wish: Values, start: Outcome, rounds: int, tolerance: float
 ) -> tuple[Outcome, str]:
-    """The first outcome that keeps all conditions within ``tolerance``, else the least broken one; the solver's word.
+    """The best outcome found and the solver's word.
 
-    Begins with the tangent at ``start`` and takes at most ``rounds`` tangents. Raises DecisionError when the solver did
-    not solve, or its solution is not finite or misses the bounds.
+    Best: keeps all conditions within ``tolerance``, and nearest to the wish; if none does, the least broken one. Begins
+    with the tangent at ``start`` and poses the program at most ``rounds`` times, anew about its last solution: with the
+    true residual there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions
+    are kept and none of them needlessly far. Raises DecisionError when the solver did not solve, or its solution is not
+    finite or misses the bounds.
     """
-    best, about = None, start
-    for _ in range(rounds):
-        solution = program.solve(*conditions.linearised(about), wish)
-        if not solution.solved:
-            raise DecisionError(f"the QP was not solved: {solution.status}", solution.status)
-        action = _believed(solution.action, program, solution.status)
-        about = conditions.outcome(action)
-        if best is None or about.violation < best.violation:
-            best = about
-        if best.violation <= tolerance:
+    A, b = conditions.linearised(start)
+    about, status = _posed(conditions, program, A, b, wish)
+    best, before = about, start
+    for _ in range(rounds - 1):
+        if about.violation <= tolerance and about.residual.min() <= _NEEDLESS * tolerance:
             break
-    assert best is not None
-    return best, solution.status
+        if tolerance < about.violation < _SERVED_WELL * before.violation:
+            b = limits(A, about)
+        else:
+            A, b = conditions.linearised(about)
+        before = about
+        about, status = _posed(conditions, program, A, b, wish)
+        best = _better(program, wish, best, about, tolerance)
+    return best, status
+
+
+def _better(program: QuadraticProgram, wish: Values, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
+    if max(one.violation, other.violation) <= tolerance:
+        return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
+    return other if other.violation < one.violation else one
+
+
+def _posed(
+    conditions: Conditions, program: QuadraticProgram, A: Values, b: Values, wish: Values
+) -> tuple[Outcome, str]:
+    solution = program.solve(A, b, wish)
+    if not solution.solved:
+        raise DecisionError(f"the QP was not solved: {solution.status}", solution.status)
+    return conditions.outcome(_believed(solution.action, program, solution.status)), solution.status
 
 
 def _believed(action: Values, program: QuadraticProgram, status: str) -> Values:
