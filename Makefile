@@ -1,0 +1,56 @@
+# Everything a person or the continuous integration does here. Needs Python 3.11 with its venv module, and make.
+
+PYTHON ?= python3.11
+ENVIRONMENT := .venv
+BIN := $(ENVIRONMENT)/bin
+INSTALLED := $(ENVIRONMENT)/.installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: help run test lint types contracts check environment constraints clean
+
+help:  ## lists the targets
+	@grep -hE '^[a-z]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
+
+run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends it
+	@echo "Starting robot, services and dashboard; the address of the live view stands below. Ctrl-C ends everything."
+	@$(BIN)/safedpa up --robot car
+
+test: environment  ## runs all tests
+	@$(BIN)/pytest
+
+lint: environment  ## ruff: rules and format
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+
+types: environment  ## mypy, strict
+	@$(BIN)/mypy
+
+contracts: environment  ## import-linter: imports go down only, services never import each other
+	@$(BIN)/lint-imports
+
+check: lint types contracts test  ## all of it
+
+environment: $(INSTALLED)  ## creates .venv, or brings it up to date
+
+# Torch comes first, by its exact version: where a build for the processor alone is at hand, that one is taken.
+# A link, not a copy, of the project is installed, so the environment changes only with these two files.
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
+		|| { echo "$(PYTHON): wanted Python 3.11; say make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@echo "Installing into $(ENVIRONMENT); the first time this takes a minute or two."
+	@$(PYTHON) -m venv $(ENVIRONMENT)
+	@$(PIP) torch==2.13.0
+	@$(PIP) --editable '.[test,lint]'
+	@touch $@
+
+constraints:  ## writes constraints.txt anew from the newest releases
+	@rm -rf build/constraints
+	@$(PYTHON) -m venv build/constraints
+	@build/constraints/bin/python -m pip install --quiet torch==2.13.0
+	@build/constraints/bin/python -m pip install --quiet --editable '.[gym,test,lint,mutation]'
+	@build/constraints/bin/python -m pip freeze --exclude safedpa | sed 's/+cpu$$//' > constraints.txt
+	@rm -rf build/constraints
+
+clean:  ## removes everything that was made here, the environment included
+	@rm -rf $(ENVIRONMENT) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	@find shared sim services tests -name __pycache__ -type d -prune -exec rm -rf {} +
