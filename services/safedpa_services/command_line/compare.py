@@ -22,7 +22,7 @@ __all__ = ["command"]
 WORST = 8
 """Bins that are printed."""
 
-NAME = 24
+NAME = 20
 """Characters of a run's name that fit beside the numbers in 80 columns."""
 
 

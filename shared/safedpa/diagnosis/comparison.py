@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from safedpa.diagnosis.naive import constant_velocity, no_change
 from safedpa.diagnosis.residuals import Residuals, residuals
 from safedpa.diagnosis.rollout import rollout_at
-from safedpa.diagnosis.rollout_error import RolloutError, error_of, scaled_error, trimmed_rms
+from safedpa.diagnosis.rollout_error import RolloutError, error_of, prediction_errors, scaled_error, trimmed_rms
 from safedpa.diagnosis.where import Cell, Factor, cells, factors, window_errors
 from safedpa.diagnosis.windows import Floats, Rows, Windows, windows_of
 from safedpa.dynamics import PhysicsModel
@@ -102,7 +102,7 @@ def compare_model(
         HorizonError(seconds, _errors(windows, at, predicted))
         for seconds, at, predicted in zip(parts, rows, rolled, strict=True)
     )
-    errors = windows.system.difference(rolled[-1], windows.states[windows.end])
+    errors = prediction_errors(windows, windows.end, rolled[-1])
     scale = by_horizon[-1].errors["model"].scale
     return Comparison(
         model=model,

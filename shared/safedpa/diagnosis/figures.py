@@ -153,6 +153,7 @@ def _span(values: Any) -> tuple[float, float]:
 
 
 def _medians(values: Any, rates: Any, groups: int = 10) -> tuple[Any, Any]:
+    values, rates = values[np.isfinite(rates)], rates[np.isfinite(rates)]
     order = np.argsort(values, kind="stable")
     parts = [part for part in np.array_split(order, groups) if len(part)]
     return (

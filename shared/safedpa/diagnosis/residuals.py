@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from safedpa.diagnosis.rollout_error import prediction_errors
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 
 __all__ = ["Residuals", "residuals"]
@@ -33,6 +34,6 @@ def residuals(windows: Windows, rows: Sequence[Rows], predicted: Floats) -> Resi
     index = int(np.argmin(np.abs(seconds - SHORT)))
     at = rows[index]
     elapsed = windows.clock[at] - windows.clock[windows.start]
-    rates = windows.system.difference(windows.states[at], predicted[index]) / elapsed[:, None]
+    rates = -prediction_errors(windows, at, predicted[index]) / elapsed[:, None]
     values = np.concatenate([windows.states[windows.start], windows.actions[windows.start]], axis=1)
     return Residuals(float(seconds[index]), rates, values)

@@ -11,7 +11,16 @@ from safedpa.diagnosis.rollout import rollout_at
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 from safedpa.dynamics import PhysicsModel
 
-__all__ = ["TRIM", "RolloutError", "change_scale", "error_of", "rollout_error", "scaled_error", "trimmed_rms"]
+__all__ = [
+    "TRIM",
+    "RolloutError",
+    "change_scale",
+    "error_of",
+    "prediction_errors",
+    "rollout_error",
+    "scaled_error",
+    "trimmed_rms",
+]
 
 TRIM = 0.05
 """Share of the largest errors that is left out: hands that push and glitches of the tracking are in real logs."""
@@ -42,8 +51,16 @@ def rollout_error(model: PhysicsModel, windows: Windows) -> RolloutError:
 def error_of(windows: Windows, rows: Rows, predicted: Floats) -> RolloutError:
     """The same for predictions (windows, states) at one row a window, wherever they come from."""
     scale = change_scale(windows, rows)
-    rms = trimmed_rms(windows.system.difference(predicted, windows.states[rows]))
-    return scaled_error(rms, scale)
+    return scaled_error(trimmed_rms(prediction_errors(windows, rows, predicted)), scale)
+
+
+def prediction_errors(windows: Windows, rows: Rows, predicted: Floats) -> Floats:
+    """predicted - measured at one row a window, shape (windows, states); angles by the short way round.
+
+    A prediction that grew without bound leaves infinite or NaN errors.
+    """
+    with np.errstate(invalid="ignore"):
+        return windows.system.difference(predicted, windows.states[rows])
 
 
 def scaled_error(rms: Floats, scale: Floats) -> RolloutError:

@@ -75,7 +75,8 @@ def window_squares(errors: Floats, scale: Floats) -> Floats:
     moved = scale > 0
     if not moved.any():
         return np.zeros(len(errors))
-    squares = (np.where(np.isfinite(errors), errors, np.inf)[:, moved] / scale[moved]) ** 2
+    finite = np.where(np.isfinite(errors) & (np.abs(errors) < 1e100), errors, np.nan)[:, moved] / scale[moved]
+    squares = np.where(np.isnan(finite), np.nanmax(finite**2, initial=1.0), finite**2)
     largest = np.quantile(squares, 1.0 - TRIM, axis=0, method="lower")
     return np.asarray(np.minimum(squares, largest).mean(axis=1))
 
@@ -83,7 +84,7 @@ def window_squares(errors: Floats, scale: Floats) -> Floats:
 def window_errors(errors: Floats, scale: Floats) -> Floats:
     """sqrt of the mean over states of the squared scaled error, nothing capped, shape (windows,)."""
     moved = scale > 0
-    scaled = np.where(np.isfinite(errors), errors, np.inf)[:, moved] / scale[moved]
+    scaled = np.where(np.abs(errors) < 1e100, errors, np.inf)[:, moved] / scale[moved]
     return np.asarray(np.sqrt((scaled**2).mean(axis=1))) if moved.any() else np.zeros(len(errors))
 
 

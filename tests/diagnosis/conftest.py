@@ -1,0 +1,87 @@
+"""Runs that a model itself drove: what holds for them is known."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting
+from safedpa.effects import effect
+from safedpa.records.run import Run, Stretch
+
+Drive = Callable[..., Run]
+
+
+@pytest.fixture
+def plain() -> PhysicsModel:
+    """A car with throttle and no effect."""
+    return PhysicsModel(
+        KinematicBicycle("throttle"), [], {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(3.0)}
+    )
+
+
+@pytest.fixture
+def with_effect() -> Callable[..., PhysicsModel]:
+    def add(model: PhysicsModel, name: str, **parameters: float) -> PhysicsModel:
+        return model.with_effect(effect("car", name), {key: Setting(value) for key, value in parameters.items()})
+
+    return add
+
+
+@pytest.fixture
+def drive() -> Drive:
+    """drive(model, seconds, seed, ...): what the model does under a random drive, without noise, as a run."""
+
+    def simulate(
+        model: PhysicsModel,
+        seconds: float = 40.0,
+        seed: int = 0,
+        *,
+        jitter: float = 0.0,
+        period: float = 0.05,
+        name: str = "simulated",
+        stretches: Sequence[tuple[int, int]] | None = None,
+        start: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+    ) -> Run:
+        random = np.random.default_rng(seed)
+        rows = round(seconds / period)
+        t = np.concatenate([[0.0], np.cumsum(period * (1.0 + jitter * random.uniform(-1, 1, rows - 1)))])
+        actions = _held(random, rows, round(0.4 / period))
+        states = np.zeros((rows, 4))
+        states[0] = start
+        memory = model.initial_memory(actions[0])
+        for row in range(rows - 1):
+            seconds_now = float(t[row + 1] - t[row])
+            states[row + 1], memory = model.advance(
+                states[row], actions[row], memory, period=seconds_now, time=float(t[row])
+            )
+        parts = tuple(Stretch(*part) for part in (stretches or [(0, rows)]))
+        return Run(name, model.system, t, states, actions, parts)
+
+    return simulate
+
+
+def _held(random: np.random.Generator, rows: int, hold: int) -> np.ndarray:
+    """Throttle around 0 and steer, each held for a while, so that speeds come and go between about -1 and 4 m/s."""
+    blocks = -(-rows // hold)
+    throttle = np.repeat(random.uniform(-1.0, 1.0, blocks), hold)[:rows]
+    # pulls the speed back to 1.5 m/s: an integrator under random throttle would wander off
+    speed = 1.0
+    for row in range(rows):
+        throttle[row] = np.clip(throttle[row] + 0.6 * (1.5 - speed), -1.0, 1.0)
+        speed += 3.0 * throttle[row] * 0.05
+    steer = np.repeat(random.uniform(-0.4, 0.4, blocks), hold)[:rows]
+    return np.stack([throttle, steer], axis=1)
+
+
+@pytest.fixture
+def data() -> Path:
+    """The folder of real logs; skips where it is absent."""
+    root = Path(os.environ.get("SAFEDPA_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    if not root.is_dir():
+        pytest.skip(f"no real logs in {root}; set SAFEDPA_DATA to the folder that holds them")
+    return root
