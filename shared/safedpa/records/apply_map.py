@@ -59,6 +59,7 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
     states = np.stack([values[name] for name in system.state_names], axis=1) if count else np.empty((0, 0))
     actions = np.stack([values[name] for name in system.action_names], axis=1) if count else np.empty((0, 0))
     if columns.tracked_point is not None and count:
+        states[~np.isfinite(states)] = np.nan  # judged later; infinity has no cosine
         point, at = columns.tracked_point, [system.state_names.index(name) for name in ("x", "y", "yaw")]
         yaw = states[:, at[2]] + point.yaw_offset
         states[:, at[0]] -= point.ahead * np.cos(yaw) - point.left * np.sin(yaw)
@@ -163,7 +164,9 @@ def keep_rows(rows: Rows, stretches: list[Stretch], period: float) -> tuple[Rows
 
 
 def _nearest_to_multiples(t: NDArray[np.float64], period: float) -> NDArray[np.intp]:
-    wanted = np.arange(t[0], t[-1] + period / 2, period)
-    after = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1) if len(t) > 1 else np.zeros(1, dtype=np.intp)
+    if len(t) < 2:
+        return np.zeros(len(t), dtype=np.intp)
+    wanted = np.arange(t[0], t[-1] + float(np.median(np.diff(t))) / 2.0, period)
+    after = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
     nearest = np.where(wanted - t[after - 1] < t[after] - wanted, after - 1, after)
     return np.unique(nearest)

@@ -35,13 +35,14 @@ def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
     require_file(path)
     header, delimiter = _header(path)
     require_columns(path, wanted, header)
+    if not _has_rows(path):
+        return Table({name: np.empty(0) for name in wanted})
     malformed: list[tuple[int, int]] = []
     try:
         columns = _numbers(_parse(path, wanted, delimiter, pyarrow.float64(), malformed), wanted)
     except pyarrow.ArrowInvalid:
         malformed.clear()
-        texts = _parse(path, wanted, delimiter, pyarrow.string(), malformed)
-        columns = _numbers_of_texts(path, texts, wanted, malformed)
+        columns = _numbers_of_texts(path, _texts(path, wanted, delimiter, malformed), wanted, malformed)
     findings = (_malformed_finding(malformed, len(header)),) if malformed else ()
     return Table(columns, findings)
 
@@ -57,6 +58,22 @@ def _header(path: Path) -> tuple[list[str], str]:
         raise RunError(f"{path}: the first line is empty; wanted a header line with the columns' names")
     delimiter = max(_DELIMITERS, key=text.count)
     return next(csv.reader([text], delimiter=delimiter)), delimiter
+
+
+def _has_rows(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.readline()
+        return any(line.strip() for line in file)
+
+
+def _texts(path: Path, wanted: Sequence[str], delimiter: str, malformed: list[tuple[int, int]]) -> pyarrow.Table:
+    import pyarrow
+
+    try:
+        return _parse(path, wanted, delimiter, pyarrow.string(), malformed)
+    except pyarrow.ArrowInvalid as error:
+        reason = str(error).splitlines()[0]
+        raise RunError(f"{path}: cannot be read as CSV ({reason}); wanted a header line and rows of numbers") from error
 
 
 def _parse(

@@ -23,6 +23,8 @@ def slope(t: Vector, values: Vector, window: float) -> Vector:
     result = np.full(rows, np.nan)
     if rows >= 2 * half + 1:
         weights = np.arange(half, -half - 1, -1, dtype=np.float64)
-        change = np.convolve(values - values[0], weights, "valid")
+        finite = values[np.isfinite(values)]
+        around = float(finite[0]) if len(finite) else 0.0  # large numbers cost digits
+        change = np.convolve(values - around, weights, "valid")
         result[half : rows - half] = change / np.convolve(t - t[0], weights, "valid")
     return result

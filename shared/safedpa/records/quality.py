@@ -5,6 +5,8 @@ Cut means: rows with defects end one stretch, the next begins behind them. Nothi
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +18,7 @@ from safedpa.records.jumps import jump_rows
 from safedpa.records.run import Finding, Stretch
 from safedpa.records.sampling import gap_rows, reset_rows, sampling_finding, without_repeats
 from safedpa.records.sentences import counted, finding
-from safedpa.records.values import constant_findings, not_a_number, out_of_bounds, unit_findings
+from safedpa.records.values import constant_findings, degrees_for_radians, not_a_number, out_of_bounds
 from safedpa.systems import System
 
 __all__ = ["SHORTEST_STRETCH", "judged"]
@@ -33,12 +35,16 @@ def judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[S
     ``breaks`` below are rows before which a stretch ends; ``bad`` are rows that belong to none.
     """
     measured = [isinstance(mapping.columns[name], SourceColumn) for name in system.state_names]
+    rows = replace(rows, t=np.where(np.isfinite(rows.t), rows.t, np.nan))
     rows, findings = without_repeats(rows)
     bad = np.zeros(len(rows.t), dtype=bool)
-    for mask, found in (not_a_number(rows, system, measured), out_of_bounds(rows, system, measured)):
+    for mask, found in (
+        not_a_number(rows, system, measured),
+        degrees_for_radians(rows, system),
+        out_of_bounds(rows, system, measured),
+    ):
         bad |= mask
         findings += found
-    findings += unit_findings(rows, system)
     breaks = np.zeros(len(rows.t), dtype=bool)
     for mask, found in (reset_rows(rows.t), gap_rows(rows.t)):
         breaks |= mask

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from safedpa.errors import RunError
 from safedpa.records.apply_map import Rows, derive_states, keep_rows
 from safedpa.records.column_map import ColumnMap
 from safedpa.records.quality import judged
-from safedpa.records.run import Finding, Run
+from safedpa.records.run import Finding, Run, Stretch
 from safedpa.systems import System
 
 __all__ = ["run_of_rows"]
@@ -22,10 +24,20 @@ def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, find
     rows, stretches, derived = derive_states(rows, stretches, mapping, system)
     if mapping.keep_period is not None:
         rows, stretches = keep_rows(rows, stretches, mapping.keep_period)
+    rows, stretches = _compact(rows, stretches)
     every = (*findings, *found, *derived)
     if not stretches:
         raise RunError(f"{path}: no usable stretch of rows" + _listed(every))
     return Run(path.stem, system, rows.t, rows.states, rows.actions, tuple(stretches), every)
+
+
+def _compact(rows: Rows, stretches: list[Stretch]) -> tuple[Rows, list[Stretch]]:
+    """Only the rows within stretches, so that nobody meets the others by accident."""
+    lengths = [len(stretch) for stretch in stretches]
+    ends = np.cumsum(lengths, dtype=np.intp)
+    index = np.concatenate([np.arange(part.start, part.stop) for part in stretches] or [np.empty(0, dtype=np.intp)])
+    packed = [Stretch(int(end) - length, int(end)) for end, length in zip(ends, lengths, strict=True)]
+    return rows.taken(index), packed
 
 
 def _listed(findings: tuple[Finding, ...]) -> str:
