@@ -101,7 +101,14 @@ def torch_operations() -> Operations:
     def binary(function: Callable[..., Any]) -> Callable[[Any, Any], Any]:
         return lambda first, second: function(tensor(first, second), tensor(second, first))
 
-    minimum, maximum = binary(torch.minimum), binary(torch.maximum)
+    def where(condition: Any, yes: Any, no: Any) -> Any:
+        yes, no = tensor(yes, no), tensor(no, yes)
+        return torch.where(torch.as_tensor(condition, device=yes.device), yes, no)
+
+    def clip(value: Any, low: Any, high: Any) -> Any:
+        # On a bound the slope is the bound's own. (torch.minimum and maximum share it out, so that an effect of width 0
+        # would have the value of the model without it, but not the slope.)
+        return where(value <= low, low, where(value >= high, high, value))
 
     return Operations(
         sin=unary(torch.sin),
@@ -113,12 +120,10 @@ def torch_operations() -> Operations:
         sqrt=unary(torch.sqrt),
         absolute=unary(torch.abs),
         sign=unary(torch.sign),
-        minimum=minimum,
-        maximum=maximum,
-        clip=lambda value, low, high: minimum(maximum(value, low), high),
-        where=lambda condition, yes, no: torch.where(
-            torch.as_tensor(condition, device=getattr(yes, "device", None)), tensor(yes, no), tensor(no, yes)
-        ),
+        minimum=binary(torch.minimum),
+        maximum=binary(torch.maximum),
+        clip=clip,
+        where=where,
     )
 
 

@@ -18,7 +18,7 @@ from safedpa.dynamics.tangent import batched_difference, forward_mode, single_di
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
-from safedpa.operations import FLOATS, Operations, Scalar
+from safedpa.operations import FLOATS, NUMPY, Operations, Scalar
 
 __all__ = ["PhysicsModel", "Setting"]
 
@@ -168,7 +168,17 @@ class PhysicsModel(AbstractDynamics):
                     rates = modify(rates, own, context)
             return rates
 
-        after = runge_kutta(derivative, state, time, period)
+        try:
+            after = runge_kutta(derivative, state, time, period)
+        except (ValueError, ArithmeticError):
+            # Python's math refuses sin(inf) and exp(1000), where numpy and torch answer NaN and inf: so does this model
+            if operations is not FLOATS:
+                raise
+            operations = NUMPY
+            with np.errstate(all="ignore"):
+                after = runge_kutta(
+                    derivative, {name: np.float64(value) for name, value in state.items()}, time, period
+                )
         for sensor in reversed(self._sensors):
             after = sensor.measure(after, values[sensor.name])
         return [after[name] for name in self.system.state_names], memory

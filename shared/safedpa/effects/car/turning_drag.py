@@ -22,7 +22,7 @@ class TurningDrag(RateEffect):
     robot = "car"
     stage = Stage.WEIGHT
     equation = "d(speed)/dt -= coefficient |speed| speed steer^2"
-    parameters = (Parameter("coefficient", "1/m", 0.0, 50.0, 3.0),)
+    parameters = (Parameter("coefficient", "1/m", 0.0, 10.0, 2.0, meaning="about half of 1 / wheelbase, by theory"),)
     signature = (
         "deceleration residual in curves only, growing with the square of speed and of steer, the same to both sides"
     )

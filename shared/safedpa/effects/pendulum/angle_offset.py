@@ -12,21 +12,21 @@ __all__ = ["AngleOffset"]
 
 @final
 class AngleOffset(SensorEffect):
-    """measured angle = true angle + angle, parameter ``angle`` = offset."""
+    """measured angle = true angle + angle."""
 
     name = "angle_offset"
     robot = "pendulum"
     stage = Stage.SENSOR
     equation = "measured angle = angle + offset"
-    parameters = (Parameter("angle", "rad", -1.0, 1.0, 0.03),)
+    parameters = (Parameter("offset", "rad", -1.0, 1.0, 0.03),)
     signature = "rate residual in proportion to the cosine of the angle, also at rest: the balance is not at 0"
     source = (
         "Siciliano et al., Robotics: Modelling, Planning and Control, 2009, section 2.11 (joint offsets in calibration)"
     )
-    mirrored = ("angle",)
+    mirrored = ("offset",)
 
     def measure(self, state: Named, parameters: Named) -> Named:  # noqa: D102
-        return {**state, "angle": state["angle"] + parameters["angle"]}
+        return {**state, "angle": state["angle"] + parameters["offset"]}
 
     def restore(self, state: Named, parameters: Named) -> Named:  # noqa: D102
-        return {**state, "angle": state["angle"] - parameters["angle"]}
+        return {**state, "angle": state["angle"] - parameters["offset"]}

@@ -12,7 +12,7 @@ __all__ = ["TipMass"]
 
 @final
 class TipMass(RateEffect):
-    """(mass + added) length^2 d(rate)/dt = torques + added gravity length sin(angle), parameter ``mass`` = added."""
+    """(base mass + mass) length^2 d(rate)/dt = torques with the base mass + mass gravity length sin(angle)."""
 
     name = "tip_mass"
     robot = "pendulum"

@@ -30,8 +30,8 @@ class Wind(RateEffect):
         "mass length^2 d(rate)/dt += length (cos(angle) F_x + sin(angle) F_y), F = drag |R| R, R = wind - tip velocity"
     )
     parameters = (
-        Parameter("speed", "m/s", -30.0, 30.0, 3.0, neutral=None, meaning="towards positive angles"),
-        Parameter("drag", "N s2/m2", 0.0, 10.0, 0.5),
+        Parameter("speed", "m/s", -15.0, 15.0, 3.0, neutral=None, meaning="towards positive angles"),
+        Parameter("drag", "N s2/m2", 0.0, 2.0, 0.5),
     )
     signature = "rate residual of one direction in space, largest at top and bottom, none when level"
     source = "Shi et al., Meta-Adaptive Nonlinear Control, NeurIPS 2021, inverted pendulum in wind"

@@ -1,0 +1,126 @@
+"""``safedpa effects``: the library of physical effects as a table, as JSON, or as Markdown for the docs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+    from safedpa.effects import AbstractEffect, Parameter
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.option("--robot", help="Only the effects of this robot (car, pendulum).")
+@click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output.")
+@click.option("--markdown", is_flag=True, help="Tables in Markdown: those of docs/effects.md.")
+@click.option("--effects", "own", type=click.Path(path_type=Path), help="A Python file with effects of your own.")
+def command(robot: str | None, as_json: bool, markdown: bool, own: Path | None) -> None:
+    """List the physical effects that can be added to a model: equations, parameters, units, what they look like."""
+    from safedpa.effects import effects_of, load_effects, robots
+    from safedpa.errors import InputError, did_you_mean
+
+    if own is not None:
+        load_effects(own)
+    if robot is not None and robot not in robots():
+        raise InputError(f"--robot: got '{robot}'; {did_you_mean(robot, robots())}")
+    listed = {owner: _ordered(effects_of(owner)) for owner in robots() if robot in (None, owner)}
+    if as_json:
+        entries = [_entry(item) for items in listed.values() for item in items]
+        click.echo(json.dumps({"format": 1, "effects": entries}, indent=2))
+    elif markdown:
+        click.echo("\n".join(line for owner, items in listed.items() for line in _markdown(owner, items)))
+    else:
+        _show(listed)
+
+
+def _ordered(items: dict[str, AbstractEffect]) -> list[AbstractEffect]:
+    """In the order in which they act, from the command to the sensor."""
+    return sorted(items.values(), key=lambda item: (item.stage, item.name))
+
+
+def _entry(item: AbstractEffect) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "robot": item.robot,
+        "name": item.name,
+        "stage": item.stage.name.lower(),
+        "equation": item.equation,
+        "parameters": [asdict(parameter) for parameter in item.parameters],
+        "needs": list(item.needs),
+        "signature": item.signature,
+        "source": item.source,
+    }
+
+
+def _bounds(parameter: Parameter) -> str:
+    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    return f"{parameter.low:g} to {parameter.high:g}{unit}"
+
+
+def _nothing_at(parameter: Parameter) -> str:
+    return "any value" if parameter.neutral is None else f"{parameter.neutral:g}"
+
+
+def _title(item: AbstractEffect) -> str:
+    return f"only with {', '.join(item.needs)}" if item.needs else ""
+
+
+def _markdown(owner: str, items: list[AbstractEffect]) -> list[str]:
+    def cell(text: str) -> str:
+        return text.replace("|", "\\|")
+
+    lines = [
+        f"### {owner.capitalize()}",
+        "",
+        "| effect | equation | parameters: bounds (typical; does nothing at) | in residuals |",
+        "|---|---|---|---|",
+    ]
+    for item in items:
+        parameters = "<br>".join(f"`{p.name}`: {_bounds(p)} ({p.typical:g}; {_nothing_at(p)})" for p in item.parameters)
+        needs = f"<br>{_title(item)}" if item.needs else ""
+        lines.append(f"| `{item.name}`{needs} | {cell(item.equation)} | {parameters} | {cell(item.signature)} |")
+    return [*lines, ""]
+
+
+def _show(listed: dict[str, list[AbstractEffect]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    for owner, items in listed.items():
+        table = Table(
+            title=f"{owner}: {len(items)} effects, from the command to the sensor",
+            title_justify="left",
+            title_style="bold",
+            header_style="bold",
+            show_lines=True,
+            expand=True,
+        )
+        table.add_column("effect", no_wrap=True)
+        table.add_column("equation, and what a model without it shows", ratio=3)
+        table.add_column("parameters", ratio=2)
+        for item in items:
+            name = Text.assemble((item.name, "bold cyan"), *([("\n" + _title(item), "yellow")] if item.needs else []))
+            what = Text.assemble(item.equation, "\n", (item.signature, "dim"))
+            table.add_row(name, what, Text("\n").join(_parameter_text(parameter) for parameter in item.parameters))
+        console.print(table)
+        console.print()
+    console.print(Text("Add one to a model file as a table [[effects]] with its name and parameters.", style="dim"))
+
+
+def _parameter_text(parameter: Parameter) -> Text:
+    from rich.text import Text
+
+    text = Text.assemble(
+        (parameter.name, "green"), f" {_bounds(parameter)}", (f", typical {parameter.typical:g}", "dim")
+    )
+    return text.append(f"\n  {parameter.meaning}", "dim") if parameter.meaning else text
