@@ -125,8 +125,9 @@ def test_page_asks_no_other_host(files, tmp_path):
     for figure in data["figures"] + data["overlays"]:
         axes = {key: axis for key, axis in figure["layout"].items() if re.fullmatch(r"[xy]axis\d*", key)}
         assert axes
-        if figure["id"] != "residuals":  # those share their titles along rows and columns
-            assert all(axis["title"]["text"] for axis in axes.values())
+        assert all(axis["title"]["text"] for axis in axes.values())
+        units = [axis["title"]["text"] for key, axis in axes.items() if key.startswith("x")]
+        assert all(re.search(r"\[.+\]$", text) for text in units)
     labels = [figure["label"].split(":")[0] for figure in data["overlays"]]
     assert sorted(set(labels)) == ["95 % quantile", "best", "median", "worst"]
 

@@ -155,7 +155,11 @@ def _where_table(comparison: Comparison) -> Any:
         table.add_column(title, justify="right")
     for item in worst_bins(comparison)[:WORST]:
         table.add_row(
-            bin_text(item, NAME), f"{item.error:.2f}", f"{item.ratio:.2f}", f"{item.share:.1%}", str(item.samples)
+            bin_text(item, NAME),
+            f"{item.error:.2f}",
+            f"{item.ratio:.2f}",
+            f"{100 * item.share:.1f} %",
+            str(item.samples),
         )
     return table
 

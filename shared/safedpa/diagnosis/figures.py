@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -57,8 +58,9 @@ def where_figure(comparison: Comparison) -> dict[str, Any]:
     factors = [item for item in comparison.factors if item.kind != "time"]
     panels = Panels(rows=-(-len(factors) // 3), columns=min(3, len(factors)), height=250)
     for factor in factors:
-        at = panels.add(f"{factor.variable} (explains {max(factor.explained, 0):.0%})", label(factor), "error")
+        at = panels.add(f"{factor.variable} (explains {100 * max(factor.explained, 0):.0f} %)", label(factor), "error")
         _bars(panels, at, factor.bins, comparison.error.value)
+        panels.axis(at, "y", range=_heights(comparison))
     return panels.figure("where", bargap=0)
 
 
@@ -70,6 +72,7 @@ def time_figure(comparison: Comparison) -> dict[str, Any]:
     for name in runs:
         at = panels.add(name, "time [s]", "error")
         _bars(panels, at, [item for item in factor.bins if item.run == name], comparison.error.value)
+        panels.axis(at, "y", range=_heights(comparison))
     return panels.figure("time", bargap=0)
 
 
@@ -107,7 +110,7 @@ def residual_figure(comparison: Comparison) -> dict[str, Any]:
     """Residual rates against state and action, one row a state; the line is the median of each tenth of the points."""
     system, found = comparison.windows.system, comparison.residuals
     shown = [(index, v) for index, v in enumerate((*system.state, *system.action)) if v.name not in PLACE]
-    panels = Panels(rows=len(system.state), columns=len(shown), height=190, shared_titles=True)
+    panels = Panels(rows=len(system.state), columns=len(shown), height=225)
     keep = np.linspace(0, len(found.rates) - 1, min(POINTS, len(found.rates))).astype(np.int64)
     for row, state in enumerate(system.state):
         rates = found.rates[:, row]
@@ -117,7 +120,7 @@ def residual_figure(comparison: Comparison) -> dict[str, Any]:
             if variable.angle:
                 values = (values + np.pi) % (2 * np.pi) - np.pi
             unit = f"{state.unit}/s".replace("/s/s", "/s²")
-            at = panels.add("", label(variable), f"{state.name} [{unit}]")
+            at = panels.add("", label(variable), f"{state.name} residual [{unit}]")
             inside = keep[(rates[keep] >= low) & (rates[keep] <= high)]
             marker = {"color": COLOURS["point"], "size": 3, "opacity": 0.5}
             panels.draw(at, values[inside], rates[inside], mode="markers", marker=marker, hoverinfo="skip")
@@ -125,6 +128,7 @@ def residual_figure(comparison: Comparison) -> dict[str, Any]:
             line = {"color": COLOURS["model"], "width": 2.5}
             panels.draw(at, x, y, mode="lines+markers", line=line, marker={"size": 5})
             panels.axis(at, "y", range=[low, high], zeroline=True, zerolinecolor="#888")
+            panels.axis(at, "x", range=_span(values))
     return panels.figure("residuals")
 
 
@@ -143,6 +147,12 @@ def _bars(panels: Panels, at: int, bins: tuple[Bin, ...] | list[Bin], average: f
         ],
     )
     panels.level(at, average)
+
+
+def _heights(comparison: Comparison) -> list[float | None]:
+    """One range for all bars, so that panels can be compared."""
+    errors = [item.error for factor in comparison.factors for item in factor.bins]
+    return [0.0, *rounded([1.08 * max((error for error in errors if math.isfinite(error)), default=1.0)])]
 
 
 def _span(values: Any) -> tuple[float, float]:

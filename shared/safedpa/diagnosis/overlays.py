@@ -98,11 +98,14 @@ def _figure(windows: Windows, number: int, predicted: Floats, rates: Floats) -> 
     for (index, variable), (across, up) in zip(states, places, strict=False):
         at = panels.place(variable.name, "time from start [s]", label(variable), across, up)
         for name, (rows, values) in lines.items():
-            panels.draw(at, time[rows], values[:, index], **_style(name), showlegend=at == 1)
+            turns = 2.0 * np.pi * np.round(windows.states[start, index] / (2.0 * np.pi)) if variable.angle else 0.0
+            panels.draw(at, time[rows], values[:, index] - turns, **_style(name), showlegend=at == 1)
+    usual = 0.2 * np.ptp(np.quantile(windows.actions, [0.01, 0.99], axis=0), axis=0)
     for index, (variable, (across, up)) in enumerate(zip(system.action, places[len(states) :], strict=True)):
         at = panels.place(variable.name, "time from start [s]", label(variable), across, up)
         line = {"color": COLOURS["measured"], "width": 1.5, "shape": "hv"}
         panels.draw(at, time[shown], windows.actions[shown, index], mode="lines", line=line)
+        panels.axis(at, "y", range=_wide(windows.actions[shown, index], usual[index]))
     return panels.figure("overlay", legend=LEGEND, margin={"l": 62, "r": 14, "t": 70, "b": 52})
 
 
@@ -119,6 +122,13 @@ def _layout(count: int, flat: bool) -> tuple[Panels, list[tuple[tuple[float, flo
         top = 1.0 - row * (tall + 0.2)
         places.append(((across, across + width), (max(top - tall, 0.0), top)))
     return Panels(rows=rows, columns=1, height=210), places
+
+
+def _wide(values: Floats, least: float) -> list[float]:
+    """A range around the values of at least that width: the last digit of a command should not look like a jump."""
+    middle, width = 0.5 * (values.min() + values.max()), max(1.1 * float(np.ptp(values)), least)
+    half = 0.5 * width or 1.0
+    return [float(middle - half), float(middle + half)]
 
 
 def _style(name: str) -> dict[str, Any]:

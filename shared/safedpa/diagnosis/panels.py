@@ -22,9 +22,8 @@ class _Named(Protocol):
 class Panels:
     """A figure of ``rows`` times ``columns`` panels, filled row by row; ``height`` is that of one panel in pixels."""
 
-    def __init__(self, rows: int, columns: int, height: int, *, shared_titles: bool = False) -> None:
+    def __init__(self, rows: int, columns: int, height: int) -> None:
         self.rows, self.columns, self.height = rows, columns, height
-        self.shared_titles = shared_titles
         self.data: list[dict[str, Any]] = []
         self.axes: dict[str, dict[str, Any]] = {}
         self.notes: list[dict[str, Any]] = []
@@ -37,15 +36,11 @@ class Panels:
         self.count += 1
         gap_x = 0.22 / self.columns if self.columns > 1 else 0.0
         total = self.rows * self.height
-        gap_y = (34 if self.shared_titles else 74) / total
+        gap_y = 74 / total
         width = (1.0 - gap_x * (self.columns - 1)) / self.columns
         tall = (1.0 - gap_y * (self.rows - 1)) / self.rows
         left, top = column * (width + gap_x), 1.0 - row * (tall + gap_y)
         self.open(title, x_title, y_title, (left, left + width), (max(top - tall, 0.0), top))
-        if self.shared_titles and row < self.rows - 1:
-            self.axis(self.count, "x", title=None)
-        if self.shared_titles and column > 0:
-            self.axis(self.count, "y", title=None)
         return self.count
 
     def place(self, title: str, x_title: str, y_title: str, x: tuple[float, float], y: tuple[float, float]) -> int:

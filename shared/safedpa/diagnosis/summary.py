@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from safedpa.diagnosis.comparison import PREDICTORS, Comparison
 from safedpa.diagnosis.rollout_error import RolloutError
 from safedpa.diagnosis.where import Bin, Factor
@@ -56,8 +58,8 @@ def where_sentence(comparison: Comparison) -> str:
         )
     return (
         f"The model fails most at {bin_text(worst)}: its error there is {worst.error:.2f}, {worst.ratio:.1f} times the "
-        f"average of {average:.2f} ({worst.share:.0%} of the squared error in "
-        f"{worst.samples / len(comparison.windows):.0%} of the windows)."
+        f"average of {average:.2f} ({_percent(worst.share)} of the squared error "
+        f"in {_percent(worst.samples / len(comparison.windows))} of the windows)."
     )
 
 
@@ -68,17 +70,21 @@ def state_sentence(comparison: Comparison) -> str:
     moved = [index for index, size in enumerate(error.scale) if size > 0]
     worst = max(moved, key=lambda index: error.per_state[index])
     rms = error.per_state[worst] * error.scale[worst]
+    median = float(np.median(comparison.errors[:, worst]))
+    unit, side = states[worst].unit, "high" if median > 0 else "low"
+    biased = abs(median) > 0.3 * rms > 0.0
+    bias = f"in the median {abs(median):.3g} {unit} too {side}" if biased else "to either side"
     return (
-        f"The state predicted worst is {states[worst].name}: off by {rms:.3g} {states[worst].unit} after "
-        f"{comparison.horizon:g} s, {error.per_state[worst]:.2f} times as much as it usually changes."
+        f"The state predicted worst is {states[worst].name}: off by {rms:.3g} {unit} after {comparison.horizon:g} s "
+        f"({bias}), {error.per_state[worst]:.2f} times as much as it usually changes."
     )
 
 
 def naive_sentence(comparison: Comparison) -> str:
     """One sentence: the model beside the predictors that know no physics."""
     errors = {name: item.value for name, item in comparison.horizons[-1].errors.items()}
-    naive = min(errors["no_change"], errors["constant_velocity"])
-    verdict = "better than both" if errors["model"] < naive else "the model is not worth its physics there"
+    beaten = [name for name in PREDICTORS[1:] if errors["model"] < errors[name]]
+    verdict = {2: "better than both", 0: "worse than both"}.get(len(beaten)) or "better than one of them only"
     return (
         f"After {comparison.horizon:g} s the model's error is {errors['model']:.2f}; assuming no change gives "
         f"{errors['no_change']:.2f}, constant velocity {errors['constant_velocity']:.2f}: {verdict}."
@@ -142,6 +148,10 @@ def _bin(item: Bin) -> dict[str, Any]:
 
 def _named(names: tuple[str, ...], values: Any) -> dict[str, float | int | None]:
     return {name: _number(float(value)) for name, value in zip(names, values, strict=True)}
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"
 
 
 def _number(value: float | int) -> float | int | None:
