@@ -141,7 +141,9 @@ class PhysicsModel(AbstractDynamics):
 
         if is_torch(state):
             around = like(state, around) if isinstance(around, np.ndarray) else around
-            return forward_mode(step, around.expand(*state.shape[:-1], len(names)) if around.ndim == 1 else around)
+            return forward_mode(
+                step, around.expand(*state.shape[:-1], len(names)).clone() if around.ndim == 1 else around
+            )
         return batched_difference(step, np.asarray(around, dtype=np.float64), self._ranges)
 
     def _advance(

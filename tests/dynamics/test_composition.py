@@ -1,0 +1,201 @@
+"""Composition of base and effects: integration, tangents, batches, latents."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.dynamics import KinematicBicycle, PhysicsModel, RigidPendulum, Setting, load_model
+from safedpa.effects import effect
+from safedpa.errors import ModelFileError
+
+
+def pendulum(period: float) -> PhysicsModel:
+    values = {"base.length": Setting(0.5), "base.mass": Setting(1.0), "base.gravity": Setting(9.81)}
+    model = PhysicsModel(RigidPendulum(), (), values, period)
+    return model.with_effect(effect("pendulum", "viscous_friction"), {"coefficient": Setting(0.1)})
+
+
+def car() -> PhysicsModel:
+    values = {"base.wheelbase": Setting(0.32), "base.speed_gain": Setting(4.0), "base.acceleration_limit": Setting(5.0)}
+    model = PhysicsModel(KinematicBicycle(), (), values)
+    for name, settings_of_it in {
+        "towed_load": {"mass_ratio": Setting(0.0, free=True), "deceleration": Setting(2.5)},
+        "quadratic_drag": {"coefficient": Setting(0.1, free=True)},
+        "steering_lag": {"time_constant": Setting(0.12)},
+        "understeer": {"gradient": Setting(0.02, free=True)},
+    }.items():
+        model = model.with_effect(effect("car", name), settings_of_it)
+    return model
+
+
+def end_after_one_second(period: float) -> np.ndarray:
+    model, state = pendulum(period), np.array([2.0, 0.5])
+    for _ in range(round(1.0 / period)):
+        state = model.step(state, np.array([0.7]))
+    return state
+
+
+def test_integration_converges_with_order_four() -> None:
+    exact = end_after_one_second(1 / 2048)
+    errors = [np.linalg.norm(end_after_one_second(1 / n) - exact) for n in (16, 32, 64, 128)]
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert np.all(np.abs(orders - 4.0) < 0.35)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    state=st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-3, 3), st.floats(0.0, 1.0)),
+    target=st.floats(0.3, 0.9),
+    other=st.floats(0.3, 0.9),
+)
+def test_affine_is_exact_where_the_model_is_affine(state: tuple[float, ...], target: float, other: float) -> None:
+    model, now = load_model("car"), np.array(state)
+    # steer held: position is bent by nothing, and the servo is linear below its limit; friction is not
+    free_of_load = PhysicsModel(model.base, (), {k: v for k, v in model.settings.items() if k.startswith("base.")})
+    around, action = np.array([target, 0.1]), np.array([other, 0.1])
+    f, g = free_of_load.affine(now, around=around)
+    after = free_of_load.step(now, action)
+    np.testing.assert_allclose((f + g @ action)[2:], after[2:], atol=1e-9)
+    np.testing.assert_allclose(f + g @ around, free_of_load.step(now, around), atol=1e-12)
+
+
+def test_affine_is_exact_for_the_pendulum_over_the_whole_range_of_small_steps() -> None:
+    model = pendulum(0.01)
+    state = np.array([0.4, -0.3])
+    f, g = model.affine(state)
+    for torque in (-5.0, 0.0, 5.0):
+        # what is left is the bend of gravity within one step: sin(angle) after 0.01 s
+        np.testing.assert_allclose(f + g @ [torque], model.step(state, np.array([torque])), atol=2e-8)
+
+
+def test_tangent_misses_by_the_square_of_the_distance() -> None:
+    model, state, around = car(), np.array([0.0, 0.0, 0.2, 3.0]), np.array([3.0, 0.25])
+    f, g = model.affine(state, around=around)
+    errors = []
+    for share in (1.0, 0.5, 0.25):
+        action = around + share * np.array([0.0, 0.2])
+        memory = model.initial_memory(around)
+        errors.append(np.abs(f + g @ action - model.advance(state, action, memory)[0]).max())
+    assert errors[0] > 1e-4
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.2)
+
+
+def kinds(kind: str, array: np.ndarray) -> Any:
+    if kind == "numpy":
+        return array
+    torch = pytest.importorskip("torch")
+    return torch.as_tensor(array)
+
+
+STATES = np.random.default_rng(0).uniform(-1, 1, (3, 4))
+ACTIONS = np.random.default_rng(1).uniform(-0.3, 0.3, (3, 2))
+LATENTS = np.random.default_rng(2).uniform(0.0, 0.05, (3, 3))
+
+
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+@pytest.mark.parametrize("state", [STATES, STATES[0]], ids=["states", "one_state"])
+@pytest.mark.parametrize("action", [ACTIONS, ACTIONS[0]], ids=["actions", "one_action"])
+@pytest.mark.parametrize("latent", [LATENTS, LATENTS[0], None], ids=["latents", "one_latent", "no_latent"])
+def test_leading_axes_broadcast(kind: str, state: np.ndarray, action: np.ndarray, latent: np.ndarray | None) -> None:
+    model = car()
+    given_latent = None if latent is None else kinds(kind, latent)
+    after = np.asarray(model.step(kinds(kind, state), kinds(kind, action), given_latent))
+    f, g = model.affine(kinds(kind, state), given_latent, around=kinds(kind, action))
+    leading = np.broadcast_shapes(state.shape[:-1], action.shape[:-1], () if latent is None else latent.shape[:-1])
+    assert after.shape == (*leading, 4)
+    assert tuple(f.shape) == (*leading, 4)
+    assert tuple(g.shape) == (*leading, 4, 2)
+    for index in np.ndindex(leading):
+        one = [None if a is None else (a[index] if a.ndim == 2 else a) for a in (state, action, latent)]
+        np.testing.assert_allclose(after[index], model.step(*one), atol=1e-12)
+        f_one, g_one = model.affine(one[0], one[2], around=one[1])
+        np.testing.assert_allclose(np.asarray(f)[index], f_one, atol=1e-6)
+        np.testing.assert_allclose(np.asarray(g)[index], g_one, atol=1e-6)
+
+
+def test_two_leading_axes_and_default_around() -> None:
+    torch = pytest.importorskip("torch")
+    states = np.tile(STATES, (2, 1, 1))
+    for array in (states, torch.as_tensor(states)):
+        f, g = car().affine(array)
+        assert tuple(f.shape) == (2, 3, 4)
+        assert tuple(g.shape) == (2, 3, 4, 2)
+
+
+def test_single_precision_stays_single() -> None:
+    torch = pytest.importorskip("torch")
+    states, actions = torch.as_tensor(STATES, dtype=torch.float32), torch.as_tensor(ACTIONS, dtype=torch.float32)
+    model = car()
+    assert model.step(states, actions).dtype == torch.float32
+    assert model.step(states, actions, torch.as_tensor(LATENTS[0], dtype=torch.float32)).dtype == torch.float32
+    assert model.step(states, actions, LATENTS).dtype == torch.float32
+    assert model.affine(states, around=actions)[1].dtype == torch.float32
+    assert np.abs(model.step(states, actions).numpy() - model.step(STATES, ACTIONS)).max() < 1e-5
+
+
+def test_numpy_state_with_torch_latent_is_refused() -> None:
+    torch = pytest.importorskip("torch")
+    with pytest.raises(TypeError, match="wanted one kind"):
+        car().step(STATES[0], ACTIONS[0], torch.zeros(3))
+
+
+def test_latent_of_the_wrong_length_names_the_entries() -> None:
+    with pytest.raises(ModelFileError, match=r"latent: got 2 entries, wanted 3: towed_load.mass_ratio, quadratic_drag"):
+        car().step(STATES[0], ACTIONS[0], np.zeros(2))
+
+
+def test_latent_and_settings_say_the_same() -> None:
+    model, latent = car(), np.array([0.3, 0.2, 0.01])
+    assert model.latent_names == ("towed_load.mass_ratio", "quadratic_drag.coefficient", "understeer.gradient")
+    by_settings = model.with_latent(latent)
+    np.testing.assert_array_equal(by_settings.latent, latent)
+    np.testing.assert_array_equal(by_settings.step(STATES[0], ACTIONS[0]), model.step(STATES[0], ACTIONS[0], latent))
+
+
+def test_memory_carries_on_between_steps() -> None:
+    model = car()
+    memory = model.initial_memory(np.array([1.0, 0.0]))
+    first, memory = model.advance(STATES[0], np.array([1.0, 0.3]), memory)
+    lagging = model.affine(first, around=np.array([1.0, 0.3]), memory=memory)
+    settled = model.affine(first, around=np.array([1.0, 0.3]))
+    assert abs(lagging[1][2, 1]) < abs(settled[1][2, 1]) or first[3] == 0.0
+    np.testing.assert_array_equal(settled[1], model.affine(first, around=np.array([1.0, 0.3]))[1])
+
+
+def test_a_settled_memory_stays_settled() -> None:
+    model, action = car(), np.array([1.0, 0.2])
+    memory = model.initial_memory(action)
+    after, kept = model.advance(STATES[0], action, memory)
+    assert kept == pytest.approx(memory)
+    np.testing.assert_array_equal(after, model.step(STATES[0], action))
+
+
+def test_numbers_beyond_range_come_out_as_no_numbers() -> None:
+    model = pendulum(0.01)
+    for state in (np.array([math.inf, 0.0]), np.array([math.nan, 0.0])):
+        assert not np.isfinite(model.step(state, np.zeros(1))).any()
+    f, g = model.affine(np.array([0.0, math.inf]))
+    assert not np.isfinite(f).all()
+    assert g.shape == (2, 1)
+
+
+def test_unknown_parameter_of_an_added_effect_is_refused() -> None:
+    with pytest.raises(ModelFileError, match=r"quadratic_drag.coeficient: unknown parameter"):
+        load_model("car").with_effect(effect("car", "quadratic_drag"), {"coeficient": Setting(0.1)})
+
+
+def test_effects_must_fit_robot_and_drive() -> None:
+    with pytest.raises(ModelFileError, match="'tip_mass' belongs to robot 'pendulum'"):
+        load_model("car").with_effect(effect("pendulum", "tip_mass"), {})
+    with pytest.raises(ModelFileError, match="'back_emf' needs the action 'throttle'"):
+        load_model("car").with_effect(effect("car", "back_emf"), {})
+    values = {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(5.0)}
+    throttle = PhysicsModel(KinematicBicycle("throttle"), (), values)
+    assert throttle.with_effect(effect("car", "back_emf"), {}).effects[0].name == "back_emf"

@@ -1,0 +1,188 @@
+"""Model files: what is written is read back, and every mistake gets one line that names the key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.dynamics import (
+    KinematicBicycle,
+    PhysicsModel,
+    RigidPendulum,
+    Setting,
+    load_model,
+    parse_model,
+    save_model,
+    shipped_models,
+    write_model,
+)
+from safedpa.effects import effects_of
+from safedpa.effects.parameter import Parameter
+from safedpa.errors import ModelFileError
+
+CAR = """
+format = 1
+robot = "car"
+period = 0.05
+[base]
+kind = "kinematic_bicycle"
+drive = "speed_servo"
+wheelbase = 0.32
+speed_gain = 3.0
+acceleration_limit = 6.0
+[[effects]]
+name = "towed_load"
+mass_ratio = { value = 0.4, free = true, unit = "1" }
+deceleration = 2.0
+"""
+
+PENDULUM = """
+format = 1
+robot = "pendulum"
+[base]
+kind = "rigid_pendulum"
+length = 0.5
+mass = 1.0
+"""
+
+
+def settings_of(owner: str, parameters: tuple[Parameter, ...]) -> st.SearchStrategy[dict[str, Setting]]:
+    return st.fixed_dictionaries(
+        {f"{owner}.{p.name}": st.builds(Setting, st.floats(p.low, p.high), st.booleans()) for p in parameters}
+    )
+
+
+@st.composite
+def models(draw: st.DrawFn) -> PhysicsModel:
+    base = draw(st.sampled_from([KinematicBicycle(), KinematicBicycle("throttle"), RigidPendulum()]))
+    known = [e for e in effects_of(base.system.name).values() if set(e.needs) <= set(base.system.action_names)]
+    effects = draw(st.lists(st.sampled_from(known), unique_by=lambda item: item.name, max_size=5))
+    values = draw(settings_of("base", base.parameters))
+    for item in effects:
+        values |= draw(settings_of(item.name, item.parameters))
+    return PhysicsModel(base, effects, values, draw(st.floats(1e-4, 1.0)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(model=models())
+def test_what_is_written_is_read_back(model: PhysicsModel) -> None:
+    text = write_model(model)
+    again = parse_model(text)
+    assert again.settings == model.settings
+    assert again.period == model.period
+    assert again.latent_names == model.latent_names
+    assert [item.name for item in again.effects] == [item.name for item in model.effects]
+    assert type(again.base) is type(model.base)
+    assert again.system == model.system
+    assert write_model(again) == text
+
+
+def test_file_from_a_fit_holds_plain_numbers(tmp_path: Path) -> None:
+    numpy = pytest.importorskip("numpy")
+    model = parse_model(CAR).with_settings({"towed_load.deceleration": Setting(numpy.float64(1.25))})
+    save_model(model, tmp_path / "model.toml")
+    assert "deceleration = 1.25  # m/s2" in (tmp_path / "model.toml").read_text()
+    assert load_model(tmp_path / "model.toml").settings == model.settings
+
+
+def test_defaults_are_gravity_and_the_period() -> None:
+    model = parse_model(PENDULUM)
+    assert model.settings["base.gravity"] == Setting(9.81)
+    assert model.period == 0.05
+
+
+def test_free_parameters_are_the_latent() -> None:
+    assert parse_model(CAR).latent_names == ("towed_load.mass_ratio",)
+
+
+@pytest.mark.parametrize("name", sorted(shipped_models()))
+def test_every_shipped_model_loads_by_its_name(name: str) -> None:
+    for source in (name, f"{name}.toml"):
+        model = load_model(source)
+        assert parse_model(write_model(model)).settings == model.settings
+
+
+MISTAKES = [
+    ("format = 1", "format = 2", "format: got 2, wanted 1; this program reads no other"),
+    ("format = 1", "", "format: missing, wanted 1; this program reads no other"),
+    ('robot = "car"', 'robot = "boat"', "robot: got 'boat', wanted one of car, pendulum"),
+    ("period = 0.05", "periode = 0.05", "periode: unknown key; did you mean 'period'?"),
+    ("period = 0.05", "period = 0", "period: got 0, wanted 0.0001 to 1 s"),
+    ("period = 0.05", 'period = "20 Hz"', "period: got '20 Hz', wanted a finite number in s"),
+    ("[base]", "[bse]", "bse: unknown key; did you mean 'base'?"),
+    ("kinematic_bicycle", "dynamic_bicycle", "base.kind: got 'dynamic_bicycle', wanted 'kinematic_bicycle'"),
+    ("speed_servo", "servo", "base.drive: got 'servo', wanted 'speed_servo' or 'throttle'"),
+    ("wheelbase = 0.32", "", "base.wheelbase: missing; give a number, 0.01 to 10 m"),
+    ("wheelbase = 0.32", "wheel_base = 0.32", "base.wheel_base: unknown key; did you mean 'wheelbase'?"),
+    ("wheelbase = 0.32", 'wheelbase = "0.32 m"', "base.wheelbase: got '0.32 m', wanted a finite number in m"),
+    ("wheelbase = 0.32", "wheelbase = nan", "base.wheelbase: got nan, wanted a finite number in m"),
+    ("wheelbase = 0.32", "wheelbase = inf", "base.wheelbase: got inf, wanted a finite number in m"),
+    ("wheelbase = 0.32", "wheelbase = true", "base.wheelbase: got True, wanted a finite number in m"),
+    ("wheelbase = 0.32", "wheelbase = -0.3", "base.wheelbase: got -0.3, wanted 0.01 to 10 m"),
+    ("speed_gain = 3.0", "drive_gain = 3.0", "base.drive_gain: unknown key"),
+    ('unit = "1"', 'unit = "kg"', "towed_load.mass_ratio.unit: got 'kg', wanted '1'; convert the value"),
+    ("value = 0.4, ", "", "towed_load.mass_ratio.value: missing; give a number, 0 to 5 (no unit)"),
+    ("value = 0.4", "value = 7", "towed_load.mass_ratio: got 7, wanted 0 to 5 (no unit)"),
+    ("free = true", 'free = "yes"', "towed_load.mass_ratio.free: got 'yes', wanted true or false"),
+    ("free = true", "fre = true", "towed_load.mass_ratio.fre: unknown key; did you mean 'free'?"),
+    ("deceleration = 2.0", "", "towed_load.deceleration: missing; give a number, 0 to 9.81 m/s2"),
+    ("deceleration = 2.0", "deceleration = 20", "towed_load.deceleration: got 20, wanted 0 to 9.81 m/s2"),
+    ("deceleration = 2.0", "decelaration = 2.0", "towed_load.decelaration: unknown key; did you mean 'deceleration'?"),
+    (
+        '"towed_load"',
+        '"towed_lod"',
+        "effects.name: effect 'towed_lod' is not known for robot 'car': did you mean 'towed",
+    ),
+    ('"towed_load"', '"tip_mass"', "effects.name: effect 'tip_mass' belongs to robot 'pendulum', not to 'car'"),
+    ('name = "towed_load"', "", "effects.name: missing, wanted the name of an effect; 'safedpa effects' lists them"),
+    ('name = "towed_load"', "name = 3", "effects.name: got 3, wanted the name of an effect"),
+    ("[[effects]]", "[effects]", "effects: wanted one table [[effects]] per effect, with the key 'name'"),
+    ("[base]", "[base", "not TOML: "),
+]
+
+
+@pytest.mark.parametrize(("good", "bad", "message"), MISTAKES, ids=[f"{i}:{m[2][:40]}" for i, m in enumerate(MISTAKES)])
+def test_mistake_gets_one_line_that_names_the_key(good: str, bad: str, message: str, tmp_path: Path) -> None:
+    assert good in CAR
+    path = tmp_path / "mine.toml"
+    path.write_text(CAR.replace(good, bad, 1))
+    with pytest.raises(ModelFileError) as caught:
+        load_model(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: {message}")
+    assert "\n" not in text
+
+
+def test_effect_twice_is_refused() -> None:
+    twice = CAR + CAR[CAR.index("[[effects]]") :]
+    with pytest.raises(ModelFileError, match="effect 'towed_load' stands twice; leave one out"):
+        parse_model(twice)
+
+
+def test_effect_for_another_drive_is_refused() -> None:
+    text = CAR + '[[effects]]\nname = "back_emf"\ncoefficient = 1.0\n'
+    with pytest.raises(
+        ModelFileError, match="effect 'back_emf' needs the action 'throttle', the model has target_speed"
+    ):
+        parse_model(text)
+
+
+def test_pendulum_with_a_drive_is_refused() -> None:
+    with pytest.raises(ModelFileError, match=r"base.drive: got 'throttle', a pendulum has none; remove the key"):
+        parse_model(PENDULUM + 'drive = "throttle"\n')
+
+
+def test_file_without_a_base_is_refused() -> None:
+    with pytest.raises(ModelFileError, match=r"base: missing; wanted a table \[base\] with the key 'kind'"):
+        parse_model('format = 1\nrobot = "car"\n')
+
+
+def test_missing_file_names_the_shipped_ones(tmp_path: Path) -> None:
+    with pytest.raises(ModelFileError, match=r"none.toml: cannot be read .* or one of .*car"):
+        load_model(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ModelFileError, match="cannot be read"):
+        load_model(tmp_path / "binary.toml")

@@ -1,0 +1,166 @@
+"""The library, effects from a user's own file, and the command that lists them all."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from safedpa.dynamics import load_model, parse_model
+from safedpa.effects import effect, effects_of, library, load_effects, robots
+from safedpa.errors import InputError
+from safedpa_services.command_line.group import safedpa
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture(autouse=True)
+def _own_effects_of_a_test_stay_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "_own", {})
+
+
+def code_blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+def test_lookup_error_suggests_the_nearest_name() -> None:
+    with pytest.raises(
+        InputError, match="effect 'quadratic_darg' is not known for robot 'car': did you mean 'quadratic"
+    ):
+        effect("car", "quadratic_darg")
+    with pytest.raises(InputError, match="effect 'wind' belongs to robot 'pendulum', not to 'car'"):
+        effect("car", "wind")
+    assert robots() == ("car", "pendulum")
+
+
+def test_the_documentation_s_own_effect_works(tmp_path: Path) -> None:
+    path = tmp_path / "my_effects.py"
+    path.write_text(code_blocks("effects.md", "python")[0])
+    assert len(path.read_text().splitlines()) <= 30
+    loaded = load_effects(path)
+    assert [item.name for item in loaded] == ["grass_resistance"]
+    model_text = code_blocks("effects.md", "toml")[0]
+    model = parse_model(model_text)
+    plain = parse_model(model_text[: model_text.index("[[effects]]")])
+    state, action = np.array([0.0, 0.0, 0.0, 3.0]), np.array([3.0, 0.0])
+    assert model.step(state, action)[3] == pytest.approx(3.0 - 0.05 * 0.6 * np.tanh(2.0), abs=3e-3)
+    assert plain.step(state, action)[3] == 3.0
+    assert model.latent_names == ("grass_resistance.deceleration",)
+    neutral = model.step(state, action, np.zeros(1))
+    np.testing.assert_array_equal(neutral, plain.step(state, action))
+
+
+def test_the_documentation_s_model_file_is_one() -> None:
+    assert parse_model(code_blocks("model-files.md", "toml")[0]).latent_names == ("base.speed_gain",)
+
+
+def test_the_documentation_s_python_runs() -> None:
+    script = code_blocks("model-files.md", "python")[0]
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert str(load_model("car").latent_names) == run.stdout.strip()
+
+
+def test_the_documentation_s_errors_are_those_that_come() -> None:
+    page = (DOCS / "model-files.md").read_text(encoding="utf-8")
+    tests = (Path(__file__).parents[1] / "dynamics" / "test_model_file.py").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| [a-zA-Z ']+ \| `(.*?)` \|$", page, flags=re.MULTILINE)
+    assert len(rows) >= 8
+    for row in rows:
+        assert re.split(r": did|\?| known:|; choose|: \.\.\.", row)[0] in tests
+
+
+def test_loading_again_replaces(tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    text = code_blocks("effects.md", "python")[0]
+    path.write_text(text)
+    load_effects(path)
+    path.write_text(text.replace("0.5, meaning", "0.7, meaning"))
+    os.utime(path, (1, 1))
+    load_effects(path)
+    assert effect("car", "grass_resistance").parameters[0].typical == 0.7
+
+
+GRASS = code_blocks("effects.md", "python")[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "got no effect, wanted a class derived from"),
+        ("import nothing_of_this_name", "could not be run: ModuleNotFoundError"),
+        ("def f(:", "could not be run: SyntaxError"),
+        (GRASS.replace("grass_resistance", "quadratic_drag"), "effect 'quadratic_drag' of robot 'car' exists already"),
+        (GRASS.replace("grass_resistance", "grass resistance"), "name: got 'grass resistance', wanted letters"),
+        (GRASS.replace('robot = "car"', 'robot = "cart"'), "robot: got 'cart'; did you mean 'car'?"),
+        (GRASS.replace("    source =", "    sauce ="), "attribute 'source' is missing; give it in the class"),
+        (
+            GRASS.replace("0.0, 3.0, 0.5", "0.0, 3.0, 5.0"),
+            "ValueError: deceleration: typical 5.0 lies outside 0.0 to 3.0",
+        ),
+        (GRASS.replace("0.0, 3.0, 0.5", "3.0, 0.0, 0.5"), "ValueError: deceleration: got bounds 3.0 to 0.0"),
+        (GRASS.replace("0.0, 3.0, 0.5", "0.1, 3.0, 0.5"), "ValueError: deceleration: neutral 0.0 lies outside 0.1"),
+        (
+            re.sub(r"parameters = \(.*?\n    \)", "parameters = ()", GRASS, flags=re.DOTALL),
+            "parameters: got (), wanted",
+        ),
+    ],
+)
+def test_own_file_that_is_wrong_says_so(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_effects(path)
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+    assert "grass_resistance" not in effects_of("car")
+
+
+def test_own_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="got no Python file"):
+        load_effects(tmp_path / "none.py")
+
+
+def listed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert safedpa.run(["effects", *arguments]) == 0
+    return capsys.readouterr().out
+
+
+def test_command_prints_one_json_document(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    document = json.loads(listed(capsys, "--json"))
+    assert document["format"] == 1
+    names = {(entry["robot"], entry["name"]) for entry in document["effects"]}
+    assert names == {(robot, name) for robot in robots() for name in effects_of(robot)}
+    drag = next(entry for entry in document["effects"] if entry["name"] == "quadratic_drag")
+    assert drag["parameters"][0]["unit"] == "1/m"
+    assert set(drag) == {"robot", "name", "stage", "equation", "parameters", "needs", "signature", "source"}
+    only = json.loads(listed(capsys, "--json", "--robot", "pendulum"))
+    assert {entry["robot"] for entry in only["effects"]} == {"pendulum"}
+    (tmp_path / "mine.py").write_text(GRASS)
+    more = json.loads(listed(capsys, "--json", "--effects", str(tmp_path / "mine.py")))
+    assert len(more["effects"]) == len(document["effects"]) + 1
+
+
+def test_command_shows_every_name_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = listed(capsys)
+    for robot in robots():
+        for name in effects_of(robot):
+            assert name in shown
+
+
+def test_command_refuses_an_unknown_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    assert safedpa.run(["effects", "--robot", "cat"]) == 2
+    error = capsys.readouterr().err
+    assert error == "safedpa: --robot: got 'cat'; did you mean 'car'? known: car, pendulum\n"
+
+
+def test_documentation_holds_the_library_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (DOCS / "effects.md").read_text(encoding="utf-8")
+    between = page.split("<!-- library -->")[1].split("<!-- end of library -->")[0]
+    assert between.strip() == listed(capsys, "--markdown").strip()
