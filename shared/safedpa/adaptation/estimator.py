@@ -72,7 +72,11 @@ class LatentEstimator:
         return np.sqrt(np.diag(self._covariance))
 
     def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:
-        """Learns from one transition: state (states,), action in force (actions,), next state one period [s] later."""
+        """Learns from one transition: state (states,), action in force (actions,), next state one period [s] later.
+
+        Raises InputError when a number is not finite or the period not positive; nothing is learned then.
+        """
+        _check_finite(state, action, next_state, period)
         memory = self._model.initial_memory(action) if self._memory is None else self._memory
         predicted, self._memory = self._model.advance(state, action, memory, self.latent, period=period)
         if not len(self.latent):
@@ -109,3 +113,10 @@ class LatentEstimator:
     def _weighted_down(self, innovation: Vector, spread: Vector) -> Vector:
         size = float(np.sqrt(innovation @ np.linalg.solve(spread, innovation) / len(innovation)))
         return innovation * min(1.0, self._settings.largest_innovation / max(size, 1e-12))
+
+
+def _check_finite(state: Vector, action: Vector, next_state: Vector, period: float) -> None:
+    if not (np.isfinite(state).all() and np.isfinite(action).all() and np.isfinite(next_state).all()):
+        raise InputError(f"transition: got {state} under {action} to {next_state}, wanted finite numbers")
+    if not (np.isfinite(period) and period > 0.0):
+        raise InputError(f"period: got {period}, wanted a positive number of seconds")

@@ -12,20 +12,28 @@ from numpy.typing import NDArray
 from safedpa.adaptation.estimator import EstimatorSettings, LatentEstimator
 from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.errors import MessageError
 
 __all__ = ["AdaptationNode"]
+
+Vector = NDArray[np.float64]
 
 
 @dataclass
 class _Memory:
     estimator: LatentEstimator
-    tick: int
-    state: NDArray[np.float64]
+    tick: int = -1
+    state: Vector | None = None
+    """None until a state came that can be believed."""
 
 
 @final
 class AdaptationNode(AbstractNode):
-    """Estimates the free parameters of the model for each robot from its states and the actions in force."""
+    """Estimates the free parameters of the model for each robot from its states and the actions in force.
+
+    A state that cannot be believed (out of the system's bounds) teaches nothing, nor does the transition out of it.
+    Raises InputError when the settings do not fit the model.
+    """
 
     name = "adaptation"
     inputs = ()
@@ -37,22 +45,34 @@ class AdaptationNode(AbstractNode):
         self._settings = settings or EstimatorSettings()
         self._fingerprint = fingerprint(model)
         self._robots: dict[str, _Memory] = {}
+        LatentEstimator(model, self._settings)  # says now, not at the first robot, that the settings do not fit
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del inputs
-        values = np.array(state.values)
+        values, applied = self._checked(state)
         memory = self._robots.get(robot)
         if memory is None:
-            memory = self._robots[robot] = _Memory(LatentEstimator(self._model, self._settings), state.tick, values)
-        elif state.tick == memory.tick + 1:
-            memory.estimator.update(memory.state, np.array(state.applied), values, state.period)
+            memory = self._robots[robot] = _Memory(LatentEstimator(self._model, self._settings))
+        plausible = self._model.system.is_plausible(values)
+        if plausible and memory.state is not None and state.tick == memory.tick + 1:
+            memory.estimator.update(memory.state, applied, values, state.period)
         else:
             memory.estimator.forget_actuators()
-        memory.tick, memory.state = state.tick, values
+        memory.tick, memory.state = state.tick, values if plausible else None
         return {LATENT: self._message(state, memory.estimator)}
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
+
+    def _checked(self, state: StateMessage) -> tuple[Vector, Vector]:
+        """State (states,) and action in force (actions,). Raises MessageError when their lengths do not fit."""
+        system = self._model.system
+        if len(state.values) != len(system.state) or len(state.applied) != len(system.action):
+            raise MessageError(
+                f"state: got {len(state.values)} values and {len(state.applied)} actions, wanted "
+                f"{len(system.state)} ({', '.join(system.state_names)}) and {len(system.action)}"
+            )
+        return np.array(state.values), np.array(state.applied)
 
     def _message(self, state: StateMessage, estimator: LatentEstimator) -> LatentMessage:
         return LatentMessage(

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from time import monotonic
 from types import TracebackType
 
 from safedpa.bus.codec import decode, encode
 from safedpa.bus.messages import Message
 from safedpa.bus.topics import Topic, key_of, topic_of
 from safedpa.bus.transport import AbstractTransport
-from safedpa.errors import BusError, MessageError
+from safedpa.errors import BusError, InputError, MessageError
 
 __all__ = ["Bus", "Inbox", "Received", "Refused"]
 
+_CLAIM_POLL_SECONDS = 0.05
 _LONGEST_QUEUE = 100_000
 """Messages of topics that must not be dropped, waiting in one inbox; beyond it the oldest go and are counted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message that arrived; ``at`` [s] is the receiver's monotonic clock."""
+    """A message that arrived; ``at`` [s] by the receiver's clock."""
 
     topic: Topic
     robot: str
@@ -34,10 +36,9 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Bytes that arrived under a topic's key and are no message of it."""
+    """Bytes that arrived and are no message, or whose key names no robot and topic: see the reason."""
 
-    topic: Topic
-    robot: str
+    key: str
     reason: str
 
 
@@ -47,24 +48,25 @@ class Inbox:
     Of topics with delivery ``latest`` only the newest message per key waits; of the others everything, in order.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic, longest_queue: int = _LONGEST_QUEUE) -> None:
+        self._clock = clock
         self._filled = threading.Condition()
         self._latest: dict[str, tuple[bytes, float]] = {}
-        self._queue: deque[tuple[str, bytes, float]] = deque(maxlen=_LONGEST_QUEUE)
+        self._queue: deque[tuple[str, bytes, float]] = deque(maxlen=longest_queue)
         self.dropped = 0
         """Messages lost because the queue was full."""
 
     def keep_latest(self, key: str, payload: bytes) -> None:
         """Accepts one payload; replaces an unread one of the same key."""
         with self._filled:
-            self._latest[key] = (payload, monotonic())
+            self._latest[key] = (payload, self._clock())
             self._filled.notify()
 
     def keep_all(self, key: str, payload: bytes) -> None:
         """Accepts one payload behind all unread ones."""
         with self._filled:
-            self.dropped += len(self._queue) == _LONGEST_QUEUE
-            self._queue.append((key, payload, monotonic()))
+            self.dropped += len(self._queue) == self._queue.maxlen
+            self._queue.append((key, payload, self._clock()))
             self._filled.notify()
 
     def take(self, timeout: float) -> list[Received | Refused]:
@@ -74,17 +76,17 @@ class Inbox:
                 self._filled.wait(timeout)
             waiting = [(key, payload, at) for key, (payload, at) in self._latest.items()]
             waiting += self._queue
-            self._latest, self._queue = {}, deque(maxlen=_LONGEST_QUEUE)
+            self._latest, self._queue = {}, deque(maxlen=self._queue.maxlen)
         waiting.sort(key=lambda entry: entry[2])
         return [_opened(key, payload, at) for key, payload, at in waiting]
 
 
 def _opened(key: str, payload: bytes, at: float) -> Received | Refused:
-    _, robot, topic = topic_of(key)
     try:
+        _, robot, topic = topic_of(key)
         return Received(topic, robot, decode(topic.message, payload), payload, key, at)
-    except MessageError as error:
-        return Refused(topic, robot, str(error))
+    except InputError as error:
+        return Refused(key, str(error))
 
 
 class Bus:
@@ -101,9 +103,16 @@ class Bus:
         key = key_of(self.fleet, robot, topic, service)
         self._transport.put(key, encode(message), never_drop=topic.delivery == "all")
 
-    def inbox(self, topics: tuple[Topic, ...], robot: str = "*", *, keep_all: bool = False) -> Inbox:
+    def inbox(
+        self,
+        topics: tuple[Topic, ...],
+        robot: str = "*",
+        *,
+        keep_all: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> Inbox:
         """Subscribes to topics of one robot or, with ``*``, of every robot; ``keep_all`` drops nothing of any."""
-        inbox = Inbox()
+        inbox = Inbox(clock)
         for topic in topics:
             accept = inbox.keep_all if keep_all or topic.delivery == "all" else inbox.keep_latest
             self._transport.subscribe(key_of(self.fleet, robot, topic, "*"), accept)
@@ -118,20 +127,29 @@ class Bus:
         keys = self._transport.alive(f"safedpa/{self.fleet}/{robot}/alive/{service}/*")
         return [key.rsplit("/", 1)[1] for key in keys]
 
-    def claim(self, robot: str, service: str, instance: str) -> None:
+    def claim(self, robot: str, service: str, instance: str, settle_seconds: float = 1.0) -> None:
         """Announces the only instance of a service.
 
-        Raises BusError when another one lives under the same name; of two that start at once the lower instance stays.
+        Of two that start at once the lower instance stays: it waits up to ``settle_seconds`` for the other one to
+        leave, and leaves itself when that one was there first and stays. Raises BusError when another one lives under
+        the same name; the caller then closes the bus.
         """
-        others = [other for other in self.instances(robot, service) if other != instance]
+        others = self._others(robot, service, instance)
         if not others:
             self.announce(robot, service, instance)
-            others = [other for other in self.instances(robot, service) if other < instance]
+            others = self._others(robot, service, instance)
+            give_up = time.monotonic() + settle_seconds
+            while others and instance < min(others) and time.monotonic() < give_up:
+                time.sleep(_CLAIM_POLL_SECONDS)
+                others = self._others(robot, service, instance)
         if others:
             raise BusError(
                 f"{service} '{robot}' of fleet '{self.fleet}' lives already (instance {others[0]}); "
                 "choose another name, or end the other one first"
             )
+
+    def _others(self, robot: str, service: str, instance: str) -> list[str]:
+        return [other for other in self.instances(robot, service) if other != instance]
 
     def close(self) -> None:
         """Leaves the bus."""

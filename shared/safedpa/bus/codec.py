@@ -13,10 +13,13 @@ from safedpa.bus.messages import Message
 from safedpa.bus.topics import TOPICS
 from safedpa.errors import MessageError
 
-__all__ = ["LARGEST_MESSAGE_BYTES", "decode", "encode"]
+__all__ = ["LARGEST_MESSAGE_BYTES", "LARGEST_NUMBER", "decode", "encode"]
 
 LARGEST_MESSAGE_BYTES = 65536
 """A message is a few hundred bytes; anything beyond this is refused before it is parsed."""
+
+LARGEST_NUMBER = 1e12
+"""No quantity of these robots comes near it, and with numbers below it no equation of a model overflows."""
 
 _M = TypeVar("_M", bound=Message)
 _Check = Callable[[str, Any], Any]
@@ -32,7 +35,7 @@ def decode(kind: type[_M], payload: bytes) -> _M:
     """The message in a payload.
 
     Raises MessageError naming the field when the payload is too large, no msgpack map, lacks a field, has one of the
-    wrong type, or holds NaN or infinity. Unknown fields are ignored.
+    wrong type, or holds NaN, infinity or a number that nothing measures. Unknown fields are ignored.
     """
     if len(payload) > LARGEST_MESSAGE_BYTES:
         raise MessageError(f"{kind.__name__}: got {len(payload)} bytes, wanted at most {LARGEST_MESSAGE_BYTES}")
@@ -52,17 +55,24 @@ def decode(kind: type[_M], payload: bytes) -> _M:
 
 
 def _integer(name: str, value: Any) -> int:
-    if type(value) is not int:
-        raise MessageError(f"{name}: got {_short(value)}, wanted a whole number")
+    if type(value) is not int or value < 0:
+        raise MessageError(f"{name}: got {_short(value)}, wanted a whole number from 0")
     return value
 
 
 def _float(name: str, value: Any) -> float:
-    if type(value) is float and math.isfinite(value):
-        return value
-    if type(value) is int:
-        return float(value)
-    raise MessageError(f"{name}: got {_short(value)}, wanted a finite number")
+    if type(value) not in (float, int) or not math.isfinite(value):
+        raise MessageError(f"{name}: got {_short(value)}, wanted a finite number")
+    if abs(value) > LARGEST_NUMBER:
+        raise MessageError(f"{name}: got {_short(value)}, wanted at most {LARGEST_NUMBER:g} in size")
+    return float(value)
+
+
+def _positive(name: str, value: Any) -> float:
+    number = _float(name, value)
+    if number <= 0.0:
+        raise MessageError(f"{name}: got {_short(value)}, wanted a number above 0")
+    return number
 
 
 def _boolean(name: str, value: Any) -> bool:
@@ -94,6 +104,7 @@ def _short(value: Any) -> str:
 _CHECKS: dict[str, _Check] = {
     "int": _integer,
     "float": _float,
+    "Positive": _positive,
     "bool": _boolean,
     "str": _string,
     "Vector": _tuple_of(_float),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from safedpa.bus.transport import AbstractTransport, OnSample
+from safedpa.errors import BusError
 
 __all__ = ["MemoryBroker", "MemoryTransport"]
 
@@ -23,9 +24,12 @@ class MemoryTransport(AbstractTransport):
 
     def __init__(self, broker: MemoryBroker) -> None:
         self._broker = broker
+        self._closed = False
 
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
         del never_drop
+        if self._closed:
+            raise BusError(f"{key}: the bus was closed; open another one to send")
         for _, expression, on_sample in tuple(self._broker.subscribers):
             if _matches(expression, key):
                 on_sample(key, payload)
@@ -40,6 +44,7 @@ class MemoryTransport(AbstractTransport):
         return sorted(key for _, key in self._broker.tokens if _matches(key_expression, key))
 
     def close(self) -> None:  # noqa: D102
+        self._closed = True
         self._broker.subscribers = [entry for entry in self._broker.subscribers if entry[0] is not self]
         self._broker.tokens = [entry for entry in self._broker.tokens if entry[0] is not self]
 

@@ -21,6 +21,8 @@ __all__ = [
 
 Vector = tuple[float, ...]
 Rows = tuple[tuple[float, ...], ...]
+Positive = float
+"""Refused on receipt when it is 0 or below."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +50,7 @@ class StateMessage(Message):
     """(actions,) the action in force over the period that ended now."""
     applied_by: str
     """Who chose it: ``filter``, ``watchdog`` (the robot braked by itself) or ``none`` (first tick)."""
-    period: float
+    period: Positive
     """s between two ticks."""
     lockstep: bool
     """True when the robot waits for the action of this tick, however long it takes."""

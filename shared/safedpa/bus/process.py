@@ -8,6 +8,7 @@ supervisor ends when the supervisor does, however that ended, because its standa
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import signal
 import sys
@@ -81,7 +82,7 @@ def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argpars
     try:
         code = work(options, stop)
     except SafedpaError as error:
-        sys.stderr.write(f"{parser.prog}: {error}\n")
+        sys.stderr.write(f"{parser.prog}: {' '.join(str(error).split())}\n")
         code = EXIT_BAD_INPUT
     _leave(code)
 
@@ -93,11 +94,13 @@ def _watch_supervisor(stop: Stop) -> None:
 
 
 def _end_at_once(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    traceback.print_exception(kind, error, trace)
+    with contextlib.suppress(OSError, ValueError):  # the supervisor may be gone, and our standard error with it
+        traceback.print_exception(kind, error, trace)
     _leave(EXIT_CRASHED)
 
 
 def _leave(code: int) -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, broken, or never there
+            stream.flush()
     os._exit(code)  # threads of the network library would delay or prevent an ordinary end

@@ -17,6 +17,7 @@ from safedpa.bus.bus import Bus, Received, Refused
 from safedpa.bus.messages import HealthMessage, Message, StateMessage
 from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
 from safedpa.bus.topics import HEALTH, STATE, Topic
+from safedpa.errors import InputError
 
 __all__ = ["NO_ROBOT", "ServiceLoop"]
 
@@ -37,6 +38,9 @@ class _Slot:
 
     state: StateMessage
     arrived: float
+    """s; when the state of this tick came first: from here the share of the period counts."""
+    heard: float
+    """s; when the robot spoke last, be it a repetition."""
     inputs: dict[Topic, Message] = field(default_factory=dict)
     outputs: Outputs | None = None
     """Of the state's tick; None while the step is due."""
@@ -48,6 +52,7 @@ class _Counts:
     stale: int = 0
     refused: int = 0
     microseconds: float = 0.0
+    failing: bool = False
     detail: str = ""
 
 
@@ -60,7 +65,7 @@ class ServiceLoop:
         self._node = node
         self._bus = bus
         self._clock = clock
-        self._inbox = bus.inbox((STATE, *node.inputs), robot)
+        self._inbox = bus.inbox((STATE, *node.inputs), robot, clock=clock)
         self._slots: dict[str, _Slot] = {}
         self._counts = _Counts()
         self._next_heartbeat = clock()
@@ -103,19 +108,20 @@ class ServiceLoop:
         slot = self._slots.get(item.robot)
         if slot is None or self._is_new_epoch(slot, state, item.at):
             self._node.forget(item.robot)
-            self._slots[item.robot] = _Slot(state, item.at)
+            self._slots[item.robot] = _Slot(state, item.at, item.at)
         elif state.epoch != slot.state.epoch:
             self._refuse(f"a second robot speaks as '{item.robot}'")
         elif state.tick < slot.state.tick:
             self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}")
         elif state.tick > slot.state.tick:
-            slot.state, slot.arrived, slot.outputs = state, item.at, None
-        elif slot.outputs is not None:
-            slot.arrived = item.at  # the robot still waits: something on the way was lost or started late
-            self._publish(item.robot, slot.outputs)
+            slot.state, slot.arrived, slot.heard, slot.outputs = state, item.at, item.at, None
+        else:
+            slot.heard = item.at
+            if slot.outputs is not None:  # the robot still waits: something on the way was lost or started late
+                self._publish(item.robot, slot.outputs)
 
     def _is_new_epoch(self, slot: _Slot, state: StateMessage, at: float) -> bool:
-        return state.epoch != slot.state.epoch and at - slot.arrived > max(_SILENCE_SECONDS, 3.0 * slot.state.period)
+        return state.epoch != slot.state.epoch and at - slot.heard > max(_SILENCE_SECONDS, 3.0 * slot.state.period)
 
     def _take_input(self, item: Received) -> None:
         slot = self._slots.get(item.robot)
@@ -133,7 +139,14 @@ class ServiceLoop:
     def _step(self, robot: str, slot: _Slot) -> None:
         inputs = self._inputs(slot)
         started = time.perf_counter()
-        slot.outputs = self._node.step(robot, slot.state, inputs)
+        try:
+            slot.outputs = self._node.step(robot, slot.state, inputs)
+        except InputError as error:  # what one robot says must not end the service of the others
+            slot.outputs = {}
+            self._counts.failing = True
+            self._refuse(str(error))
+            return
+        self._counts.failing = False
         self._counts.microseconds = 1e6 * (time.perf_counter() - started)
         self._counts.steps += 1
         late = [item.sentence for item in inputs.values() if isinstance(item, Stale)]
@@ -142,15 +155,7 @@ class ServiceLoop:
         self._publish(robot, slot.outputs)
 
     def _inputs(self, slot: _Slot) -> Inputs:
-        found: dict[Topic, Message | Stale] = {}
-        for topic in self._node.inputs:
-            message = slot.inputs.get(topic)
-            if message is not None and _fits(message, slot.state):
-                found[topic] = message
-            else:
-                known = message is not None and message.epoch == slot.state.epoch
-                found[topic] = Stale(topic, slot.state.tick - message.tick if message and known else None)
-        return found
+        return {topic: _usable(topic, slot.inputs.get(topic), slot.state) for topic in self._node.inputs}
 
     def _publish(self, robot: str, outputs: Outputs) -> None:
         for topic, message in outputs.items():
@@ -158,7 +163,7 @@ class ServiceLoop:
 
     def _forget_silent(self) -> None:
         oldest = self._clock() - _FORGET_SECONDS
-        for robot in [robot for robot, slot in self._slots.items() if slot.arrived < oldest]:
+        for robot in [robot for robot, slot in self._slots.items() if slot.heard < oldest]:
             self._node.forget(robot)
             del self._slots[robot]
 
@@ -177,7 +182,7 @@ class ServiceLoop:
                 publish_time=time.time(),
                 service=self._node.name,
                 pid=os.getpid(),
-                state="running" if slot else "ready",
+                state="failing" if counts.failing else "running" if slot else "ready",
                 detail=counts.detail,
                 steps=counts.steps,
                 stale=counts.stale,
@@ -189,3 +194,11 @@ class ServiceLoop:
 
 def _fits(message: Message | None, state: StateMessage) -> bool:
     return message is not None and message.epoch == state.epoch and message.tick == state.tick
+
+
+def _usable(topic: Topic, message: Message | None, state: StateMessage) -> Message | Stale:
+    """The message, unless it is of another epoch, of a later tick, or older than the topic allows."""
+    if message is None or message.epoch != state.epoch:
+        return Stale(topic, None)
+    age = state.tick - message.tick
+    return message if 0 <= age <= topic.largest_age_ticks else Stale(topic, max(age, 0))

@@ -54,23 +54,33 @@ def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
 
     ``*`` as robot or service means every one. Raises InputError for names that the bus cannot carry.
     """
-    for name in (fleet, robot, service):
-        if name != "*" and (set(name) & set("/*$#?") or name.startswith("@")):
-            raise InputError(f"name '{name}': got one of / * $ # ? @, wanted letters, digits, '-', '_' or '.'")
-    if not fleet or not robot:
-        raise InputError("fleet and robot: got an empty name, wanted letters, digits, '-', '_' or '.'")
+    names = (fleet, robot, service) if topic is HEALTH else (fleet, robot)
+    for name in names:
+        if name != "*":
+            _check_name(name)
     key = f"safedpa/{fleet}/{robot}/{topic.name}"
     return f"{key}/{service}" if topic is HEALTH else key
 
 
-def topic_of(key: str) -> tuple[str, str, Topic]:
-    """(fleet, robot, topic) of a key.
+def _check_name(name: str) -> None:
+    if not name or set(name) & set("/*$#?") or name.startswith("@"):
+        raise InputError(f"name '{name}': got nothing, or one of / * $ # ? @; wanted letters, digits, '-', '_' or '.'")
 
-    Raises InputError when the key is not one of this project's.
+
+def topic_of(key: str) -> tuple[str, str, Topic]:
+    """(fleet, robot, topic) of a key under which a message was sent.
+
+    Raises InputError when the key is not one of this project's, or names more than one robot: whoever sends under a
+    wildcard speaks for nobody.
     """
     parts = key.split("/")
-    if len(parts) < 4 or parts[0] != "safedpa":
+    if len(parts) not in (4, 5) or parts[0] != "safedpa":
         raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/TOPIC")
     if parts[3] not in TOPICS:
         raise InputError(f"key '{key}': {did_you_mean(parts[3], TOPICS)}")
-    return parts[1], parts[2], TOPICS[parts[3]]
+    topic = TOPICS[parts[3]]
+    if (len(parts) == 5) is not (topic is HEALTH):
+        raise InputError(f"key '{key}': wanted a service behind 'health', and behind nothing else")
+    for name in (parts[1], parts[2], *parts[4:]):
+        _check_name(name)
+    return parts[1], parts[2], topic

@@ -8,7 +8,7 @@ from collections.abc import Callable
 __all__ = ["AbstractTransport", "OnSample"]
 
 OnSample = Callable[[str, bytes], None]
-"""Called with key and payload, on any thread; must return at once."""
+"""Called with key and payload, on any thread; must return at once and raise nothing."""
 
 
 class AbstractTransport(ABC):
@@ -16,7 +16,10 @@ class AbstractTransport(ABC):
 
     @abstractmethod
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:
-        """Sends at once and never blocks for long; ``never_drop`` prefers completeness over age."""
+        """Sends at once and never blocks for long; ``never_drop`` prefers completeness over age.
+
+        Raises BusError after ``close``.
+        """
 
     @abstractmethod
     def subscribe(self, key_expression: str, on_sample: OnSample) -> None:

@@ -9,6 +9,7 @@ callbacks that only append to a queue; no shared memory; sends that drop rather 
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
@@ -64,23 +65,28 @@ class ZenohTransport(AbstractTransport):
         import zenoh
 
         configuration = zenoh.Config()
-        for path, value in settings.configuration().items():
-            configuration.insert_json5(path, json.dumps(value))
         try:
+            for path, value in settings.configuration().items():
+                configuration.insert_json5(path, json.dumps(value))
             self._session = zenoh.open(configuration)
         except zenoh.ZError as error:
             raise BusError(
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
-                f"({error}); check the endpoints and whether a router runs there"
+                f"({_first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._declared: list[Any] = []
 
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
-        publisher = self._publishers.get(key)
-        if publisher is None:
-            publisher = self._publishers[key] = self._publisher(key, never_drop)
-        publisher.put(payload)
+        import zenoh
+
+        try:
+            publisher = self._publishers.get(key)
+            if publisher is None:
+                publisher = self._publishers[key] = self._publisher(key, never_drop)
+            publisher.put(payload)
+        except zenoh.ZError as error:
+            raise BusError(f"{key}: could not be sent ({_first_clause(error)}); was the bus closed?") from error
 
     def _publisher(self, key: str, never_drop: bool) -> zenoh.Publisher:
         import zenoh
@@ -99,8 +105,12 @@ class ZenohTransport(AbstractTransport):
         import zenoh
 
         def received(sample: zenoh.Sample) -> None:
-            if sample.kind == zenoh.SampleKind.PUT:
+            if sample.kind != zenoh.SampleKind.PUT:
+                return
+            try:
                 on_sample(str(sample.key_expr), sample.payload.to_bytes())
+            except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, deaf
+                sys.excepthook(type(error), error, error.__traceback__)
 
         handler: Any = zenoh.handlers.Callback(received, indirect=False)
         self._declared.append(self._session.declare_subscriber(key_expression, handler))
@@ -115,3 +125,8 @@ class ZenohTransport(AbstractTransport):
     def close(self) -> None:  # noqa: D102
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _first_clause(error: Exception) -> str:
+    """What Zenoh says, on one line, without the places in its own sources."""
+    return " ".join(str(error).split(" at /")[0].split())

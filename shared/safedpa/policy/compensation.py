@@ -27,14 +27,14 @@ class SpeedCompensation:
     """Replaces the target speed of a wish by the one that has the wished effect under the latent."""
 
     def __init__(self, model: PhysicsModel) -> None:
-        self._model = model
+        self.model = model
         self._speed = model.system.state_names.index("speed")
         self._target = model.system.action_names.index("target_speed")
 
     def compensated(self, state: Values, wish: Values, latent: Values) -> Values:
         """The wish (actions,) with another target speed [m/s], for state (states,) and latent (latents,)."""
-        nominal = self._model.step(state, wish)[self._speed]
-        f, g = self._model.affine(state, latent, around=wish)
+        nominal = self.model.step(state, wish)[self._speed]
+        f, g = self.model.affine(state, latent, around=wish)
         hold = g[self._speed, self._target]
         changed = wish.copy()
         if hold > _WEAKEST:

@@ -18,6 +18,7 @@ from safedpa.bus import (
     WishMessage,
 )
 from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.errors import MessageError
 from safedpa.policy.compensation import SpeedCompensation
 from safedpa.policy.goal_seeker import GoalSeeker, GoalSeekerSettings
 
@@ -40,10 +41,12 @@ class PolicyNode(AbstractNode):
         self._seekers: dict[str, GoalSeeker] = {}
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
+        if len(state.values) != 4 or len(state.goal) != 2:
+            raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
         seeker = self._seekers.setdefault(robot, GoalSeeker(self._settings))
         values = seeker.wish(state.robot_time, state.values, state.goal)
         latent = inputs[LATENT]
-        if isinstance(latent, LatentMessage) and latent.model == self._fingerprint:
+        if isinstance(latent, LatentMessage) and latent.model == self._fingerprint and self._fits(state, latent):
             values = self._compensated(state, values, latent)
         message = WishMessage(
             epoch=state.epoch,
@@ -54,6 +57,11 @@ class PolicyNode(AbstractNode):
             controller=f"goal_seeker:{seeker.mode}",
         )
         return {WISH: message}
+
+    def _fits(self, state: StateMessage, latent: LatentMessage) -> bool:
+        """Whether the model can be asked: the latent has its length, and the state can be believed."""
+        model = self._compensation.model
+        return len(latent.values) == len(model.latent_names) and model.system.is_plausible(np.array(state.values))
 
     def _compensated(
         self, state: StateMessage, wish: tuple[float, float], latent: LatentMessage

@@ -69,6 +69,10 @@ class System:
         """Upper plausible bounds of the state, shape (states,)."""
         return np.array([variable.high for variable in self.state])
 
+    def is_plausible(self, state: NDArray[np.float64]) -> bool:
+        """Whether a measured state (states,) is finite and within the bounds outside which none is believed."""
+        return bool(np.all(np.isfinite(state)) and np.all(self.state_low <= state) and np.all(state <= self.state_high))
+
     def difference(self, later: NDArray[np.float64], earlier: NDArray[np.float64]) -> NDArray[np.float64]:
         """later - earlier, shape (..., states), with angles taken the short way round, in [-pi, pi)."""
         change = np.asarray(later - earlier, dtype=np.float64)
