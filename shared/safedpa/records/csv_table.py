@@ -48,21 +48,28 @@ def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
 
 
 def _header(path: Path) -> tuple[list[str], str]:
-    with path.open("rb") as file:
-        line = file.readline(_LONGEST_HEADER)
     try:
-        text = line.decode("utf-8-sig").strip()
+        text = _first_line(path).decode("utf-8-sig").strip()
     except UnicodeDecodeError as error:
         raise RunError(f"{path}: the first line is no text; wanted a CSV file with a header line") from error
     if not text:
         raise RunError(f"{path}: the first line is empty; wanted a header line with the columns' names")
     delimiter = max(_DELIMITERS, key=text.count)
-    return next(csv.reader([text], delimiter=delimiter)), delimiter
+    try:
+        return next(csv.reader([text], delimiter=delimiter)), delimiter
+    except csv.Error as error:
+        raise RunError(f"{path}: the first line cannot be read ({error}); wanted the columns' names") from error
+
+
+def _first_line(path: Path) -> bytes:
+    """Up to the first line end of any kind."""
+    with path.open("rb") as file:
+        return file.readline(_LONGEST_HEADER).splitlines()[0]
 
 
 def _has_rows(path: Path) -> bool:
     with path.open("rb") as file:
-        file.readline()
+        file.seek(len(_first_line(path)))
         return any(line.strip() for line in file)
 
 

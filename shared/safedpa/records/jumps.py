@@ -54,19 +54,19 @@ def _jumps(
         if hold_rows(part) > 1.0:
             at = np.append(0, change_rows(part))
         steps = np.abs(np.diff(part[at]))
-        if not np.any(steps > floor):
-            continue
+        large = np.flatnonzero(steps > floor)
         times = np.diff(t[stretch.start : stretch.stop][at])
-        jumps = np.flatnonzero(steps > floor + _TIMES_MEDIAN * _usual_rate(steps / times) * times)
+        usual = _TIMES_MEDIAN * _usual_rate(steps / times, large) * times[large]
+        jumps = large[steps[large] > floor + usual]
         found.append(at[jumps + 1] + stretch.start)
         largest = max(largest, float(steps[jumps].max(initial=0.0)))
     return np.concatenate(found) if found else np.empty(0, dtype=np.intp), largest
 
 
-def _usual_rate(rates: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Median of each rate and its neighbours on either side, in blocks to bound the memory."""
-    if not len(rates):
-        return rates
+def _usual_rate(rates: NDArray[np.float64], rows: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Median of each rate and its neighbours on either side, at some rows, in blocks to bound the memory."""
+    if not len(rows):
+        return np.empty(0)
     padded = np.pad(rates, _NEIGHBOURS, mode="reflect" if len(rates) > _NEIGHBOURS else "edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
-    return np.concatenate([np.median(windows[k : k + _BLOCK], axis=1) for k in range(0, len(rates), _BLOCK)])
+    return np.concatenate([np.median(windows[rows[k : k + _BLOCK]], axis=1) for k in range(0, len(rows), _BLOCK)])

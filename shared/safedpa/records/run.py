@@ -42,9 +42,9 @@ class Run:
     """One recording, in SI units and radians, angles unwrapped.
 
     t (samples,) [s] grows strictly within each stretch; states (samples, states); actions (samples, actions), where the
-    action of a row holds until the next row. What was cut is not in the arrays any more; nothing may be carried across the
-    border of two stretches. Time is that of the source: seconds since 1970 where the log says so, so take differences in
-    float64.
+    action of a row holds until the next row. What was cut is not in the arrays any more; nothing may be carried across
+    the border of two stretches. Time is that of the source: seconds since 1970 where the log says so, so take
+    differences in float64.
     """
 
     name: str
