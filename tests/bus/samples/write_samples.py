@@ -1,0 +1,80 @@
+"""Writes one message of every topic, as version 1 puts it on the wire: ``python tests/bus/samples/write_samples.py``.
+
+Files of a version that was released are never written again; a new version gets new files beside them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from safedpa.bus import (
+    ActionMessage,
+    HealthMessage,
+    LatentMessage,
+    Message,
+    StateMessage,
+    VerdictMessage,
+    WishMessage,
+    encode,
+)
+
+VERSION = 1
+
+_STAMP = {"version": VERSION, "epoch": 8731, "tick": 412, "robot_time": 20.6, "publish_time": 1795000000.25}
+
+SAMPLES: dict[str, Message] = {
+    "state": StateMessage(
+        **_STAMP,
+        values=(0.5, -1.25, 0.75, 1.5),
+        applied=(1.4, -0.1),
+        applied_by="filter",
+        period=0.05,
+        lockstep=True,
+        goal=(2.0, 2.5),
+        obstacles=((1.0, 0.0, 0.3), (-1.0, 2.0, 0.25)),
+        field=(-4.0, 4.0, -4.0, 4.0),
+        footprint=(0.8, 0.4, 0.12),
+        load_pose=(0.1, -1.3, 0.7, 0.3, 0.2),
+        goals_reached=3,
+        collisions=1,
+    ),
+    "latent": LatentMessage(**_STAMP, model="0123456789ab", values=(0.4,), deviations=(0.05,)),
+    "wish": WishMessage(**_STAMP, values=(1.6, 0.2), controller="goal_seeker:seek"),
+    "action": ActionMessage(**_STAMP, values=(0.9, 0.3)),
+    "verdict": VerdictMessage(
+        **_STAMP,
+        status="corrected",
+        sentence="the wish was changed to keep the distance to obstacle 0",
+        action=(0.9, 0.3),
+        wish=(1.6, 0.2),
+        slack=0.01,
+        active=("obstacle_0", "field"),
+        h_now=0.4,
+        h_next=0.35,
+        margin=0.02,
+        solver="PIQP_SOLVED",
+        microseconds=42.5,
+        predicted=((0.55, -1.2, 0.76, 1.45), (0.6, -1.15, 0.77, 1.4)),
+    ),
+    "health": HealthMessage(
+        **_STAMP,
+        service="policy",
+        pid=4711,
+        state="running",
+        detail="the latent is 2 ticks old",
+        steps=412,
+        stale=2,
+        refused=1,
+        step_microseconds=31.5,
+    ),
+}
+
+
+def main() -> None:
+    """Writes the files of this version beside this script."""
+    for name, message in SAMPLES.items():
+        Path(__file__).with_name(f"{name}.v{VERSION}.msgpack").write_bytes(encode(message))
+
+
+if __name__ == "__main__":
+    main()

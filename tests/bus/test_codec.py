@@ -1,0 +1,140 @@
+"""Messages survive the wire unchanged, and nothing else gets through."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from safedpa.bus import TOPICS, Message, decode, encode
+from safedpa.bus.codec import LARGEST_MESSAGE_BYTES, LARGEST_NUMBER
+from safedpa.errors import MessageError
+
+SAMPLES = Path(__file__).parent / "samples"
+
+numbers = some.floats(-LARGEST_NUMBER, LARGEST_NUMBER)
+vectors = some.lists(numbers, max_size=8).map(tuple)
+BY_TYPE: dict[str, some.SearchStrategy[Any]] = {
+    "int": some.integers(0, 2**63),
+    "float": numbers,
+    "Positive": some.floats(1e-6, LARGEST_NUMBER),
+    "bool": some.booleans(),
+    "str": some.text(max_size=40),
+    "Vector": vectors,
+    "Rows": some.lists(vectors, max_size=4).map(tuple),
+    "tuple[str, ...]": some.lists(some.text(max_size=10), max_size=4).map(tuple),
+}
+WRONG: dict[str, list[Any]] = {
+    "int": [None, "1", 1.0, True, -1, [1]],
+    "float": [None, "1.0", True, math.nan, math.inf, -math.inf, 1e300, [1.0]],
+    "Positive": [None, 0.0, -0.05, 0, math.nan, math.inf, True],
+    "bool": [None, 0, 1, "true"],
+    "str": [None, 1, b"bytes", ["text"]],
+    "Vector": [None, 1.0, "12", {"0": 1.0}, [math.nan], [0.0, math.inf], ["1"], [True], [[1.0]], [None], [1e13]],
+    "Rows": [None, 1.0, [1.0], [[math.nan]], [[0.0], 1.0], [["1"]]],
+    "tuple[str, ...]": [None, "text", [1], [None], [b"x"]],
+}
+KINDS = [topic.message for topic in TOPICS.values()]
+FIELDS = [(kind, field) for kind in KINDS for field in dataclasses.fields(kind)]
+
+
+def messages(kind: type[Message]) -> some.SearchStrategy[Message]:
+    return some.builds(kind, **{field.name: BY_TYPE[str(field.type)] for field in dataclasses.fields(kind)})
+
+
+def table_of(message: Message) -> dict[str, Any]:
+    return {field.name: getattr(message, field.name) for field in dataclasses.fields(message)}
+
+
+@given(some.one_of([messages(kind) for kind in KINDS]))
+def test_every_message_comes_back_as_it_was_sent(message: Message) -> None:
+    assert decode(type(message), encode(message)) == message
+
+
+@given(some.binary(max_size=300), some.sampled_from(KINDS))
+def test_random_bytes_are_refused(payload: bytes, kind: type[Message]) -> None:
+    with pytest.raises(MessageError, match=kind.__name__):
+        decode(kind, payload)
+
+
+@given(some.data(), some.sampled_from(KINDS))
+def test_a_flipped_byte_is_refused_or_yields_a_message(data: some.DataObject, kind: type[Message]) -> None:
+    payload = bytearray(encode(data.draw(messages(kind))))
+    payload[data.draw(some.integers(0, len(payload) - 1))] ^= data.draw(some.integers(1, 255))
+    try:
+        message = decode(kind, bytes(payload))
+    except MessageError:
+        return
+    assert decode(kind, encode(message)) == message
+
+
+@pytest.mark.parametrize(("kind", "field"), FIELDS, ids=lambda item: getattr(item, "name", None) or item.__name__)
+def test_wrong_values_are_refused_by_the_name_of_the_field(
+    kind: type[Message], field: dataclasses.Field[Any], samples: dict[str, Message]
+) -> None:
+    good = table_of(next(message for message in samples.values() if type(message) is kind))
+    for wrong in WRONG[str(field.type)]:
+        payload = msgpack.packb({**good, field.name: wrong})
+        with pytest.raises(MessageError, match=rf"{kind.__name__}\.{field.name}: got"):
+            decode(kind, payload)
+
+
+@pytest.mark.parametrize(("kind", "field"), FIELDS, ids=lambda item: getattr(item, "name", None) or item.__name__)
+def test_a_missing_field_is_refused_unless_it_has_a_default(
+    kind: type[Message], field: dataclasses.Field[Any], samples: dict[str, Message]
+) -> None:
+    table = table_of(next(message for message in samples.values() if type(message) is kind))
+    del table[field.name]
+    if field.default is dataclasses.MISSING:
+        with pytest.raises(MessageError, match=rf"{kind.__name__}\.{field.name}: missing"):
+            decode(kind, msgpack.packb(table))
+    else:
+        assert getattr(decode(kind, msgpack.packb(table)), field.name) == field.default
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"", "no msgpack"),
+        (b"\xc1", "no msgpack"),
+        (msgpack.packb([1, 2, 3]), "wanted a map"),
+        (msgpack.packb(None), "wanted a map"),
+        (msgpack.packb({1: 2}), "no msgpack"),
+        (b"\x81\xa1\xff\x01", "no msgpack"),
+        (b"\x91" * 5000, "no msgpack"),
+        (b"\0" * (LARGEST_MESSAGE_BYTES + 1), "wanted at most"),
+    ],
+)
+def test_what_is_no_map_of_fields_is_refused(kind: type[Message], payload: bytes, reason: str) -> None:
+    with pytest.raises(MessageError, match=reason):
+        decode(kind, payload)
+
+
+def test_fields_that_a_newer_program_added_are_ignored(samples: dict[str, Message]) -> None:
+    for message in samples.values():
+        payload = msgpack.packb({**table_of(message), "added_later": [1, {"any": "thing"}]})
+        assert decode(type(message), payload) == message
+
+
+def test_whole_numbers_count_as_numbers(samples: dict[str, Message]) -> None:
+    payload = msgpack.packb({**table_of(samples["action"]), "values": [1, 0]})
+    values = decode(TOPICS["action"].message, payload).values  # type: ignore[attr-defined]
+    assert values == (1.0, 0.0)
+    assert all(type(value) is float for value in values)
+
+
+@pytest.mark.parametrize("path", sorted(SAMPLES.glob("*.v1.msgpack")), ids=lambda path: path.stem)
+def test_messages_of_version_1_are_understood_for_ever(path: Path, samples: dict[str, Message]) -> None:
+    name = path.name.split(".")[0]
+    assert decode(TOPICS[name].message, path.read_bytes()) == samples[name]
+
+
+def test_there_is_a_stored_sample_of_every_topic() -> None:
+    assert {path.name.split(".")[0] for path in SAMPLES.glob("*.v1.msgpack")} == set(TOPICS)

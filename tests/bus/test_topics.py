@@ -1,0 +1,100 @@
+"""The table of topics agrees with itself and with the nodes."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from collections import Counter
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+import safedpa
+from safedpa.bus import HEALTH, STATE, TOPICS, AbstractNode, Message, Topic, key_of, topic_of
+from safedpa.bus.topics import Delivery
+from safedpa.errors import InputError
+
+names = some.text("abcdefghijklmnopqrstuvwxyzABC0123456789_-.", min_size=1, max_size=12)
+
+
+def nodes() -> list[type[AbstractNode]]:
+    for info in pkgutil.walk_packages(safedpa.__path__, "safedpa."):
+        if info.name.endswith(".node"):
+            importlib.import_module(info.name)
+    return [node for node in AbstractNode.__subclasses__() if node.__module__.startswith("safedpa.")]
+
+
+@given(names, names, some.sampled_from(list(TOPICS.values())), names)
+def test_keys_round_trip(fleet: str, robot: str, topic: Topic, service: str) -> None:
+    assert topic_of(key_of(fleet, robot, topic, service)) == (fleet, robot, topic)
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a*", "**", "$*", "a#b", "a?b", "@a"])
+def test_names_that_the_bus_cannot_carry_are_refused(name: str) -> None:
+    for arguments in ((name, "r", STATE), ("f", name, STATE), ("f", "r", HEALTH, name)):
+        with pytest.raises(InputError, match="name"):
+            key_of(*arguments)
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "safedpa/f/*/state",
+        "safedpa/**",
+        "safedpa/*/r/state",
+        "safedpa/f/r/health/*",
+        "safedpa/f/r",
+        "safedpa/f/r/state/more",
+        "safedpa/f/r/health",
+        "safedpa/f//state",
+        "other/f/r/state",
+        "safedpa/f/r/stat",
+        "",
+    ],
+)
+def test_keys_that_name_no_single_sender_are_refused(key: str) -> None:
+    with pytest.raises(InputError, match="key|name"):
+        topic_of(key)
+
+
+def test_a_misspelt_topic_is_answered_with_the_nearest() -> None:
+    with pytest.raises(InputError, match="did you mean 'state'"):
+        topic_of("safedpa/f/r/stat")
+
+
+def test_the_table_is_sound() -> None:
+    for name, topic in TOPICS.items():
+        assert topic.name == name
+        assert issubclass(topic.message, Message)
+        assert topic.delivery in get_args(Delivery)
+        assert topic.largest_age_ticks >= 0
+    kinds = Counter(topic.message for topic in TOPICS.values())
+    assert max(kinds.values()) == 1, "a message type tells its topic"
+
+
+def test_every_input_of_every_node_has_exactly_one_producer() -> None:
+    produced = Counter(topic for node in nodes() for topic in node.outputs)
+    for node in nodes():
+        for topic in node.inputs:
+            assert produced[topic] == 1, f"{node.name} reads {topic.name}"
+
+
+def test_nodes_write_what_the_table_says() -> None:
+    assert {node.name for node in nodes()} >= {"adaptation", "policy", "safety_filter"}
+    for node in nodes():
+        assert not inspect.isabstract(node)
+        assert 0.0 <= node.share < 1.0
+        for topic in node.outputs:
+            assert topic.writer == node.name
+    written = {topic for node in nodes() for topic in node.outputs}
+    assert {topic for topic in TOPICS.values() if topic not in written} == {STATE, HEALTH}
+
+
+def test_whoever_reads_an_output_runs_later_in_the_period() -> None:
+    for node in nodes():
+        for topic in node.inputs:
+            writer = next(other for other in nodes() if topic in other.outputs)
+            assert writer.share < node.share, f"{node.name} may give up on {topic.name} before it is due"
