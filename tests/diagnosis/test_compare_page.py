@@ -81,11 +81,12 @@ def test_compare_prints_one_document(files, tmp_path, capsys):
     document = json.loads(shown.out)
     assert document == json.loads((tmp_path / "new" / "folder" / "compare.json").read_text())
     assert {
-        "format", "robot", "effects", "horizon", "windows", "summary", "error", "per_state", "scale", "naive",
+        "format", "robot", "effects", "parameters", "horizon", "windows", "summary", "error", "per_state", "scale", "naive",
         "horizons", "where", "explained", "place", "runs", "data_quality",
     } == set(document)  # fmt: skip
     assert document["robot"] == "car"
     assert document["horizon"] == 0.8
+    assert document["parameters"] == {"base.wheelbase": 0.3, "base.drive_gain": 3.0}
     assert document["per_state"].keys() == {"x", "y", "yaw", "speed"}
     assert document["error"] == pytest.approx(np.mean(list(document["per_state"].values())))
     assert document["naive"].keys() == {"no_change", "constant_velocity"}

@@ -158,3 +158,16 @@ def test_predictions_without_bound_are_infinite_errors_not_warnings(plain, with_
     run = drive(plain, 10.0)
     error = rollout_error(model, windows_of([run], 3.0))
     assert not np.isfinite(error.value) or error.value > 1.0
+
+
+def test_remembered_commands_are_those_of_the_same_parameters(plain, with_effect, drive):
+    """The same windows under many models, in turn and more than are kept, give what fresh windows give."""
+    run = drive(plain, 8.0)
+    windows = windows_of([run], 0.5)
+    delays = [0.02 * index for index in range(20)]
+    for delay in (*delays, *delays[:5], 0.0):
+        model = with_effect(with_effect(plain, "actuator_delay", seconds=delay), "steering_lag", time_constant=0.1)
+        fresh = windows_of([run], 0.5)
+        np.testing.assert_array_equal(rollout(model, windows.select(np.arange(4))), rollout(model, fresh)[:, :4])
+        np.testing.assert_array_equal(rollout(model, windows), rollout(model, fresh))
+    assert len(windows.memo) <= 16

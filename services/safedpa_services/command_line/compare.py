@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,14 +56,14 @@ def command(
     from safedpa.diagnosis.summary import as_json
     from safedpa.dynamics import load_model
     from safedpa.effects import load_effects
+    from safedpa_services.progress import progress
 
     if effects is not None:
         load_effects(effects)
     loaded = load_model(model)
     writable(out, create=True)
-    with _progress(len(runs) + 2) as advance:
-        comparison = _compared(loaded, runs, columns, horizon, advance)
-        advance("writing the page")
+    with progress("comparing") as tell:
+        comparison = _compared(loaded, runs, columns, horizon, tell)
         page, _ = write_comparison(comparison, out, Path(model).stem)
     if as_document:
         click.echo(json.dumps(as_json(comparison), allow_nan=False))
@@ -75,36 +72,18 @@ def command(
 
 
 def _compared(
-    model: PhysicsModel, runs: tuple[str, ...], columns: str | None, horizon: float, advance: Callable[[str], None]
+    model: PhysicsModel, runs: tuple[str, ...], columns: str | None, horizon: float, tell: Callable[[int, int], None]
 ) -> Comparison:
     from safedpa.diagnosis.comparison import compare_model, with_distinct_names
     from safedpa.records import load_column_map, load_run
 
     mapping = load_column_map(columns) if columns else None
     recorded = []
-    for path in runs:
-        advance(f"reading {Path(path).name}")
+    for number, path in enumerate(runs):
+        tell(number, len(runs) + 1)
         recorded.append(load_run(path, model.system, mapping))
-    advance("predicting")
+    tell(len(runs), len(runs) + 1)
     return compare_model(model, with_distinct_names(recorded, runs), horizon)
-
-
-@contextmanager
-def _progress(steps: int) -> Iterator[Callable[[str], None]]:
-    """A bar on standard error when that is a terminal; yields what announces the next step."""
-    if not sys.stderr.isatty():
-        yield lambda text: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=steps)
-
-        def advance(text: str) -> None:
-            bar.update(task, description=text, advance=1)
-
-        yield advance
 
 
 def _show(comparison: Comparison, page: Path) -> None:

@@ -111,6 +111,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
         "format": 1,
         "robot": windows.system.name,
         "effects": [item.name for item in comparison.model.effects],
+        "parameters": {path: setting.value for path, setting in comparison.model.settings.items()},
         "horizon": comparison.horizon,
         "windows": len(windows),
         "summary": [where_sentence(comparison), state_sentence(comparison), naive_sentence(comparison)],

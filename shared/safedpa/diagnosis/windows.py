@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,8 @@ class Windows:
     """First row of the window's stretch."""
     run: Rows
     """Index of the window's run in ``names``."""
+    memo: dict[Any, dict[str, Floats]] = field(default_factory=dict, repr=False, compare=False)
+    """What actuators make of the table's actions, by commands and their parameters; shared by every selection."""
 
     def __len__(self) -> int:
         return len(self.start)
