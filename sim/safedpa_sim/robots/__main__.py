@@ -6,12 +6,12 @@ import argparse
 import json
 import secrets
 import sys
-import uuid
 from pathlib import Path
 
 from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
 from safedpa.errors import InputError
 from safedpa_sim.robots.account import account_of, check_writable, write_account
+from safedpa_sim.robots.claim import claim_name
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
@@ -44,7 +44,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     if options.summary is not None:
         check_writable(options.summary)
     with bus_from(options) as bus:
-        bus.claim(options.name, "robot", uuid.uuid4().hex[:12])
+        claim_name(bus, options.name)
         loop = RobotLoop(robot, bus, options.name)
         code = 0
         try:

@@ -37,7 +37,7 @@ LOADS: dict[str, Load] = {
     for load in (
         Load("box", mass_ratio=0.4, deceleration=2.5, grip=6.0, side=0.25),
         Load("chair", mass_ratio=0.8, deceleration=1.5, grip=6.0, side=0.35),
-        Load("large_chair", mass_ratio=1.3, deceleration=3.0, grip=6.0, side=0.45),
+        Load("large_chair", mass_ratio=1.3, deceleration=1.6, grip=6.0, side=0.45),
     )
 }
 """Every load by name; ``none`` stands for driving without one."""

@@ -1,0 +1,182 @@
+"""The robot on an in-memory bus: lockstep, real time, refusals, heartbeats, braking at the end."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import pytest
+
+from safedpa.bus import ACTION, HEALTH, STATE, ActionMessage, Bus, HealthMessage, MemoryBroker, MemoryTransport
+from safedpa.bus.codec import decode
+from safedpa.bus.messages import StateMessage
+from safedpa.errors import BusError
+from safedpa_sim.robots import CarRobot, Scene
+from safedpa_sim.robots.account import account_of, percentile
+from safedpa_sim.robots.claim import claim_name
+from safedpa_sim.robots.loop import NoActionError, RobotLoop
+
+Answer = Callable[[StateMessage], ActionMessage | bytes | None]
+
+
+def action(state: StateMessage, values: tuple[float, ...] = (1.0, 0.1), **other: int) -> ActionMessage:
+    stamp = {"epoch": state.epoch, "tick": state.tick, **other}
+    return ActionMessage(robot_time=0.0, publish_time=0.0, values=values, **stamp)
+
+
+class Fleet:
+    """A robot, and a filter that answers each state at once with whatever ``answer`` says."""
+
+    def __init__(self, answer: Answer, *, lockstep: bool = True, period: float = 0.05, patience: float = 60.0) -> None:
+        broker = MemoryBroker()
+        self.states: list[StateMessage] = []
+        self.health: list[HealthMessage] = []
+        self.answer = answer
+        self.filter = MemoryTransport(broker)
+        self.filter.subscribe("safedpa/test/r1/state", self.on_state)
+        self.filter.subscribe(
+            f"safedpa/test/r1/{HEALTH.name}/robot",
+            lambda _, payload: self.health.append(decode(HealthMessage, payload)),
+        )
+        self.sender = Bus(self.filter, "test")
+        self.robot = CarRobot(Scene.random(1), period, lockstep, epoch=9)
+        self.loop = RobotLoop(self.robot, Bus(MemoryTransport(broker), "test"), "r1", patience=patience)
+
+    def on_state(self, _: str, payload: bytes) -> None:
+        state = decode(STATE.message, payload)
+        assert isinstance(state, StateMessage)
+        self.states.append(state)
+        answered = self.answer(state)
+        if isinstance(answered, bytes):
+            self.filter.put("safedpa/test/r1/action", answered, never_drop=False)
+        elif answered is not None:
+            self.sender.publish(ACTION, "r1", answered)
+
+
+def never() -> bool:
+    return False
+
+
+def after(calls: int) -> Callable[[], bool]:
+    counter = itertools.count()
+    return lambda: next(counter) >= calls
+
+
+def test_lockstep_takes_one_action_a_tick_and_repeats_bit_for_bit():
+    hashes = set()
+    for _ in range(2):
+        fleet = Fleet(action)
+        fleet.loop.run(never, 50)
+        assert [state.tick for state in fleet.states] == list(range(50))
+        assert fleet.robot.watchdog_ticks == 0
+        assert fleet.states[-1].applied_by == "filter"
+        assert len(fleet.loop.latencies) == 50
+        hashes.add(fleet.robot.trajectory_hash)
+    assert len(hashes) == 1
+
+
+def test_lockstep_repeats_an_unanswered_state():
+    asked = itertools.count()
+    fleet = Fleet(lambda state: action(state) if next(asked) >= 2 else None)
+    fleet.loop.run(never, 1)
+    assert [state.tick for state in fleet.states] == [0, 0, 0]
+    assert fleet.robot.tick == 1
+
+
+def test_lockstep_gives_up_with_the_reason():
+    fleet = Fleet(lambda state: action(state, (9.0, 0.0)), patience=0.15)
+    with pytest.raises(NoActionError, match=r"tick 0 .*out of range.*safety_filter"):
+        fleet.loop.run(never, 5)
+    assert fleet.robot.tick == 0
+
+
+def test_lockstep_can_be_stopped_while_it_waits():
+    fleet = Fleet(lambda _: None)
+    fleet.loop.run(after(2), 0)
+    assert fleet.robot.tick == 0
+
+
+def test_real_time_brakes_in_each_period_without_an_action():
+    fleet = Fleet(lambda state: action(state) if state.tick % 2 else None, lockstep=False, period=0.01)
+    fleet.loop.run(never, 20)
+    assert fleet.robot.tick == 20
+    assert fleet.robot.watchdog_ticks == 10
+    assert [state.applied_by for state in fleet.states[1:5]] == ["watchdog", "filter", "watchdog", "filter"]
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (lambda state: action(state, tick=max(0, state.tick - 1)) if state.tick else None, "late"),
+        (lambda state: action(state, tick=state.tick + 1), "from the future"),
+        (lambda state: action(state, epoch=8), "wrong epoch"),
+        (lambda state: action(state, (1.0,)), "wrong length"),
+        (lambda state: action(state, (1.0, 0.5)), "out of range"),
+        (lambda _: b"\xc1", "malformed"),
+        (lambda _: b"", "malformed"),
+    ],
+)
+def test_what_the_robot_refuses_is_counted_and_braked_for(answer, reason):
+    fleet = Fleet(answer, lockstep=False, period=0.005)
+    fleet.loop.run(never, 6)
+    assert fleet.robot.watchdog_ticks == 6
+    assert set(fleet.robot.guard.refusals) == {reason}
+    assert fleet.robot.guard.refusals[reason] >= 5
+    assert account_of(fleet.robot, [], 0, "test")["refusals"] == dict(fleet.robot.guard.refusals)
+
+
+def test_it_brakes_to_a_standstill_before_it_ends_whatever_the_filter_says():
+    fleet = Fleet(lambda state: action(state, (1.5, 0.0)))
+    fleet.loop.run(never, 12)
+    assert fleet.robot.values[3] > 1.0
+    fleet.loop.brake(publish=True)
+    assert abs(fleet.robot.values[3]) <= 0.01
+    assert fleet.states[-1].applied_by == "watchdog"
+    assert fleet.health[-1].state == "braked"
+
+
+def test_heartbeats_come_from_the_turning_loop():
+    fleet = Fleet(action, lockstep=False, period=0.02)
+    fleet.loop.run(never, 30)
+    assert 2 <= len(fleet.health) <= 4
+    assert fleet.health[-1].service == "robot"
+    assert fleet.health[-1].steps > fleet.health[0].steps
+
+
+def test_a_loop_that_was_held_up_counts_it_and_does_not_hurry():
+    now = itertools.count(0.0, 0.02)  # every look at the clock takes two periods
+    fleet = Fleet(action, lockstep=False, period=0.01)
+    fleet.loop._clock = lambda: next(now)
+    fleet.loop.run(never, 5)
+    assert fleet.loop.overruns == 5
+    assert fleet.robot.tick == 5
+
+
+def test_percentiles_are_entries_in_microseconds():
+    latencies = [index * 1e-3 for index in range(1, 101)]
+    assert percentile(latencies, 0.5) == pytest.approx(50e3)
+    assert percentile(latencies, 0.99) == pytest.approx(99e3)
+    assert percentile([2e-3], 0.99) == pytest.approx(2e3)
+    assert percentile([], 0.5) is None
+
+
+def test_a_name_under_which_a_robot_speaks_or_lives_is_refused():
+    broker = MemoryBroker()
+    living, newcomer = Bus(MemoryTransport(broker), "test"), Bus(MemoryTransport(broker), "test")
+    claim_name(living, "r1")
+    with pytest.raises(BusError, match="lives already"):
+        claim_name(newcomer, "r1")
+    claim_name(newcomer, "r2")
+
+
+def test_a_robot_that_speaks_without_being_announced_is_heard():
+    broker = MemoryBroker()
+    speaker, newcomer = Bus(MemoryTransport(broker), "test"), Bus(MemoryTransport(broker), "test")
+    times = itertools.count(0.0, 0.1)
+
+    def clock() -> float:
+        speaker.publish(STATE, "r1", CarRobot(Scene.random(0)).state_message())
+        return next(times)
+
+    with pytest.raises(BusError, match="lives already"):
+        claim_name(newcomer, "r1", clock)

@@ -1,0 +1,134 @@
+"""The robot as a person starts it: a real process on a real bus."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from safedpa.bus import ACTION, STATE, ActionMessage, Bus, Received, StateMessage, ZenohSettings, ZenohTransport
+
+pytestmark = pytest.mark.processes
+
+ROBOT = (sys.executable, "-m", "safedpa_sim.robots")
+
+
+@pytest.fixture
+def bus(free_endpoint):
+    with Bus(ZenohTransport(ZenohSettings(listen=(free_endpoint,))), "test") as opened:
+        yield opened
+
+
+@pytest.fixture
+def free_endpoint():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def start(free_endpoint):
+    """Starts a robot with some options; whatever still runs after the test is killed."""
+    started: list[subprocess.Popen[str]] = []
+
+    def starter(*options: str) -> subprocess.Popen[str]:
+        command = (*ROBOT, "--fleet", "test", "--connect", free_endpoint, *options)
+        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        return started[-1]
+
+    yield starter
+    for robot in started:
+        if robot.poll() is None:
+            robot.kill()
+            robot.communicate()
+
+
+def answer(bus: Bus, robot: subprocess.Popen[str], ticks: int) -> list[StateMessage]:
+    """Drives the robot for some ticks; returns the states heard."""
+    inbox, states = bus.inbox((STATE,), "r1"), []
+    for _ in range(600):
+        for item in inbox.take(0.1):
+            assert isinstance(item, Received)
+            state = item.message
+            assert isinstance(state, StateMessage)
+            states.append(state)
+            message = ActionMessage(
+                epoch=state.epoch, tick=state.tick, robot_time=0.0, publish_time=0.0, values=(1.2, 0.05)
+            )
+            bus.publish(ACTION, "r1", message)
+            if state.tick >= ticks - 1:
+                return states
+        assert robot.poll() is None, robot.communicate()
+    raise AssertionError("the robot did not come so far")
+
+
+def test_a_lockstep_run_ends_with_an_account_and_repeats(bus, start, tmp_path):
+    hashes = set()
+    for run in range(2):
+        path = tmp_path / f"{run}.json"
+        robot = start("--lockstep", "--seconds", "2", "--seed", "3", "--summary", str(path))
+        answer(bus, robot, 40)
+        output, errors = robot.communicate(timeout=20)
+        assert (robot.returncode, errors) == (0, "")
+        account = json.loads(path.read_text())
+        assert account == json.loads(output)
+        assert (account["ticks"], account["watchdog_ticks"], account["end"]) == (40, 0, "time is over")
+        assert 0.0 < account["latency_us"]["p50"] <= account["latency_us"]["p99"]
+        hashes.add(account["trajectory_sha256"])
+    assert len(hashes) == 1
+
+
+def test_sigterm_brakes_first(bus, start):
+    robot = start("--rate", "50")
+    states = answer(bus, robot, 30)
+    assert states[-1].values[3] > 0.5
+    inbox = bus.inbox((STATE,), "r1")
+    robot.send_signal(signal.SIGTERM)
+    output, errors = robot.communicate(timeout=20)
+    assert (robot.returncode, errors) == (0, "")
+    account = json.loads(output)
+    assert account["end"] == "SIGTERM"
+    assert account["watchdog_ticks"] > 3
+    (last,) = [item.message for item in inbox.take(1.0) if isinstance(item, Received)]
+    assert isinstance(last, StateMessage)
+    assert abs(last.values[3]) < 0.2
+
+
+def test_a_second_robot_of_the_same_name_is_refused_in_one_line(bus, start):
+    first = start()
+    answer(bus, first, 1)
+    second = start()
+    output, errors = second.communicate(timeout=20)
+    assert (second.returncode, output) == (2, "")
+    assert errors.count("\n") == 1
+    assert "'r1' of fleet 'test' lives already" in errors
+    assert first.poll() is None
+
+
+def test_of_two_robots_that_start_at_once_one_stays(bus, start):
+    pair = [start("--seconds", "2"), start("--seconds", "2")]
+    outcomes = [robot.communicate(timeout=20) for robot in pair]
+    assert sorted(robot.returncode for robot in pair) == [0, 2], outcomes
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("--rate", "0"), ("--seconds", "-1"), ("--seconds", "nan"), ("--seed", "-3"), ("--name", "a/b")],
+)
+def test_bad_options_are_one_line_and_exit_code_two(options, start, bus):
+    robot = start(*options)
+    output, errors = robot.communicate(timeout=20)
+    assert (robot.returncode, output) == (2, "")
+    assert errors.count("\n") == 1
+
+
+def test_a_summary_that_cannot_be_written_is_refused_at_the_start(tmp_path: Path, start, bus):
+    robot = start("--summary", str(tmp_path / "nowhere" / "a.json"))
+    _, errors = robot.communicate(timeout=20)
+    assert robot.returncode == 2
+    assert "--summary" in errors
