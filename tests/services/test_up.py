@@ -45,7 +45,7 @@ def test_lockstep_repeats_bit_for_bit_and_is_safe(tmp_path: Path) -> None:
     options = ("--robot", "car", "--load", "box", "--seconds", "12", "--lockstep", "--seed", "1")
     first, _ = up(tmp_path, *options)
     second, _ = up(tmp_path, *options)
-    assert first["trajectory"] == second["trajectory"]
+    assert first["trajectory_sha256"] == second["trajectory_sha256"]
     assert first["ticks"] == 240
     assert first["collisions"] == 0
     assert first["goals_reached"] >= 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from safedpa.bus.process import Stop, bus_from, run_process
@@ -12,6 +13,7 @@ from safedpa_services.serving import service_parser
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Records until ``stop``; returns 0, or 1 when the recording broke off."""
+    os.nice(10)  # the loop comes first; what arrives meanwhile waits in the queue
     with bus_from(options) as bus:
         return Recorder(bus, Path(options.out), options.robot).run(stop)
 

@@ -1,0 +1,1 @@
+"""Experiments: what the product shows, measured by a command, with seeds."""
