@@ -12,6 +12,7 @@ Torch is imported only when a torch tensor comes in.
 
 from __future__ import annotations
 
+import cmath
 import math
 import sys
 from collections.abc import Callable
@@ -21,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["FLOATS", "NUMPY", "Operations", "Scalar", "operations_for", "torch_operations"]
+__all__ = ["COMPLEX", "FLOATS", "NUMPY", "Operations", "Scalar", "operations_for", "torch_operations"]
 
 Scalar = Any
 """A Python float, a numpy array or a torch tensor, all entries of which mean the same quantity."""
@@ -63,6 +64,25 @@ FLOATS = Operations(
     clip=lambda value, low, high: low if value < low else high if value > high else value,
     where=lambda condition, yes, no: yes if condition else no,
 )
+
+COMPLEX = Operations(
+    sin=cmath.sin,
+    cos=cmath.cos,
+    tan=cmath.tan,
+    atan=cmath.atan,
+    tanh=cmath.tanh,
+    exp=cmath.exp,
+    sqrt=cmath.sqrt,
+    absolute=lambda value: value if value.real > 0.0 else -value if value.real < 0.0 else 0.0 * value,
+    sign=lambda value: float((value.real > 0) - (value.real < 0)),
+    minimum=lambda first, second: second if second.real < first.real else first,
+    maximum=lambda first, second: second if second.real > first.real else first,
+    clip=lambda value, low, high: (
+        low if value.real <= low.real else high if value.real >= high.real else value  # slope on a bound: the bound's
+    ),
+    where=lambda condition, yes, no: yes if condition else no,
+)
+"""Real functions with an infinitesimal imaginary part, which carries the slope; order is that of the real parts."""
 
 NUMPY = Operations(
     sin=np.sin,

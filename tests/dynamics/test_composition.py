@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.dynamics import KinematicBicycle, PhysicsModel, RigidPendulum, Setting, load_model
-from safedpa.effects import effect
+from safedpa.effects import Context, Parameter, RateEffect, Stage, effect
 from safedpa.errors import ModelFileError
 
 
@@ -175,6 +175,43 @@ def test_a_settled_memory_stays_settled() -> None:
     after, kept = model.advance(STATES[0], action, memory)
     assert kept == pytest.approx(memory)
     np.testing.assert_array_equal(after, model.step(STATES[0], action))
+
+
+class _OwnDrag(RateEffect):
+    """A user's effect that calls abs() and compares: neither takes complex numbers."""
+
+    name = "own_drag"
+    robot = "car"
+    stage = Stage.RESISTANCE
+    equation = "d(speed)/dt -= coefficient |speed| speed"
+    parameters = (Parameter("coefficient", "1/m", 0.0, 2.0, 0.1),)
+    signature = "as quadratic_drag"
+    source = "a test"
+
+    def modify(self, rates: Any, parameters: Any, context: Context) -> Any:
+        speed = context.state["speed"]
+        drag = context.operations.where(speed > 0.0, parameters["coefficient"] * abs(speed) * speed, 0.0)
+        return {**rates, "speed": rates["speed"] - drag}
+
+
+def test_slopes_of_somebody_else_s_effect_are_right_too() -> None:
+    state, around = np.array([0.0, 0.0, 0.2, 3.0]), np.array([3.5, 0.1])
+    values = {"coefficient": Setting(0.5)}
+    own = load_model("car").with_effect(_OwnDrag(), values).affine(state, around=around)
+    shipped = load_model("car").with_effect(effect("car", "quadratic_drag"), values).affine(state, around=around)
+    for one, other in zip(own, shipped, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-8)
+
+
+def test_one_period_per_row_of_a_batch() -> None:
+    values = {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(5.0)}
+    model = PhysicsModel(KinematicBicycle("throttle"), (), values)
+    model = model.with_effect(effect("car", "rolling_resistance"), {"deceleration": Setting(0.4)})
+    periods = np.array([0.01, 0.05, 0.1])
+    after, _ = model.advance(STATES, ACTIONS, (), period=periods)  # type: ignore[arg-type]
+    for row, period in enumerate(periods):
+        one, _ = model.advance(STATES[row], ACTIONS[row], (), period=float(period))
+        np.testing.assert_allclose(after[row], one, atol=1e-12)
 
 
 def test_numbers_beyond_range_come_out_as_no_numbers() -> None:

@@ -14,7 +14,7 @@ from safedpa.dynamics.columns import columns, common_operations, is_torch, joine
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
 from safedpa.dynamics.runge_kutta import runge_kutta
 from safedpa.dynamics.settings import Setting, check_effects, check_settings
-from safedpa.dynamics.tangent import batched_difference, forward_mode, single_difference
+from safedpa.dynamics.tangent import batched_difference, forward_mode, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
@@ -129,15 +129,15 @@ class PhysicsModel(AbstractDynamics):
         if memory is None:
             memory = self._settled(dict(zip(names, columns(around, state), strict=True)))
 
-        def entries(action: Sequence[Scalar]) -> list[Scalar]:
+        def entries(action: Sequence[Scalar], operations: Operations) -> list[Scalar]:
             named = dict(zip(names, action, strict=True))
             return self._advance(true, named, memory, values, self.period, time, operations)[0]
 
         if operations is FLOATS:
-            return single_difference(entries, around.tolist(), self._ranges)
+            return single_tangent(entries, around.tolist(), self._ranges, self._takes_complex)
 
         def step(action: Array) -> Array:
-            return joined(entries(columns(action, state)), operations)
+            return joined(entries(columns(action, state), operations), operations)
 
         if is_torch(state):
             around = like(state, around) if isinstance(around, np.ndarray) else around
@@ -235,6 +235,11 @@ class PhysicsModel(AbstractDynamics):
             owner, name = path.split(".")
             owners.setdefault(owner, []).append((name, index))
         return owners
+
+    @cached_property
+    def _takes_complex(self) -> bool:
+        """Whether all equations are the project's own: a user's may call abs(), which drops an imaginary part."""
+        return all(type(part).__module__.startswith("safedpa.") for part in (self.base, *self.effects))
 
     @cached_property
     def _middle(self) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
-"""The tangent of a step at an action: (f, g) with step(a) = f + g a, by three roads for three kinds of numbers."""
+"""The tangent of a step at an action: (f, g) with step(a) = f + g a, by the road that fits the numbers."""
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -11,18 +12,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.dynamics import Array
+from safedpa.operations import COMPLEX, FLOATS, Operations
 
-__all__ = ["batched_difference", "forward_mode", "single_difference"]
+__all__ = ["batched_difference", "forward_mode", "single_tangent"]
 
 _NUDGE = 1e-5
 """Share of an actuator's range by which the action is moved for a central difference. The error grows with its square
 (curvature: 1e-10) and with its inverse (rounding: 1e-16 of a position, 1e-10 at 10 m)."""
 
+_IMAGINARY = 1e-30
+"""Imaginary part of a nudged action: its square vanishes beside every real part, so the slope is exact."""
 
-def single_difference(
+
+def single_tangent(
+    step: Callable[[Sequence[Any], Operations], Sequence[Any]],
+    action: Sequence[float],
+    ranges: Sequence[float],
+    takes_complex: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """f (states,) and g (states, actions) for one robot: by complex steps where all equations take complex numbers."""
+    if takes_complex:
+        # Python's cmath refuses numbers that overflow; the differences answer them with NaN
+        with contextlib.suppress(ValueError, ArithmeticError):
+            return _complex_step(lambda nudged: step(nudged, COMPLEX), action)
+    return _difference(lambda nudged: step(nudged, FLOATS), action, ranges)
+
+
+def _complex_step(
+    step: Callable[[Sequence[Any]], Sequence[Any]], action: Sequence[float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """slope = Im step(action + i h) / h: exact tangents, one step per action.
+
+    Source: Squire and Trapp, Using complex variables to estimate derivatives of real functions, SIAM Review 40, 1998.
+    """
+    after = [
+        step([complex(value, _IMAGINARY) if index == nudged else value for index, value in enumerate(action)])
+        for nudged in range(len(action))
+    ]
+    g = [[entry.imag / _IMAGINARY for entry in row] for row in zip(*after, strict=True)]
+    return _intercept([entry.real for entry in after[0]], g, action), np.array(g)
+
+
+def _difference(
     step: Callable[[Sequence[float]], Sequence[float]], action: Sequence[float], ranges: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Central differences over plain floats: f (states,), g (states, actions); exact where the step is affine."""
+    """Central differences; exact where the step is affine, the mean of both sides at a kink."""
     slopes = []
     for index, width in enumerate(ranges):
         nudge = _NUDGE * width
@@ -30,11 +64,18 @@ def single_difference(
         up[index] += nudge
         down[index] -= nudge
         slopes.append([(high - low) / (2.0 * nudge) for high, low in zip(step(up), step(down), strict=True)])
-    f = [
-        value - sum(slope * felt for slope, felt in zip(row, action, strict=True))
-        for value, *row in zip(step(action), *slopes, strict=True)
-    ]
-    return np.array(f), np.array(slopes).T
+    g = list(zip(*slopes, strict=True))
+    return _intercept(step(action), g, action), np.array(g)
+
+
+def _intercept(value: Sequence[float], g: Sequence[Sequence[float]], action: Sequence[float]) -> NDArray[np.float64]:
+    """f = value - g action."""
+    return np.array(
+        [
+            entry - sum(slope * felt for slope, felt in zip(row, action, strict=True))
+            for entry, row in zip(value, g, strict=True)
+        ]
+    )
 
 
 def batched_difference(
