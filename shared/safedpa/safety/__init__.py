@@ -1,11 +1,15 @@
 """The safety filter: barriers, the quadratic program, the margin and the verdict."""
 
+from typing import TYPE_CHECKING, Any
+
 from safedpa.safety.barrier import AbstractBarrier, Barriers
 from safedpa.safety.braking import Braking
+from safedpa.safety.calibration import MarginCalibration, calibrate_margin, one_step_errors
 from safedpa.safety.car_barriers import car_barriers
 from safedpa.safety.field_barrier import FieldBarrier
 from safedpa.safety.function_barrier import FunctionBarrier
 from safedpa.safety.inputs import Plausible
+from safedpa.safety.margin import OnlineMargin, smallest_sample, split_conformal_margin
 from safedpa.safety.obstacle_barrier import Footprint, ObstacleBarrier
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram, Solution
@@ -13,6 +17,9 @@ from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.settings import FilterSettings, load_settings, parse_settings, save_settings, write_settings
 from safedpa.safety.speed_barrier import SpeedBarrier
 from safedpa.safety.verdict import Status, Verdict
+
+if TYPE_CHECKING:
+    from safedpa.safety.gymnasium_wrapper import GymnasiumSafetyFilter
 
 __all__ = [
     "AbstractBarrier",
@@ -22,7 +29,10 @@ __all__ = [
     "FilterSettings",
     "Footprint",
     "FunctionBarrier",
+    "GymnasiumSafetyFilter",
+    "MarginCalibration",
     "ObstacleBarrier",
+    "OnlineMargin",
     "Plausible",
     "Prediction",
     "QuadraticProgram",
@@ -31,9 +41,22 @@ __all__ = [
     "SpeedBarrier",
     "Status",
     "Verdict",
+    "calibrate_margin",
     "car_barriers",
     "load_settings",
+    "one_step_errors",
     "parse_settings",
     "save_settings",
+    "smallest_sample",
+    "split_conformal_margin",
     "write_settings",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """The gymnasium wrapper, imported when it is asked for: gymnasium is optional."""
+    if name == "GymnasiumSafetyFilter":
+        from safedpa.safety.gymnasium_wrapper import GymnasiumSafetyFilter
+
+        return GymnasiumSafetyFilter
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.barrier import Barriers
+from safedpa.safety.barrier import AbstractBarrier, Barriers
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.inputs import Plausible, Unusable, checked_input
 from safedpa.safety.prediction import Prediction
@@ -53,7 +53,7 @@ class Request:
     wish: Any
     latent: Any
     memory: Any
-    barriers: Barriers
+    barriers: Sequence[AbstractBarrier]
     epsilon: Mapping[str, float]
     stale: Sequence[str]
 
@@ -67,6 +67,8 @@ class Decision:
         self._start = tools.clock()
         self._problems = [f"{name} is stale" for name in request.stale]
         self._state = self._checked("state", request.state, tools.state_range)
+        if "state" in request.stale:
+            self._state = None
         self._wish = self._checked("wish", request.wish, tools.wish_range)
         wanted = tools.latent_range
         self._needs_latent = wanted is not None and len(wanted.names) > 0
@@ -81,11 +83,13 @@ class Decision:
             raise DecisionError("; ".join(self._problems))
         assert self._wish is not None
         conditions = self._posed()
-        asked = conditions.outcome(self._within(self._wish))
+        within = self._within(self._wish)
+        unclipped = bool((within == self._wish).all())
+        asked = conditions.outcome(self._wish if unclipped else within)  # bit for bit: -0.0 must not become 0.0
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
         if asked.violation <= self._tools.settings.slack_tolerance:
-            if (asked.action == self._wish).all():
+            if unclipped:
                 return self._verdict(Status.passed, asked, "", "not needed")
             return self._verdict(Status.corrected, asked, "The wish lay outside the actuator limits.", "not needed")
         return self._corrected(conditions, self._wish, asked)
@@ -114,15 +118,16 @@ class Decision:
         request, settings = self._request, self._tools.settings
         if self._state is None or (self._needs_latent and self._latent is None):
             raise DecisionError("state or latent unusable")
-        if len(request.barriers) == 0:
+        barriers = Barriers(request.barriers)
+        if len(barriers) == 0:
             raise DecisionError("there is no barrier to keep")
         margins = {**settings.epsilon, **request.epsilon}
-        epsilon = request.barriers.of_each(margins, margins.get("default", 0.0))
+        epsilon = barriers.of_each(margins, margins.get("default", 0.0))
         if not np.isfinite(epsilon).all() or (epsilon < 0.0).any():
             raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
         self._margin = float(epsilon.max())
         self._conditions = Conditions(
-            request.barriers,
+            barriers,
             self._tools.prediction,
             self._state,
             self._latent,
@@ -202,5 +207,5 @@ class Decision:
         binding = outcome.residual <= _BINDING * self._tools.settings.slack_tolerance
         if not binding.any():
             return ()
-        names = self._request.barriers.names
+        names = self._conditions.barriers.names if self._conditions is not None else ()
         return tuple(names[index] for index in np.argsort(outcome.residual, kind="stable") if binding[index])

@@ -37,7 +37,7 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> Values 
         return Unusable(f"{what} is missing")
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
+    except Exception:  # noqa: BLE001 - whatever an object raises when it is read, it is not a vector of numbers
         return Unusable(f"{what} does not consist of numbers")
     if array.ndim != 1 or (plausible is not None and len(array) != len(plausible.names)):
         wanted = "one axis" if plausible is None else f"({len(plausible.names)},)"

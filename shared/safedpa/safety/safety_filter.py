@@ -18,8 +18,8 @@ from typing import Any, final
 
 import numpy as np
 
-from safedpa.dynamics import AbstractDynamics
-from safedpa.safety.barrier import AbstractBarrier, Barriers
+from safedpa.dynamics import AbstractDynamics, PhysicsModel
+from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.decision import Backup, Decision, Request, Tools
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.prediction import Prediction
@@ -53,7 +53,7 @@ class SafetyFilter:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.settings = settings
-        self._barriers = Barriers(barriers)
+        self._barriers = tuple(barriers)
         low, high = settings.low, settings.high
         reach = settings.plausible_wish * (high - low)
         names = tuple(f"entry {index}" for index in range(len(low)))
@@ -79,19 +79,18 @@ class SafetyFilter:
         barriers: Sequence[AbstractBarrier] = (),
         backup: Backup | None = None,
     ) -> SafetyFilter:
-        """A filter that predicts with a model of this project and believes states within its system's bounds.
+        """A filter that predicts with a model of this project and believes what lies within its bounds.
 
         A model with a latent wants one in every ``decide``.
         """
         system = model.system
-        count = len(model.latent_names)
         return cls(
             Prediction.of_model(model),
             barriers,
             settings,
             backup=backup,
             state_range=Plausible(system.state_low, system.state_high, system.state_names),
-            latent_range=Plausible(np.full(count, -np.inf), np.full(count, np.inf), model.latent_names),
+            latent_range=_latent_range(model),
         )
 
     def decide(
@@ -110,7 +109,7 @@ class SafetyFilter:
         ``barriers`` replaces the filter's own for this call; ``epsilon`` overrides margins by kind; ``memory`` is what
         the model's actuators remember; ``stale`` names inputs that are too old: any of them brings the backup.
         """
-        scene = self._barriers if barriers is None else Barriers(barriers)
+        scene = self._barriers if barriers is None else barriers
         decision = Decision(self._tools, Request(state, wish, latent, memory, scene, epsilon or {}, stale))
         try:
             return decision.run()
@@ -118,3 +117,12 @@ class SafetyFilter:
             return decision.fallback(str(failure), failure.solver)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and the robot must still brake
             return decision.fallback(f"{type(error).__name__}: {error}", "not run")
+
+
+def _latent_range(model: AbstractDynamics) -> Plausible:
+    """The bounds of a physics model's free parameters; a learned latent has none."""
+    names = model.latent_names
+    if isinstance(model, PhysicsModel):
+        parameters = [model.parameters[name] for name in names]
+        return Plausible(np.array([p.low for p in parameters]), np.array([p.high for p in parameters]), names)
+    return Plausible(np.full(len(names), -np.inf), np.full(len(names), np.inf), names)

@@ -1,0 +1,165 @@
+"""Margins calibrated on recorded transitions, and the TOML file that keeps them with their origin."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from safedpa.dynamics import AbstractDynamics, PhysicsModel, fingerprint
+from safedpa.errors import InputError, did_you_mean
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.margin import smallest_sample, split_conformal_margin
+from safedpa.safety.prediction import Prediction
+
+__all__ = ["MarginCalibration", "calibrate_margin", "one_step_errors"]
+
+Values = NDArray[np.float64]
+Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
+"""The barriers, the same for all transitions or one scene for each transition's index."""
+
+_KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
+
+
+@final
+@dataclass(frozen=True)
+class MarginCalibration:
+    """Margins by kind of barrier, and where they come from. Raises InputError naming the key."""
+
+    epsilon: dict[str, float]
+    """By kind, >= 0, in the unit of h."""
+    coverage: float
+    """Probability with which no barrier of a kind falls short of its prediction by more than epsilon in one step."""
+    transitions: int
+    """How many were used."""
+    date: str
+    """ISO 8601."""
+    fingerprint: str
+    """Of the model whose errors these are."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.epsilon, dict) or not self.epsilon:
+            raise InputError(f"epsilon: got {self.epsilon!r}, wanted a table with a number for each kind of barrier")
+        for kind, value in self.epsilon.items():
+            _check_number(f"epsilon.{kind}", value, 0.0)
+        _check_number("coverage", self.coverage, 0.0)
+        if not 0.0 < self.coverage < 1.0:
+            raise InputError(f"coverage: got {self.coverage}, wanted more than 0 and less than 1")
+        _check_number("transitions", self.transitions, 1)
+        for name in ("date", "fingerprint"):
+            if not isinstance(getattr(self, name), str):
+                raise InputError(f"{name}: got {getattr(self, name)!r}, wanted a string")
+
+    def write(self) -> str:
+        """The TOML text that ``parse`` reads back."""
+        lines = [
+            "format = 1",
+            f"coverage = {self.coverage!r}",
+            f"transitions = {self.transitions}",
+            f'date = "{self.date}"',
+            f'fingerprint = "{self.fingerprint}"',
+            "",
+            "[epsilon]",
+            *(f'"{kind}" = {value!r}' for kind, value in self.epsilon.items()),
+        ]
+        return "\n".join(lines) + "\n"
+
+    @staticmethod
+    def parse(text: str) -> MarginCalibration:
+        """The calibration that a TOML text holds; raises InputError naming the key."""
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"not TOML: {error}") from error
+        for key in table:
+            if key not in _KEYS:
+                raise InputError(f"{key}: unknown key; {did_you_mean(key, _KEYS)}")
+        for key in _KEYS:
+            if key not in table:
+                raise InputError(f"{key}: missing; wanted the keys {', '.join(_KEYS)}")
+        if table.pop("format") != 1:
+            raise InputError("format: wanted 1; this program reads no other")
+        return MarginCalibration(**table)
+
+    def save(self, path: str | Path) -> None:
+        """Writes ``write`` to a file."""
+        Path(path).write_text(self.write(), encoding="utf-8")
+
+    @staticmethod
+    def load(path: str | Path) -> MarginCalibration:
+        """The calibration in a file; raises InputError naming the file and the key."""
+        try:
+            return MarginCalibration.parse(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, InputError) as error:
+            raise InputError(f"{path}: {error}") from error
+
+
+def calibrate_margin(
+    model: AbstractDynamics | Prediction,
+    barriers: Scene,
+    states: ArrayLike,
+    actions: ArrayLike,
+    next_states: ArrayLike,
+    latents: ArrayLike | None = None,
+    *,
+    coverage: float,
+    date: str,
+    model_fingerprint: str = "",
+) -> MarginCalibration:
+    """Margins from n transitions that were not used to fit the model: states (n, states), actions (n, actions), ...
+
+    One error for each transition and kind, the worst over the kind's barriers, so that the coverage holds for all of
+    them at once. Raises InputError when n is too small for the coverage, or shapes do not fit.
+    """
+    errors = one_step_errors(model, barriers, states, actions, next_states, latents)
+    count = len(next(iter(errors.values())))
+    if count < smallest_sample(coverage):
+        raise InputError(
+            f"transitions: got {count}, wanted at least {smallest_sample(coverage)} for a coverage of {coverage}; "
+            "record more or ask for less"
+        )
+    epsilon = {kind: max(0.0, split_conformal_margin(values, coverage)) for kind, values in errors.items()}
+    own = fingerprint(model) if isinstance(model, PhysicsModel) and not model_fingerprint else model_fingerprint
+    return MarginCalibration(epsilon, coverage, count, date, own)
+
+
+def one_step_errors(
+    model: AbstractDynamics | Prediction,
+    barriers: Scene,
+    states: ArrayLike,
+    actions: ArrayLike,
+    next_states: ArrayLike,
+    latents: ArrayLike | None = None,
+) -> dict[str, Values]:
+    """By kind (n,): max over the kind's barriers of h(predicted next state) - h(measured next state).
+
+    Kinds without a barrier in some scene have error 0 there. Raises InputError when shapes do not fit.
+    """
+    prediction = model if isinstance(model, Prediction) else Prediction.of_model(model)
+    x, a, following = (np.asarray(table, dtype=np.float64) for table in (states, actions, next_states))
+    z = None if latents is None else np.asarray(latents, dtype=np.float64)
+    if x.ndim != 2 or x.shape != following.shape or a.ndim != 2 or len(a) != len(x) or len(x) == 0:
+        raise InputError(f"transitions: got shapes {x.shape}, {a.shape}, {following.shape}, wanted n rows in each")
+    if z is not None and (z.ndim != 2 or len(z) != len(x)):
+        raise InputError(f"latents: got shape {z.shape}, wanted ({len(x)}, latents)")
+    errors: dict[str, Values] = {}
+    for row in range(len(x)):
+        expected = prediction.next_state(x[row], a[row], None if z is None else z[row], None)
+        for part in barriers(row) if callable(barriers) else barriers:
+            worst = (part.values(expected) - part.values(following[row])).max(initial=-np.inf)
+            kept = errors.setdefault(part.kind, np.full(len(x), -np.inf))
+            kept[row] = max(kept[row], worst)
+    if not errors:
+        raise InputError("barriers: got none, wanted at least one")
+    return {kind: np.where(np.isneginf(values), 0.0, values) for kind, values in errors.items()}
+
+
+def _check_number(name: str, value: Any, low: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value) or value < low:
+        raise InputError(f"{name}: got {value!r}, wanted a finite number >= {low:g}")

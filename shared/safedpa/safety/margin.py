@@ -1,0 +1,91 @@
+"""The margin epsilon from measured errors, with a stated coverage."""
+
+from __future__ import annotations
+
+from collections import deque
+from math import ceil, inf, isfinite
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from safedpa.errors import InputError
+
+__all__ = ["OnlineMargin", "smallest_sample", "split_conformal_margin"]
+
+_ROUNDING = 1e-9
+"""Keeps (n + 1) coverage from being rounded up when it is a whole number but for rounding errors."""
+
+
+def split_conformal_margin(errors: ArrayLike, coverage: float) -> float:
+    """The ceil((n + 1) coverage)-th smallest of n errors (n,): a new one does not exceed it with that probability.
+
+    An error is predicted h minus measured h one step later, positive where the model was over-optimistic. Holds for
+    exchangeable errors of any distribution; infinite when n is too small to say, see ``smallest_sample``. Source: Vovk
+    et al., Algorithmic Learning in a Random World, 2005. Raises InputError for a coverage outside (0, 1), errors that
+    are not finite or not one axis.
+    """
+    _check_coverage(coverage)
+    ordered = np.sort(np.asarray(errors, dtype=np.float64))
+    if ordered.ndim != 1 or not np.isfinite(ordered).all():
+        raise InputError(f"errors: got shape {ordered.shape} or NaN, wanted one axis of finite numbers")
+    rank = _rank(len(ordered), coverage)
+    return inf if rank > len(ordered) else float(ordered[rank - 1])
+
+
+def smallest_sample(coverage: float) -> int:
+    """The smallest n from which a finite margin of this coverage follows: ceil(coverage / (1 - coverage))."""
+    _check_coverage(coverage)
+    return max(1, ceil(coverage / (1.0 - coverage) - _ROUNDING))
+
+
+@final
+class OnlineMargin:
+    """Adaptive conformal inference: the margin widens while coverage is lost and falls back to the calibrated one.
+
+    With target alpha = 1 - coverage, alpha[t+1] = alpha[t] + rate (alpha - miss[t]), where miss[t] says that the error
+    exceeded the margin; the margin is the (1 - alpha[t])-quantile of the last ``window`` errors, never below the
+    calibrated margin. Where alpha[t] <= 0 the paper takes infinity, which would stop a robot for good: here it is twice
+    the largest error of the window. The share of misses over T steps then stays near alpha whatever the errors do.
+    Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, 2021. Raises InputError for numbers
+    out of range.
+    """
+
+    def __init__(self, calibrated: float, coverage: float, rate: float = 0.02, window: int = 200) -> None:
+        _check_coverage(coverage)
+        if not (isfinite(calibrated) and calibrated >= 0.0):
+            raise InputError(f"calibrated margin: got {calibrated}, wanted a finite number >= 0")
+        if not 0.0 < rate <= 1.0 or window < 1:
+            raise InputError(f"rate {rate}, window {window}: wanted 0 < rate <= 1 and window >= 1")
+        self.calibrated, self._target, self._rate = calibrated, 1.0 - coverage, rate
+        self._level = self._target
+        self._errors: deque[float] = deque(maxlen=window)
+        self.value = calibrated
+        """The margin in force."""
+
+    def update(self, error: float) -> float:
+        """The margin after one more error was seen; an error that is not finite counts as a miss and is not kept."""
+        missed = not error <= self.value
+        self._level += self._rate * (self._target - float(missed))
+        if isfinite(error):
+            self._errors.append(error)
+        self.value = max(self.calibrated, self._quantile())
+        return self.value
+
+    def _quantile(self) -> float:
+        if not self._errors:
+            return self.calibrated
+        largest = max(self._errors)
+        if self._level <= 0.0:
+            return 2.0 * largest
+        rank = _rank(len(self._errors), 1.0 - self._level)
+        return largest if rank > len(self._errors) else sorted(self._errors)[max(rank, 1) - 1]
+
+
+def _rank(count: int, coverage: float) -> int:
+    return ceil((count + 1) * coverage - _ROUNDING)
+
+
+def _check_coverage(coverage: float) -> None:
+    if not 0.0 < coverage < 1.0:
+        raise InputError(f"coverage: got {coverage}, wanted more than 0 and less than 1")

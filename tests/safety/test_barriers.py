@@ -1,0 +1,239 @@
+"""Barriers against finite differences, plain geometry, and the braking argument."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.errors import InputError
+from safedpa.safety import (
+    AbstractBarrier,
+    Barriers,
+    Braking,
+    FieldBarrier,
+    FunctionBarrier,
+    ObstacleBarrier,
+    SpeedBarrier,
+)
+
+FOOTPRINT = (0.08, 0.40, 0.12)
+BRAKING = Braking(2.0, 2.5)
+FIELD = (-4.0, 4.0, -3.0, 5.0)
+RANDOM = np.random.default_rng(3)
+OBSTACLES = np.column_stack([RANDOM.uniform(-3, 3, (32, 2)), RANDOM.uniform(0.1, 0.5, 32)])
+ALL = [
+    ObstacleBarrier(OBSTACLES, FOOTPRINT, BRAKING, 0.05),
+    FieldBarrier(FIELD, FOOTPRINT, BRAKING, 0.05),
+    SpeedBarrier(-0.8, 2.2),
+    FunctionBarrier(lambda x: [x[0] ** 2 - x[3], math.sin(x[2])], names=("a", "b")),
+]
+states = st.tuples(
+    st.floats(-3, 3), st.floats(-3, 3), st.floats(-7, 7), st.floats(-1, 3).filter(lambda v: abs(v) > 1e-4)
+).map(np.array)
+exact = settings(derandomize=True, deadline=None, database=None, max_examples=150)
+
+
+def swept_segment(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    heading = np.array([math.cos(state[2]), math.sin(state[2])])
+    stretch = BRAKING.distance(state[3])
+    ends = (-0.08 + min(stretch, 0.0), 0.40 + max(stretch, 0.0))
+    return state[:2] + ends[0] * heading, state[:2] + ends[1] * heading
+
+
+@exact
+@given(states)
+@pytest.mark.parametrize("barrier", ALL, ids=lambda barrier: type(barrier).__name__)
+def test_gradient_is_the_derivative(barrier: AbstractBarrier, state: np.ndarray) -> None:
+    h, gradient = barrier.evaluate(state)
+    np.testing.assert_array_equal(h, barrier.values(state))
+    assert gradient.shape == (len(barrier.names), 4)
+    for index in range(4):
+        step = np.zeros(4)
+        step[index] = 1e-6
+        up, down = barrier.values(state + step), barrier.values(state - step)
+        both = np.stack([(up - h) / 1e-6, (h - down) / 1e-6])
+        low, high = both.min(axis=0), both.max(axis=0)  # differ only at a kink: nearest point leaves an end
+        assert (gradient[:, index] >= low - 2e-4).all()
+        assert (gradient[:, index] <= high + 2e-4).all()
+
+
+@exact
+@given(states)
+def test_obstacle_height_is_the_distance_to_the_swept_segment(state: np.ndarray) -> None:
+    """Against a thousand points on the segment."""
+    rear, front = swept_segment(state)
+    points = rear + np.linspace(0.0, 1.0, 1001)[:, None] * (front - rear)
+    nearest = np.linalg.norm(points[None] - OBSTACLES[:, None, :2], axis=2).min(axis=1)
+    expected = nearest - OBSTACLES[:, 2] - 0.12 - 0.05
+    np.testing.assert_allclose(ALL[0].values(state), expected, atol=3e-4)
+
+
+@exact
+@given(states)
+def test_field_height_is_the_room_of_the_nearer_end(state: np.ndarray) -> None:
+    rear, front = swept_segment(state)
+    expected = []
+    for end in (front, rear):
+        expected += [end[0] + 4.0, 4.0 - end[0], end[1] + 3.0, 5.0 - end[1]]
+    np.testing.assert_allclose(ALL[1].values(state), np.array(expected) - 0.17, atol=1e-12)
+
+
+def test_field_names_say_wall_and_end() -> None:
+    assert FieldBarrier.names[0] == "left wall, front end"
+    assert FieldBarrier.names[7] == "upper wall, rear end"
+
+
+@exact
+@given(states, st.floats(1.0, 3.0), st.floats(1.0, 3.0))
+def test_braking_straight_never_lowers_h(state: np.ndarray, harder: float, quicker: float) -> None:
+    """A brake at least as good as guaranteed: the swept segment shrinks into itself.
+
+    For a wall that is the nearer end's business: the other end may come closer, up to where the nearer one was.
+    """
+    for barrier, ends in ((ALL[0], 1), (ALL[1], 2)):
+        before, current = barrier.values(state).reshape(ends, -1).min(axis=0), state.copy()
+        for _ in range(60):
+            size = min(BRAKING.gain * quicker * abs(current[3]), BRAKING.deceleration * harder)
+            speed = math.copysign(max(0.0, abs(current[3]) - 0.01 * size), current[3])
+            current[:2] += 0.01 * speed * np.array([math.cos(current[2]), math.sin(current[2])])
+            current[3] = speed
+            now = barrier.values(current).reshape(ends, -1).min(axis=0)
+            assert (now >= before - 1e-9).all()
+            before = now
+
+
+def test_standing_still_looks_both_ways() -> None:
+    """At speed 0 both ends count as stretched: driving off towards an obstacle is no surprise either way."""
+    ahead = ObstacleBarrier([(1.0, 0.0, 0.2), (-1.0, 0.0, 0.2)], FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
+    np.testing.assert_allclose(ahead[:, 3], [-0.4, 0.4])
+    walls = FieldBarrier(FIELD, FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
+    np.testing.assert_allclose(walls[:, 3], [0.4, -0.4, 0, 0, 0.4, -0.4, 0, 0])
+
+
+def test_only_the_end_in_driving_direction_is_stretched() -> None:
+    for speed, expected in ((1.0, [-0.5, 0.0]), (-1.0, [0.0, 0.5])):
+        barrier = ObstacleBarrier([(3.0, 0.0, 0.2), (-3.0, 0.0, 0.2)], FOOTPRINT, BRAKING)
+        np.testing.assert_allclose(barrier.evaluate(np.array([0, 0, 0, speed]))[1][:, 3], expected)
+
+
+def test_centre_on_the_segment_still_has_a_finite_gradient() -> None:
+    barrier = ObstacleBarrier([(0.2, 0.0, 0.3)], FOOTPRINT, BRAKING)
+    h, gradient = barrier.evaluate(np.zeros(4))
+    assert h[0] == pytest.approx(-0.42)
+    np.testing.assert_allclose(gradient[0], [0.0, -1.0, -0.2, 0.0])
+
+
+def test_centre_almost_on_the_segment_has_a_unit_gradient() -> None:
+    gradient = ObstacleBarrier([(0.2, 1e-9, 0.3)], FOOTPRINT, BRAKING).evaluate(np.zeros(4))[1]
+    assert np.linalg.norm(gradient[0, :2]) == pytest.approx(1.0)
+
+
+def test_no_obstacle_is_no_condition() -> None:
+    barrier = ObstacleBarrier([], FOOTPRINT, BRAKING)
+    h, gradient = barrier.evaluate(np.zeros(4))
+    assert h.shape == (0,)
+    assert gradient.shape == (0, 4)
+    assert barrier.names == ()
+
+
+def test_states_may_have_more_entries_than_the_four() -> None:
+    for barrier in ALL[:3]:
+        assert barrier.evaluate(np.array([0.1, 0.2, 0.3, 0.4, 9.0]))[1][:, 4].tolist() == [0.0] * len(barrier.names)
+
+
+def test_stack_keeps_order_names_and_margins() -> None:
+    parts = [ObstacleBarrier([(1, 1, 0.2), (2, 2, 0.2)], FOOTPRINT, BRAKING), SpeedBarrier(-1.0, 2.0)]
+    stack, state = Barriers(parts), np.array([0.0, 0.0, 0.0, 0.5])
+    assert len(stack) == 4
+    assert stack.names == ("obstacle 0", "obstacle 1", "highest speed", "lowest speed")
+    h, gradient = stack.evaluate(state)
+    np.testing.assert_array_equal(h, stack.values(state))
+    np.testing.assert_array_equal(h[2:], [1.5, 1.5])
+    np.testing.assert_array_equal(gradient[2:, 3], [-1.0, 1.0])
+    np.testing.assert_array_equal(stack.of_each({"speed": 0.3}, 0.1), [0.1, 0.1, 0.3, 0.3])
+
+
+def test_speed_barrier_of_another_entry() -> None:
+    h, gradient = SpeedBarrier(-2.0, 5.0, index=1).evaluate(np.array([7.0, 1.0]))
+    np.testing.assert_array_equal(h, [4.0, 3.0])
+    np.testing.assert_array_equal(gradient, [[0.0, -1.0], [0.0, 1.0]])
+
+
+def test_function_barrier_takes_scalars_arrays_and_gradients() -> None:
+    state = np.array([3.0, -2.0])
+    scalar = FunctionBarrier(lambda x: x[0] * x[1])
+    np.testing.assert_allclose(scalar.evaluate(state)[1], [[-2.0, 3.0]], atol=1e-8)
+    np.testing.assert_array_equal(scalar.values(state), [-6.0])
+    given_gradient = FunctionBarrier(lambda x: x[0], lambda x: (1.0, 0.5), names=("mine",), kind="own")
+    np.testing.assert_array_equal(given_gradient.evaluate(state)[1], [[1.0, 0.5]])
+    assert (given_gradient.kind, given_gradient.names) == ("own", ("mine",))
+    assert (scalar.kind, scalar.names) == ("function", ("h",))
+
+
+def test_finite_differences_follow_the_size_of_the_state() -> None:
+    state = np.array([1e6, 1e-3])
+    gradient = FunctionBarrier(lambda x: 1e-6 * x[0] ** 2 + 1e3 * x[1] ** 2).evaluate(state)[1]
+    np.testing.assert_allclose(gradient[0], [2.0, 2.0], rtol=1e-3)
+
+
+def test_finite_differences_leave_the_state_alone() -> None:
+    state = np.array([1.0, 2.0])
+    FunctionBarrier(lambda x: x[0]).evaluate(state)
+    np.testing.assert_array_equal(state, [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (
+            lambda: ObstacleBarrier([(1, 2)], FOOTPRINT, BRAKING),
+            r"obstacles: got shape \(1, 2\), wanted \(obstacles, 3\)",
+        ),
+        (lambda: ObstacleBarrier([1.0, 2.0, 3.0], FOOTPRINT, BRAKING), r"obstacles: got shape \(3,\)"),
+        (lambda: ObstacleBarrier([(1, math.nan, 1)], FOOTPRINT, BRAKING), "obstacles: got NaN"),
+        (lambda: ObstacleBarrier([(1, 1, -0.1)], FOOTPRINT, BRAKING), "negative radius"),
+        (lambda: ObstacleBarrier([(1, 1, 1)], FOOTPRINT, BRAKING, -0.1), r"clearance: got -0\.1"),
+        (lambda: ObstacleBarrier([(1, 1, 1)], FOOTPRINT, BRAKING, math.nan), "clearance: got nan"),
+        (
+            lambda: ObstacleBarrier([(1, 1, 1)], FOOTPRINT, BRAKING, names=["a", "b"]),
+            "names of obstacles: got 2, wanted 1",
+        ),
+        (lambda: ObstacleBarrier([], (0.1, 0.2), BRAKING), "footprint: got 2 numbers, wanted 3"),
+        (lambda: ObstacleBarrier([], (0.1, -0.2, 0.1), BRAKING), "front not behind rear"),
+        (lambda: ObstacleBarrier([], (0.1, 0.2, -0.1), BRAKING), "footprint: got"),
+        (lambda: ObstacleBarrier([], (math.inf, 0.2, 0.1), BRAKING), "footprint: got inf"),
+        (lambda: ObstacleBarrier([], (0.1, math.nan, 0.1), BRAKING), "footprint: got"),
+        (lambda: ObstacleBarrier([], (0.1, 0.2, math.inf), BRAKING), "footprint: got"),
+        (lambda: FieldBarrier((1, 1, 0, 2), FOOTPRINT, BRAKING), "field: got"),
+        (lambda: FieldBarrier((0, 1, 3, 3), FOOTPRINT, BRAKING), "field: got"),
+        (lambda: FieldBarrier((0, 1, 0), FOOTPRINT, BRAKING), "field: got"),
+        (lambda: FieldBarrier((0, 1, 0, math.inf), FOOTPRINT, BRAKING), "field: got"),
+        (lambda: FieldBarrier((0, 1, 0, 1), FOOTPRINT, BRAKING, -1.0), "clearance: got"),
+        (lambda: FieldBarrier((0, 1, 0, 1), FOOTPRINT, BRAKING, math.inf), "clearance: got"),
+        (lambda: SpeedBarrier(1.0, 1.0), "speed limits: got"),
+        (lambda: SpeedBarrier(-math.inf, 1.0), "speed limits: got"),
+        (lambda: SpeedBarrier(0.0, math.nan), "speed limits: got"),
+        (lambda: FunctionBarrier(lambda x: 1.0, names="h"), "names: got 'h'"),
+        (lambda: FunctionBarrier(lambda x: 1.0, names=()), r"names: got \(\)"),
+        (lambda: FunctionBarrier(lambda x: [1.0, 2.0]).values(np.zeros(2)), r"h of barrier h: got shape \(2,\)"),
+        (lambda: FunctionBarrier(lambda x: 1.0, names=("a", "b")).values(np.zeros(2)), r"wanted \(2,\)"),
+        (
+            lambda: FunctionBarrier(lambda x: 1.0, lambda x: [1.0]).evaluate(np.zeros(2)),
+            r"gradient of h of barrier h: got shape \(1,\), wanted \(1, 2\)",
+        ),
+    ],
+)
+def test_refusals_say_what_was_wanted(make: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        make()  # type: ignore[operator]
+
+
+def test_limits_of_what_is_accepted() -> None:
+    point = ObstacleBarrier([(1.0, 0.0, 0.0)], (0.0, 0.0, 0.0), BRAKING, 0.0, names=["post"])
+    assert point.values(np.zeros(4)).tolist() == [1.0]
+    assert point.names == ("post",)
+    assert FieldBarrier((0, 1, 0, 1), (0.0, 0.0, 0.0), BRAKING, 0.0).values(np.zeros(4))[0] == 0.0
+    long_nose = ObstacleBarrier([(1.0, 0.0, 0.1)], (-0.2, 0.4, 0.1), BRAKING)
+    assert long_nose.values(np.zeros(4))[0] == pytest.approx(0.4)

@@ -1,0 +1,302 @@
+"""Bad numbers, missing inputs, failing functions and solvers: always a verdict, never open."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.safety import (
+    FilterSettings,
+    FunctionBarrier,
+    Plausible,
+    SafetyFilter,
+    Solution,
+    Status,
+    Verdict,
+    car_barriers,
+)
+from safedpa.safety import decision as decision_module
+from safedpa.safety.inputs import Unusable, checked_input
+
+GOOD = np.array([0.0, 0.0, 0.0, 0.5])
+WISH = np.array([0.4, 0.1])
+CAR = FilterSettings()
+
+
+class Awkward:
+    def __array__(self, *_: Any, **__: Any) -> np.ndarray:
+        raise RuntimeError("cannot be read")
+
+
+BAD_STATES = [
+    (None, "state is missing"),
+    ([1.0, 2.0, 3.0, math.nan], "state holds NaN or infinity"),
+    ([1.0, -math.inf, 3.0, 0.0], "state holds NaN or infinity"),
+    ([1.0, 2.0], r"state has shape (2,), wanted (4,)"),
+    ([[0.0, 0.0, 0.0, 0.5]], r"state has shape (1, 4), wanted (4,)"),
+    (3.0, r"state has shape (), wanted (4,)"),
+    ("fast", "state does not consist of numbers"),
+    ([1.0, None, "x", 2], "state does not consist of numbers"),
+    (Awkward(), "state does not consist of numbers"),
+    ([0.0, 0.0, 0.0, 31.0], "state is out of its plausible range: speed = 31, wanted -30 to 30"),
+    ([0.0, -2e4, 0.0, 0.0], "state is out of its plausible range: y = -20000, wanted -10000 to 10000"),
+]
+BAD_WISHES = [
+    (None, "wish is missing"),
+    ([math.nan, 0.0], "wish holds NaN or infinity"),
+    ([0.0, math.inf], "wish holds NaN or infinity"),
+    ([0.0], "wish has shape (1,), wanted (2,)"),
+    ([[0.0, 0.0]], "wish has shape (1, 2), wanted (2,)"),
+    ([{}, 0.0], "wish does not consist of numbers"),
+    ([30.0, 0.0], "wish is out of its plausible range: entry 0 = 30, wanted -26.6 to 28"),
+    ([0.0, -8.0], "wish is out of its plausible range: entry 1 = -8, wanted -7.14 to 7.14"),
+]
+
+
+def assert_brakes(verdict: Verdict, reason: str) -> None:
+    assert verdict.status is Status.fallback
+    assert reason in verdict.reason
+    np.testing.assert_array_equal(verdict.action, [0.0, 0.0])
+    assert np.isfinite([verdict.slack, verdict.h_now, verdict.h_next, verdict.margin]).all()
+    assert verdict.slack >= 0.0
+    assert verdict.intervened
+
+
+@pytest.mark.parametrize(("state", "reason"), BAD_STATES)
+def test_bad_state(car_filter: SafetyFilter, state: Any, reason: str) -> None:
+    verdict = car_filter.decide(state, WISH)
+    assert_brakes(verdict, reason)
+    assert not verdict.known
+    np.testing.assert_array_equal(verdict.wish, WISH)
+
+
+@pytest.mark.parametrize(("wish", "reason"), BAD_WISHES)
+def test_bad_wish(car_filter: SafetyFilter, wish: Any, reason: str) -> None:
+    verdict = car_filter.decide(GOOD, wish)
+    assert_brakes(verdict, reason)
+    assert verdict.known
+    assert verdict.wish is None
+    assert verdict.h_now > 0.0
+    assert verdict.margin == 0.01
+
+
+def test_edges_of_the_plausible_range_are_believed(car_filter: SafetyFilter) -> None:
+    assert car_filter.decide(GOOD, [28.0, 0.0]).status is not Status.fallback
+    assert car_filter.decide([0.0, 0.0, 0.0, 30.0], WISH).status is not Status.fallback
+
+
+def test_a_latent_that_the_model_needs(car: PhysicsModel) -> None:
+    free = car.with_settings({"base.speed_gain": Setting(4.0, free=True)})
+    safe = SafetyFilter.for_model(free, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), [(2.0, 0.0, 0.3)]))
+    assert safe.decide(GOOD, WISH, [4.0]).status is Status.passed
+    for latent, reason in (
+        (None, "latent is missing"),
+        ([math.nan], "latent holds NaN"),
+        ([1.0, 2.0], "latent has shape (2,), wanted (1,)"),
+        ([-3.0], "latent is out of its plausible range: base.speed_gain = -3"),
+        ([51.0], "wanted 0.05 to 50"),
+    ):
+        verdict = safe.decide(GOOD, WISH, latent)
+        assert_brakes(verdict, reason)
+        assert not verdict.known
+
+
+def test_several_problems_are_all_named(car_filter: SafetyFilter) -> None:
+    verdict = car_filter.decide(None, [math.nan, 1.0], stale=["latent"])
+    assert verdict.reason == "Reason: latent is stale; state is missing; wish holds NaN or infinity."
+    assert verdict.solver == "not run"
+
+
+@pytest.mark.parametrize("name", ["state", "wish", "latent", "scene"])
+def test_stale_inputs_bring_the_backup(car_filter: SafetyFilter, name: str) -> None:
+    verdict = car_filter.decide(GOOD, WISH, stale=[name])
+    assert_brakes(verdict, f"{name} is stale")
+    assert verdict.known is (name != "state")
+
+
+def test_a_stale_state_does_not_reach_the_backup(car: PhysicsModel) -> None:
+    seen: list[Any] = []
+
+    def backup(state: Any) -> np.ndarray:
+        seen.append(state)
+        return np.array([0.0, 0.1])
+
+    safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
+    np.testing.assert_array_equal(safe.decide(GOOD, WISH, stale=["state"]).action, [0.0, 0.1])
+    np.testing.assert_array_equal(safe.decide(None, WISH).action, [0.0, 0.1])
+    assert seen == [None, None]
+    safe.decide(GOOD, None)
+    np.testing.assert_array_equal(seen[2], GOOD)
+
+
+@pytest.mark.parametrize(
+    "result", [RuntimeError("no"), np.array([math.nan, 0.0]), np.array([0.0]), "nonsense", None], ids=str
+)
+def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, result: Any) -> None:
+    def backup(_: Any) -> Any:
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
+    assert_brakes(safe.decide(GOOD, None), "wish is missing")
+
+
+def test_a_backup_beyond_the_actuator_is_clipped(car: PhysicsModel) -> None:
+    safe = SafetyFilter.for_model(car, CAR, [], backup=lambda _: np.array([-9.0, 9.0]))
+    np.testing.assert_array_equal(safe.decide(GOOD, None).action, [-0.6, 0.34])
+
+
+def test_resting_action_from_the_settings(car: PhysicsModel) -> None:
+    resting = FilterSettings(backup_action=(-0.2, 0.05))
+    np.testing.assert_array_equal(SafetyFilter.for_model(car, resting).decide(None, None).action, [-0.2, 0.05])
+    away = FilterSettings(action_low=(0.5,), action_high=(1.0,))
+    safe = SafetyFilter(lambda x: (x, np.eye(1)), [], away)
+    np.testing.assert_array_equal(safe.decide(None, None).action, [0.5])
+
+
+@pytest.mark.parametrize("epsilon", [{"obstacle": math.nan}, {"obstacle": math.inf}, {"obstacle": -0.1}])
+def test_a_margin_that_is_none(car_filter: SafetyFilter, epsilon: dict[str, float]) -> None:
+    verdict = car_filter.decide(GOOD, WISH, epsilon=epsilon)
+    assert_brakes(verdict, "margin epsilon is not a finite number >= 0")
+
+
+def scalar_filter(**changes: Any) -> SafetyFilter:
+    parts: dict[str, Any] = {
+        "affine": lambda x: (x, np.eye(1)),
+        "barriers": [FunctionBarrier(lambda x: 1.0 - x[0])],
+        "settings": FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0),
+    }
+    return SafetyFilter(**{**parts, **changes})
+
+
+def raises(*_: Any) -> Any:
+    raise ZeroDivisionError("user's own")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"affine": raises}, "ZeroDivisionError: user's own"),
+        ({"affine": lambda x: (x, np.eye(1)), "step": raises}, "ZeroDivisionError: user's own"),
+        ({"barriers": [FunctionBarrier(raises)]}, "ZeroDivisionError: user's own"),
+        ({"barriers": [FunctionBarrier(lambda x: 1.0 - x[0], raises)]}, "ZeroDivisionError: user's own"),
+        ({"affine": lambda x: (x * math.nan, np.eye(1))}, "predicted state: got NaN or infinity"),
+        ({"affine": lambda x: (np.zeros(2), np.ones((2, 1)))}, "predicted state: got shape (2,), wanted (1,)"),
+        ({"affine": lambda x: (x, np.ones((1, 2)))}, "ValueError"),
+        ({"step": lambda x, a: x + a, "affine": lambda x: (x, np.full((1, 1), math.nan))}, "g of the model: got NaN"),
+        ({"step": lambda x, a: x + a, "affine": lambda x: (x, np.ones((1, 2)))}, "g of the model: got shape (1, 2)"),
+        ({"step": lambda x, a: x + math.inf * a}, "predicted state: got NaN"),
+        ({"barriers": [FunctionBarrier(lambda x: math.nan)]}, "h at the state: got NaN"),
+        ({"barriers": [FunctionBarrier(lambda x: 1.0 - x[0], lambda x: [math.nan])]}, "gradient of h: got NaN"),
+        (
+            {"barriers": [FunctionBarrier(lambda x: 0.4 if x[0] == 0 else math.inf)]},
+            "h at the predicted state: got NaN",
+        ),
+        ({"barriers": 7}, "TypeError"),
+    ],
+)
+def test_failing_functions_of_the_user(changes: dict[str, Any], reason: str) -> None:
+    if changes.get("barriers") == 7:
+        verdict = scalar_filter().decide(np.zeros(1), [1.0], barriers=7)  # type: ignore[arg-type]
+    else:
+        verdict = scalar_filter(**changes).decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.fallback
+    assert reason in verdict.reason
+    np.testing.assert_array_equal(verdict.action, [0.0])
+
+
+def test_failure_half_way_still_reports_h() -> None:
+    verdict = scalar_filter(barriers=[FunctionBarrier(lambda x: 1.0 - x[0], raises)]).decide(np.zeros(1), [1.0])
+    assert verdict.known
+    assert (verdict.h_now, verdict.h_next) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("solution", "reason"),
+    [
+        (Solution(np.array([0.1]), np.zeros(1), False, "max iter reached"), "the QP was not solved: max iter reached"),
+        (Solution(np.array([math.nan]), np.zeros(1), True, "solved"), "the QP's solution holds NaN or infinity"),
+        (Solution(np.array([1.1]), np.zeros(1), True, "solved"), "the QP's solution misses the actuator bounds"),
+        (Solution(np.array([-1.00001]), np.zeros(1), True, "solved"), "the QP's solution misses the actuator bounds"),
+    ],
+)
+def test_solver_that_fails(monkeypatch: pytest.MonkeyPatch, solution: Solution, reason: str) -> None:
+    safe = scalar_filter()
+    monkeypatch.setattr(safe._tools.program.__class__, "solve", lambda *_: solution)
+    verdict = safe.decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.fallback
+    assert reason in verdict.reason
+    assert verdict.solver == solution.status
+    np.testing.assert_array_equal(verdict.action, [0.0])
+
+
+def test_rounding_at_the_bounds_is_clipped_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    safe = scalar_filter()
+    solution = Solution(np.array([-1.0 - 1.9e-6]), np.zeros(1), True, "solved")
+    monkeypatch.setattr(safe._tools.program.__class__, "solve", lambda *_: solution)
+    verdict = safe.decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.corrected
+    np.testing.assert_array_equal(verdict.action, [-1.0])
+
+
+def test_search_that_finds_nothing_falls_back_on_braking(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The QP misleads; the backup keeps every condition: taken, and said."""
+    safe = scalar_filter()
+    solution = Solution(np.array([0.9]), np.zeros(1), True, "solved")
+    monkeypatch.setattr(safe._tools.program.__class__, "solve", lambda *_: solution)
+    verdict = safe.decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.corrected
+    assert verdict.reason == "The backup action keeps every condition."
+    np.testing.assert_array_equal(verdict.action, [0.0])
+
+
+def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
+    original, calls = decision_module.search, []
+
+    def first_fails(conditions: Any, program: Any, wish: Any, start: Any, rounds: int, tolerance: float) -> Any:
+        calls.append(start.action.copy())
+        if len(calls) == 1:
+            return start, "solved"
+        return original(conditions, program, wish, start, rounds, tolerance)
+
+    monkeypatch.setattr(decision_module, "search", first_fails)
+    verdict = scalar_filter().decide(np.zeros(1), [1.0])
+    assert verdict.reason == "Found from the backup action."
+    assert verdict.action[0] == pytest.approx(0.2)
+    np.testing.assert_array_equal(np.concatenate(calls), [1.0, 0.0])
+
+
+numbers = st.one_of(st.floats(), st.integers(), st.none(), st.booleans(), st.text(max_size=3))
+anything = st.one_of(numbers, st.lists(numbers, max_size=6), st.lists(st.floats(), min_size=2, max_size=4))
+
+
+@settings(derandomize=True, deadline=None, database=None, max_examples=300)
+@given(anything, anything, anything, st.sampled_from([None, 3, "x"]))
+def test_whatever_comes_in_a_verdict_goes_out(state: Any, wish: Any, latent: Any, memory: Any) -> None:
+    safe = SafetyFilter(
+        lambda x, z: (x, np.eye(len(x))[:, :2]),
+        [FunctionBarrier(lambda x: 3.0 - x[0])],
+        CAR,
+        state_range=Plausible(np.full(4, -9.0), np.full(4, 9.0), ("a", "b", "c", "d")),
+    )
+    verdict = safe.decide(state, wish, latent, memory=memory)
+    assert (verdict.action >= CAR.low).all()
+    assert (verdict.action <= CAR.high).all()
+    assert np.isfinite([verdict.slack, verdict.h_now, verdict.h_next, verdict.margin, verdict.microseconds]).all()
+
+
+def test_checked_input_gives_a_fresh_array_or_a_reason() -> None:
+    original = np.array([1.0, 2.0])
+    checked = checked_input("it", original, None)
+    assert isinstance(checked, np.ndarray)
+    assert checked is not original
+    assert checked_input("it", [[1.0]], None) == Unusable("it has shape (1, 1), wanted one axis")
+    narrow = Plausible(np.array([0.0]), np.array([1.0]), ("a",))
+    assert isinstance(checked_input("it", [0.0], narrow), np.ndarray)
+    assert isinstance(checked_input("it", [1.0], narrow), np.ndarray)
+    assert checked_input("it", [1.5], narrow) == Unusable("it is out of its plausible range: a = 1.5, wanted 0 to 1")

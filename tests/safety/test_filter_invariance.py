@@ -1,0 +1,136 @@
+"""Theorems about the closed loop, where the model is exact: nothing is hit, whatever is wished."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from safedpa.dynamics import PhysicsModel
+from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, Status, car_barriers
+
+FOOTPRINT = (0.08, 0.40, 0.12)
+FIELD = (-4.0, 4.0, -4.0, 4.0)
+Draw = Callable[[np.random.Generator, int], list[AbstractBarrier]]
+
+
+def wishes(kind: str, random: np.random.Generator, settings: FilterSettings, state: np.ndarray) -> np.ndarray:
+    """Random, full speed, or straight at the nearest thing."""
+    if kind == "random":
+        return random.uniform(settings.low, settings.high)
+    if kind == "extreme":
+        return np.where(random.random(2) < 0.5, settings.low, settings.high)
+    target = np.arctan2(-state[1], -state[0]) - state[2]
+    return np.array([2.0, np.clip(np.sin(target), -0.34, 0.34)])
+
+
+@hypothesis_settings(derandomize=True, deadline=None, database=None, max_examples=40)
+@given(st.integers(0, 10**6), st.sampled_from(["random", "extreme", "centre"]), st.integers(1, 8))
+def test_forward_invariance(
+    car: PhysicsModel,
+    settings: FilterSettings,
+    random_scene: Draw,
+    safe_state: Callable,
+    seed: int,
+    kind: str,
+    count: int,
+) -> None:
+    random = np.random.default_rng(seed)
+    barriers = random_scene(random, count)
+    state = safe_state(random, barriers, 0.05)
+    safe, wish = SafetyFilter.for_model(car, settings, barriers), np.zeros(2)
+    for tick in range(300):
+        if tick % 7 == 0:
+            wish = wishes(kind, random, settings, state)
+        verdict = safe.decide(state, wish)
+        assert verdict.status is not Status.relaxed
+        assert verdict.status is not Status.fallback
+        state = car.step(state, verdict.action)
+        assert min(part.values(state).min() for part in barriers) >= 0.05 - 1e-3
+        assert verdict.h_next == pytest.approx(min(part.values(state).min() for part in barriers), abs=1e-12)
+
+
+def test_without_the_filter_the_same_wishes_collide(
+    car: PhysicsModel, settings: FilterSettings, random_scene: Draw
+) -> None:
+    barriers, state = random_scene(np.random.default_rng(0), 4), np.array([3.0, 0.0, 0.0, 1.0])
+    for _ in range(40):
+        state = car.step(state, np.array([2.0, 0.0]))
+    assert min(part.values(state).min() for part in barriers) < 0.0
+
+
+def test_every_safe_state_has_an_admissible_action(
+    car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
+) -> None:
+    """h >= epsilon / eta everywhere, then braking straight keeps every condition: counted over the state space."""
+    random, kept, count = np.random.default_rng(11), 0, 3000
+    safe = SafetyFilter.for_model(car, settings)
+    for _ in range(count):
+        barriers = random_scene(random, int(random.integers(1, 9)))
+        state = safe_state(random, barriers, 0.05)
+        verdict = safe.decide(state, settings.resting_action, barriers=barriers)
+        kept += verdict.status is Status.passed
+    print(f"states with h >= epsilon / eta at which braking keeps every condition: {kept} of {count}")
+    assert kept == count
+
+
+def test_from_every_safe_state_the_filter_finds_one(
+    car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
+) -> None:
+    """With wishes that are dangerous; a share of them must be answered by the QP itself, not by the backup."""
+    random, by_program, count = np.random.default_rng(12), 0, 600
+    safe = SafetyFilter.for_model(car, settings)
+    for _ in range(count):
+        barriers = random_scene(random, 8)
+        verdict = safe.decide(
+            safe_state(random, barriers, 0.05), wishes("extreme", random, settings, np.zeros(4)), barriers=barriers
+        )
+        assert verdict.status in (Status.passed, Status.corrected)
+        by_program += verdict.reason == ""
+    print(f"answered without the backup: {by_program} of {count}")
+    assert by_program >= 0.98 * count
+
+
+def test_car_leaves_a_narrow_place(car: PhysicsModel, settings: FilterSettings) -> None:
+    """Nose to nose with an obstacle it may reverse, though not push on; between two it creeps to the middle."""
+    nose = 0.40 + 0.12 + 0.05 + 0.05  # front, radius, clearance, epsilon / eta
+    barriers = car_barriers(settings, FOOTPRINT, [(nose + 0.3, 0.0, 0.3)], FIELD)
+    safe, state = SafetyFilter.for_model(car, settings, barriers), np.zeros(4)
+    assert safe.decide(state, [1.0, 0.0]).action[0] <= 1e-6
+    for _ in range(60):
+        verdict = safe.decide(state, [-0.5, 0.2])
+        assert verdict.status in (Status.passed, Status.corrected)
+        state = car.step(state, verdict.action)
+    assert np.hypot(*state[:2]) > 0.8
+
+
+def test_car_recovers_from_inside_the_margin(car: PhysicsModel, settings: FilterSettings) -> None:
+    """0 < h < epsilon / eta, after an error: visible, and h grows again."""
+    nose = 0.40 + 0.12 + 0.05 + 0.01
+    barriers = car_barriers(settings, FOOTPRINT, [(nose + 0.3, 0.0, 0.3)], FIELD)
+    safe, state = SafetyFilter.for_model(car, settings, barriers), np.zeros(4)
+    first = safe.decide(state, [1.0, 0.0])
+    assert first.action[0] < 0.0
+    assert first.h_next > first.h_now
+    for _ in range(80):
+        state = car.step(state, safe.decide(state, [1.0, 0.0]).action)
+    assert min(part.values(state).min() for part in barriers) > 0.04
+
+
+def test_small_model_errors_are_covered_by_the_margin(
+    car: PhysicsModel, settings: FilterSettings, random_scene: Draw, safe_state: Callable
+) -> None:
+    """The world brakes worse than the model but as guaranteed; wishes are adversarial. Nothing is touched."""
+    from safedpa.dynamics import Setting
+
+    world = car.with_settings({"base.speed_gain": Setting(3.0), "base.acceleration_limit": Setting(3.0)})
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        barriers = random_scene(random, 5)
+        state, safe = safe_state(random, barriers, 0.05), SafetyFilter.for_model(car, settings, barriers)
+        for tick in range(120):
+            wish = wishes("extreme", random, settings, state) if tick % 5 == 0 else wish
+            state = world.step(state, safe.decide(state, wish).action)
+            assert min(part.values(state).min() for part in barriers) > -settings.clearance

@@ -1,0 +1,90 @@
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.errors import InputError
+from safedpa.safety import FilterSettings, load_settings, parse_settings, save_settings, write_settings
+
+
+def test_defaults_fit_the_car() -> None:
+    settings = FilterSettings()
+    np.testing.assert_array_equal(settings.low, [-0.6, -0.34])
+    np.testing.assert_array_equal(settings.high, [2.0, 0.34])
+    np.testing.assert_array_equal(settings.weight_vector, [1.0, 1.0])
+    np.testing.assert_array_equal(settings.resting_action, [0.0, 0.0])
+    assert (settings.braking.deceleration, settings.braking.gain) == (2.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        FilterSettings(),
+        FilterSettings(enabled=False, epsilon=0.02, weights=(1.0, 4.0), backup_action=(0.0, 0.1)),
+        FilterSettings(action_low=(-1.0,), action_high=(2.5,), epsilon={"own kind": 0.1, "default": 0.0}),
+    ],
+)
+def test_file_comes_back_the_same(settings: FilterSettings, tmp_path: Path) -> None:
+    save_settings(settings, tmp_path / "safety.toml")
+    assert load_settings(tmp_path / "safety.toml") == settings
+    assert parse_settings(write_settings(settings)) == settings
+
+
+def test_keys_left_out_keep_their_defaults() -> None:
+    settings = parse_settings("eta = 0.5\nepsilon = { obstacle = 0.03 }\nclearance = 0\n")
+    assert settings == replace(FilterSettings(), eta=0.5, epsilon={"obstacle": 0.03}, clearance=0.0)
+    assert parse_settings("epsilon = 0.03").epsilon == {"default": 0.03}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("etta = 0.1", r"etta: unknown key; did you mean 'eta'\?"),
+        ("eta = 0", "eta: got 0, wanted more than 0"),
+        ("eta = 1.5", r"eta: got 1\.5"),
+        ("eta = nan", "eta: got nan, wanted a finite number"),
+        ("eta = true", "eta: got True"),
+        ('eta = "high"', "eta: got 'high'"),
+        ("epsilon = -0.1", r"epsilon\.default: got -0\.1"),
+        ("epsilon = { obstacle = inf }", r"epsilon\.obstacle: got inf"),
+        ("action_low = [0.0]", "action_high: got 2 numbers, action_low has 1"),
+        ("action_low = []\naction_high = []", "action_high: got 0 numbers"),
+        ("action_low = [3.0, 0.0]", r"action_low: got 3\.0, wanted less than action_high 2\.0"),
+        ("action_low = [2.0, 0.0]", r"action_low: got 2\.0, wanted less"),
+        ("action_low = 3.0", r"action_low: got 3\.0, wanted a list of numbers"),
+        ("action_low = [nan, 0.0]", "action_low: got nan"),
+        ("weights = [1.0]", "weights: got 1 numbers, wanted 2 or none"),
+        ("weights = [1.0, 0.0]", "weights: got"),
+        ("backup_action = [0.0, 1.0]", r"backup_action: got 1\.0, wanted -0\.34 to 0\.34"),
+        ("backup_action = [0.0]", "backup_action: got 1 numbers"),
+        ("slack_tolerance = 0.0", r"slack_tolerance: got 0\.0"),
+        ("slack_linear = -1", "slack_linear: got -1"),
+        ("braking_gain = 0", "braking_gain: got 0"),
+        ("clearance = -0.1", r"clearance: got -0\.1, wanted at least 0"),
+        ("speed_low = 3.0", r"speed_high: got 2\.2, wanted more than 3\.0"),
+        ("relinearisations = 2.5", r"relinearisations: got 2\.5, wanted a whole number"),
+        ("relinearisations = true", "relinearisations: got True"),
+        ("relinearisations = 21", "relinearisations: got 21, wanted at least 0, at most 20"),
+        ("enabled = 1", "enabled: got 1, wanted true or false"),
+        ("format = 2", "format: wanted 1"),
+        ("eta =", "not TOML"),
+    ],
+)
+def test_errors_name_the_key(text: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        parse_settings(text)
+    (tmp_path / "bad.toml").write_text(text)
+    with pytest.raises(InputError, match=r"bad\.toml: "):
+        load_settings(tmp_path / "bad.toml")
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.toml: cannot be read"):
+        load_settings(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize("value", [np.array([0.5, 0.5]), [0.5, 0.5], (0.5, 0.5)])
+def test_arrays_and_lists_become_tuples(value: Any) -> None:
+    assert FilterSettings(weights=value).weights == (0.5, 0.5)

@@ -1,0 +1,380 @@
+"""Every status, what it promises, and the ladder of fallbacks."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting
+from safedpa.safety import (
+    AbstractBarrier,
+    FilterSettings,
+    FunctionBarrier,
+    SafetyFilter,
+    SpeedBarrier,
+    Status,
+    Verdict,
+    car_barriers,
+)
+
+FOOTPRINT = (0.08, 0.40, 0.12)
+FIELD = (-4.0, 4.0, -4.0, 4.0)
+AHEAD = np.array([0.0, 0.0, 0.0, 1.5])
+NEAR = np.array([0.75, 0.0, 0.0, 0.6])
+
+
+def check_promises(verdict: Verdict, settings: FilterSettings) -> None:
+    """What holds for every verdict."""
+    assert (verdict.action >= settings.low).all()
+    assert (verdict.action <= settings.high).all()
+    numbers = [verdict.slack, verdict.h_now, verdict.h_next, verdict.margin, verdict.microseconds]
+    assert np.isfinite(numbers).all()
+    assert verdict.slack >= 0.0
+    assert verdict.microseconds >= 0.0
+    assert not verdict.action.flags.writeable
+    if verdict.status in (Status.passed, Status.corrected):
+        assert verdict.slack <= settings.slack_tolerance
+        assert verdict.known
+    if verdict.status is Status.relaxed:
+        assert verdict.slack > settings.slack_tolerance
+    if verdict.status is Status.passed:
+        assert verdict.wish is not None
+        assert verdict.action.tobytes() == verdict.wish.tobytes()
+    assert verdict.sentence.startswith(verdict.status.sentence)
+    assert verdict.as_dict()["status"] == verdict.status.value
+
+
+def test_safe_wish_is_handed_on_bit_for_bit(car_filter: SafetyFilter) -> None:
+    wish = np.array([0.1 + 0.2, -0.0])
+    verdict = car_filter.decide(np.array([-2.0, 0.0, 0.0, 0.3]), wish)
+    assert verdict.status is Status.passed
+    assert verdict.action.tobytes() == wish.tobytes()
+    assert (verdict.slack, verdict.solver, verdict.reason, verdict.active) == (0.0, "not needed", "", ())
+    assert not verdict.intervened
+    check_promises(verdict, car_filter.settings)
+
+
+def test_minus_zero_survives_a_bound_of_zero() -> None:
+    settings = FilterSettings(action_low=(0.0,), action_high=(1.0,))
+    safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: 5.0 - x[0])], settings)
+    verdict = safe.decide(np.zeros(1), np.array([-0.0]))
+    assert verdict.status is Status.passed
+    assert math.copysign(1.0, verdict.action[0]) == -1.0
+
+
+def test_wish_beyond_the_actuator_is_clipped_and_said(car_filter: SafetyFilter) -> None:
+    verdict = car_filter.decide(np.array([-2.0, 0.0, 0.0, 0.3]), [0.2, 0.5])
+    assert verdict.status is Status.corrected
+    assert verdict.reason == "The wish lay outside the actuator limits."
+    np.testing.assert_array_equal(verdict.action, [0.2, 0.34])
+    np.testing.assert_array_equal(verdict.wish, [0.2, 0.5])
+    assert verdict.intervened
+
+
+def test_dangerous_wish_is_corrected_to_the_edge(car_filter: SafetyFilter) -> None:
+    verdict = car_filter.decide(NEAR, [2.0, 0.0])
+    assert verdict.status is Status.corrected
+    assert verdict.solver == "solved"
+    assert verdict.active == ("obstacle 0",)
+    assert verdict.intervened
+    assert 0.0 < verdict.h_next < verdict.h_now
+    assert verdict.h_next == pytest.approx(0.8 * verdict.h_now + 0.01, abs=2e-4)
+    check_promises(verdict, car_filter.settings)
+
+
+def test_h_now_and_h_next_are_those_of_the_model(car: PhysicsModel, settings: FilterSettings) -> None:
+    barriers = car_barriers(settings, FOOTPRINT, [(2.0, 0.0, 0.3)], FIELD)
+    verdict = SafetyFilter.for_model(car, settings, barriers).decide(NEAR, [2.0, 0.0])
+    following = car.step(NEAR, verdict.action)
+    assert verdict.h_now == min(part.values(NEAR).min() for part in barriers)
+    assert verdict.h_next == pytest.approx(min(part.values(following).min() for part in barriers), abs=1e-12)
+    assert verdict.margin == 0.01
+
+
+def test_filtering_the_filtered_action_leaves_it(
+    car: PhysicsModel,
+    settings: FilterSettings,
+    random_scene: Callable[..., list[AbstractBarrier]],
+    safe_state: Callable,
+) -> None:
+    random, corrected = np.random.default_rng(5), 0
+    safe = SafetyFilter.for_model(car, settings)
+    for _ in range(400):
+        barriers = random_scene(random, 6)
+        state = safe_state(random, barriers, 0.05)
+        first = safe.decide(state, (2.0, random.uniform(-0.34, 0.34)), barriers=barriers)
+        check_promises(first, settings)
+        if first.status is Status.corrected:
+            second = safe.decide(state, first.action, barriers=barriers)
+            assert second.status is Status.passed
+            assert second.action.tobytes() == first.action.tobytes()
+            corrected += 1
+    assert corrected > 50
+
+
+@pytest.mark.parametrize("y", [0.05, 0.2, 0.31, 0.45])
+@pytest.mark.parametrize("steer", [-0.3, 0.0, 0.25])
+def test_mirrored_scene_gives_the_mirrored_action(
+    car: PhysicsModel, settings: FilterSettings, y: float, steer: float
+) -> None:
+    state, verdicts = np.array([0.3, 0.1, 0.05, 1.2]), []
+    for side in (1.0, -1.0):
+        barriers = car_barriers(settings, FOOTPRINT, [(1.9, side * y, 0.3)], FIELD)
+        safe = SafetyFilter.for_model(car, settings, barriers)
+        verdicts.append(safe.decide(state * (1.0, side, side, 1.0), [2.0, side * steer]))
+    np.testing.assert_allclose(verdicts[0].action, verdicts[1].action * (1.0, -1.0), atol=1e-6)
+    assert verdicts[0].h_next == pytest.approx(verdicts[1].h_next, abs=1e-6)
+    assert verdicts[0].status is verdicts[1].status
+
+
+def test_no_better_action_is_overlooked(
+    car: PhysicsModel,
+    settings: FilterSettings,
+    random_scene: Callable[..., list[AbstractBarrier]],
+    safe_state: Callable,
+) -> None:
+    """Against a fine grid of actions under the nonlinear model: the correction is near the smallest one."""
+    random, ratios = np.random.default_rng(8), []
+    safe = SafetyFilter.for_model(car, settings)
+    targets, steers = np.meshgrid(np.linspace(-0.6, 2.0, 53), np.linspace(-0.34, 0.34, 35), indexing="ij")
+    grid = np.column_stack([targets.ravel(), steers.ravel()])
+    while len(ratios) < 25:
+        barriers = random_scene(random, 5)
+        state, wish = safe_state(random, barriers, 0.05), np.array([2.0, random.uniform(-0.34, 0.34)])
+        verdict = safe.decide(state, wish, barriers=barriers)
+        if verdict.status is not Status.corrected:
+            continue
+        following = car.step(np.broadcast_to(state, (len(grid), 4)), grid)
+        required = [0.8 * part.values(state) + 0.01 for part in barriers]
+        kept = np.array(
+            [
+                all((part.values(row) >= need).all() for part, need in zip(barriers, required, strict=True))
+                for row in following
+            ]
+        )
+        distance = (((grid - wish) / (settings.high - settings.low)) ** 2).sum(axis=1)[kept].min()
+        own = (((verdict.action - wish) / (settings.high - settings.low)) ** 2).sum()
+        ratios.append(own / max(distance, 1e-3))
+    assert np.median(ratios) < 1.05
+    assert np.mean(np.array(ratios) < 1.3) > 0.85
+
+
+def test_larger_margin_never_lowers_h_next() -> None:
+    """An affine model and barrier, so that the optimum is exact."""
+    f, g = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
+    random = np.random.default_rng(4)
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+    safe = SafetyFilter(lambda x: (f @ x, g), [FunctionBarrier(lambda x: 1.0 - x[0] - 2.0 * x[1])], settings)
+    for _ in range(100):
+        state, wish = random.uniform((-2, -1), (1, 0.5)), random.uniform(-1, 1, 1)
+        heights = [safe.decide(state, wish, epsilon={"function": e}).h_next for e in np.linspace(0.0, 0.3, 12)]
+        assert (np.diff(heights) >= -1e-4).all()
+
+
+def test_infeasible_situation_is_visible_and_brakes() -> None:
+    """1 m before a wall at 20 m/s with 1 m/s2: no action helps, and the verdict says so."""
+    values = {"wheelbase": 0.32, "speed_gain": 4.0, "acceleration_limit": 1.0}
+    car = PhysicsModel(KinematicBicycle(), (), {f"base.{key}": Setting(value) for key, value in values.items()})
+    settings = FilterSettings(
+        action_low=(-0.6, -0.34), action_high=(25.0, 0.34), speed_high=30.0, braking_deceleration=1.0
+    )
+    barriers = car_barriers(settings, FOOTPRINT, [], (-500.0, 1.0, -500.0, 500.0))
+    safe = SafetyFilter.for_model(car, settings, barriers)
+    verdict = safe.decide(np.array([-0.57, 0.0, 0.0, 20.0]), [20.0, 0.0])
+    assert verdict.status is Status.relaxed
+    assert verdict.slack > 1.0
+    assert verdict.h_next < 0.0
+    assert verdict.active[0] == "right wall, front end"
+    after = car.step(np.array([-0.57, 0.0, 0.0, 20.0]), verdict.action)
+    assert after[3] == pytest.approx(20.0 - 0.05 * 1.0)  # as hard as it can
+    braking = car.step(np.array([-0.57, 0.0, 0.0, 20.0]), np.array([0.0, 0.0]))
+    assert verdict.h_next >= min(part.values(braking).min() for part in barriers[1:])
+    check_promises(verdict, settings)
+
+
+def test_infeasible_double_integrator_brakes_fully() -> None:
+    """The same with a user's own model: full braking, -1 m/s2 and no more, whatever was wished."""
+    dt, settings = 0.05, FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,))
+    f, g = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt * dt / 2], [dt]])
+    safe = SafetyFilter(lambda x: (f @ x, g), [FunctionBarrier(lambda x: 1.0 - x[0] - x[1] ** 2 / 2.0)], settings)
+    for wish in (1.0, 0.0, -0.9):
+        verdict = safe.decide(np.array([0.0, 20.0]), [wish])
+        assert verdict.status is Status.relaxed
+        assert verdict.action[0] == -1.0
+        assert verdict.slack > 30.0
+        assert verdict.h_now == pytest.approx(-199.0)
+        assert verdict.h_next == pytest.approx(-199.0, abs=0.01)
+
+
+def infeasible(backup: object = None, gain: float = 0.1) -> Verdict:
+    """h = x - 5 at x = 0: every action leaves the condition broken; larger actions less so."""
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+    barrier = FunctionBarrier(lambda x: x[0] - 5.0)
+    safe = SafetyFilter(lambda x: (x, np.array([[gain]])), [barrier], settings, backup=backup)  # type: ignore[arg-type]
+    return safe.decide(np.zeros(1), [-0.5])
+
+
+def test_relaxed_takes_the_better_of_least_violating_and_backup() -> None:
+    verdict = infeasible()
+    assert verdict.status is Status.relaxed
+    assert verdict.action[0] == pytest.approx(1.0)
+    assert verdict.reason == "The least violating action, better than the backup."
+    assert verdict.slack == pytest.approx(1.0 - 0.1)
+    assert verdict.h_next == pytest.approx(-4.9)
+    assert verdict.active == ("h",)
+
+
+def test_relaxed_prefers_the_backup_on_ties() -> None:
+    verdict = infeasible(backup=lambda state: np.array([0.25]), gain=0.0)
+    assert verdict.status is Status.relaxed
+    assert verdict.action[0] == 0.25
+    assert verdict.reason == "The backup action, at least as good as the QP's."
+
+
+def test_double_integrator_stays_left_of_the_wall() -> None:
+    """Exact affine control: h = 1 - x - v|v|/(2 b), adversarial wish, 400 steps."""
+    dt, settings = 0.05, FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.002, eta=0.1)
+    f, g = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt * dt / 2], [dt]])
+    barrier = FunctionBarrier(lambda x: 1.0 - x[0] - max(x[1], 0.0) ** 2 / (2 * 0.8) - 0.1 * max(x[1], 0.0))
+    safe = SafetyFilter(
+        lambda x: (f @ x, g), [barrier], settings, backup=lambda x: np.array([-1.0 if x is None or x[1] > 0 else 0.0])
+    )
+    state, statuses = np.array([-2.0, 0.0]), set()
+    for _ in range(400):
+        verdict = safe.decide(state, [1.0])
+        statuses.add(verdict.status)
+        state = f @ state + g @ verdict.action
+        assert state[0] < 1.0
+    assert statuses == {Status.passed, Status.corrected}
+    assert state[0] > 0.9  # and it comes near: the filter is not merely timid
+
+
+def test_disabled_hands_on_what_the_actuator_can_do(car: PhysicsModel) -> None:
+    settings = FilterSettings(enabled=False)
+    safe = SafetyFilter.for_model(car, settings, car_barriers(settings, FOOTPRINT, [(2.0, 0.0, 0.3)]))
+    verdict = safe.decide(NEAR, [2.5, 0.1])
+    assert verdict.status is Status.disabled
+    np.testing.assert_array_equal(verdict.action, [2.0, 0.1])
+    assert verdict.known
+    assert verdict.slack > 0.0
+    assert not verdict.intervened
+    blind = safe.decide(None, [1.0, 0.1])
+    assert (blind.status, blind.known) == (Status.disabled, False)
+    np.testing.assert_array_equal(blind.action, [1.0, 0.1])
+    assert safe.decide(NEAR, [math.nan, 0.1]).status is Status.fallback
+
+
+def test_saturated_servo_does_not_hide_the_brake(car_filter: SafetyFilter) -> None:
+    """At low speed the servo saturates for a fast wish, so that the tangent at the wish knows no influence of it."""
+    verdict = car_filter.decide(np.array([1.05, 0.0, 0.0, 0.2]), [2.0, 0.0])
+    assert verdict.status is Status.corrected
+    assert verdict.reason == ""
+    assert verdict.h_next == pytest.approx(0.8 * verdict.h_now + 0.01, abs=0.01)
+
+
+def test_each_reference_action_is_judged_by_the_nonlinear_model() -> None:
+    """h bends: the tangent at the wish misleads, re-linearisation finds the edge."""
+    settings = FilterSettings(action_low=(-2.0,), action_high=(2.0,), epsilon=0.0, eta=1.0)
+    safe = SafetyFilter(
+        lambda x, latent, around: (around**2 * -0.5, np.array([[around[0]]])),
+        [FunctionBarrier(lambda x: 1.0 - x[0])],
+        settings,
+        step=lambda x, a: 0.5 * a * a,
+    )
+    verdict = safe.decide(np.zeros(1), [2.0])
+    assert verdict.status is Status.corrected
+    assert verdict.action[0] == pytest.approx(math.sqrt(2.0), abs=1e-3)
+    none = FilterSettings(action_low=(-2.0,), action_high=(2.0,), epsilon=0.0, eta=1.0, relinearisations=0)
+    assert none.relinearisations == 0
+
+
+def test_without_step_the_tangent_at_the_action_is_the_prediction() -> None:
+    settings = FilterSettings(action_low=(-2.0,), action_high=(2.0,), epsilon=0.0, eta=1.0)
+    safe = SafetyFilter(
+        lambda x, around: (around**2 * -0.5, np.array([[around[0]]])), [FunctionBarrier(lambda x: 1.0 - x[0])], settings
+    )
+    assert safe.decide(np.zeros(1), [2.0]).action[0] == pytest.approx(math.sqrt(2.0), abs=1e-3)
+
+
+def test_latent_and_memory_reach_the_users_functions() -> None:
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+    seen: list[object] = []
+
+    def affine(
+        x: np.ndarray, latent: np.ndarray, *, around: np.ndarray, memory: object
+    ) -> tuple[np.ndarray, np.ndarray]:
+        seen.append((latent.tolist(), memory))
+        return x + latent, np.eye(1)
+
+    safe = SafetyFilter(affine, [FunctionBarrier(lambda x: 1.0 - x[0])], settings)
+    verdict = safe.decide(np.zeros(1), [1.0], [0.5], memory="felt")
+    assert seen[0] == ([0.5], "felt")
+    assert verdict.action[0] == pytest.approx(-0.3, abs=1e-6)
+
+
+def test_memory_of_a_models_actuators_changes_the_prediction(car: PhysicsModel, settings: FilterSettings) -> None:
+    from safedpa.effects import effect
+
+    lagging = car.with_effect(effect("car", "steering_lag"), {"time_constant": Setting(0.3)})
+    safe = SafetyFilter.for_model(lagging, settings, [FunctionBarrier(lambda x: x[2] + 1.0)])
+    state, wish = np.array([0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.3])
+    settled = safe.decide(state, wish)
+    turning = safe.decide(state, wish, memory=lagging.initial_memory(np.array([1.0, -0.3])))
+    assert settled.h_next > 1.0 > turning.h_next
+
+
+def test_epsilon_of_a_call_overrides_the_settings(car_filter: SafetyFilter) -> None:
+    loose, tight = (car_filter.decide(NEAR, [2.0, 0.0], epsilon={"obstacle": e}) for e in (0.0, 0.03))
+    assert (loose.margin, tight.margin) == (0.01, 0.03)
+    assert tight.h_next - loose.h_next == pytest.approx(0.03, abs=1e-3)
+
+
+def test_barriers_of_a_call_replace_the_filters_own(car_filter: SafetyFilter) -> None:
+    free = car_filter.decide(NEAR, [2.0, 0.0], barriers=[SpeedBarrier(-1.0, 3.0)])
+    assert free.status is Status.passed
+    assert free.h_now == pytest.approx(1.6)
+
+
+def test_no_barrier_is_no_permission(car_filter: SafetyFilter) -> None:
+    verdict = car_filter.decide(NEAR, [2.0, 0.0], barriers=[])
+    assert verdict.status is Status.fallback
+    assert verdict.reason == "Reason: there is no barrier to keep."
+    np.testing.assert_array_equal(verdict.action, [0.0, 0.0])
+
+
+def test_active_names_come_tightest_first() -> None:
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+    barrier = FunctionBarrier(lambda x: [x[0] - 5.0, x[0] + 9.0, x[0] - 7.0], names=("near", "free", "far"))
+    verdict = SafetyFilter(lambda x: (x, np.eye(1)), [barrier], settings).decide(np.zeros(1), [0.0])
+    assert verdict.active == ("far", "near")
+
+
+def test_statuses_have_sentences() -> None:
+    assert {status.value for status in Status} == {"passed", "corrected", "relaxed", "fallback", "disabled"}
+    assert len({status.sentence for status in Status}) == 5
+    assert all(status.sentence.endswith(".") for status in Status)
+
+
+def test_time_comes_from_the_clock_given() -> None:
+    ticks = iter((10.0, 10.00025))
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+    safe = SafetyFilter(
+        lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: 5.0 - x[0])], settings, clock=lambda: next(ticks)
+    )
+    verdict = safe.decide(np.zeros(1), [0.5])
+    assert verdict.microseconds == pytest.approx(250.0)
+    assert verdict.as_dict() == {
+        "action": [0.5],
+        "status": "passed",
+        "sentence": Status.passed.sentence,
+        "slack": 0.0,
+        "active": [],
+        "h_now": 5.0,
+        "h_next": 4.5,
+        "margin": 0.0,
+        "solver": "not needed",
+        "microseconds": verdict.microseconds,
+        "wish": [0.5],
+        "known": True,
+    }

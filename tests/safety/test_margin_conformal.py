@@ -1,0 +1,231 @@
+"""Coverage of the margins on data that they have not seen."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from safedpa.dynamics import PhysicsModel, Setting, fingerprint
+from safedpa.errors import InputError
+from safedpa.safety import (
+    FilterSettings,
+    FunctionBarrier,
+    MarginCalibration,
+    OnlineMargin,
+    Prediction,
+    calibrate_margin,
+    car_barriers,
+    one_step_errors,
+    smallest_sample,
+    split_conformal_margin,
+)
+
+FOOTPRINT = (0.08, 0.40, 0.12)
+
+
+def test_the_quantile_is_the_stated_order_statistic() -> None:
+    errors = np.arange(1.0, 100.0)[::-1]  # 1 .. 99
+    assert split_conformal_margin(errors, 0.9) == 90.0
+    assert split_conformal_margin(errors, 0.5) == 50.0
+    assert split_conformal_margin(errors, 0.99) == 99.0
+    assert split_conformal_margin(errors, 0.985) == 99.0
+    assert split_conformal_margin(errors, 0.9901) == math.inf
+    assert split_conformal_margin([], 0.5) == math.inf
+    assert split_conformal_margin([-3.0], 0.5) == -3.0
+
+
+@pytest.mark.parametrize("coverage", [0.5, 0.8, 0.9, 0.95, 0.99, 0.999])
+def test_smallest_sample_is_the_first_with_a_finite_margin(coverage: float) -> None:
+    least = smallest_sample(coverage)
+    assert math.isfinite(split_conformal_margin(np.zeros(least), coverage))
+    assert split_conformal_margin(np.zeros(least - 1), coverage) == math.inf
+
+
+@pytest.mark.parametrize("bad", [0.0, 1.0, -0.5, math.nan])
+def test_refuses_what_is_no_coverage(bad: float) -> None:
+    for call in (
+        lambda: split_conformal_margin([1.0], bad),
+        lambda: smallest_sample(bad),
+        lambda: OnlineMargin(0.1, bad),
+    ):
+        with pytest.raises(InputError, match="coverage: got"):
+            call()
+
+
+def test_refuses_errors_that_are_no_numbers() -> None:
+    for errors in ([1.0, math.nan], [[1.0]], [math.inf]):
+        with pytest.raises(InputError, match="errors: got"):
+            split_conformal_margin(errors, 0.5)
+
+
+@pytest.mark.parametrize("coverage", [0.8, 0.95])
+def test_coverage_on_fresh_data_lies_in_its_binomial_interval(coverage: float) -> None:
+    """Over many calibrations one fresh error each: covered with probability ceil((n+1) c)/(n+1), independently."""
+    random, trials, n = np.random.default_rng(0), 4000, 60
+    draws = random.standard_t(3, (trials, n + 1)) ** 3  # heavy tails, skewed
+    covered = sum(row[n] <= split_conformal_margin(row[:n], coverage) for row in draws)
+    exact = math.ceil((n + 1) * coverage) / (n + 1)
+    low, high = binom.interval(0.999, trials, exact)
+    assert low <= covered <= high
+    assert exact >= coverage
+
+
+def transitions(model: PhysicsModel, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    random = np.random.default_rng(seed)
+    x = random.uniform((-3, -3, -3, -0.5), (3, 3, 3, 2), (count, 4))
+    a = random.uniform((-0.6, -0.34), (2.0, 0.34), (count, 2))
+    return x, a, model.step(x, a) + random.normal(0.0, 0.004, (count, 4))
+
+
+def test_calibration_covers_a_world_that_differs_from_the_model(car: PhysicsModel, tmp_path: Path) -> None:
+    world = car.with_settings({"base.speed_gain": Setting(3.2)})
+    settings = FilterSettings()
+    barriers = car_barriers(settings, FOOTPRINT, [(1.0, 0.5, 0.3), (-2.0, 0.0, 0.2)], (-4, 4, -4, 4))
+    found = calibrate_margin(car, barriers, *transitions(world, 800, 1), coverage=0.9, date="2026-11-21")
+    assert set(found.epsilon) == {"obstacle", "field", "speed"}
+    assert (found.transitions, found.coverage, found.fingerprint) == (800, 0.9, fingerprint(car))
+    fresh = one_step_errors(car, barriers, *transitions(world, 800, 2))
+    for kind, errors in fresh.items():
+        covered = int((errors <= found.epsilon[kind]).sum())
+        assert covered >= binom.ppf(0.001, 800, 0.87)  # both samples vary
+        assert covered <= binom.ppf(0.999, 800, 0.93)
+        assert found.epsilon[kind] > 0.0
+    found.save(tmp_path / "margin.toml")
+    assert MarginCalibration.load(tmp_path / "margin.toml") == found
+    assert FilterSettings(epsilon=found.epsilon).epsilon == found.epsilon
+
+
+def test_errors_are_predicted_minus_measured_and_the_worst_of_the_kind() -> None:
+    prediction = Prediction(lambda x: (x, np.eye(1)))
+    parts = [FunctionBarrier(lambda x: [x[0], -x[0]], names=("a", "b"), kind="two"), FunctionBarrier(lambda x: x[0])]
+    errors = one_step_errors(prediction, parts, [[0.0], [0.0]], [[1.0], [1.0]], [[0.7], [1.2]])
+    np.testing.assert_allclose(errors["two"], [0.3, 0.2])
+    np.testing.assert_allclose(errors["function"], [0.3, -0.2])
+    two = calibrate_margin(prediction, parts, [[0.0]] * 2, [[1.0]] * 2, [[1.2], [1.2]], coverage=0.5, date="")
+    assert two.epsilon == {"two": pytest.approx(0.2), "function": 0.0}  # never negative
+
+
+def test_scene_and_latent_of_each_transition() -> None:
+    prediction = Prediction(lambda x, z: (x + z, np.eye(1)))
+    scenes = [[FunctionBarrier(lambda x: x[0], kind="first")], [FunctionBarrier(lambda x: x[0], kind="second")]]
+    errors = one_step_errors(
+        prediction, lambda row: scenes[row], [[0.0]] * 2, [[0.0]] * 2, [[0.0]] * 2, [[0.5], [0.25]]
+    )
+    np.testing.assert_allclose(errors["first"], [0.5, 0.0])
+    np.testing.assert_allclose(errors["second"], [0.0, 0.25])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"actions": [[1.0]]}, "transitions: got shapes"),
+        ({"next_states": [[1.0, 1.0]] * 3}, "transitions: got shapes"),
+        ({"states": [1.0, 1.0, 1.0]}, "transitions: got shapes"),
+        ({"latents": [[1.0]]}, "latents: got shape"),
+        ({"barriers": []}, "barriers: got none"),
+        ({"coverage": 0.9}, "transitions: got 3, wanted at least 9"),
+    ],
+)
+def test_calibration_says_what_is_missing(changes: dict[str, Any], words: str) -> None:
+    good: dict[str, Any] = {
+        "model": Prediction(lambda x: (x, np.eye(1))),
+        "barriers": [FunctionBarrier(lambda x: x[0])],
+        "states": [[0.0]] * 3,
+        "actions": [[0.0]] * 3,
+        "next_states": [[0.0]] * 3,
+        "coverage": 0.5,
+        "date": "2026-11-21",
+    }
+    assert calibrate_margin(**good).epsilon == {"function": 0.0}
+    with pytest.raises(InputError, match=words):
+        calibrate_margin(**{**good, **changes})
+
+
+GOOD_FILE = MarginCalibration({"obstacle": 0.02}, 0.95, 500, "2026-11-21", "abc").write()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("coverage = 0.95", "coverage = 1.0", "coverage: got 1"),
+        ("coverage = 0.95", "coverage = 'x'", "coverage: got 'x'"),
+        ("coverage = 0.95", "", "coverage: missing"),
+        ("coverage", "coverrage", "coverrage: unknown key; did you mean 'coverage'"),
+        ("= 0.02", "= -0.02", r"epsilon\.obstacle: got -0\.02"),
+        ('"obstacle" = 0.02', "", "epsilon: got {}"),
+        ("transitions = 500", "transitions = 0", "transitions: got 0"),
+        ('date = "2026-11-21"', "date = 3", "date: got 3"),
+        ("format = 1", "format = 7", "format: wanted 1"),
+        ("format = 1", "format", "not TOML"),
+    ],
+)
+def test_margin_files_are_checked(old: str, new: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "margin.toml"
+    path.write_text(GOOD_FILE)
+    assert MarginCalibration.load(path).epsilon == {"obstacle": 0.02}
+    path.write_text(GOOD_FILE.replace(old, new))
+    with pytest.raises(InputError, match=words):
+        MarginCalibration.load(path)
+
+
+def run(online: OnlineMargin, errors: np.ndarray) -> np.ndarray:
+    missed = []
+    for error in errors:
+        missed.append(error > online.value)
+        online.update(error)
+    return np.array(missed)
+
+
+def test_online_margin_stays_calibrated_while_nothing_changes() -> None:
+    random = np.random.default_rng(3)
+    calibrated = split_conformal_margin(np.abs(random.normal(0, 0.01, 2000)), 0.9)
+    missed = run(OnlineMargin(calibrated, 0.9), np.abs(random.normal(0, 0.01, 3000)))
+    assert missed.mean() <= 0.11
+    assert missed.mean() > 0.04
+
+
+def test_online_margin_recovers_coverage_after_a_shift() -> None:
+    """Errors five times as large: a fixed margin would miss two thirds of them."""
+    random = np.random.default_rng(4)
+    calibrated = split_conformal_margin(np.abs(random.normal(0, 0.01, 2000)), 0.9)
+    shifted, online = np.abs(random.normal(0, 0.05, 2000)), OnlineMargin(calibrated, 0.9)
+    assert (shifted > calibrated).mean() > 0.6
+    missed = run(online, shifted)
+    assert missed[200:].mean() == pytest.approx(0.1, abs=0.03)
+    assert online.value > 3 * calibrated
+    run(online, np.full(600, 0.001))
+    assert online.value == calibrated  # and comes back
+
+
+def test_online_margin_never_undercuts_the_calibrated_one() -> None:
+    online = OnlineMargin(0.02, 0.9)
+    for error in np.full(300, -1.0):
+        assert online.update(error) == 0.02
+
+
+def test_online_steps_by_hand() -> None:
+    online = OnlineMargin(0.1, 0.5, rate=0.5, window=3)
+    assert online.update(0.3) == 0.3  # missed: alpha 0.25, rank 2 of 1: the largest
+    assert online.update(0.4) == 0.8  # missed: alpha 0: twice the largest
+    assert online.update(0.2) == 0.4  # covered: alpha 0.25, rank 3 of 3
+    assert online.update(0.1) == 0.2  # covered: alpha 0.5, rank 2 of {0.4, 0.2, 0.1}
+    assert online.update(math.nan) == 0.4  # counts as missed, is not kept: alpha 0.25
+    assert OnlineMargin(0.1, 0.5).update(math.inf) == 0.1
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"calibrated": -0.1},
+        {"calibrated": math.inf},
+        {"rate": 0.0},
+        {"rate": 1.5},
+        {"window": 0},
+    ],
+)
+def test_online_margin_refuses(bad: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        OnlineMargin(**{"calibrated": 0.1, "coverage": 0.9, **bad})
