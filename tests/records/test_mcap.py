@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,39 @@ def test_the_action_of_a_row_is_what_the_robot_reports_one_tick_later(tmp_path: 
     np.testing.assert_array_equal(run.actions, [state(k + 1).applied for k in range(49)])
     np.testing.assert_array_equal(run.t, [k * PERIOD for k in range(49)])
     assert run.period == pytest.approx(PERIOD)
+
+
+def test_before_its_first_action_a_robot_may_report_none(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    key = key_of("fleet", "car1", STATE)
+    with McapRecorder(path) as recorder:
+        for tick in range(20):
+            message = state(tick) if tick else replace(state(0), applied=())
+            recorder.write(key, encode(message), tick, tick)
+    run = read_run_from_mcap(path, CAR)
+    np.testing.assert_array_equal(run.actions, [state(k + 1).applied for k in range(19)])
+
+
+def test_a_robot_without_any_action_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    with McapRecorder(path) as recorder:
+        for tick in range(20):
+            recorder.write(key_of("fleet", "car1", STATE), encode(replace(state(tick), applied=())), tick, tick)
+    with pytest.raises(RunError, match=r"robot 'car1': got 0 actions, wanted 2"):
+        read_run_from_mcap(path, CAR)
+
+
+def test_a_robot_that_starts_anew_begins_a_new_stretch(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    key = key_of("fleet", "car1", STATE)
+    with McapRecorder(path) as recorder:
+        for epoch, ticks in ((9, 30), (4, 20)):
+            for tick in range(ticks):
+                recorder.write(key, encode(state(tick, epoch)), tick, tick)
+    run = read_run_from_mcap(path, CAR)
+    assert [len(part) for part in run.stretches] == [29, 19]
+    assert [finding.kind for finding in run.findings] == ["clock_reset"]
+    np.testing.assert_array_equal(run.t[29:], [k * PERIOD for k in range(19)])
 
 
 def test_repeated_ticks_count_once_and_a_missing_tick_cuts(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ def test_findings_say_how_often_and_when_first() -> None:
     assert message == "2 rows without a finite number in y, target_speed, first at t = 5.000 s; cut out"
     assert run.findings[0].start_t == pytest.approx(5.0)
     assert run.findings[0].count == 2
-    assert run.findings[1].message.startswith("2 of 600 rows (0.33 %) were cut in all; 2 stretches remain")
+    assert run.findings[1].message.startswith("2 of 600 rows (0.333 %) were cut in all; 2 stretches remain")
 
 
 def test_nothing_is_interpolated_over_bad_rows() -> None:

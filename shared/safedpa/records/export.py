@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.bus.messages import VerdictMessage
 from safedpa.errors import RunError
-from safedpa.records.mcap_run import Recording, read_recording
+from safedpa.records.mcap_run import Recording, VerdictRow, read_recording
 from safedpa.records.run import Finding
 from safedpa.records.write import write_columns
 from safedpa.systems import CAR, PENDULUM, System
 
 __all__ = ["Exported", "export_recording"]
-
-_VERDICT_NUMBERS = ("slack", "h_now", "h_next", "margin")
 
 
 @dataclass(frozen=True)
@@ -61,8 +58,8 @@ def _system_of(path: Path, ticks: Recording) -> System:
     )
 
 
-def _verdict_columns(verdicts: list[VerdictMessage | None]) -> dict[str, Any]:
-    columns: dict[str, Any] = {"status": [None if verdict is None else verdict.status for verdict in verdicts]}
-    for name in _VERDICT_NUMBERS:
-        columns[name] = [None if verdict is None else float(getattr(verdict, name)) for verdict in verdicts]
-    return columns
+def _verdict_columns(verdicts: list[VerdictRow | None]) -> dict[str, Any]:
+    return {
+        name: [None if verdict is None else verdict[place] for verdict in verdicts]
+        for place, name in enumerate(("status", "slack", "h_now", "h_next", "margin"))
+    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +19,10 @@ from safedpa.records.run import Finding, Run
 from safedpa.records.run_of_rows import run_of_rows
 from safedpa.systems import System
 
-__all__ = ["Recording", "read_recording", "read_run_from_mcap"]
+__all__ = ["Recording", "VerdictRow", "read_recording", "read_run_from_mcap"]
+
+Stamp = tuple[int, int]
+VerdictRow = tuple[str, float, float, float, float]
 
 
 @dataclass
@@ -34,9 +37,10 @@ class Recording:
     t: NDArray[np.float64]
     states: NDArray[np.float64]
     actions: NDArray[np.float64]
-    stamps: list[tuple[int, int]]
+    stamps: list[Stamp]
     """(epoch, tick) of each row."""
-    verdicts: dict[tuple[int, int], VerdictMessage] = field(default_factory=dict)
+    verdicts: dict[Stamp, VerdictRow] = field(default_factory=dict)
+    """status, slack, h_now, h_next, margin."""
     findings: tuple[Finding, ...] = ()
 
 
@@ -65,17 +69,21 @@ def read_recording(path: Path, robot: str | None = None, *, with_verdicts: bool 
     """Ticks of one robot, and the safety filter's verdicts when wanted. Raises RunError as ``read_run_from_mcap``."""
     findings: list[Finding] = []
     topics = (STATE, VERDICT) if with_verdicts else (STATE,)
-    states: dict[str, dict[tuple[int, int], StateMessage]] = {}
-    verdicts: dict[str, dict[tuple[int, int], VerdictMessage]] = {}
+    ticks: dict[str, _Ticks] = {}
+    verdicts: dict[str, dict[Stamp, VerdictRow]] = {}
     for key, _, message in read_messages(path, findings, topics):
         name = topic_of(key)[1]
-        stamp = (message.epoch, message.tick)
         if isinstance(message, StateMessage):
-            states.setdefault(name, {}).setdefault(stamp, message)
+            ticks.setdefault(name, _Ticks()).add(message)
         elif isinstance(message, VerdictMessage):
-            verdicts.setdefault(name, {}).setdefault(stamp, message)
-    chosen = _chosen(path, robot, list(states), findings)
-    return _recording(path, chosen, states[chosen], verdicts.get(chosen, {}), findings)
+            row = (message.status, message.slack, message.h_now, message.h_next, message.margin)
+            verdicts.setdefault(name, {}).setdefault((message.epoch, message.tick), row)
+    chosen = _chosen(path, robot, list(ticks), findings)
+    if not ticks[chosen].even:
+        raise RunError(
+            f"{path}: robot '{chosen}': the number of its states or actions changes; record each robot alone"
+        )
+    return ticks[chosen].recording(chosen, verdicts.get(chosen, {}), tuple(findings))
 
 
 def _chosen(path: Path, robot: str | None, robots: list[str], findings: list[Finding]) -> str:
@@ -83,41 +91,52 @@ def _chosen(path: Path, robot: str | None, robots: list[str], findings: list[Fin
         reason = f" ({'; '.join(finding.message for finding in findings)})" if findings else ""
         raise RunError(f"{path}: no robot's states in it{reason}; wanted a recording of a drive")
     if robot is None and len(robots) > 1:
-        raise RunError(f"{path}: holds {len(robots)} robots: {', '.join(sorted(robots))}; name one of them")
+        raise RunError(
+            f"{path}: holds {len(robots)} robots: {', '.join(sorted(robots))}; name one of them, or "
+            "write one to a file with: safedpa export --robot NAME"
+        )
     if robot is not None and robot not in robots:
         raise RunError(f"{path}: robot '{robot}': {did_you_mean(robot, robots)}")
     return robot or robots[0]
 
 
-def _recording(
-    path: Path,
-    robot: str,
-    messages: dict[tuple[int, int], StateMessage],
-    verdicts: dict[tuple[int, int], VerdictMessage],
-    findings: list[Finding],
-) -> Recording:
-    ordered = list(_in_order(messages))
-    widths = {(len(message.values), len(message.applied)) for message in ordered}
-    if len(widths) > 1:
-        raise RunError(f"{path}: robot '{robot}': the number of its states or actions changes; record each robot alone")
-    actions = np.full((len(ordered), len(ordered[0].applied)), np.nan)
-    for row, message in enumerate(ordered):
-        after = messages.get((message.epoch, message.tick + 1))
-        if after is not None:
-            actions[row] = after.applied
-    return Recording(
-        robot,
-        np.array([message.robot_time for message in ordered]),
-        np.array([message.values for message in ordered]),
-        actions,
-        [(message.epoch, message.tick) for message in ordered],
-        verdicts,
-        tuple(findings),
-    )
+class _Ticks:
+    """Numbers of the states seen so far, packed: ten hours of drive must fit into memory."""
 
+    def __init__(self) -> None:
+        self._row: dict[Stamp, int] = {}
+        self._t, self._values, self._applied = array("d"), array("d"), array("d")
+        self._applied_row = array("q")
+        self._widths: set[int] = set()
+        self._applied_widths: set[int] = {0}
 
-def _in_order(messages: dict[tuple[int, int], StateMessage]) -> Iterator[StateMessage]:
-    """By epoch in the order in which the epochs began, then by tick."""
-    epochs = list(dict.fromkeys(epoch for epoch, _ in messages))
-    for epoch in epochs:
-        yield from sorted((m for m in messages.values() if m.epoch == epoch), key=lambda m: m.tick)
+    @property
+    def even(self) -> bool:
+        """Whether every state had as many numbers as the others; before its first action a robot may report none."""
+        return len(self._widths) == 1 and len(self._applied_widths) <= 2
+
+    def add(self, message: StateMessage) -> None:
+        """Keeps the first state of each tick; a robot in lockstep repeats it until the action is there."""
+        stamp = (message.epoch, message.tick)
+        if stamp in self._row:
+            return
+        self._row[stamp] = len(self._t)
+        self._t.append(message.robot_time)
+        self._values.extend(message.values)
+        self._applied_row.append(len(self._applied) // max(len(message.applied), 1) if message.applied else -1)
+        self._applied.extend(message.applied)
+        self._widths.add(len(message.values))
+        self._applied_widths.add(len(message.applied))
+
+    def recording(self, robot: str, verdicts: dict[Stamp, VerdictRow], findings: tuple[Finding, ...]) -> Recording:
+        """By epoch in the order in which the epochs began, then by tick."""
+        epochs = {epoch: place for place, epoch in enumerate(dict.fromkeys(epoch for epoch, _ in self._row))}
+        stamps = sorted(self._row, key=lambda stamp: (epochs[stamp[0]], stamp[1]))
+        order = np.array([self._row[stamp] for stamp in stamps])
+        after = [self._row.get((epoch, tick + 1), -1) for epoch, tick in stamps]
+        reported = np.array([self._applied_row[row] if row >= 0 else -1 for row in after])
+        width = max(self._applied_widths)
+        applied = np.array(self._applied).reshape(len(self._applied) // max(width, 1), width)
+        actions = np.vstack([applied, np.full((1, applied.shape[1]), np.nan)])[reported]
+        states = np.array(self._values).reshape(len(stamps), -1)[order]
+        return Recording(robot, np.array(self._t)[order], states, actions, stamps, verdicts, findings)

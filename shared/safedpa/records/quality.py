@@ -88,5 +88,5 @@ def _cut_finding(t: NDArray[np.float64], stretches: list[Stretch]) -> list[Findi
     cut = np.flatnonzero(~kept)
     share = 100.0 * len(cut) / len(t)
     remain = counted(len(stretches), "stretch remains", "stretches remain")
-    text = f"{len(cut)} of {len(t)} rows ({share:.2g} %) were cut in all; {remain}"
+    text = f"{len(cut)} of {len(t)} rows ({share:.3g} %) were cut in all; {remain}"
     return [finding("cut", text, len(cut), t[cut[0]])]
