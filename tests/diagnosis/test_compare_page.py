@@ -17,7 +17,7 @@ from safedpa.diagnosis.page import compare_page
 from safedpa.diagnosis.summary import as_json
 from safedpa.dynamics import load_model, save_model
 from safedpa.records import write_csv
-from safedpa.records.run import Finding
+from safedpa.records.run import Finding, Run, Stretch
 from safedpa_services.command_line.group import safedpa
 
 
@@ -81,8 +81,8 @@ def test_compare_prints_one_document(files, tmp_path, capsys):
     document = json.loads(shown.out)
     assert document == json.loads((tmp_path / "new" / "folder" / "compare.json").read_text())
     assert {
-        "format", "robot", "effects", "parameters", "horizon", "windows", "summary", "error", "per_state", "scale", "naive",
-        "horizons", "where", "explained", "place", "runs", "data_quality",
+        "format", "robot", "effects", "parameters", "horizon", "windows", "summary", "error", "per_state", "scale",
+        "naive", "horizons", "where", "explained", "place", "runs", "data_quality",
     } == set(document)  # fmt: skip
     assert document["robot"] == "car"
     assert document["horizon"] == 0.8
@@ -167,6 +167,31 @@ def test_predictions_without_bound_are_told(plain, with_effect, drive):
     assert "diverged" in [finding.kind for _, finding in comparison.findings]
     json.dumps(as_json(comparison), allow_nan=False)
     compare_page(comparison, "wild")
+
+
+def test_a_run_in_which_nothing_happens_is_told(plain, drive):
+    run = drive(plain, 10.0)
+    still = replace(run, states=np.tile(run.states[0], (len(run.t), 1)), actions=np.zeros_like(run.actions))
+    comparison = compare_model(plain, [still])
+    document = as_json(comparison)
+    assert document["summary"][0].startswith("Nothing changes in these runs")
+    assert document["error"] is None
+    assert "constant_state" in [finding.kind for _, finding in comparison.findings]
+    json.dumps(document, allow_nan=False)
+    compare_page(comparison, "still")
+
+
+def test_the_pendulum_has_a_page_without_a_place(tmp_path):
+    model = load_model("dfki_pendulum")
+    t = np.arange(400) * 0.01
+    states = np.zeros((400, 2))
+    states[0] = 2.0, 0.0
+    for row in range(399):
+        states[row + 1] = model.step(states[row], np.array([0.1])) if row < 200 else states[row]
+    run = Run("swing", model.system, t, states, np.full((400, 1), 0.1), (Stretch(0, 200), Stretch(200, 400)))
+    text = compare_page(compare_model(model, [run], 0.3), "pendulum")
+    assert 'id="place"' not in text
+    assert "angle [rad]" in text
 
 
 def test_short_and_uneven_runs_are_told(plain, drive):

@@ -45,6 +45,8 @@ def worst_bins(comparison: Comparison) -> list[Bin]:
 
 def where_sentence(comparison: Comparison) -> str:
     """One sentence: where the model fails, and by how much more than on average."""
+    if not (comparison.error.scale > 0).any():
+        return "Nothing changes in these runs: there is nothing to predict."
     factor = decisive(comparison)
     worst = max(factor.bins, key=lambda item: item.error)
     average = comparison.error.value
@@ -68,6 +70,8 @@ def state_sentence(comparison: Comparison) -> str:
     error = comparison.error
     states = comparison.windows.system.state
     moved = [index for index, size in enumerate(error.scale) if size > 0]
+    if not moved:
+        return "No state changes."
     worst = max(moved, key=lambda index: error.per_state[index])
     rms = error.per_state[worst] * error.scale[worst]
     median = float(np.median(comparison.errors[:, worst]))
@@ -83,6 +87,8 @@ def state_sentence(comparison: Comparison) -> str:
 def naive_sentence(comparison: Comparison) -> str:
     """One sentence: the model beside the predictors that know no physics."""
     errors = {name: item.value for name, item in comparison.horizons[-1].errors.items()}
+    if not (comparison.error.scale > 0).any():
+        return "No predictor can be told from another."
     beaten = [name for name in PREDICTORS[1:] if errors["model"] < errors[name]]
     verdict = {2: "better than both", 0: "worse than both"}.get(len(beaten)) or "better than one of them only"
     return (
