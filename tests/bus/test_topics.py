@@ -56,7 +56,7 @@ def test_names_that_the_bus_cannot_carry_are_refused(name: str) -> None:
     ],
 )
 def test_keys_that_name_no_single_sender_are_refused(key: str) -> None:
-    with pytest.raises(InputError, match="key|name"):
+    with pytest.raises(InputError, match=r"key|name"):
         topic_of(key)
 
 

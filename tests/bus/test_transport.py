@@ -1,0 +1,216 @@
+"""One contract, two transports: in memory and over Zenoh."""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from safedpa.bus import STATE, AbstractTransport, Bus, MemoryBroker, MemoryTransport, Message, ZenohSettings
+from safedpa.bus import ZenohTransport as Zenoh
+from safedpa.errors import BusError
+
+PATIENCE = 10.0
+
+
+def until(condition: Callable[[], bool]) -> bool:
+    """Whether the condition comes true in time; looked at again and again, as events on a network have no caller."""
+    end = time.monotonic() + PATIENCE
+    pause = threading.Event()
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        pause.wait(0.01)
+    return True
+
+
+class Heard:
+    """What a subscription delivered."""
+
+    def __init__(self) -> None:
+        self.samples: list[tuple[str, bytes]] = []
+
+    def __call__(self, key: str, payload: bytes) -> None:
+        self.samples.append((key, payload))
+
+    @property
+    def payloads(self) -> list[bytes]:
+        return [payload for _, payload in self.samples]
+
+
+class TransportContract(ABC):
+    """What every transport must do."""
+
+    @pytest.fixture
+    @abstractmethod
+    def pair(self) -> Any:
+        """Two participants that hear each other."""
+
+    def settled(self, sender: AbstractTransport, heard: Heard, key: str) -> None:
+        """Sends until something arrives, then forgets it: subscriptions spread over a network with some delay."""
+
+        def arrives() -> bool:
+            sender.put(key, b"are you there", never_drop=False)
+            return bool(heard.samples)
+
+        assert until(arrives)
+        sender.put(key, b"last", never_drop=True)
+        assert until(lambda: heard.payloads[-1] == b"last")
+        heard.samples.clear()
+
+    def test_delivers_bytes_under_their_key_in_order(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+        sender, receiver = pair
+        heard = Heard()
+        receiver.subscribe("safedpa/f/r/verdict", heard)
+        self.settled(sender, heard, "safedpa/f/r/verdict")
+        sent = [bytes([number]) * 300 for number in range(50)]
+        for payload in sent:
+            sender.put("safedpa/f/r/verdict", payload, never_drop=True)
+        assert until(lambda: len(heard.samples) == len(sent))
+        assert heard.samples == [("safedpa/f/r/verdict", payload) for payload in sent]
+
+    def test_a_star_matches_one_part_and_nothing_else(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+        sender, receiver = pair
+        heard = Heard()
+        receiver.subscribe("safedpa/f/*/state", heard)
+        self.settled(sender, heard, "safedpa/f/r/state")
+        for key in ("safedpa/g/a/state", "safedpa/f/a/b/state", "safedpa/f/a/wish", "safedpa/f/a/state"):
+            sender.put(key, b"x", never_drop=True)
+        assert until(lambda: bool(heard.samples))
+        assert heard.samples == [("safedpa/f/a/state", b"x")]
+
+    def test_a_sender_hears_itself(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+        heard = Heard()
+        pair[0].subscribe("safedpa/f/r/state", heard)
+        pair[0].put("safedpa/f/r/state", b"x", never_drop=False)
+        assert until(lambda: heard.payloads == [b"x"])
+
+    def test_shows_who_is_alive_until_it_closes(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+        one, other = pair
+        other.declare_alive("safedpa/f/r/alive/policy/2")
+        other.declare_alive("safedpa/f/r/alive/policy/1")
+        assert until(lambda: len(one.alive("safedpa/f/*/alive/policy/*")) == 2)
+        assert one.alive("safedpa/f/*/alive/policy/*") == ["safedpa/f/r/alive/policy/1", "safedpa/f/r/alive/policy/2"]
+        assert one.alive("safedpa/f/*/alive/robot/*") == []
+        other.close()
+        assert until(lambda: one.alive("safedpa/f/*/alive/policy/*") == [])
+
+    def test_after_close_nothing_is_heard_and_nothing_can_be_sent(
+        self, pair: tuple[AbstractTransport, AbstractTransport]
+    ) -> None:
+        sender, receiver = pair
+        heard, witness = Heard(), Heard()
+        receiver.subscribe("safedpa/f/r/state", heard)
+        self.settled(sender, heard, "safedpa/f/r/state")
+        receiver.close()
+        receiver.close()
+        sender.subscribe("safedpa/f/r/state", witness)
+        sender.put("safedpa/f/r/state", b"x", never_drop=True)
+        assert until(lambda: witness.payloads == [b"x"])
+        assert heard.samples == []
+        with pytest.raises(BusError, match="closed"):
+            receiver.put("safedpa/f/r/state", b"x", never_drop=False)
+
+    def test_a_name_that_is_taken_cannot_be_claimed(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+        one, other = Bus(pair[0], "f"), Bus(pair[1], "f")
+        one.claim("r", "robot", "m")
+        assert until(lambda: other.instances("r", "robot") == ["m"])
+        for instance in ("a", "z"):
+            with pytest.raises(BusError, match=r"robot 'r' of fleet 'f' lives already \(instance m\)"):
+                other.claim("r", "robot", instance)
+        other.claim("r2", "robot", "a")
+        one.close()
+        assert until(lambda: other.instances("r", "robot") == [])
+        other.claim("r", "robot", "a")
+        assert other.instances("r", "robot") == ["a"]
+
+    def test_a_name_cannot_be_held_by_one_that_was_there_second(
+        self, pair: tuple[AbstractTransport, AbstractTransport]
+    ) -> None:
+        """The first one announced itself between the second one's two looks: the lower instance must not win then."""
+        first, second = Bus(pair[0], "f"), Bus(pair[1], "f")
+
+        class Late(Bus):
+            def announce(self, robot: str, service: str, instance: str) -> None:
+                first.claim(robot, service, "z")
+                assert until(lambda: second.instances(robot, service) == ["z"])
+                super().announce(robot, service, instance)
+
+        with pytest.raises(BusError, match="instance z"):
+            Late(pair[1], "f").claim("r", "robot", "a", settle_seconds=0.1)
+
+    def test_of_two_that_claim_at_once_the_lower_stays(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+        lower, higher = Bus(pair[0], "f"), Bus(pair[1], "f")
+
+        class Both(Bus):
+            def announce(self, robot: str, service: str, instance: str) -> None:
+                higher.announce(robot, service, "b")
+                super().announce(robot, service, instance)
+                assert until(lambda: lower.instances(robot, service) == ["a", "b"])
+                threading.Timer(0.2, higher.close).start()
+
+        Both(pair[0], "f").claim("r", "robot", "a", settle_seconds=PATIENCE)
+        assert until(lambda: lower.instances("r", "robot") == ["a"])
+
+    def test_messages_travel(
+        self, pair: tuple[AbstractTransport, AbstractTransport], samples: dict[str, Message]
+    ) -> None:
+        one, other = Bus(pair[0], "f"), Bus(pair[1], "f")
+        inbox = other.inbox((STATE,))
+
+        def arrives() -> bool:
+            one.publish(STATE, "r", samples["state"])
+            return any(getattr(item, "message", None) == samples["state"] for item in inbox.take(0.05))
+
+        assert until(arrives)
+
+
+class TestMemory(TransportContract):
+    @pytest.fixture
+    def pair(self) -> tuple[AbstractTransport, AbstractTransport]:
+        broker = MemoryBroker()
+        return MemoryTransport(broker), MemoryTransport(broker)
+
+
+@pytest.mark.processes
+class TestZenohPeers(TransportContract):
+    @pytest.fixture
+    def pair(self, free_port: int) -> Iterator[tuple[AbstractTransport, AbstractTransport]]:
+        one = Zenoh(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port}",)))
+        other = Zenoh(ZenohSettings(connect=(f"tcp/127.0.0.1:{free_port}",)))
+        yield one, other
+        one.close()
+        other.close()
+
+
+@pytest.mark.processes
+class TestZenohClientsOfARouter(TransportContract):
+    @pytest.fixture
+    def pair(self, free_port: int) -> Iterator[tuple[AbstractTransport, AbstractTransport]]:
+        endpoint = f"tcp/127.0.0.1:{free_port}"
+        router = Zenoh(ZenohSettings("router", listen=(endpoint,)))
+        one, other = (Zenoh(ZenohSettings("client", connect=(endpoint,))) for _ in range(2))
+        yield one, other
+        for transport in (one, other, router):
+            transport.close()
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("endpoint", ["garbage", "tcp/127.0.0.1:99999", "tcp/no.such.host.invalid:7447", "pigeon/1"])
+def test_an_endpoint_that_cannot_be_is_refused_with_its_name(endpoint: str) -> None:
+    with pytest.raises(BusError, match="check the endpoints") as caught:
+        Zenoh(ZenohSettings(listen=(endpoint,)))
+    assert endpoint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_message_for_a_topic_is_refused_before_it_is_sent(samples: dict[str, Message]) -> None:
+    with (
+        Bus(MemoryTransport(MemoryBroker()), "f") as bus,
+        pytest.raises(Exception, match="state: got ActionMessage, wanted StateMessage"),
+    ):
+        bus.publish(STATE, "r", samples["action"])
