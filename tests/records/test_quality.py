@@ -237,9 +237,14 @@ def test_steer_in_degrees_is_recognised_although_every_row_is_cut() -> None:
     assert "no usable stretch" in str(caught.value)
 
 
-def test_yaw_in_degrees_is_recognised() -> None:
-    run = judge(with_state(2, lambda yaw: yaw.__imul__(180 / np.pi))(car_rows()))
-    assert "yaw_inconsistent" in kinds(run) or "jump" in kinds(run)
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_yaw_in_degrees_is_recognised_although_every_row_is_cut(wrapped: bool) -> None:
+    rows = car_rows()
+    states = rows.states * (1, 1, 180 / np.pi, 1)
+    if wrapped:
+        states[:, 2] = (states[:, 2] + 180) % 360 - 180
+    with pytest.raises(RunError, match=r"only when it is read as degrees .* name unit = \"deg\" in a column map"):
+        judge(replace(rows, states=states))
 
 
 @pytest.mark.parametrize(

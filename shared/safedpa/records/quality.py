@@ -5,20 +5,19 @@ Cut means: rows with defects end one stretch, the next begins behind them. Nothi
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.records.apply_map import Rows
 from safedpa.records.column_map import ColumnMap, SourceColumn
 from safedpa.records.consistency import consistency_findings
+from safedpa.records.degrees import degrees_for_radians
 from safedpa.records.held import held_findings
 from safedpa.records.jumps import jump_rows
 from safedpa.records.run import Finding, Stretch
 from safedpa.records.sampling import gap_rows, reset_rows, sampling_finding, without_repeats
 from safedpa.records.sentences import counted, finding
-from safedpa.records.values import constant_findings, degrees_for_radians, not_a_number, out_of_bounds
+from safedpa.records.values import constant_findings, not_a_number, out_of_bounds
 from safedpa.systems import System
 
 __all__ = ["SHORTEST_STRETCH", "judged"]
@@ -35,7 +34,7 @@ def judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[S
     ``breaks`` below are rows before which a stretch ends; ``bad`` are rows that belong to none.
     """
     measured = [isinstance(mapping.columns[name], SourceColumn) for name in system.state_names]
-    rows = replace(rows, t=np.where(np.isfinite(rows.t), rows.t, np.nan))
+    rows = Rows(*(np.where(np.isfinite(part), part, np.nan) for part in (rows.t, rows.states, rows.actions)))
     rows, findings = without_repeats(rows)
     bad = np.zeros(len(rows.t), dtype=bool)
     for mask, found in (

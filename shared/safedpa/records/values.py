@@ -1,4 +1,4 @@
-"""Defects of single values: not a number, beyond plausible bounds, degrees for radians, inputs that never change."""
+"""Defects of single values: not a number, beyond plausible bounds, inputs that never change."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from safedpa.records.run import Finding, Stretch
 from safedpa.records.sentences import counted, finding
 from safedpa.systems import System, Variable
 
-__all__ = ["constant_findings", "degrees_for_radians", "not_a_number", "out_of_bounds"]
+__all__ = ["constant_findings", "not_a_number", "out_of_bounds"]
 
 Found = tuple[NDArray[np.bool_], list[Finding]]
 
@@ -57,21 +57,6 @@ def out_of_bounds(rows: Rows, system: System, measured: list[bool]) -> Found:
             found.append(finding("out_of_bounds", text, count, _time_at(rows.t, int(np.argmax(mask))), "cut out"))
             bad |= mask
     return bad, found
-
-
-def degrees_for_radians(rows: Rows, system: System) -> Found:
-    """Every row, when an angle commanded to an actuator goes beyond pi / 2: then all its values are in degrees."""
-    for index, variable in enumerate(system.action):
-        values = rows.actions[:, index]
-        values = values[np.isfinite(values)]
-        if variable.unit == "rad" and len(values):
-            largest = float(np.quantile(np.abs(values), 0.99))
-            if largest > np.pi / 2.0:
-                text = f"{variable.name} reaches {largest:.4g} rad: it looks like degrees, so every row was cut"
-                done = 'name unit = "deg" in a column map'
-                every = np.ones(len(rows.t), dtype=bool)
-                return every, [finding("unit_mistake", text, len(rows.t), None, done)]
-    return np.zeros(len(rows.t), dtype=bool), []
 
 
 def constant_findings(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
