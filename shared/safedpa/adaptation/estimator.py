@@ -5,7 +5,8 @@ An extended Kalman filter whose state is the latent z itself, taken as a slow ra
     z[t+1] = z[t] + w,  w ~ N(0, Q);    x[t+1] = step(x[t], a[t], z[t]) + v,  v ~ N(0, R)
 
 with the sensitivity d(step)/dz by finite differences. An innovation beyond four standard deviations is weighted down
-(Huber), so that a push or a tracking glitch does not throw the estimate. Source: Simon, Optimal State Estimation,
+(Huber), so that a push or a tracking glitch does not throw the estimate. A robot that does not move teaches nothing:
+held by a wall it looks like one with an immense load. Source: Simon, Optimal State Estimation,
 sections 13.2 and 13.4 (parameter estimation).
 """
 
@@ -38,10 +39,12 @@ class EstimatorSettings:
     measurement_deviation: tuple[float, ...] = (0.01, 0.01, 0.01, 0.03)
     largest_innovation: float = 4.0
     """Standard deviations from which an innovation is weighted down."""
+    smallest_motion: float = 1.0
+    """Measurement deviations by which some entry of the state must change for a transition to teach anything."""
 
     def __post_init__(self) -> None:
-        numbers = (self.initial_deviation, self.drift_per_second, self.largest_innovation, *self.measurement_deviation)
-        if not all(np.isfinite(number) and number > 0.0 for number in numbers):
+        scales = (self.initial_deviation, self.drift_per_second, self.largest_innovation, self.smallest_motion)
+        if not all(np.isfinite(number) and number > 0.0 for number in (*scales, *self.measurement_deviation)):
             raise InputError(f"estimator settings: got {self}, wanted positive numbers")
 
 
@@ -81,19 +84,27 @@ class LatentEstimator:
         predicted, self._memory = self._model.advance(state, action, memory, self.latent, period=period)
         if not len(self.latent):
             return
-        innovation = self._model.system.difference(next_state, predicted)
-        sensitivity = self._sensitivity(state, action, memory, predicted, period)
         drift = np.square(self._settings.drift_per_second * self._typical) * period
-        covariance = self._covariance + np.diag(drift)
-        spread = sensitivity @ covariance @ sensitivity.T + self._noise
-        innovation = self._weighted_down(innovation, spread)
-        gain = np.linalg.solve(spread, sensitivity @ covariance).T
-        self.latent = np.clip(self.latent + gain @ innovation, self._low, self._high)
+        self._covariance = self._limited(self._covariance + np.diag(drift))
+        motion = np.abs(self._model.system.difference(next_state, state)) / self._settings.measurement_deviation
+        if motion.max() >= self._settings.smallest_motion:
+            sensitivity = self._sensitivity(state, action, memory, predicted, period)
+            self._correct(self._model.system.difference(next_state, predicted), sensitivity)
+
+    def _correct(self, innovation: Vector, sensitivity: Vector) -> None:
+        """The filter's measurement update: innovation (states,), sensitivity (states, latents)."""
+        spread = sensitivity @ self._covariance @ sensitivity.T + self._noise
+        gain = np.linalg.solve(spread, sensitivity @ self._covariance).T
+        step = gain @ self._weighted_down(innovation, spread)
+        self.latent = np.clip(self.latent + step, self._low, self._high)
         keep = np.eye(len(self.latent)) - gain @ sensitivity
-        self._covariance = keep @ covariance @ keep.T + gain @ self._noise @ gain.T
+        self._covariance = keep @ self._covariance @ keep.T + gain @ self._noise @ gain.T
+
+    def _limited(self, covariance: Vector) -> Vector:
+        """Without excitation the covariance must not grow for ever: at most what was unknown at first."""
         limit = np.square(self._settings.initial_deviation * self._typical)
-        excess = np.sqrt(np.minimum(1.0, limit / np.diag(self._covariance)))
-        self._covariance = self._covariance * np.outer(excess, excess)  # without excitation it must not grow for ever
+        excess = np.sqrt(np.minimum(1.0, limit / np.diag(covariance)))
+        return covariance * np.outer(excess, excess)
 
     def forget_actuators(self) -> None:
         """Takes the actuators as settled at the next action: after a gap in the ticks."""

@@ -1,0 +1,207 @@
+"""The estimator finds what was planted, follows a change, and believes nothing absurd."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as some
+from numpy.typing import NDArray
+
+from safedpa.adaptation import EstimatorSettings, LatentEstimator
+from safedpa.dynamics import PhysicsModel, load_model, parse_model
+from safedpa.errors import InputError
+
+PERIOD = 0.05
+NOISE = np.array([0.002, 0.002, 0.002, 0.01])
+SETTINGS = EstimatorSettings(measurement_deviation=(0.003, 0.003, 0.003, 0.015))
+
+HEAD = """
+format = 1
+robot = "car"
+[base]
+kind = "kinematic_bicycle"
+drive = "speed_servo"
+wheelbase = 0.32
+speed_gain = 4.0
+acceleration_limit = 5.0
+"""
+TOWED = HEAD + '[[effects]]\nname = "towed_load"\nmass_ratio = { value = 0.0, free = true }\ndeceleration = 2.5\n'
+DRAG = HEAD + '[[effects]]\nname = "quadratic_drag"\ncoefficient = { value = 0.0, free = true }\n'
+BOTH = TOWED + '[[effects]]\nname = "quadratic_drag"\ncoefficient = { value = 0.0, free = true }\n'
+LAGGED = TOWED + '[[effects]]\nname = "steering_lag"\ntime_constant = { value = 0.05, free = true }\n'
+FIXED = HEAD + '[[effects]]\nname = "quadratic_drag"\ncoefficient = 0.1\n'
+
+Values = NDArray[np.float64]
+Actions = Callable[[int], Values]
+
+
+def lively(step: int) -> Values:
+    """Steps of target speed and steer, as in driving from goal to goal."""
+    return np.array([1.0 + 0.8 * np.sign(np.sin(0.35 * step)), 0.3 * np.sign(np.sin(0.23 * step + 1.0))])
+
+
+def still(step: int) -> Values:
+    del step
+    return np.zeros(2)
+
+
+class Drive:
+    """A simulated car and the estimator that watches it, side by side."""
+
+    def __init__(self, model: str, settings: EstimatorSettings = SETTINGS, seed: int = 0) -> None:
+        self.model: PhysicsModel = parse_model(model)
+        self.estimator = LatentEstimator(self.model, settings)
+        self.random = np.random.default_rng(seed)
+        self.state, self.measured = np.zeros(4), np.zeros(4)
+        self.memory = self.model.initial_memory(np.zeros(2))
+        self.steps = 0
+
+    def run(self, seconds: float, latent: tuple[float, ...], actions: Actions = lively) -> Drive:
+        for _ in range(round(seconds / PERIOD)):
+            action = actions(self.steps)
+            self.state, self.memory = self.model.advance(self.state, action, self.memory, np.array(latent))
+            measured = self.state + NOISE * self.random.standard_normal(4)
+            self.estimator.update(self.measured, action, measured, PERIOD)
+            self.measured = measured
+            self.steps += 1
+        return self
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("model", "planted"),
+    [
+        (TOWED, (0.0,)),
+        (TOWED, (0.4,)),
+        (TOWED, (1.2,)),
+        (DRAG, (0.0,)),
+        (DRAG, (0.25,)),
+        (BOTH, (0.5, 0.2)),
+        (LAGGED, (0.5, 0.15)),
+    ],
+)
+def test_it_recovers_what_was_planted(model: str, planted: tuple[float, ...], seed: int) -> None:
+    estimator = Drive(model, seed=seed).run(20.0, planted).estimator
+    typical = np.array([estimator._model.parameters[path].typical for path in estimator._model.latent_names])
+    assert np.all(np.abs(estimator.latent - planted) <= 3.0 * estimator.deviations)
+    if model is not BOTH:  # mass and drag look alike at these speeds, and it must not claim to tell them apart
+        assert np.all(estimator.deviations < 0.35 * typical), "and it says so with some confidence"
+
+
+def test_it_follows_a_change() -> None:
+    drive = Drive(TOWED).run(8.0, (0.0,))
+    assert drive.estimator.latent[0] < 0.1
+    drive.run(6.0, (0.8,))
+    assert drive.estimator.latent[0] == pytest.approx(0.8, abs=3.0 * drive.estimator.deviations[0])
+    drive.run(6.0, (0.1,))
+    assert drive.estimator.latent[0] == pytest.approx(0.1, abs=3.0 * drive.estimator.deviations[0])
+
+
+@pytest.mark.parametrize("jump", [(3.0, -2.0, 0.0, 0.0), (0.0, 0.0, 2.0, 0.0), (0.0, 0.0, 0.0, -4.0), (50.0, 0, 1, 2)])
+def test_a_teleport_does_not_throw_it(jump: tuple[float, ...]) -> None:
+    drive = Drive(TOWED).run(10.0, (0.5,))
+    before, deviation = drive.estimator.latent.copy(), drive.estimator.deviations[0]
+    drive.estimator.update(drive.measured, lively(drive.steps), drive.measured + np.array(jump), PERIOD)
+    moved = float(abs(drive.estimator.latent - before)[0])
+    assert moved <= SETTINGS.largest_innovation * deviation
+    drive.run(4.0, (0.5,))
+    assert drive.estimator.latent[0] == pytest.approx(0.5, abs=3.0 * drive.estimator.deviations[0])
+
+
+@pytest.mark.parametrize("planted", [0.0, 0.7])
+def test_a_car_that_stands_still_teaches_nothing(planted: float) -> None:
+    drive = Drive(TOWED, EstimatorSettings())
+    start = drive.estimator.deviations.copy()
+    drive.run(60.0, (planted,), still)
+    assert drive.estimator.deviations == pytest.approx(start, rel=0.15)
+    assert abs(drive.estimator.latent[0]) <= 0.2 * start[0]
+
+
+def test_a_car_that_a_wall_holds_is_not_taken_for_one_with_a_heavy_load() -> None:
+    drive = Drive(TOWED, EstimatorSettings()).run(10.0, (0.5,))
+    before, where = drive.estimator.latent.copy(), drive.measured
+    for _ in range(100):
+        measured = where + NOISE * 0.3 * drive.random.standard_normal(4)
+        drive.estimator.update(drive.measured, np.array([1.6, 0.0]), measured, PERIOD)
+        drive.measured = measured
+    assert drive.estimator.latent == pytest.approx(before, abs=0.05)
+
+
+def test_what_is_forgotten_at_rest_is_no_more_than_was_unknown_at_first() -> None:
+    drive = Drive(LAGGED)
+    start = drive.estimator.deviations.copy()
+    drive.run(10.0, (0.5, 0.1))
+    assert np.all(drive.estimator.deviations < start)
+    drive.run(120.0, (0.5, 0.1), still)
+    assert np.all(drive.estimator.deviations <= start * (1.0 + 1e-9))
+
+
+@given(
+    some.lists(
+        some.tuples(*([some.floats(-30.0, 30.0)] * 6), *([some.floats(-40.0, 40.0)] * 4)), min_size=1, max_size=15
+    )
+)
+@settings(max_examples=60)
+def test_whatever_is_measured_the_estimate_stays_physical(rows: list[tuple[float, ...]]) -> None:
+    model = parse_model(BOTH)
+    estimator = LatentEstimator(model)
+    first = estimator.deviations.copy()
+    for row in rows:
+        values = np.array(row)
+        estimator.update(values[:4], values[4:6] * np.array([0.25, 0.02]), values[6:], PERIOD)
+    for path, value in zip(model.latent_names, estimator.latent, strict=True):
+        assert model.parameters[path].low <= value <= model.parameters[path].high
+    assert np.all(np.isfinite(estimator.deviations))
+    assert np.all(estimator.deviations > 0.0)
+    assert np.all(estimator.deviations <= first * (1.0 + 1e-9))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", ["state", "action", "next_state", "period"])
+def test_what_is_no_number_cannot_enter(place: str, bad: float) -> None:
+    drive = Drive(TOWED).run(1.0, (0.5,))
+    latent, deviations = drive.estimator.latent.copy(), drive.estimator.deviations.copy()
+    arguments: dict[str, Values | float] = {"state": np.zeros(4), "action": np.zeros(2), "next_state": np.zeros(4)}
+    if place == "period":
+        arguments["period"] = bad
+    else:
+        array = np.array(arguments[place])
+        array[-1] = bad
+        arguments |= {place: array, "period": PERIOD}
+    with pytest.raises(InputError, match=r"transition|period"):
+        drive.estimator.update(**arguments)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(drive.estimator.latent, latent)
+    np.testing.assert_array_equal(drive.estimator.deviations, deviations)
+
+
+def test_a_period_of_zero_is_refused() -> None:
+    with pytest.raises(InputError, match="period"):
+        Drive(LAGGED).estimator.update(np.zeros(4), np.zeros(2), np.zeros(4), 0.0)
+
+
+def test_a_model_without_free_parameters_has_nothing_to_estimate() -> None:
+    estimator = Drive(FIXED).run(1.0, ()).estimator
+    assert estimator.latent.shape == estimator.deviations.shape == (0,)
+
+
+def test_the_lag_of_the_actuators_is_remembered_between_updates() -> None:
+    """With the memory a lagged car is predicted to the noise; with the memory thrown away each time it is not."""
+    planted = (0.0, 0.2)
+    kept = Drive(LAGGED).run(15.0, planted).estimator.latent[1]
+    drive = Drive(LAGGED)
+    for _ in range(round(15.0 / PERIOD)):
+        drive.estimator.forget_actuators()
+        drive.run(PERIOD, planted)
+    assert abs(kept - 0.2) < 0.05
+    assert abs(drive.estimator.latent[1] - 0.2) > 0.1
+
+
+def test_settings_are_checked_where_they_are_made() -> None:
+    for wrong in ({"initial_deviation": 0.0}, {"drift_per_second": -1.0}, {"largest_innovation": float("nan")}):
+        with pytest.raises(InputError, match="wanted positive numbers"):
+            EstimatorSettings(**wrong)
+    with pytest.raises(InputError, match=r"wanted 4 \(x, y, yaw, speed\)"):
+        LatentEstimator(load_model("car"), EstimatorSettings(measurement_deviation=(0.1,)))
