@@ -216,7 +216,7 @@ def test_every_mistake_names_its_key(change: tuple[str, str], words: str) -> Non
     ("change", "words"),
     [
         (('unit = "cm"', 'unit = "deg"'), "columns.x.unit: got unit 'deg', wanted one for m: m, mm, cm"),
-        (("steer =", "steering ="), "columns.steering: unknown target; did you mean 'steer'?"),
+        (("steer =", "steering ="), "columns.steering: the model has no 'steering'; did you mean 'steer'?"),
         (("steer = {", "#"), "columns.steer: missing; the car needs t, x, y, yaw, speed, target_speed, steer"),
     ],
 )

@@ -38,7 +38,10 @@ def check_map(columns: ColumnMap, system: System) -> None:
     needed = ("t", *system.state_names, *system.action_names)
     for target in columns.columns:
         if target not in needed:
-            raise ColumnMapError(f"{columns.name}: columns.{target}: unknown target; {did_you_mean(target, needed)}")
+            raise ColumnMapError(
+                f"{columns.name}: columns.{target}: the model has no '{target}'; {did_you_mean(target, needed)}; "
+                "correct the name, or take a model that fits this log"
+            )
     for target in needed:
         if target not in columns.columns:
             raise ColumnMapError(
