@@ -1,0 +1,69 @@
+"""``python -m safedpa_services.dashboard``: shows a fleet live in the browser and keeps it as a Rerun recording."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import uuid
+from pathlib import Path
+
+from safedpa.bus import NO_ROBOT
+from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa.dynamics import load_model
+from safedpa.errors import InputError
+from safedpa.safety import FilterSettings, load_settings
+from safedpa_services.dashboard.dashboard import Dashboard
+from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.look import look_of
+from safedpa_services.dashboard.ports import Door, choose_port
+from safedpa_services.serving import service_parser
+
+
+def work(options: argparse.Namespace, stop: Stop) -> int:
+    """Shows until ``stop``; returns exit code 0."""
+    os.nice(10)  # the loop comes first; what arrives meanwhile waits, and is thinned out when it waits for long
+    os.environ.setdefault("RUST_LOG", "error")
+    if not options.viewer and not options.save:
+        raise InputError("--no-viewer: got no --save either; name a file to record to, or leave --no-viewer out")
+    settings = load_settings(options.settings) if options.settings else FilterSettings()
+    look = look_of(load_model(options.model), settings)
+    from safedpa_services.dashboard.painter import Painter
+
+    grpc_port = choose_port(options.grpc_port, 9876, "--grpc-port", options.bind) if options.viewer else None
+    save = Path(options.save) if options.save else None
+    painter = Painter(look, options.fleet, save=save, bind=options.bind, grpc_port=grpc_port)
+    address = "" if grpc_port is None else _open_door(options, grpc_port)
+    sys.stdout.write(f"dashboard: {address or 'no viewer'}{f', recording {save}' if save else ''}\n")
+    sys.stdout.flush()
+    with bus_from(options) as bus:
+        bus.announce(NO_ROBOT, "dashboard", uuid.uuid4().hex[:12])
+        Dashboard(bus, FleetView(look), painter, options.robot, address).run(stop)
+    painter.close()
+    return 0
+
+
+def _open_door(options: argparse.Namespace, grpc_port: int) -> str:
+    import rerun as rr
+
+    port = choose_port(options.web_port, 9090, "--web-port", options.bind)
+    viewer_port = choose_port(None, port + 1, "--web-port", "0.0.0.0")
+    rr.serve_web_viewer(web_port=viewer_port, open_browser=False)
+    Door(options.bind, port, viewer_port, grpc_port)
+    host = "localhost" if options.bind in ("127.0.0.1", "0.0.0.0", "::", "::1") else options.bind
+    return f"http://{host}:{port}"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = service_parser("safedpa-dashboard")
+    parser.add_argument("--settings", default="", metavar="FILE.toml", help="settings of the filter, for its limits")
+    parser.add_argument("--save", default="", metavar="FILE.rrd", help="keep a recording")
+    parser.add_argument("--web-port", type=int, default=None, help="port to open in the browser; default 9090 or next")
+    parser.add_argument("--grpc-port", type=int, default=None, help="port of the data; default 9876 or the next free")
+    parser.add_argument("--bind", default="127.0.0.1", help="0.0.0.0 to look from other machines")
+    parser.add_argument("--no-viewer", dest="viewer", action="store_false", help="record only")
+    return parser
+
+
+if __name__ == "__main__":
+    run_process(work, _parser())

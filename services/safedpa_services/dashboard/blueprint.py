@@ -1,0 +1,94 @@
+"""How the panes of a robot are arranged."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from safedpa_services.dashboard.fleet_view import Scene
+from safedpa_services.dashboard.look import Look
+
+__all__ = ["MOST_TABS", "TIME_LINE", "blueprint_of"]
+
+TIME_LINE = "t"
+MOST_TABS = 8
+"""Robots with a tab; of further ones everything is recorded, and a pane can be added by hand."""
+
+_SHOWN_SECONDS = 20.0
+_BACKGROUND = [24, 26, 30]
+
+
+def blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
+    """One tab for each of the first robots; a page that says what is awaited while there is none."""
+    tabs = [_tab(name, scene, look) for name, scene in list(fields.items())[:MOST_TABS]]
+    waiting = rrb.TextDocumentView(origin="/waiting", name="no robot yet")
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs) if tabs else waiting,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIME_LINE, play_state="following"),
+        auto_views=False,
+    )
+
+
+def _tab(name: str, scene: Scene, look: Look) -> Any:
+    origin = str(rr.new_entity_path(["robots", name]))
+    left = rrb.Vertical(
+        _world(origin, scene),
+        rrb.TextLogView(origin=f"{origin}/log", name="changes of the verdict"),
+        row_shares=[4.2, 1],
+    )
+    middle = rrb.Vertical(
+        _curves(f"{origin}/barrier", "barrier h: safe at 0 and above"),
+        *[
+            _curves(f"{origin}/action/{variable.name}", f"{variable.name} [{variable.unit}]: wish and filtered")
+            for variable in look.system.action
+        ],
+    )
+    right = rrb.Vertical(
+        _curves(f"{origin}/latent", "latent, with one sigma"),
+        _curves(f"{origin}/residual", "residual: measured - predicted"),
+        _curves(f"{origin}/steps", "time of a step [ms]"),
+    )
+    lanes = rrb.Horizontal(_lanes(f"{origin}/verdict", "verdict"), _lanes(f"{origin}/services", "services"))
+    plots = rrb.Vertical(rrb.Horizontal(middle, right), lanes, row_shares=[2.6, 1])
+    return rrb.Horizontal(left, plots, column_shares=[1, 1.35], name=name)
+
+
+def _world(origin: str, scene: Scene) -> Any:
+    low_x, high_x, low_y, high_y = scene
+    edge = 0.04 * max(high_x - low_x, high_y - low_y)
+    trail = rrb.VisibleTimeRanges([_last_seconds()])
+    return rrb.Spatial2DView(
+        origin=origin,
+        contents=[f"{origin}/world/**"],
+        name="world from above [m]",
+        background=_BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[low_x - edge, high_x + edge], y_range=[-high_y - edge, -low_y + edge]
+        ),
+        overrides={f"{origin}/world/trail": [trail]},
+    )
+
+
+def _curves(origin: str, name: str) -> Any:
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        time_ranges=[_last_seconds()],
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+    )
+
+
+def _lanes(origin: str, name: str) -> Any:
+    return rrb.StateTimelineView(origin=origin, name=name, time_ranges=[_last_seconds()])
+
+
+def _last_seconds() -> Any:
+    return rrb.VisibleTimeRange(
+        TIME_LINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_SHOWN_SECONDS),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )

@@ -1,0 +1,53 @@
+"""What the dashboard must know of a robot beside its messages: names, units, limits, size of the drawn body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from safedpa.dynamics import PhysicsModel
+from safedpa.safety.braking import Braking
+from safedpa.safety.settings import FilterSettings
+from safedpa.systems import System
+
+__all__ = ["Look", "look_of"]
+
+_WHEELBASE = "base.wheelbase"
+
+
+@dataclass(frozen=True)
+class Look:
+    """Names, units and sizes for drawing."""
+
+    system: System
+    latent_names: tuple[str, ...]
+    latent_units: tuple[str, ...]
+    action_low: tuple[float, ...]
+    """(actions,) the filter's actuator limits."""
+    action_high: tuple[float, ...]
+    braking: Braking
+    clearance: float
+    """m kept to obstacles beyond the radius of the footprint."""
+    wheelbase: float
+    """m; 0 for a robot without wheels."""
+
+    @property
+    def is_car(self) -> bool:
+        """Whether the state is a pose on the plane."""
+        return self.system.state_names[:3] == ("x", "y", "yaw")
+
+
+def look_of(model: PhysicsModel, settings: FilterSettings) -> Look:
+    """What model and filter settings say; limits that do not fit the model's action are left to the model."""
+    actions = len(model.system.action)
+    fits = len(settings.action_low) == actions
+    wheelbase = model.settings.get(_WHEELBASE)
+    return Look(
+        system=model.system,
+        latent_names=model.latent_names,
+        latent_units=tuple(model.parameters[path].unit for path in model.latent_names),
+        action_low=settings.action_low if fits else tuple(model.system.action_low.tolist()),
+        action_high=settings.action_high if fits else tuple(model.system.action_high.tolist()),
+        braking=Braking(settings.braking_deceleration, settings.braking_gain),
+        clearance=settings.clearance,
+        wheelbase=wheelbase.value if wheelbase else 0.0,
+    )

@@ -1,0 +1,53 @@
+"""Colours that colour-blind people tell apart: Okabe and Ito, Color Universal Design, 2008; as 0xRRGGBBAA."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from safedpa.safety.verdict import Status
+
+__all__ = [
+    "GREEN",
+    "GREY",
+    "HEALTH_COLOURS",
+    "INK",
+    "IN_FORCE_COLOURS",
+    "ORANGE",
+    "PURPLE",
+    "SERIES",
+    "SKY",
+    "UNKNOWN_STATUS",
+    "VERDICT_COLOURS",
+    "VERMILLION",
+    "YELLOW",
+    "faded",
+]
+
+INK: Final = 0xF2F2F2FF
+GREY: Final = 0x9A9A9AFF
+ORANGE: Final = 0xE69F00FF
+SKY: Final = 0x56B4E9FF
+GREEN: Final = 0x009E73FF
+YELLOW: Final = 0xF0E442FF
+BLUE: Final = 0x0072B2FF
+VERMILLION: Final = 0xD55E00FF
+PURPLE: Final = 0xCC79A7FF
+
+SERIES: Final = (SKY, ORANGE, GREEN, PURPLE, YELLOW, VERMILLION, INK, BLUE)
+"""Curves that stand side by side, in this order."""
+
+UNKNOWN_STATUS: Final = GREY
+VERDICT_COLOURS: Final = {
+    Status.passed.value: GREEN,
+    Status.corrected.value: SKY,
+    Status.relaxed.value: ORANGE,
+    Status.fallback.value: VERMILLION,
+    Status.disabled.value: PURPLE,
+}
+HEALTH_COLOURS: Final = {"ready": SKY, "running": GREEN, "failing": VERMILLION, "silent": GREY}
+IN_FORCE_COLOURS: Final = {"filter": GREEN, "watchdog": VERMILLION, "none": GREY}
+
+
+def faded(colour: int, opacity: float) -> int:
+    """The colour with an opacity from 0 to 1."""
+    return (colour & 0xFFFFFF00) | round(255 * opacity)

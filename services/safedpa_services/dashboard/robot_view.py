@@ -1,0 +1,131 @@
+"""One robot as the dashboard sees it: every message changes its memory and gives the entries to draw."""
+
+from __future__ import annotations
+
+from safedpa.bus import HealthMessage, LatentMessage, Message, StateMessage, VerdictMessage
+from safedpa_services.dashboard.curves import (
+    action_entries,
+    barrier_entries,
+    latent_entries,
+    residual_entry,
+    style_entries,
+)
+from safedpa_services.dashboard.health import HealthBook
+from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, UNKNOWN_STATUS, VERDICT_COLOURS
+from safedpa_services.dashboard.residuals import ResidualBook
+from safedpa_services.dashboard.shapes import Entry, Note, States, StateSet
+from safedpa_services.dashboard.world import body_entries, prediction_entry, scene_entries, trail_entry
+
+__all__ = ["RobotView"]
+
+_LONGEST_GAP_TICKS = 4
+"""Beyond it the trail has a gap too."""
+
+
+class RobotView:
+    """Entries of one robot. ``draw`` is False for what is remembered but left out of the picture."""
+
+    def __init__(self, look: Look) -> None:
+        self._look = look
+        self.health = HealthBook()
+        self._residuals = ResidualBook(look.system)
+        self._epoch: int | None = None
+        self._state: StateMessage | None = None
+        self._drawn: StateMessage | None = None
+        self._scene: tuple[object, ...] = ()
+        self._verdict: VerdictMessage | None = None
+        self._status = ""
+        self._in_force = ""
+
+    def start(self) -> list[Entry]:
+        """Static entries: names and colours."""
+        return [
+            Entry(("verdict", "filter"), StateSet(VERDICT_COLOURS), static=True),
+            Entry(("verdict", "in force"), StateSet(IN_FORCE_COLOURS), static=True),
+            *style_entries(self._look),
+        ]
+
+    def take(self, message: Message, now: float, *, draw: bool = True) -> list[Entry]:
+        """Entries of one message; changes of status are drawn in any case."""
+        if isinstance(message, HealthMessage):
+            return self.health.add(message, now)
+        self._change_epoch(message)
+        if isinstance(message, StateMessage):
+            return self._take_state(message, draw)
+        if isinstance(message, VerdictMessage):
+            return self._take_verdict(message, draw)
+        if isinstance(message, LatentMessage) and draw:
+            return latent_entries(message, self._look)
+        return []
+
+    def _change_epoch(self, message: Message) -> None:
+        if message.epoch != self._epoch and isinstance(message, StateMessage):
+            self._epoch = message.epoch
+            self._residuals = ResidualBook(self._look.system)
+            self._state = self._drawn = self._verdict = None
+
+    def _take_state(self, state: StateMessage, draw: bool) -> list[Entry]:
+        if self._state is not None and state.tick <= self._state.tick:
+            return []  # repeated in lockstep while the action is awaited
+        self._state = state
+        residual = self._residuals.add_state(state)
+        entries = self._in_force_change(state.applied_by)
+        if not draw:
+            return entries
+        scene = (state.field, state.obstacles, state.footprint, state.goal)
+        if scene != self._scene:
+            self._scene = scene
+            entries += scene_entries(state, self._look)
+        entries += body_entries(state, self._look)
+        entries += self._trail(state)
+        if residual is not None:
+            entries.append(residual_entry(residual))
+        self._drawn = state
+        return entries
+
+    def _trail(self, state: StateMessage) -> list[Entry]:
+        before = self._drawn
+        if before is None or not self._look.is_car:
+            return []
+        known = self._verdict is not None and state.tick - self._verdict.tick <= _LONGEST_GAP_TICKS
+        entry = trail_entry(before, state, self._verdict.status if self._verdict and known else "")
+        return [] if entry is None else [entry]
+
+    def _take_verdict(self, verdict: VerdictMessage, draw: bool) -> list[Entry]:
+        if verdict.epoch != self._epoch or (self._verdict is not None and verdict.tick <= self._verdict.tick):
+            return []  # sent again with a repeated state, or of a robot that is no more
+        self._verdict = verdict
+        residual = self._residuals.add_verdict(verdict)
+        entries = self._status_change(verdict)
+        if not draw:
+            return entries
+        if residual is not None:
+            entries.append(residual_entry(residual[1]))
+        if self._look.is_car:
+            entries.append(prediction_entry(verdict, self._position()))
+        return [*entries, *barrier_entries(verdict), *action_entries(verdict, self._look)]
+
+    def _position(self) -> tuple[float, float] | None:
+        if self._drawn is None or len(self._drawn.values) < 2:
+            return None
+        return self._drawn.values[0], self._drawn.values[1]
+
+    def _status_change(self, verdict: VerdictMessage) -> list[Entry]:
+        if verdict.status == self._status:
+            return []
+        self._status = verdict.status
+        colour = VERDICT_COLOURS.get(verdict.status, UNKNOWN_STATUS)
+        level = "WARN" if verdict.status in ("relaxed", "fallback", "disabled") else "INFO"
+        note = Note(f"{verdict.status}: {verdict.sentence}", colour, level)
+        return [Entry(("verdict", "filter"), States(verdict.status)), Entry(("log",), note)]
+
+    def _in_force_change(self, applied_by: str) -> list[Entry]:
+        if applied_by == self._in_force:
+            return []
+        self._in_force = applied_by
+        entries = [Entry(("verdict", "in force"), States(applied_by))]
+        if applied_by == "watchdog":
+            note = Note("No action arrived in time: the robot's watchdog brakes.", IN_FORCE_COLOURS["watchdog"], "WARN")
+            entries.append(Entry(("log",), note))
+        return entries

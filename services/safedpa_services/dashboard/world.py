@@ -1,0 +1,138 @@
+"""The world from above: messages in, shapes out."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+from safedpa.bus import StateMessage, VerdictMessage
+from safedpa_services.dashboard.geometry import Pose, capsule, drawable, rectangle
+from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.palette import (
+    GREY,
+    INK,
+    ORANGE,
+    PURPLE,
+    SKY,
+    UNKNOWN_STATUS,
+    VERDICT_COLOURS,
+    YELLOW,
+    faded,
+)
+from safedpa_services.dashboard.shapes import Discs, Entry, Lines, Point, Rings
+
+__all__ = ["body_entries", "field_of", "prediction_entry", "scene_entries", "trail_entry"]
+
+_MOST_OBSTACLES = 256
+_LONGEST_STRETCH = 50.0
+"""m; a longer stopping distance is no car's and is not drawn."""
+
+_BODY_REAR, _BODY_FRONT, _BODY_WIDTH = -0.25, 1.25, 0.75
+"""Drawn body in wheelbases, from the middle of the rear axle."""
+_WHEEL_LENGTH, _WHEEL_WIDTH, _TRACK = 0.30, 0.10, 0.62
+
+
+def field_of(state: StateMessage) -> tuple[float, float, float, float] | None:
+    """(lowest x, highest x, lowest y, highest y) when the message has a field that can be drawn."""
+    if len(state.field) != 4 or not drawable(*state.field):
+        return None
+    low_x, high_x, low_y, high_y = state.field
+    return (low_x, high_x, low_y, high_y) if low_x < high_x and low_y < high_y else None
+
+
+def scene_entries(state: StateMessage, look: Look) -> list[Entry]:
+    """Field, obstacles, the rings that the filter keeps around them, goal: what changes seldom."""
+    entries = [Entry(("world", "goal"), _goal(state))]
+    field = field_of(state)
+    if field is not None:
+        low_x, high_x, low_y, high_y = field
+        corners = ((low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y), (low_x, low_y))
+        entries.append(Entry(("world", "field"), Lines((corners,), (GREY,), 0.015)))
+    rows = [row for row in state.obstacles[:_MOST_OBSTACLES] if len(row) == 3 and drawable(*row) and row[2] >= 0.0]
+    centres = tuple((row[0], row[1]) for row in rows)
+    entries.append(Entry(("world", "obstacles"), Discs(centres, tuple(row[2] for row in rows), 0x6E7681FF)))
+    reach = look.clearance
+    if len(state.footprint) == 3 and drawable(*state.footprint):
+        reach += abs(state.footprint[2])
+    rings = Rings(centres, tuple(row[2] + reach for row in rows), faded(ORANGE, 0.7), 0.006)
+    return [*entries, Entry(("world", "clearance"), rings)]
+
+
+def _goal(state: StateMessage) -> Rings:
+    there = len(state.goal) == 2 and drawable(*state.goal)
+    x, y = (state.goal[0], state.goal[1]) if there else (0.0, 0.0)
+    radii = (0.30, 0.16, 0.05) if there else ()
+    return Rings(tuple((x, y) for _ in radii), radii, YELLOW, 0.012)
+
+
+def body_entries(state: StateMessage, look: Look) -> list[Entry]:
+    """The robot itself: outline and wheels, load and hitch, the capsule that the filter keeps free."""
+    if not look.is_car:
+        return _pendulum(state)
+    if len(state.values) < 3 or not drawable(*state.values[:2]):
+        return []
+    pose = Pose(state.values[0], state.values[1], state.values[2])
+    entries = [Entry(("world", "car"), _car(pose, state, look))]
+    swept = _swept(pose, state, look)
+    if swept is not None:
+        entries.append(Entry(("world", "swept"), swept))
+    load = _load(pose, state, look)
+    return [*entries, Entry(("world", "load"), load)]
+
+
+def _car(pose: Pose, state: StateMessage, look: Look) -> Lines:
+    base = look.wheelbase or 0.3
+    steer = state.applied[1] if len(state.applied) == 2 and look.system.action_names[1] == "steer" else 0.0
+    outline = pose.place(rectangle(_BODY_REAR * base, _BODY_FRONT * base, _BODY_WIDTH * base))
+    nose = pose.place(((base, 0.0), (_BODY_FRONT * base, 0.0)))
+    wheel = rectangle(-0.5 * _WHEEL_LENGTH * base, 0.5 * _WHEEL_LENGTH * base, _WHEEL_WIDTH * base)
+    strips = [outline, nose]
+    for ahead, turn in ((0.0, 0.0), (base, steer)):
+        for left in (-0.5 * _TRACK * base, 0.5 * _TRACK * base):
+            strips.append(pose.place(Pose(ahead, left, turn).place(wheel)))
+    return Lines(tuple(strips), (INK, INK, GREY, GREY, YELLOW, YELLOW), 0.012)
+
+
+def _swept(pose: Pose, state: StateMessage, look: Look) -> Lines | None:
+    if len(state.footprint) != 3 or len(state.values) < 4 or not drawable(*state.footprint):
+        return None
+    rear, front, radius = state.footprint
+    stretch = look.braking.distance(state.values[3]) if abs(state.values[3]) < _LONGEST_STRETCH else math.inf
+    if abs(stretch) > _LONGEST_STRETCH:
+        return None
+    outline = pose.place(capsule(-rear + min(stretch, 0.0), front + max(stretch, 0.0), abs(radius)))
+    return Lines((outline,), (faded(ORANGE, 0.7),), 0.006)
+
+
+def _load(pose: Pose, state: StateMessage, look: Look) -> Lines:
+    if len(state.load_pose) != 5 or not drawable(*state.load_pose):
+        return Lines((), (), 0.012)
+    x, y, yaw, length, width = state.load_pose
+    load = Pose(x, y, yaw)
+    hitch = (*pose.place(((_BODY_REAR * (look.wheelbase or 0.3), 0.0),)), *load.place(((0.5 * length, 0.0),)))
+    return Lines((load.place(rectangle(-0.5 * length, 0.5 * length, width)), hitch), (PURPLE, PURPLE), 0.012)
+
+
+def _pendulum(state: StateMessage) -> list[Entry]:
+    if not state.values or not math.isfinite(state.values[0]):
+        return []
+    tip = (-math.sin(state.values[0]), math.cos(state.values[0]))
+    rod = Lines((((0.0, 0.0), tip),), (INK,), 0.02)
+    return [Entry(("world", "rod"), rod), Entry(("world", "tip"), Discs((tip,), (0.08,), SKY))]
+
+
+def trail_entry(before: StateMessage, now: StateMessage, status: str) -> Entry | None:
+    """The stretch driven between two ticks in the colour of the verdict over it; None without a stretch."""
+    ends = [(state.values[0], state.values[1]) for state in (before, now) if len(state.values) >= 2]
+    if len(ends) != 2 or not all(drawable(*end) for end in ends):
+        return None
+    colour = VERDICT_COLOURS.get(status, UNKNOWN_STATUS)
+    return Entry(("world", "trail"), Lines(((ends[0], ends[1]),), (colour,), 0.016))
+
+
+def prediction_entry(verdict: VerdictMessage, position: Point | None) -> Entry:
+    """The predicted next positions as a line that starts at the position now."""
+    ahead = [(row[0], row[1]) for row in verdict.predicted[:64] if len(row) >= 2 and drawable(*row[:2])]
+    points = tuple(ahead if position is None else [position, *ahead])
+    strips = (points,) if len(points) > 1 and any(a != b for a, b in pairwise(points)) else ()
+    return Entry(("world", "predicted"), Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), 0.02))
