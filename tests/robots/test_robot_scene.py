@@ -109,26 +109,56 @@ def test_the_capsule_of_the_body_contains_the_body_and_touches_its_corners():
     assert min(distances) == pytest.approx(radius)
 
 
+class Corridor:
+    """The region that the capsule's line has passed, and how far the load reaches from it."""
+
+    def __init__(self, load: str) -> None:
+        self.rear, self.front, self.radius = footprint(LOADS[load])
+        self.world = CarWorld((0.0, 0.0, 0.0), (-400.0, 400.0, -400.0, 400.0), (), LOADS[load])
+        self.poses = [(-back, 0.0, 0.0) for back in np.arange(1.5, 0.0, -0.02)]
+
+    def drive(self, target_speed: float, steer: float) -> float:
+        """One period; returns the largest distance of a corner of the load from the corridor [m]."""
+        for _ in range(2):
+            self.world.advance(target_speed, steer, 0.025)
+            self.poses.append(self.world.state[:3])
+        x, y, yaw = np.array(self.poses).T
+        heading = np.stack([np.cos(yaw), np.sin(yaw)], 1)
+        start, end = np.stack([x, y], 1) - self.rear * heading, np.stack([x, y], 1) + self.front * heading
+        towed = self.world.towed
+        assert towed is not None
+        corners = [towed.body.local_to_world(corner) for corner in towed.shape.get_vertices()]
+        return max(distance_to_segment(*corner, start, end).min() for corner in corners)
+
+
 @pytest.mark.parametrize("load", list(LOADS))
 @pytest.mark.parametrize("style", ["full lock", "slalom", "random"])
 def test_a_load_stays_in_the_corridor_that_the_capsule_has_passed(load, style):
-    rear, front, radius = footprint(LOADS[load])
     draw = np.random.default_rng(5)
-    world = CarWorld((0.0, 0.0, 0.0), (-400.0, 400.0, -400.0, 400.0), (), LOADS[load])
-    poses = [(-back, 0.0, 0.0) for back in np.arange(1.5, 0.0, -0.02)]
-    action = (2.0, 0.34)
+    corridor, action = Corridor(load), (2.0, 0.34)
     for step in range(300):
         if style == "slalom":
             action = (2.0, 0.34 if (step // 16) % 2 else -0.34)
         elif style == "random" and step % 12 == 0:
             action = (float(draw.choice([0.0, 1.0, 2.0])), float(draw.choice([-0.34, 0.0, 0.34])))
-        for _ in range(2):
-            world.advance(*action, 0.025)
-            poses.append(world.state[:3])
-        x, y, yaw = np.array(poses).T
-        heading = np.stack([np.cos(yaw), np.sin(yaw)], 1)
-        place = np.stack([x, y], 1)
-        assert world.towed is not None
-        for corner in world.towed.shape.get_vertices():
-            point = world.towed.body.local_to_world(corner)
-            assert distance_to_segment(*point, place - rear * heading, place + front * heading).min() <= radius
+        assert corridor.drive(*action) <= corridor.radius
+
+
+@pytest.mark.parametrize("load", list(LOADS))
+@pytest.mark.parametrize("steers", [(0.34, 0.34), (0.34, -0.34), (0.34, 0.0), (0.0, 0.34)])
+def test_half_a_metre_in_reverse_keeps_the_load_in_the_corridor(load, steers):
+    corridor, backwards = Corridor(load), 0.0
+    for _ in range(60):
+        assert corridor.drive(1.2, steers[0]) <= corridor.radius
+    while backwards < 0.5:
+        assert corridor.drive(-0.6, steers[1]) <= corridor.radius
+        backwards -= 0.05 * min(0.0, corridor.world.state[3])
+
+
+def test_long_reversing_leaves_the_corridor_which_is_why_the_docs_limit_it():
+    corridor, furthest = Corridor("box"), 0.0
+    for _ in range(60):
+        corridor.drive(1.2, 0.34)
+    for _ in range(100):
+        furthest = max(furthest, corridor.drive(-0.6, -0.34))
+    assert furthest > corridor.radius

@@ -72,7 +72,10 @@ class CarWorld:
         return self.contacts.collisions
 
     def hitch(self, load: Load) -> None:
-        """Puts a load behind the car, straight and at the car's speed; a load that hangs there is let go first."""
+        """Puts a load behind the car, straight and at the car's speed; a load that hangs there is let go first.
+
+        The place behind the car must be free: what stands there is pushed away by the contact.
+        """
         self.unhitch()
         car = self.parameters
         self.towed = TowedBody(self.space, self.body, (-car.rear - car.centre_of_mass, 0.0), load)
