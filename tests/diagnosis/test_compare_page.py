@@ -136,6 +136,7 @@ def test_page_asks_no_other_host(files, tmp_path):
 def test_page_escapes_what_comes_from_files(plain, drive):
     run = replace(drive(plain, 10.0), name="</script><b>x", findings=(Finding("jump", "<i>odd</i> & more"),))
     text = compare_page(compare_model(plain, [run]), "<model>")
+    assert text.count("</script") == 3
     assert "</script><b>x" not in text
     assert "<i>odd" not in text
     assert "&lt;model&gt;" in text
@@ -150,6 +151,12 @@ def test_chosen_windows_go_from_worst_to_best(plain, with_effect, drive):
     assert list(errors) == ["worst", "95 % quantile", "median", "best"]
     assert min(errors["worst"]) >= max(errors["median"]) > max(errors["best"])
     assert errors["worst"][0] == comparison.window_errors.max()
+    for kind in errors:
+        starts = sorted(comparison.windows.t[comparison.windows.start[i]] for k, i in chosen if k == kind)
+        assert (np.diff(starts) > comparison.horizon).all()
+    for figure in overlay_figures(comparison):
+        yaw = next(trace["y"] for trace in figure["data"] if trace["yaxis"] == "y2" and trace["name"] == "model")
+        assert abs(yaw[0]) <= np.pi + 1e-3
     figure = overlay_figures(comparison)[0]
     measured = next(trace for trace in figure["data"] if trace["name"] == "measured")
     windows = comparison.windows

@@ -100,3 +100,10 @@ def test_rates_look_back_a_tenth_of_a_second_and_never_ahead(drive, plain):
     windows = windows_of([run], 0.5)
     expected = (run.states[windows.start[1:]] - run.states[windows.start[1:] - 5]) / 0.1
     np.testing.assert_allclose(measured_rates(windows)[1:], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_rates_do_not_look_into_another_stretch(drive, plain):
+    run = drive(plain, 10.0, stretches=[(0, 100), (110, 200)])
+    windows = windows_of([run], 0.5, stride=100)
+    assert windows.start.tolist() == [0, 100]
+    np.testing.assert_array_equal(measured_rates(windows), 0.0)

@@ -10,7 +10,10 @@ from hypothesis import strategies as st
 from safedpa.diagnosis.bins import merged, round_edges
 from safedpa.diagnosis.comparison import compare_model
 from safedpa.diagnosis.summary import decisive, state_sentence, where_sentence, worst_bins
-from safedpa.diagnosis.where import window_squares
+from safedpa.diagnosis.where import factors, window_squares
+from safedpa.diagnosis.windows import windows_of
+from safedpa.records.run import Run, Stretch
+from safedpa.systems import CAR_THROTTLE
 
 
 def _compared(plain, drive, truth, seconds=120.0):
@@ -57,6 +60,7 @@ def test_hidden_steering_gain_is_worst_at_full_steer_and_fine_straight_on(plain,
 def test_hidden_steering_offset_turns_every_bin_of_steer_to_one_side(plain, with_effect, drive):
     comparison = _compared(plain, drive, with_effect(plain, "steering_offset", angle=0.1))
     assert "The state predicted worst is yaw" in state_sentence(comparison)
+    assert "rad too low)" in state_sentence(comparison)
     for item in _factor(comparison, "steer").bins:
         assert item.bias["yaw"] < -0.1
     assert max(abs(item.bias["speed"]) for item in _factor(comparison, "steer").bins) < 1e-9
@@ -96,6 +100,23 @@ def test_bins_hold_every_window_once_and_shares_add_up(plain, with_effect, drive
         assert all(item.samples >= 10 for item in factor.bins)
     errors = [item.error for item in worst_bins(comparison)]
     assert errors == sorted(errors, reverse=True)
+
+
+def test_explained_is_the_adjusted_share_of_variance():
+    """Windows at rest without error and windows on the move with error 1 or 3: worked out by hand."""
+    t = 0.1 * np.arange(44)
+    moving = np.arange(44) >= 22
+    speed = np.where(moving, 2.0, 0.0)
+    states = np.stack([t, t, t, speed], axis=1)
+    run = Run("two", CAR_THROTTLE, t, states, np.zeros((44, 2)), (Stretch(0, 22), Stretch(22, 44)))
+    windows = windows_of([run], 0.2, stride=1)
+    assert len(windows) == 40
+    errors = np.zeros((40, 4))
+    errors[20:, 0] = np.tile([2.0, 6.0], 10)
+    found = {item.variable: item for item in factors(windows, errors, np.array([1.0, 1.0, 1.0, 1.0]))}
+    # roots of the mean squares: 0 (20 times), 1 and 3 (10 times each); mean 1, variance of all 1.5, within bins 0.5
+    assert found["speed"].explained == pytest.approx(1 - 39 / 38 * 0.5 / 1.5)
+    assert found["throttle"].explained == pytest.approx(0.0)
 
 
 def test_one_glitch_does_not_own_the_squared_error():
