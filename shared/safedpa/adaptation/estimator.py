@@ -104,7 +104,8 @@ class LatentEstimator:
         """Without excitation the covariance must not grow for ever: at most what was unknown at first."""
         limit = np.square(self._settings.initial_deviation * self._typical)
         excess = np.sqrt(np.minimum(1.0, limit / np.diag(covariance)))
-        return covariance * np.outer(excess, excess)
+        limited: Vector = covariance * np.outer(excess, excess)
+        return limited
 
     def forget_actuators(self) -> None:
         """Takes the actuators as settled at the next action: after a gap in the ticks."""

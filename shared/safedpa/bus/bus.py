@@ -39,6 +39,8 @@ class Refused:
     """Bytes that arrived and are no message, or whose key names no robot and topic: see the reason."""
 
     key: str
+    robot: str
+    """Empty when the key names none."""
     reason: str
 
 
@@ -82,11 +84,12 @@ class Inbox:
 
 
 def _opened(key: str, payload: bytes, at: float) -> Received | Refused:
+    robot = ""
     try:
         _, robot, topic = topic_of(key)
         return Received(topic, robot, decode(topic.message, payload), payload, key, at)
     except InputError as error:
-        return Refused(key, str(error))
+        return Refused(key, robot, str(error))
 
 
 class Bus:

@@ -4,8 +4,10 @@ Towards the goal it follows an arc (pure pursuit): with the goal at distance d a
 
     steer = atan(2 wheelbase sin(b) / d),   target_speed = min(cruise, approach d) max(cos(b), slow)
 
-and where it makes no headway (the filter holds it back, or it stands against a wall) it backs off, then heads past the
-goal's direction to one side, to the other side the next time. Source of pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
+A goal inside the turning circle of its side (radius wheelbase / tan(steer limit)) would be circled for ever; there it
+first makes room, backwards with the wheels turned away. Where it makes no headway (the filter holds it back, or it
+stands against a wall) it backs off, then heads past the goal's direction to one side, to the other side the next time.
+Source of pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
 """
 
 from __future__ import annotations
@@ -40,6 +42,10 @@ class GoalSeekerSettings:
     headway: float = 0.12
     """m within the patience that count as headway."""
     back_off_seconds: float = 1.4
+    room_seconds: float = 4.0
+    """Longest time to make room; then something is behind it, and it tries a detour."""
+    reach: float = 0.2
+    """m; how near the turning circle a goal may lie and is still reached on it."""
     detour_seconds: float = 1.6
     detour_bearing: float = 1.0
     """rad to the side of the goal that a detour heads for."""
@@ -51,6 +57,7 @@ class GoalSeekerSettings:
 
 class _Mode(Enum):
     SEEK = "seek"
+    MAKE_ROOM = "make_room"
     BACK_OFF = "back_off"
     DETOUR = "detour"
 
@@ -71,7 +78,7 @@ class GoalSeeker:
 
     @property
     def mode(self) -> str:
-        """What it is about: seek, back_off or detour."""
+        """What it is about: seek, make_room, back_off or detour."""
         return self._mode.value
 
     def wish(self, time: float, state: tuple[float, ...], goal: tuple[float, ...]) -> tuple[float, float]:
@@ -80,10 +87,10 @@ class GoalSeeker:
         if goal != self._goal:
             self._goal, self._attempts, self._mode = goal, 0, _Mode.SEEK
             self._trail.clear()
-        self._change_mode(time, x, y, yaw)
         distance = math.hypot(goal[0] - x, goal[1] - y)
         bearing = _wrapped(math.atan2(goal[1] - y, goal[0] - x) - yaw)
-        if self._mode is _Mode.BACK_OFF:
+        self._change_mode(time, x, y, distance, bearing)
+        if self._mode in (_Mode.BACK_OFF, _Mode.MAKE_ROOM):
             return self.settings.reverse_speed, -self._side * self.settings.steer_limit
         if self._mode is _Mode.DETOUR:
             bearing = _wrapped(bearing + self._side * self.settings.detour_bearing)
@@ -98,12 +105,22 @@ class GoalSeeker:
         speed *= max(math.cos(bearing), settings.slowest_share)
         return speed, max(-settings.steer_limit, min(settings.steer_limit, steer))
 
-    def _change_mode(self, time: float, x: float, y: float, yaw: float) -> None:
+    def _change_mode(self, time: float, x: float, y: float, distance: float, bearing: float) -> None:
+        outside = self._outside_circle(distance, bearing)
         if self._mode is _Mode.SEEK:
             if self._is_stuck(time, x, y):
                 self._attempts += 1
-                self._side = self._first_side(x, y, yaw) if self._attempts == 1 else -self._side
+                self._side = _side_of(bearing) if self._attempts == 1 else -self._side
                 self._enter(_Mode.BACK_OFF, time + self.settings.back_off_seconds)
+            elif outside < -self.settings.reach:
+                self._side = _side_of(bearing)
+                self._enter(_Mode.MAKE_ROOM, time + self.settings.room_seconds)
+        elif self._mode is _Mode.MAKE_ROOM:
+            if outside > 0.0:
+                self._enter(_Mode.SEEK, time)
+            elif time >= self._mode_ends:
+                self._attempts += 1
+                self._enter(_Mode.DETOUR, time + self.settings.detour_seconds)
         elif time >= self._mode_ends:
             if self._mode is _Mode.BACK_OFF:
                 self._enter(_Mode.DETOUR, time + self.settings.detour_seconds * min(self._attempts, 4))
@@ -114,9 +131,11 @@ class GoalSeeker:
         self._mode, self._mode_ends = mode, ends
         self._trail.clear()
 
-    def _first_side(self, x: float, y: float, yaw: float) -> float:
-        bearing = _wrapped(math.atan2(self._goal[1] - y, self._goal[0] - x) - yaw)
-        return 1.0 if bearing >= 0.0 else -1.0
+    def _outside_circle(self, distance: float, bearing: float) -> float:
+        """How far the goal lies outside the turning circle of its side [m]; negative inside."""
+        radius = self.settings.wheelbase / math.tan(self.settings.steer_limit)
+        aside = distance * abs(math.sin(bearing))
+        return math.hypot(distance * math.cos(bearing), aside - radius) - radius
 
     def _is_stuck(self, time: float, x: float, y: float) -> bool:
         self._trail.append((time, x, y))
@@ -125,6 +144,10 @@ class GoalSeeker:
         oldest, past_x, past_y = self._trail[0]
         watched = time - oldest >= 0.9 * self.settings.patience_seconds
         return watched and math.hypot(x - past_x, y - past_y) < self.settings.headway
+
+
+def _side_of(bearing: float) -> float:
+    return 1.0 if bearing >= 0.0 else -1.0
 
 
 def _wrapped(angle: float) -> float:

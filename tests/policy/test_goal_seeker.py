@@ -1,0 +1,152 @@
+"""The goal seeker gets there, within its limits, the same every time and the same on both sides."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as some
+
+from safedpa.errors import InputError
+from safedpa.policy import GoalSeeker, GoalSeekerSettings
+
+PERIOD = 0.05
+REACHED = 0.3
+SETTINGS = GoalSeekerSettings()
+
+State = tuple[float, float, float, float]
+Point = tuple[float, float]
+
+coordinates = some.floats(-3.5, 3.5)
+starts = some.tuples(coordinates, coordinates, some.floats(-math.pi, math.pi), some.floats(-0.5, 1.5))
+goals = some.tuples(coordinates, coordinates)
+
+
+def moved(state: State, action: tuple[float, float]) -> State:
+    """The kinematic bicycle over one period, speed servo of gain 4 / s."""
+    x, y, yaw, speed = state
+    speed += 4.0 * (action[0] - speed) * PERIOD
+    yaw += speed * math.tan(action[1]) / SETTINGS.wheelbase * PERIOD
+    return x + speed * math.cos(yaw) * PERIOD, y + speed * math.sin(yaw) * PERIOD, yaw, speed
+
+
+def seconds_to(goal: Point, state: State, longest: float = 60.0) -> float:
+    """When the goal is reached in an empty field; infinity when it is not."""
+    seeker = GoalSeeker()
+    for tick in range(round(longest / PERIOD)):
+        if math.hypot(goal[0] - state[0], goal[1] - state[1]) < REACHED:
+            return tick * PERIOD
+        state = moved(state, seeker.wish(tick * PERIOD, state, goal))
+    return math.inf
+
+
+@given(starts, goals)
+@settings(max_examples=150)
+def test_it_reaches_any_goal_from_any_start(start: State, goal: Point) -> None:
+    assert seconds_to(goal, start) < math.inf
+
+
+@pytest.mark.parametrize("distance", [0.35, 0.5, 0.7, 0.905, 1.2])
+@pytest.mark.parametrize("bearing", [math.pi / 2, -math.pi / 2, 1.2, 2.0, math.pi, 2.9])
+def test_it_reaches_goals_inside_its_turning_circle(distance: float, bearing: float) -> None:
+    """A goal abeam, nearer than the car can turn, would be circled for ever by pure pursuit."""
+    goal = (distance * math.cos(bearing), distance * math.sin(bearing))
+    assert seconds_to(goal, (0.0, 0.0, 0.0, 0.0)) < 30.0
+
+
+def test_a_goal_straight_ahead_is_approached_straight() -> None:
+    assert seconds_to((3.0, 0.0), (0.0, 0.0, 0.0, 0.0)) < 4.5
+    speed, steer = GoalSeeker().wish(0.0, (0.0, 0.0, 0.0, 0.0), (3.0, 0.0))
+    assert (speed, steer) == (SETTINGS.cruise_speed, 0.0)
+
+
+@given(some.lists(some.tuples(starts, goals, some.floats(0.0, 2.0)), min_size=1, max_size=40))
+def test_whatever_happens_it_stays_within_its_limits(events: list[tuple[State, Point, float]]) -> None:
+    seeker, time = GoalSeeker(), 0.0
+    for state, goal, elapsed in events:
+        time += elapsed
+        speed, steer = seeker.wish(time, state, goal)
+        assert SETTINGS.reverse_speed <= speed <= SETTINGS.cruise_speed
+        assert abs(steer) <= SETTINGS.steer_limit
+
+
+@given(starts, goals)
+@settings(max_examples=30)
+def test_it_is_deterministic(start: State, goal: Point) -> None:
+    one, other = GoalSeeker(), GoalSeeker()
+    state = start
+    for tick in range(100):
+        wish = one.wish(tick * PERIOD, state, goal)
+        assert wish == other.wish(tick * PERIOD, state, goal)
+        state = moved(state, wish)
+
+
+@given(starts, goals)
+@settings(max_examples=60)
+def test_the_mirror_image_drives_the_mirror_image(start: State, goal: Point) -> None:
+    one, other = GoalSeeker(), GoalSeeker()
+    x, y, yaw, speed = start
+    bearing = math.atan2(goal[1] - y, goal[0] - x) - yaw
+    if abs(math.sin(bearing)) < 1e-6 or math.hypot(goal[0] - x, goal[1] - y) < REACHED:
+        return  # straight ahead or behind it has to choose a side; near the goal it gets the next one
+    for tick in range(80):
+        wish = one.wish(tick * PERIOD, (x, y, yaw, speed), goal)
+        mirrored = other.wish(tick * PERIOD, (x, -y, -yaw, speed), (goal[0], -goal[1]))
+        assert mirrored == pytest.approx((wish[0], -wish[1]), abs=1e-9)
+        if tick < 40:  # drives, then is held, so that backing off is mirrored as well
+            x, y, yaw, speed = moved((x, y, yaw, speed), wish)
+        if math.hypot(goal[0] - x, goal[1] - y) < REACHED:
+            return
+
+
+@given(starts, goals, some.floats(-3.0, 3.0), some.tuples(coordinates, coordinates))
+@settings(max_examples=40)
+def test_turning_and_shifting_the_world_changes_nothing(start: State, goal: Point, turn: float, shift: Point) -> None:
+    x, y, yaw, speed = start
+    if math.cos(math.atan2(goal[1] - y, goal[0] - x) - yaw) < -1.0 + 1e-6 or math.hypot(goal[0] - x, goal[1] - y) < 0.1:
+        return  # straight behind: the sides are alike
+
+    def seen(point: Point) -> Point:
+        c, s = math.cos(turn), math.sin(turn)
+        return c * point[0] - s * point[1] + shift[0], s * point[0] + c * point[1] + shift[1]
+
+    wish = GoalSeeker().wish(0.0, start, goal)
+    turned = GoalSeeker().wish(0.0, (*seen((x, y)), yaw + turn, speed), seen(goal))
+    assert turned == pytest.approx(wish, abs=1e-6)
+
+
+def held(seeker: GoalSeeker, seconds: float, start: float = 0.0) -> list[tuple[str, tuple[float, float]]]:
+    """What it wishes while something holds it in place, by mode."""
+    found = []
+    for tick in range(round(seconds / PERIOD)):
+        wish = seeker.wish(start + tick * PERIOD, (0.0, 0.0, 0.0, 0.0), (3.0, 1.0))
+        found.append((seeker.mode, wish))
+    return found
+
+
+def test_held_in_place_it_backs_off_then_goes_round_then_seeks_again() -> None:
+    modes = [mode for mode, _ in held(GoalSeeker(), 8.0)]
+    order = [mode for mode, before in zip(modes, ["", *modes], strict=False) if mode != before]
+    assert order[:4] == ["seek", "back_off", "detour", "seek"]
+    assert modes.index("back_off") * PERIOD <= SETTINGS.patience_seconds + PERIOD
+
+
+def test_backing_off_goes_backwards_and_changes_sides() -> None:
+    events = [wish for mode, wish in held(GoalSeeker(), 20.0) if mode == "back_off"]
+    assert {speed for speed, _ in events} == {SETTINGS.reverse_speed}
+    assert {math.copysign(1.0, steer) for _, steer in events} == {-1.0, 1.0}
+
+
+def test_a_new_goal_ends_backing_off() -> None:
+    seeker = GoalSeeker()
+    held(seeker, SETTINGS.patience_seconds + 0.2)
+    assert seeker.mode == "back_off"
+    seeker.wish(2.0, (0.0, 0.0, 0.0, 0.0), (3.0, -1.0))
+    assert seeker.mode == "seek"
+
+
+def test_impossible_settings_are_refused() -> None:
+    for wrong in ({"cruise_speed": 0.0}, {"reverse_speed": 0.5}, {"steer_limit": 0.0}, {"wheelbase": -1.0}):
+        with pytest.raises(InputError, match="goal seeker"):
+            GoalSeekerSettings(**wrong)
