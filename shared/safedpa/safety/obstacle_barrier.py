@@ -13,7 +13,7 @@ from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.braking import Braking
 
-__all__ = ["Footprint", "ObstacleBarrier"]
+__all__ = ["Footprint", "ObstacleBarrier", "checked_footprint"]
 
 Values = NDArray[np.float64]
 Footprint = tuple[float, float, float]

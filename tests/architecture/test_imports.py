@@ -1,0 +1,77 @@
+"""Imports go down only, services know each other by the bus alone, and every process starts lightly."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SERVICES = ROOT / "services" / "safedpa_services"
+SHARED_BY_SERVICES = {"serving"}
+LAUNCHERS = {"command_line", "supervisor", "benchmarks"}
+"""What a person starts: these may know the services and the simulator."""
+HEAVY = {"torch", "rerun", "plotly", "scipy", "pandas", "matplotlib"}
+
+PACKAGES = sorted(path.name for path in SERVICES.iterdir() if (path / "__init__.py").exists())
+MAINS = sorted(name for name in PACKAGES if (SERVICES / name / "__main__.py").exists())
+
+
+def imported(path: Path) -> set[str]:
+    """Every module that a file names in an import, wherever it stands."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found |= {node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
+def test_the_contracts_of_import_linter_are_kept() -> None:
+    program = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run([program, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("service", [name for name in PACKAGES if name not in LAUNCHERS])
+def test_a_service_imports_no_other_service(service: str) -> None:
+    allowed = {service, *SHARED_BY_SERVICES}
+    for path in (SERVICES / service).rglob("*.py"):
+        for module in imported(path):
+            if module.startswith("safedpa_services."):
+                assert module.split(".")[1] in allowed, f"{path}: {module}"
+
+
+def test_nothing_but_what_a_person_starts_imports_the_simulator() -> None:
+    for path in SERVICES.rglob("*.py"):
+        if path.relative_to(SERVICES).parts[0] not in LAUNCHERS:
+            assert not any(module.split(".")[0] == "safedpa_sim" for module in imported(path)), path
+
+
+def test_the_library_imports_neither_services_nor_simulator() -> None:
+    for folder, banned in (("shared", {"safedpa_services", "safedpa_sim"}), ("sim", {"safedpa_services"})):
+        for path in (ROOT / folder).rglob("*.py"):
+            assert not banned & {module.split(".")[0] for module in imported(path)}, path
+
+
+def loaded_by(module: str) -> set[str]:
+    """Top-level packages in memory after importing a module in a fresh interpreter."""
+    code = f"import sys, {module}; print(*{{name.split('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("service", [*MAINS, "command_line"])
+def test_a_process_starts_lightly(service: str) -> None:
+    module = f"safedpa_services.{service}" + (".__main__" if service in MAINS else "")
+    allowed = {"rerun"} if service == "dashboard" else set()
+    assert not (HEAVY - allowed) & loaded_by(module)
+
+
+def test_the_robot_starts_lightly() -> None:
+    assert not HEAVY & loaded_by("safedpa_sim.robots.__main__")
