@@ -202,8 +202,8 @@ def test_hitching_while_driving_slows_the_car_and_keeps_the_hitch_together():
 @pytest.mark.parametrize("load", LOAD_NAMES)
 def test_the_watchdog_stops_within_the_promised_distance(load):
     """From every speed and steer, steady or still accelerating, with the steer going to straight."""
-    for steer in (0.0, 0.17, -0.34):
-        for seconds in (0.05, 0.1, 0.2, 0.4, 4.0):
+    for steer in (0.0, -0.34):
+        for seconds in (0.05, 0.2, 0.4, 3.0):
             for target_speed in (0.3, 0.8, 1.4, 2.0, -0.6):
                 world = driven(open_world(load), target_speed, steer, seconds)
                 check_stops(world)
@@ -220,7 +220,7 @@ def check_stops(world: CarWorld) -> None:
     x, y, _, speed = world.state
     bound = stopping_bound(abs(speed), *BRAKING) + 1e-4
     distance = 0.0
-    for _ in range(120):
+    for _ in range(80):
         world.advance(0.0, 0.0, 0.025)
         there_x, there_y, _, now = world.state
         distance += hypot(there_x - x, there_y - y)

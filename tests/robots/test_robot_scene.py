@@ -160,5 +160,5 @@ def test_long_reversing_leaves_the_corridor_which_is_why_the_docs_limit_it():
     for _ in range(60):
         corridor.drive(1.2, 0.34)
     for _ in range(100):
-        furthest = max(furthest, corridor.drive(-0.6, -0.34))
+        furthest = max(furthest, corridor.drive(-0.6, 0.34))
     assert furthest > corridor.radius
