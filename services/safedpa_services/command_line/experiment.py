@@ -23,14 +23,14 @@ from safedpa.errors import InputError
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def command(name: str, **options: Any) -> None:
     """Run an experiment. safety: random scenes with every load, with the filter and without; collisions counted."""
-    from safedpa.safety import load_settings
+    from safedpa.safety.shipped import settings_named
     from safedpa_services.progress import progress
     from safedpa_sim.experiments.safety import safety_experiment
 
     if options["seeds"] < 1 or options["seconds"] <= 0.0 or options["processes"] < 1:
         raise InputError("--seeds, --seconds and --processes: wanted more than 0")
     seeds = range(options["first_seed"], options["first_seed"] + options["seeds"])
-    settings = load_settings(options["settings"])
+    settings = settings_named(options["settings"])
     with progress(f"experiment {name}") as tell:
         result = safety_experiment(seeds, options["seconds"], options["model"], settings, options["processes"], tell)
     result = {"experiment": name, "seeds": [seeds.start, seeds.stop - 1], **result}

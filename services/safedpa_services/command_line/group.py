@@ -11,7 +11,7 @@ from safedpa.errors import InputError, SafedpaError, did_you_mean
 
 __all__ = ["COMMANDS", "safedpa"]
 
-COMMANDS = ("bench", "compare", "effects", "experiment", "export", "predict", "up")
+COMMANDS = ("bench", "calibrate", "compare", "effects", "experiment", "export", "predict", "screenshot", "up")
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 
 

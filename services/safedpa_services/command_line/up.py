@@ -28,6 +28,8 @@ LOADS = ("none", "box", "chair", "large_chair")
 @click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
 @click.option("--headless", is_flag=True, help="no dashboard")
 @click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
+@click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
+@click.option("--margin", default="", help="margin file; default: the shipped one of the model, if there is one")
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
 @click.option("--listen", default="", help="endpoint for others to join, such as tcp/0.0.0.0:7447")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="for recordings")
@@ -71,6 +73,8 @@ def _plan(options: dict[str, Any]) -> Plan:
         filtered=not options["unfiltered"],
         dashboard=not options["headless"],
         model=options["model"],
+        settings=options["settings"],
+        margin=options["margin"],
         fleet=options["fleet"],
         endpoint=options["listen"] or f"tcp/127.0.0.1:{free_port()}",
         folder=Plan.new_folder(options["out"], options["name"]),

@@ -27,6 +27,8 @@ class Plan:
     filtered: bool
     dashboard: bool
     model: str
+    settings: str
+    margin: str
     fleet: str
     endpoint: str
     """Where the supervisor's own session listens; every process connects to it and learns of the others there."""
@@ -46,10 +48,11 @@ class Plan:
         """Every process but the robot."""
         model = ("--model", self.model)
         unfiltered = () if self.filtered else ("--off",)
+        margin = ("--settings", self.settings, *(("--margin", self.margin) if self.margin else ()))
         children = [
             self._child("adaptation", "safedpa_services.adaptation", *model),
             self._child("policy", "safedpa_services.policy", *model),
-            self._child("safety_filter", "safedpa_services.safety_filter", *model, *unfiltered),
+            self._child("safety_filter", "safedpa_services.safety_filter", *model, *margin, *unfiltered),
             self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
         ]
         if self.dashboard:

@@ -6,6 +6,7 @@ Whatever is missing, an action goes out in time: without a wish, or with a laten
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypedDict, final
 
@@ -28,10 +29,14 @@ from safedpa.bus import (
     WishMessage,
 )
 from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.errors import InputError
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Verdict
+from safedpa.safety.watched_margin import WatchedMargin
 
 __all__ = ["SafetyFilterNode"]
 
@@ -55,6 +60,8 @@ class _Robot:
 
     filter: SafetyFilter
     scene: SceneBarriers
+    margin: WatchedMargin
+    tick: int = -1
     latent: LatentMessage | None = None
     state: Values | None = None
     memory: Any = field(default=None)
@@ -69,17 +76,30 @@ class SafetyFilterNode(AbstractNode):
     outputs = (ACTION, VERDICT)
     share = 0.5
 
-    def __init__(self, model: PhysicsModel, settings: FilterSettings | None = None) -> None:
+    def __init__(
+        self,
+        model: PhysicsModel,
+        settings: FilterSettings | None = None,
+        calibration: MarginCalibration | None = None,
+    ) -> None:
         self._model = model
         self._settings = settings or FilterSettings()
         self._fingerprint = fingerprint(model)
+        self._calibration = calibration or self._uncalibrated()
+        if self._calibration.fingerprint != self._fingerprint:
+            raise InputError(
+                f"margin: calibrated for model {self._calibration.fingerprint}, the filter has {self._fingerprint}; "
+                "calibrate it anew with 'safedpa calibrate'"
+            )
         self._robots: dict[str, _Robot] = {}
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         memory = self._robots.get(robot)
         if memory is None:
             memory = self._robots[robot] = _Robot(
-                SafetyFilter.for_model(self._model, self._settings), SceneBarriers(self._settings)
+                SafetyFilter.for_model(self._model, self._settings),
+                SceneBarriers(self._settings),
+                WatchedMargin(self._calibration),
             )
         wish = inputs[WISH]
         latent, stale = self._latent(memory, state, inputs)
@@ -87,6 +107,7 @@ class SafetyFilterNode(AbstractNode):
             stale.append(f"the wish ({wish.sentence})")
         self._remember_actuators(memory, state)
         barriers = memory.scene.of(state)
+        self._watch_margin(memory, state, () if isinstance(barriers, str) else barriers)
         if isinstance(barriers, str):
             stale.append(f"the {barriers}")
         verdict = memory.filter.decide(
@@ -95,12 +116,25 @@ class SafetyFilterNode(AbstractNode):
             latent,
             memory=memory.memory,
             barriers=() if isinstance(barriers, str) else barriers,
+            epsilon=memory.margin.epsilon,
             stale=stale,
         )
-        return self._messages(state, verdict, self._predicted(memory, state, verdict, latent))
+        predicted = self._predicted(memory, state, verdict, latent)
+        memory.margin.expect(np.array(predicted[0]) if predicted else None)
+        return self._messages(state, verdict, predicted)
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
+
+    def _uncalibrated(self) -> MarginCalibration:
+        """The margins of the settings, which no data stand behind."""
+        return MarginCalibration(dict(self._settings.epsilon), 0.99, 1, "never", self._fingerprint)
+
+    def _watch_margin(self, memory: _Robot, state: StateMessage, barriers: Sequence[AbstractBarrier]) -> None:
+        if state.tick != memory.tick + 1 or state.applied_by != "filter":
+            memory.margin.expect(None)  # what was predicted is not what was done
+        memory.tick = state.tick
+        memory.margin.observe(np.array(state.values), barriers)
 
     def _latent(self, memory: _Robot, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
         """The latent to use, and what is wrong with it."""

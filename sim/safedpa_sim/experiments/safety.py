@@ -19,6 +19,7 @@ from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.policy import PolicyNode
 from safedpa.safety import FilterSettings
 from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.experiments.statistics import wilson_interval
 from safedpa_sim.robots.core import CarRobot
@@ -62,7 +63,7 @@ def run_episode(episode: Episode) -> Outcome:
     """Drives one episode; the same episode gives the same outcome, bit for bit."""
     model: PhysicsModel = load_model(episode.model)
     settings = dataclasses.replace(episode.settings, enabled=episode.filtered)
-    nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings)]
+    nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings, margin_for(model))]
     robot = CarRobot(Scene.random(episode.seed, episode.load), _PERIOD)
     statuses: Counter[str] = Counter()
     least_h = float("inf")
@@ -93,7 +94,7 @@ def safety_experiment(
     on_episode: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, Any]:
     """Every load and seed with the filter and without; one row a load, with 95 % intervals for safe episodes."""
-    settings = settings or FilterSettings()
+    settings = settings or settings_named("car")
     episodes = [
         Episode(load, seed, filtered, seconds, model, settings)
         for load in LOADS

@@ -1,0 +1,49 @@
+"""Settings and margins that ship with the project, by the name of the model that they belong to."""
+
+from __future__ import annotations
+
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.errors import InputError, did_you_mean
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.settings import FilterSettings, load_settings
+
+__all__ = ["margin_for", "settings_named"]
+
+
+def settings_named(source: str) -> FilterSettings:
+    """Settings from a file, or the ones that ship under a name. Raises InputError naming file and key."""
+    return load_settings(_path(source, "named_settings"))
+
+
+def margin_for(model: PhysicsModel, source: str = "") -> MarginCalibration | None:
+    """The calibration in a file or under a name; without one the shipped one of this very model, or None.
+
+    Raises InputError when it cannot be read.
+    """
+    if source:
+        return MarginCalibration.load(_path(source, "named_margins"))
+    for path in _shipped("named_margins").values():
+        calibration = MarginCalibration.load(path)
+        if calibration.fingerprint == fingerprint(model):
+            return calibration
+    return None
+
+
+def _path(source: str, kind: str) -> Path:
+    path = Path(source)
+    if path.exists():
+        return path
+    shipped = _shipped(kind)
+    if path.stem not in shipped or path.parent != Path():
+        raise InputError(
+            f"{source}: no such file, nor one that ships under that name; {did_you_mean(path.stem, shipped)}"
+        )
+    return shipped[path.stem]
+
+
+def _shipped(kind: str) -> dict[str, Path]:
+    with as_file(files("safedpa.safety") / kind) as folder:
+        return {path.stem: path for path in sorted(folder.glob("*.toml"))}

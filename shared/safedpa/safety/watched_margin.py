@@ -1,0 +1,53 @@
+"""The margin of one running robot: calibrated beforehand, watched and widened while it drives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margin import OnlineMargin
+
+__all__ = ["WatchedMargin"]
+
+Values = NDArray[np.float64]
+
+
+@final
+class WatchedMargin:
+    """epsilon by kind of barrier. After each period the prediction of h is held against the measurement:
+
+    error = max over the kind's barriers of h(x predicted) - h(x measured), positive where the model hoped too much.
+    """
+
+    def __init__(self, calibration: MarginCalibration) -> None:
+        self._margins = {
+            kind: OnlineMargin(calibrated, calibration.coverage) for kind, calibrated in calibration.epsilon.items()
+        }
+        self._expected: Values | None = None
+
+    @property
+    def epsilon(self) -> dict[str, float]:
+        """The margins in force."""
+        return {kind: margin.value for kind, margin in self._margins.items()}
+
+    def expect(self, next_state: Values | None) -> None:
+        """Keeps the prediction (states,) for the next measurement; None: there is none."""
+        self._expected = next_state
+
+    def observe(self, state: Values, barriers: Sequence[AbstractBarrier]) -> None:
+        """Holds the last prediction against the measured ``state`` (states,); call it once per period."""
+        expected, self._expected = self._expected, None
+        if expected is None or expected.shape != state.shape:
+            return
+        errors: dict[str, float] = {}
+        for part in barriers:
+            worst = float((part.values(expected) - part.values(state)).max(initial=-np.inf))
+            errors[part.kind] = max(errors.get(part.kind, -np.inf), worst)
+        for kind, error in errors.items():
+            if kind in self._margins and np.isfinite(error):
+                self._margins[kind].update(error)
