@@ -378,3 +378,31 @@ def test_time_comes_from_the_clock_given() -> None:
         "wish": [0.5],
         "known": True,
     }
+
+
+def line_filter(wall: float = 1.0, **changes: object) -> SafetyFilter:
+    """x[t+1] = x + a, h = wall - x, exact in binary: eta 1, so that the condition is h(x+) >= epsilon."""
+    settings = FilterSettings(action_low=(-4.0,), action_high=(4.0,), epsilon=0.0, eta=1.0, **changes)  # type: ignore[arg-type]
+    return SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: wall - x[0])], settings)
+
+
+def test_violation_of_just_the_tolerance_is_kept() -> None:
+    safe = line_filter(slack_tolerance=0.25)
+    assert safe.decide(np.zeros(1), [1.25]).status is Status.passed
+    assert safe.decide(np.zeros(1), [1.251]).status is Status.corrected
+
+
+def test_active_means_within_ten_tolerances() -> None:
+    safe = line_filter(slack_tolerance=0.0625)
+    assert safe.decide(np.zeros(1), [0.375]).active == ("h",)  # residual 0.625
+    assert safe.decide(np.zeros(1), [0.37]).active == ()
+
+
+def test_kinds_without_a_margin_have_none() -> None:
+    safe = SafetyFilter(
+        lambda x: (x, np.eye(1)),
+        [FunctionBarrier(lambda x: 1.0 - x[0])],
+        FilterSettings(action_low=(-1.0,), action_high=(1.0,)),
+    )
+    assert safe.decide(np.zeros(1), [0.0]).margin == 0.0
+    assert safe.decide(None, [0.0]).margin == 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
+from math import copysign, isfinite
 from typing import final
 
 from safedpa.errors import InputError
@@ -40,7 +40,7 @@ class Braking:
         if size <= corner:
             return speed / self.gain
         size = corner / self.gain + (size * size - corner * corner) / (2.0 * self.deceleration)
-        return size if speed > 0.0 else -size
+        return copysign(size, speed)
 
     def slope(self, speed: float) -> float:
         """d(D)/d(speed) [s] = max(1 / k, |speed| / b)."""

@@ -63,7 +63,7 @@ class Verdict:
     """Time that the decision took."""
     wish: NDArray[np.float64] | None
     """(actions,) what was asked for; None when it was missing or unusable."""
-    known: bool = True
+    known: bool
     """False when h_now and h_next could not be computed, or were not because the filter is switched off."""
 
     @property

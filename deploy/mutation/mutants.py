@@ -1,0 +1,143 @@
+"""Small faults, one at a time: every place in a module where a sign, a limit or a number could be wrong."""
+
+from __future__ import annotations
+
+import ast
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+__all__ = ["Mutant", "mutants"]
+
+_COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
+    ast.Lt: (ast.LtE, ast.GtE),
+    ast.LtE: (ast.Lt, ast.Gt),
+    ast.Gt: (ast.GtE, ast.LtE),
+    ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+}
+_OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+    ast.LShift: ast.RShift,
+}
+_NAMES = {
+    "min": "max",
+    "max": "min",
+    "minimum": "maximum",
+    "maximum": "minimum",
+    "sin": "cos",
+    "cos": "sin",
+    "any": "all",
+    "all": "any",
+}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A module's source with one fault; ``name`` says which, in words that do not depend on line numbers."""
+
+    name: str
+    line: int
+    source: str
+
+
+def mutants(source: str) -> list[Mutant]:
+    """Every mutant of a module's source; annotations, decorators, messages and docstrings are left alone."""
+    tree, found, seen = ast.parse(source), [], {}
+    lines = source.splitlines()
+    for path in _paths(tree):
+        for change in _changes(_at(tree, path)):
+            mutated = copy.deepcopy(tree)
+            _replace(mutated, path, change)
+            text = ast.unparse(ast.fix_missing_locations(mutated))
+            line = getattr(_at(tree, path), "lineno", 1)
+            name = f"{lines[line - 1].strip()}  ->  {_short(_at(tree, path))} becomes {_short(change)}"
+            seen[name] = seen.get(name, 0) + 1
+            found.append(Mutant(f"{name} ({seen[name]})" if seen[name] > 1 else name, line, text))
+    return found
+
+
+Path = tuple[tuple[str, int | None], ...]
+
+
+def _paths(node: ast.AST, path: Path = ()) -> Iterator[Path]:
+    yield path
+    for field, value in ast.iter_fields(node):
+        if field in ("annotation", "returns", "decorator_list", "format_spec") or isinstance(node, ast.JoinedStr):
+            continue
+        for index, child in enumerate(value) if isinstance(value, list) else ((None, value),):
+            if isinstance(child, ast.AST):
+                yield from _paths(child, (*path, (field, index)))
+
+
+def _at(tree: ast.AST, path: Path) -> ast.AST:
+    node: ast.AST = tree
+    for field, index in path:
+        value = getattr(node, field)
+        node = value if index is None else value[index]
+    return node
+
+
+def _replace(tree: ast.AST, path: Path, change: ast.AST) -> None:
+    if not path:
+        return
+    parent, (field, index) = _at(tree, path[:-1]), path[-1]
+    if index is None:
+        setattr(parent, field, change)
+    else:
+        getattr(parent, field)[index] = change
+
+
+def _changes(node: ast.AST) -> Iterator[ast.AST]:
+    match node:
+        case ast.Compare(ops=operators):
+            for index, operator in enumerate(operators):
+                for other in _COMPARISONS.get(type(operator), ()):
+                    yield _with(node, ops=[*operators[:index], other(), *operators[index + 1 :]])
+        case ast.BinOp(op=operator) | ast.AugAssign(op=operator) if type(operator) in _OPERATORS:
+            yield _with(node, op=_OPERATORS[type(operator)]())
+        case ast.UnaryOp(op=ast.USub() | ast.Not(), operand=operand):
+            yield copy.deepcopy(operand)
+        case ast.BoolOp(op=operator):
+            yield _with(node, op=ast.Or() if isinstance(operator, ast.And) else ast.And())
+        case ast.Break():
+            yield ast.copy_location(ast.Pass(), node)
+        case ast.If(test=test) | ast.IfExp(test=test) if isinstance(test, (ast.Name, ast.Attribute, ast.Call)):
+            yield _with(node, test=ast.UnaryOp(ast.Not(), test))
+        case _:
+            yield from _changed_word(node)
+
+
+def _changed_word(node: ast.AST) -> Iterator[ast.AST]:
+    match node:
+        case ast.Constant(value=bool() as value):
+            yield _with(node, value=not value)
+        case ast.Constant(value=int() | float() as value):
+            yield _with(node, value=value + 1)
+        case ast.Name(id=name) if name in _NAMES:
+            yield _with(node, id=_NAMES[name])
+        case ast.Attribute(attr=name) if name in _NAMES:
+            yield _with(node, attr=_NAMES[name])
+
+
+def _with(node: ast.AST, **fields: object) -> ast.AST:
+    changed = copy.copy(node)
+    for name, value in fields.items():
+        setattr(changed, name, value)
+    return changed
+
+
+def _short(node: ast.AST) -> str:
+    text = " ".join(ast.unparse(node).split())
+    return text if len(text) <= 90 else text[:87] + "..."

@@ -1,0 +1,157 @@
+"""Plants small faults in the safety filter, one at a time, and asks whether the tests notice.
+
+    python deploy/mutation/run.py [MODULE ...]
+
+Each mutant runs in a forked process at low priority: numpy, PIQP and the test tools are imported once. Writes
+``summary.json`` and ``summary.md`` beside this file. Exit code 0: every mutant was killed or its survival is explained
+in ``survivors.md`` (which then holds the mutant's name); 1: some survivor is unexplained; 2: the tests
+fail without any fault.
+"""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.util
+import json
+import os
+import signal
+import sys
+import time
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import ModuleType
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+PACKAGE = "safedpa.safety"
+SECONDS = 60
+"""After which a mutant counts as killed: it hangs."""
+
+BARRIERS = ("test_barriers.py", "test_filter_invariance.py")
+VERDICTS = ("test_filter_inputs.py", "test_filter_verdicts.py")
+SLOPES = "test_barriers.py::test_gradient_is_the_derivative"
+MODULES = {
+    "decision": (*VERDICTS, "test_filter_invariance.py"),
+    "search": (*VERDICTS, "test_filter_invariance.py"),
+    "conditions": (*VERDICTS, "test_filter_invariance.py"),
+    "inputs": VERDICTS,
+    "quadratic_program": ("test_quadratic_program.py", *VERDICTS),
+    "verdict": VERDICTS,
+    "braking": ("test_braking.py", *BARRIERS),
+    "barrier": ("test_barriers.py::test_stack_keeps_order_names_and_margins", *BARRIERS),
+    "obstacle_barrier": (f"{SLOPES}[ObstacleBarrier]", *BARRIERS),
+    "field_barrier": (f"{SLOPES}[FieldBarrier]", *BARRIERS),
+    "speed_barrier": (f"{SLOPES}[SpeedBarrier]", *BARRIERS),
+    "function_barrier": (f"{SLOPES}[FunctionBarrier]", "test_barriers.py", "test_filter_inputs.py"),
+}
+"""Which tests judge which module, the quickest first."""
+
+
+class Planted(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Loads one module from a given source in place of its file."""
+
+    def __init__(self, name: str, source: str) -> None:
+        self._name, self._source = name, source
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        """The specification of the planted module, of no other."""
+        return importlib.util.spec_from_loader(fullname, self) if fullname == self._name else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Runs the planted source."""
+        exec(compile(self._source, self._name, "exec"), module.__dict__)
+
+
+def import_what_is_not_mutated() -> None:
+    """So that a forked process has it at once."""
+    for name in ("gymnasium", "hypothesis", "numpy", "piqp", "pytest", "quadprog", "safedpa.dynamics", "scipy.stats"):
+        importlib.import_module(name)
+
+
+def judge(module: str, source: str, tests: tuple[str, ...]) -> str:
+    """``survived``, ``killed`` or ``killed by the time limit``."""
+    child = os.fork()
+    if child == 0:
+        run_tests(module, source, tests)
+    deadline = time.monotonic() + SECONDS
+    while time.monotonic() < deadline:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return "survived" if os.waitstatus_to_exitcode(status) == 0 else "killed"
+        time.sleep(0.02)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return "killed by the time limit"
+
+
+def run_tests(module: str, source: str, tests: tuple[str, ...]) -> None:
+    """In the forked process: never returns."""
+    import hypothesis
+    import pytest
+
+    # One counterexample is enough: making it small costs more than all other tests.
+    hypothesis.settings.register_profile("mutation", phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate))
+    hypothesis.settings.load_profile("mutation")
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
+    sys.meta_path.insert(0, Planted(f"{PACKAGE}.{module}", source))
+    files = [str(ROOT / "tests" / "safety" / name) for name in tests]
+    quiet = "ignore::pytest.PytestAssertRewriteWarning"  # hypothesis was imported before pytest could rewrite it
+    plain = ("-x", "-q", "--tb=no", "--assert=plain", "-p", "no:cacheprovider", "-p", "no:xdist")
+    code = pytest.main([*plain, "-W", quiet, "--rootdir", str(ROOT), *files])
+    os._exit(int(code))
+
+
+def main(wanted: list[str]) -> int:
+    """Runs every mutant of the wanted modules (default: all) and writes the summary."""
+    os.nice(10)
+    os.chdir(ROOT)
+    sys.path[:0] = [str(HERE), str(ROOT / "shared")]
+    from mutants import mutants
+
+    import_what_is_not_mutated()
+    explained = (HERE / "survivors.md").read_text(encoding="utf-8") if (HERE / "survivors.md").exists() else ""
+    rows, survivors, start = [], [], time.monotonic()
+    for module in wanted or list(MODULES):
+        source = (ROOT / "shared" / "safedpa" / "safety" / f"{module}.py").read_text(encoding="utf-8")
+        if judge(module, source, MODULES[module]) != "survived":
+            sys.stderr.write(f"{module}: its tests fail without any fault; repair them first\n")
+            return 2
+        planted = mutants(source)
+        alive = []
+        for mutant in planted:
+            if judge(module, mutant.source, MODULES[module]) == "survived":
+                alive.append(mutant)
+                sys.stderr.write(f"survived: {module}:{mutant.line} {mutant.name}\n")
+        rows.append({"module": module, "mutants": len(planted), "survived": len(alive)})
+        survivors += [
+            {"module": module, "line": mutant.line, "name": mutant.name, "explained": mutant.name in explained}
+            for mutant in alive
+        ]
+        sys.stderr.write(f"{module}: {len(planted)} mutants, {len(alive)} survived, {time.monotonic() - start:.0f} s\n")
+    return report(rows, survivors, partial=bool(wanted))
+
+
+def report(rows: list[dict[str, object]], survivors: list[dict[str, object]], *, partial: bool) -> int:
+    """Writes the summary files (of a full run) and names the unexplained."""
+    total, alive = sum(int(str(row["mutants"])) for row in rows), len(survivors)
+    open_ones = [survivor for survivor in survivors if not survivor["explained"]]
+    lines = ["| module | mutants | killed | survived |", "|---|---|---|---|"]
+    for row in rows:
+        count, left = int(str(row["mutants"])), int(str(row["survived"]))
+        lines.append(f"| {row['module']} | {count} | {count - left} | {left} |")
+    lines.append(f"| all | {total} | {total - alive} | {alive} |")
+    lines += ["", f"Survivors without an explanation: {len(open_ones)}."]
+    lines += [f"- {survivor['module']}:{survivor['line']} `{survivor['name']}`" for survivor in open_ones]
+    text = "\n".join(lines) + "\n"
+    sys.stdout.write(text)
+    if not partial:
+        document = {"mutants": total, "killed": total - alive, "modules": rows, "survivors": survivors}
+        (HERE / "summary.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+        (HERE / "summary.md").write_text("# Mutation run\n\n" + text, encoding="utf-8")
+    return 1 if open_ones else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

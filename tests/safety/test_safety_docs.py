@@ -1,0 +1,33 @@
+"""The page on safety does what it says."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.safety import parse_settings
+
+PAGE = (Path(__file__).parents[2] / "docs" / "safety.md").read_text(encoding="utf-8")
+
+
+def test_every_example_runs_in_order(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gymnasium", reason="gymnasium is an optional extra")
+    names: dict[str, Any] = {}
+    blocks = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert len(blocks) == 4
+    for number, block in enumerate(blocks):
+        exec(compile(block, f"docs/safety.md, block {number}", "exec"), names)
+    assert capsys.readouterr().out.startswith("corrected [")
+    assert names["verdict"].status.value == "corrected"
+
+
+def test_the_first_example_is_five_lines_beside_the_users_own() -> None:
+    first = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0].splitlines()
+    own = [line for line in first if line.startswith(("f =", "g =", "h =", "import numpy"))]
+    assert len([line for line in first if line and line not in own]) == 5
+
+
+def test_the_settings_example_is_read() -> None:
+    block = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[0]
+    assert parse_settings(block).epsilon["obstacle"] == 0.012
