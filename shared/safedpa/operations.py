@@ -1,10 +1,11 @@
-"""One equation, three kinds of numbers.
+"""One equation, several kinds of numbers.
 
 Physics in this project is written once, over named scalars. The same lines then run on
 
 - Python floats (one robot, no array overhead: the services),
 - numpy arrays (many windows of a recording at once: comparison and diagnosis),
 - torch tensors (thousands of robots with gradients: training),
+- complex numbers with an infinitesimal imaginary part (slopes for one robot: the safety filter),
 
 because every function beyond ``+ - * /`` is taken from an ``Operations`` table that fits the numbers.
 Torch is imported only when a torch tensor comes in.
