@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.comparison import compare_model, with_distinct_names
+from safedpa.diagnosis.figures import time_figure
 from safedpa.diagnosis.overlays import chosen_windows, overlay_figures
 from safedpa.diagnosis.page import compare_page
 from safedpa.diagnosis.summary import as_json
@@ -199,6 +200,17 @@ def test_the_pendulum_has_a_page_without_a_place(tmp_path):
     text = compare_page(compare_model(model, [run], 0.3), "pendulum")
     assert 'id="place"' not in text
     assert "angle [rad]" in text
+
+
+def test_of_many_runs_the_worst_are_drawn_over_time(plain, with_effect, drive):
+    good = [drive(plain, 6.0, seed=seed, name=f"good {seed}") for seed in range(8)]
+    truth = with_effect(plain, "viscous_drag", coefficient=0.5)
+    bad = [drive(truth, 6.0, seed=seed, name=f"bad {seed}") for seed in range(8)]
+    comparison = compare_model(plain, good + bad)
+    names = [note["text"] for note in time_figure(comparison)["layout"]["annotations"]]
+    assert len(names) == 12
+    assert {f"<b>bad {seed}</b>" for seed in range(8)} <= set(names)
+    assert "here the 12 runs with the largest error" in compare_page(comparison, "many")
 
 
 def test_short_and_uneven_runs_are_told(plain, drive):

@@ -11,7 +11,16 @@ from safedpa.diagnosis.comparison import Comparison
 from safedpa.diagnosis.panels import Panels, label, rounded
 from safedpa.diagnosis.where import PLACE, Bin
 
-__all__ = ["COLOURS", "LEGEND", "horizon_figure", "place_figure", "residual_figure", "time_figure", "where_figure"]
+__all__ = [
+    "COLOURS",
+    "LEGEND",
+    "MOST_RUNS",
+    "horizon_figure",
+    "place_figure",
+    "residual_figure",
+    "time_figure",
+    "where_figure",
+]
 
 COLOURS = {
     "measured": "#222222",
@@ -32,6 +41,9 @@ LINES = {
 """By predictor: name, dash, width."""
 
 LEGEND = {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.1, "yanchor": "bottom"}
+
+MOST_RUNS = 12
+"""Runs whose error is drawn over time."""
 
 POINTS = 600
 """Most points of one cloud; a page with every window would be slow and no clearer."""
@@ -65,9 +77,10 @@ def where_figure(comparison: Comparison) -> dict[str, Any]:
 
 
 def time_figure(comparison: Comparison) -> dict[str, Any]:
-    """Error over the time of each run."""
+    """Error over the time of each run; of many runs those with the largest errors."""
     factor = next(item for item in comparison.factors if item.kind == "time")
-    runs = [run.name for run in comparison.runs if run.windows]
+    worst = sorted((run for run in comparison.runs if run.windows), key=lambda run: -run.error)[:MOST_RUNS]
+    runs = [run.name for run in comparison.runs if run in worst]
     panels = Panels(rows=-(-len(runs) // 2), columns=min(2, len(runs)), height=210)
     for name in runs:
         at = panels.add(name, "time [s]", "error")

@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.diagnosis.comparison import PREDICTORS, Comparison
-from safedpa.diagnosis.figures import horizon_figure, place_figure, residual_figure, time_figure, where_figure
+from safedpa.diagnosis.figures import (
+    MOST_RUNS,
+    horizon_figure,
+    place_figure,
+    residual_figure,
+    time_figure,
+    where_figure,
+)
 from safedpa.diagnosis.overlays import overlay_figures
 from safedpa.diagnosis.summary import as_json, bin_text, naive_sentence, state_sentence, where_sentence, worst_bins
 from safedpa.records.atomic import atomic_path
@@ -48,6 +55,7 @@ def compare_page(comparison: Comparison, title: str) -> str:
         horizons=_table_horizons(comparison),
         predictors=PREDICTORS,
         worst=[(bin_text(item), item) for item in worst_bins(comparison)[:12]],
+        most_runs=MOST_RUNS,
         has_place=place is not None,
         overlay_labels=[figure["label"] for figure in overlays],
         data=_embedded({"figures": figures, "overlays": overlays}),
