@@ -4,50 +4,87 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from safedpa.errors import InputError, SafedpaError
 
-_TIMEOUT_SECONDS = 120.0
+if TYPE_CHECKING:
+    import subprocess
+
+_TIMEOUT_SECONDS = 20.0
+_PAINT_SECONDS = 1.0
+"""The plots fill within a few frames, of which a software renderer makes some ten a second."""
 
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file")
-@click.option("--size", default="1400x800", show_default=True, help="WIDTHxHEIGHT in points; two pixels a point")
-def command(recording: Path, out: Path, size: str) -> None:
-    """Make a picture of a dashboard RECORDING (.rrd) at its end."""
+@click.option("--size", default="1400x800", show_default=True, help="WIDTHxHEIGHT in pixels")
+@click.option("--at", type=float, default=None, help="moment on the time line in s; default: the end")
+def command(recording: Path, out: Path, size: str, at: float | None) -> None:
+    """Make a picture of a dashboard RECORDING (.rrd)."""
     if not recording.is_file():
         raise InputError(f"{recording}: no such file; wanted a recording that the dashboard wrote (--save FILE.rrd)")
     if not re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size):
         raise InputError(f"--size {size}: wanted WIDTHxHEIGHT of three or four digits each, such as 1400x800")
     if not out.parent.is_dir():
         raise InputError(f"--out {out}: folder {out.parent} does not exist; create it")
-    _render(recording, out, size)
+    _render(recording, out, size, at)
     click.echo(str(out))
 
 
-def _render(recording: Path, out: Path, size: str) -> None:
+def _render(recording: Path, out: Path, size: str, at: float | None) -> None:
     import os
+    import socket
     import subprocess
+    import tempfile
 
-    arguments = [_viewer(), str(recording), "--headless", "--port", "auto", "--bind", "127.0.0.1"]
-    arguments += ["--screenshot-to", str(out), "--window-size", size]
-    out.unlink(missing_ok=True)
-    try:
-        done = subprocess.run(
-            arguments,
-            env={**os.environ, "RUST_LOG": "error"},  # else notices cover a part of the picture
-            capture_output=True,
-            text=True,
-            timeout=_TIMEOUT_SECONDS,
-            check=False,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise SafedpaError(f"{recording}: the viewer made no picture in {_TIMEOUT_SECONDS:.0f} s") from error
-    if done.returncode != 0 or not out.is_file():
-        raise SafedpaError(_reason(recording, done.stderr))
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [_viewer(), "--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", size]
+    quiet = {**os.environ, "RUST_LOG": "error"}  # else notices cover a part of the picture
+    with tempfile.TemporaryFile("w+") as log:
+        viewer = subprocess.Popen(command, env=quiet, stdout=log, stderr=log)
+        try:
+            _photograph(viewer, f"rerun+http://127.0.0.1:{port}/proxy", recording.resolve(), out.resolve(), at)
+        except (RuntimeError, OSError, ValueError, TimeoutError) as error:
+            log.seek(0)
+            raise SafedpaError(_reason(recording, log.read() + f"\n{error}")) from error
+        finally:
+            viewer.kill()
+            viewer.wait()
+
+
+def _photograph(viewer: subprocess.Popen[bytes], url: str, recording: Path, out: Path, at: float | None) -> None:
+    import time
+
+    from rerun.experimental import ViewerClient
+
+    ends = time.monotonic() + _TIMEOUT_SECONDS
+    client = None
+    while client is None:
+        try:
+            client = ViewerClient.connect(url)
+            client.viewer_state()
+        except (RuntimeError, OSError, ValueError, TimeoutError):
+            client = None
+            if viewer.poll() is not None or time.monotonic() > ends:
+                raise
+            time.sleep(0.1)
+    client.open(str(recording))
+    while client.viewer_state().loading or not client.viewer_state().views:
+        if viewer.poll() is not None or time.monotonic() > ends:
+            raise TimeoutError("the viewer shows nothing of it; is it a recording of the dashboard?")
+        time.sleep(0.1)
+    if at is not None:
+        client.set_time("t", duration=at, play_state="paused")
+    time.sleep(_PAINT_SECONDS)
+    client.save_screenshot(str(out))
+    if not out.is_file():
+        raise TimeoutError("the viewer wrote no file")
 
 
 def _viewer() -> str:

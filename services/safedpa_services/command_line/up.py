@@ -49,8 +49,11 @@ def command(**options: Any) -> None:
 
 
 def _plan(options: dict[str, Any]) -> Plan:
+    from safedpa.bus import STATE, key_of
     from safedpa.dynamics import load_model
     from safedpa_services.supervisor.plan import Plan, free_port
+
+    key_of(options["fleet"], options["name"], STATE)  # refuses names that the bus cannot carry
 
     if not 0.0 <= options["seconds"] < 1e9:
         raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
@@ -111,7 +114,8 @@ def _tell(summary: dict[str, Any]) -> None:
     latency = summary["latency_us"]
     click.echo(f"{summary['ticks']} ticks, {summary['goals_reached']} goals, {summary['collisions']} collisions")
     click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
-    click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
+    if latency["p50"] is not None:
+        click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
     restarts = {service["name"]: service["restarts"] for service in summary["services"] if service["restarts"]}
     if restarts:
         click.echo("restarted: " + ", ".join(f"{name} {count} times" for name, count in restarts.items()))
