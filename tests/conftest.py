@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from safedpa.effects import library
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -38,3 +41,12 @@ def free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
     return port
+
+
+@pytest.fixture(autouse=True)
+def _effects_of_one_test_alone() -> Iterator[None]:
+    """Effects that a test loads from a file of its own are gone after it."""
+    before = dict(library._own)
+    yield
+    library._own.clear()
+    library._own.update(before)
