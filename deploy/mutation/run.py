@@ -1,11 +1,11 @@
 """Plants small faults in the safety filter, one at a time, and asks whether the tests notice.
 
-    python deploy/mutation/run.py [MODULE ...]
+    python deploy/mutation/run.py [--jobs=N] [MODULE ...]
 
 Each mutant runs in a forked process at low priority: numpy, PIQP and the test tools are imported once. Writes
-``summary.json`` and ``summary.md`` beside this file. Exit code 0: every mutant was killed or its survival is explained
-in ``survivors.md`` (which then holds the mutant's name); 1: some survivor is unexplained; 2: the tests
-fail without any fault.
+``summary.json`` and ``summary.md`` beside this file; a run of some modules renews their part. Exit code 0: every mutant
+was killed, or its survival is explained in ``survivors.md``, which then holds "module: `name`"; 1: some survivor is
+unexplained; 2: the tests fail without any fault.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ import time
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 PACKAGE = "safedpa.safety"
-SECONDS = 60
+SECONDS = 120
 """After which a mutant counts as killed: it hangs."""
 
 BARRIERS = ("test_barriers.py", "test_filter_invariance.py")
@@ -32,8 +33,8 @@ VERDICTS = ("test_filter_inputs.py", "test_filter_verdicts.py")
 SLOPES = "test_barriers.py::test_gradient_is_the_derivative"
 MODULES = {
     "decision": (*VERDICTS, "test_filter_invariance.py"),
-    "search": (*VERDICTS, "test_filter_invariance.py"),
-    "conditions": (*VERDICTS, "test_filter_invariance.py"),
+    "search": ("test_filter_search.py", *VERDICTS, "test_filter_invariance.py"),
+    "conditions": ("test_filter_conditions.py", *VERDICTS, "test_filter_invariance.py"),
     "inputs": VERDICTS,
     "quadratic_program": ("test_quadratic_program.py", *VERDICTS),
     "verdict": VERDICTS,
@@ -68,20 +69,28 @@ def import_what_is_not_mutated() -> None:
         importlib.import_module(name)
 
 
-def judge(module: str, source: str, tests: tuple[str, ...]) -> str:
-    """``survived``, ``killed`` or ``killed by the time limit``."""
-    child = os.fork()
-    if child == 0:
-        run_tests(module, source, tests)
-    deadline = time.monotonic() + SECONDS
-    while time.monotonic() < deadline:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return "survived" if os.waitstatus_to_exitcode(status) == 0 else "killed"
+def judge(module: str, sources: list[str], tests: tuple[str, ...], jobs: int) -> list[bool]:
+    """For each source whether the tests noticed nothing; ``jobs`` processes at a time. Hanging counts as noticed."""
+    survived, running, waiting = [False] * len(sources), {}, list(range(len(sources)))
+    while running or waiting:
+        while waiting and len(running) < jobs:
+            index = waiting.pop(0)
+            child = os.fork()
+            if child == 0:
+                run_tests(module, sources[index], tests)
+            running[child] = (index, time.monotonic() + SECONDS)
         time.sleep(0.02)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return "killed by the time limit"
+        for child, (index, deadline) in list(running.items()):
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                survived[index] = os.waitstatus_to_exitcode(status) == 0
+            elif time.monotonic() > deadline:
+                os.kill(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+            else:
+                continue
+            del running[child]
+    return survived
 
 
 def run_tests(module: str, source: str, tests: tuple[str, ...]) -> None:
@@ -103,8 +112,9 @@ def run_tests(module: str, source: str, tests: tuple[str, ...]) -> None:
     os._exit(int(code))
 
 
-def main(wanted: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Runs every mutant of the wanted modules (default: all) and writes the summary."""
+    jobs = int(arguments.pop(0).removeprefix("--jobs=")) if arguments and arguments[0].startswith("--jobs=") else 1
     os.nice(10)
     os.chdir(ROOT)
     sys.path[:0] = [str(HERE), str(ROOT / "shared")]
@@ -113,43 +123,42 @@ def main(wanted: list[str]) -> int:
     import_what_is_not_mutated()
     explained = (HERE / "survivors.md").read_text(encoding="utf-8") if (HERE / "survivors.md").exists() else ""
     rows, survivors, start = [], [], time.monotonic()
-    for module in wanted or list(MODULES):
+    for module in arguments or list(MODULES):
         source = (ROOT / "shared" / "safedpa" / "safety" / f"{module}.py").read_text(encoding="utf-8")
-        if judge(module, source, MODULES[module]) != "survived":
+        planted = mutants(source)
+        sound, *alive = judge(module, [source, *(mutant.source for mutant in planted)], MODULES[module], jobs)
+        if not sound:
             sys.stderr.write(f"{module}: its tests fail without any fault; repair them first\n")
             return 2
-        planted = mutants(source)
-        alive = []
-        for mutant in planted:
-            if judge(module, mutant.source, MODULES[module]) == "survived":
-                alive.append(mutant)
-                sys.stderr.write(f"survived: {module}:{mutant.line} {mutant.name}\n")
-        rows.append({"module": module, "mutants": len(planted), "survived": len(alive)})
-        survivors += [
-            {"module": module, "line": mutant.line, "name": mutant.name, "explained": mutant.name in explained}
-            for mutant in alive
-        ]
-        sys.stderr.write(f"{module}: {len(planted)} mutants, {len(alive)} survived, {time.monotonic() - start:.0f} s\n")
-    return report(rows, survivors, partial=bool(wanted))
+        left = [mutant for mutant, survived in zip(planted, alive, strict=True) if survived]
+        rows.append({"module": module, "mutants": len(planted), "survived": len(left)})
+        for mutant in left:
+            sys.stderr.write(f"survived: {module}:{mutant.line} {mutant.name}\n")
+            explanation = f"{module}: `{mutant.name}`" in explained
+            survivors.append({"module": module, "line": mutant.line, "name": mutant.name, "explained": explanation})
+        sys.stderr.write(f"{module}: {len(planted)} mutants, {len(left)} survived, {time.monotonic() - start:.0f} s\n")
+    return report(rows, survivors)
 
 
-def report(rows: list[dict[str, object]], survivors: list[dict[str, object]], *, partial: bool) -> int:
-    """Writes the summary files (of a full run) and names the unexplained."""
-    total, alive = sum(int(str(row["mutants"])) for row in rows), len(survivors)
+def report(rows: list[dict[str, Any]], survivors: list[dict[str, Any]]) -> int:
+    """Renews these modules' part of ``summary.json``, writes ``summary.md`` from all of it, names the unexplained."""
+    path, renewed = HERE / "summary.json", {row["module"] for row in rows}
+    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"modules": [], "survivors": []}
+    rows += [row for row in before["modules"] if row["module"] not in renewed and row["module"] in MODULES]
+    survivors += [entry for entry in before["survivors"] if entry["module"] not in renewed]
+    rows.sort(key=lambda row: list(MODULES).index(row["module"]))
+    total, alive = sum(row["mutants"] for row in rows), len(survivors)
     open_ones = [survivor for survivor in survivors if not survivor["explained"]]
     lines = ["| module | mutants | killed | survived |", "|---|---|---|---|"]
-    for row in rows:
-        count, left = int(str(row["mutants"])), int(str(row["survived"]))
-        lines.append(f"| {row['module']} | {count} | {count - left} | {left} |")
-    lines.append(f"| all | {total} | {total - alive} | {alive} |")
+    for row in [*rows, {"module": "all", "mutants": total, "survived": alive}]:
+        lines.append(f"| {row['module']} | {row['mutants']} | {row['mutants'] - row['survived']} | {row['survived']} |")
     lines += ["", f"Survivors without an explanation: {len(open_ones)}."]
-    lines += [f"- {survivor['module']}:{survivor['line']} `{survivor['name']}`" for survivor in open_ones]
+    lines += [f"- line {survivor['line']}, {survivor['module']}: `{survivor['name']}`" for survivor in open_ones]
     text = "\n".join(lines) + "\n"
     sys.stdout.write(text)
-    if not partial:
-        document = {"mutants": total, "killed": total - alive, "modules": rows, "survivors": survivors}
-        (HERE / "summary.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-        (HERE / "summary.md").write_text("# Mutation run\n\n" + text, encoding="utf-8")
+    document = {"mutants": total, "killed": total - alive, "modules": rows, "survivors": survivors}
+    path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    (HERE / "summary.md").write_text("# Mutation run\n\n" + text, encoding="utf-8")
     return 1 if open_ones else 0
 
 

@@ -1,0 +1,134 @@
+"""The search's decisions one by one, with a scripted solver and scripted outcomes."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.safety import QuadraticProgram, Solution
+from safedpa.safety.conditions import Outcome
+from safedpa.safety.search import DecisionError, _better, search
+
+TOLERANCE = 0.25
+
+
+def outcome(action: float, *residual: float) -> Outcome:
+    return Outcome(np.array([action]), np.zeros(1), np.zeros(len(residual)), np.array(residual))
+
+
+class Scripted:
+    """Stands for conditions and solver: the n-th solution is n, its residuals are the n-th of the script."""
+
+    def __init__(self, *script: tuple[float, ...]) -> None:
+        self.script, self.solved, self.tangents = script, 0, 0
+        self.limits: list[float] = []
+        self.low, self.high, self.range = np.zeros(1), np.full(1, 9.0), np.full(1, 9.0)
+
+    def linearised(self, about: Outcome) -> tuple[np.ndarray, np.ndarray]:
+        self.tangents += 1
+        return np.ones((1, 1)), np.zeros(1)
+
+    def solve(self, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
+        self.solved += 1
+        self.limits.append(float(b[0]))
+        return Solution(np.array([float(self.solved)]), np.zeros(1), True, "solved")
+
+    def outcome(self, action: np.ndarray) -> Outcome:
+        return outcome(float(action[0]), *self.script[self.solved - 1])
+
+    def distance(self, action: np.ndarray, wish: np.ndarray) -> float:
+        return float(abs(action - wish).sum())
+
+    def run(self, start: Outcome, rounds: int = 4, wish: float = 9.0) -> Outcome:
+        this: Any = self
+        return search(this, this, np.array([wish]), start, rounds, TOLERANCE)[0]
+
+
+@pytest.mark.parametrize("residual", [(0.0,), (-0.25,), (25.0,), (0.0, 1000.0), (-0.25, 3.0)])
+def test_ends_when_kept_and_not_needlessly_far(residual: tuple[float, ...]) -> None:
+    scripted = Scripted(residual, (0.0,), (0.0,), (0.0,))
+    assert scripted.run(outcome(0.0, -10.0)).action == 1.0
+    assert scripted.solved == 1
+
+
+@pytest.mark.parametrize("residual", [(25.1,), (-0.26,), (26.0, 1000.0)])
+def test_goes_on_when_broken_or_needlessly_far(residual: tuple[float, ...]) -> None:
+    scripted = Scripted(residual, (0.0,), (5.0,))
+    assert scripted.run(outcome(0.0, -10.0)).action == 2.0
+    assert scripted.solved == 2
+
+
+def test_slopes_that_served_well_are_used_again_with_the_true_residual() -> None:
+    scripted = Scripted((-0.9,), (0.0,))
+    scripted.run(outcome(0.0, -10.0))
+    assert scripted.tangents == 1
+    assert scripted.limits == [0.0, 1.0 * 1.0 + 0.9]
+
+
+@pytest.mark.parametrize("residual", [(-1.0,), (-1.1,), (30.0,)])
+def test_slopes_that_served_badly_are_drawn_anew(residual: tuple[float, ...]) -> None:
+    scripted = Scripted(residual, (0.0,))
+    scripted.run(outcome(0.0, -10.0))
+    assert scripted.tangents == 2
+
+
+def test_service_is_judged_against_the_last_solution() -> None:
+    """0.6 is less than a tenth of the start's 10, but not of the last solution's 5."""
+    scripted = Scripted((-5.0,), (-0.6,), (0.0,))
+    scripted.run(outcome(0.0, -10.0))
+    assert (scripted.solved, scripted.tangents) == (3, 3)
+
+
+def test_rounds_are_limited_and_the_least_broken_is_returned() -> None:
+    scripted = Scripted((-5.0,), (-3.0,), (-4.0,), (-6.0,))
+    assert scripted.run(outcome(0.0, -10.0)).action == 2.0
+    assert scripted.solved == 4
+
+
+def test_kept_beats_broken_and_near_beats_far() -> None:
+    scripted: Any = Scripted()
+    wish = np.array([0.0])
+
+    def better(one: Outcome, other: Outcome) -> Outcome:
+        return _better(scripted, wish, one, other, TOLERANCE)
+
+    near, far, edge, broken, worse = (
+        outcome(1.0, 0.0),
+        outcome(3.0, 0.0),
+        outcome(2.0, -0.25),
+        outcome(0.0, -0.5),
+        outcome(0.0, -0.6),
+    )
+    assert better(near, far) is near
+    assert better(far, near) is near
+    assert better(edge, far) is edge
+    assert better(far, edge) is edge
+    assert better(far, broken) is far
+    assert better(broken, far) is far
+    assert better(broken, worse) is broken
+    assert better(worse, broken) is broken
+    twin, copy = outcome(1.0, 0.0), outcome(0.0, -0.5)
+    assert better(near, twin) is near
+    assert better(broken, copy) is broken
+
+
+def solver_says(monkeypatch: pytest.MonkeyPatch, *action: float) -> Outcome:
+    count = len(action)
+    program = QuadraticProgram(np.zeros(count), np.ones(count), np.ones(count), 1.0, 1.0)
+    monkeypatch.setattr(QuadraticProgram, "solve", lambda *_: Solution(np.array(action), np.zeros(1), True, "solved"))
+    conditions: Any = Scripted()
+    conditions.outcome = lambda taken: Outcome(taken, np.zeros(1), np.zeros(1), np.zeros(1))
+    return search(conditions, program, np.zeros(count), outcome(0.0, -1.0), 1, TOLERANCE)[0]
+
+
+def test_one_bad_entry_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DecisionError, match="holds NaN or infinity"):
+        solver_says(monkeypatch, 0.5, np.nan)
+    with pytest.raises(DecisionError, match="misses the actuator bounds"):
+        solver_says(monkeypatch, 0.5, 1.5)
+
+
+def test_bounds_may_be_missed_by_a_millionth(monkeypatch: pytest.MonkeyPatch) -> None:
+    np.testing.assert_array_equal(solver_says(monkeypatch, -1e-6, 0.5).action, [0.0, 0.5])
+    with pytest.raises(DecisionError, match="misses the actuator bounds"):
+        solver_says(monkeypatch, -1.1e-6, 0.5)
