@@ -236,3 +236,14 @@ def test_effects_must_fit_robot_and_drive() -> None:
     values = {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(5.0)}
     throttle = PhysicsModel(KinematicBicycle("throttle"), (), values)
     assert throttle.with_effect(effect("car", "back_emf"), {}).effects[0].name == "back_emf"
+
+
+def test_an_actuator_settles_at_what_the_ones_before_it_make_of_the_action() -> None:
+    chain = (
+        load_model("car")
+        .with_effect(effect("car", "steering_gain"), {"gain": Setting(1.2)})
+        .with_effect(effect("car", "steering_lag"), {"time_constant": Setting(0.3)})
+    )
+    without_lag = load_model("car").with_effect(effect("car", "steering_gain"), {"gain": Setting(1.2)})
+    state, action = np.array([0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.3])
+    np.testing.assert_allclose(chain.step(state, action), without_lag.step(state, action), atol=1e-12)

@@ -28,7 +28,7 @@ class AbstractDynamics(ABC):
     """What the entries of the latent z mean; empty when the model has none."""
 
     @abstractmethod
-    def initial_memory(self, action: Array) -> Any:
+    def initial_memory(self, action: Array, latent: Array | None = None) -> Any:
         """What the actuators remember after ``action`` (..., actions) has been held for a long time."""
 
     @abstractmethod
@@ -46,7 +46,7 @@ class AbstractDynamics(ABC):
 
     def step(self, state: Array, action: Array, latent: Array | None = None) -> Array:
         """x[t+1] (..., states), for actuators that have settled at ``action`` (..., actions)."""
-        return self.advance(state, action, self.initial_memory(action), latent)[0]
+        return self.advance(state, action, self.initial_memory(action, latent), latent)[0]
 
     @abstractmethod
     def affine(

@@ -89,9 +89,11 @@ class PhysicsModel(AbstractDynamics):
             {path: Setting(float(value), free=True) for path, value in zip(self.latent_names, latent, strict=True)}
         )
 
-    def initial_memory(self, action: Array) -> Any:  # noqa: D102
+    def initial_memory(self, action: Array, latent: Array | None = None) -> Any:  # noqa: D102
+        if not self._commands:
+            return ()
         named = dict(zip(self.system.action_names, columns(action, action), strict=True))
-        return self._settled(named)
+        return self._settled(named, self._values(latent, action), common_operations(action, latent))
 
     def advance(  # noqa: D102
         self,
@@ -127,7 +129,7 @@ class PhysicsModel(AbstractDynamics):
         true = self._restored(state, values)
         names = self.system.action_names
         if memory is None:
-            memory = self._settled(dict(zip(names, columns(around, state), strict=True)))
+            memory = self._settled(dict(zip(names, columns(around, state), strict=True)), values, operations)
 
         def entries(action: Sequence[Scalar], operations: Operations) -> list[Scalar]:
             named = dict(zip(names, action, strict=True))
@@ -195,8 +197,14 @@ class PhysicsModel(AbstractDynamics):
             remembered.append(kept)
         return action, tuple(remembered)
 
-    def _settled(self, action: Named) -> tuple[Any, ...]:
-        return tuple(item.initial_memory(action) for item in self._commands)
+    def _settled(self, action: Named, values: _Values, operations: Operations) -> tuple[Any, ...]:
+        """Each actuator's memory once it has settled at what those before it make of the action."""
+        memory = []
+        for item in self._commands:
+            own = item.initial_memory(action)
+            memory.append(own)
+            action, _ = item.transform(action, own, values[item.name], self.period, operations)
+        return tuple(memory)
 
     def _restored(self, state: Array, values: _Values) -> Named:
         named: Named = dict(zip(self.system.state_names, columns(state, state), strict=True))
