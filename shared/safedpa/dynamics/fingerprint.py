@@ -1,7 +1,9 @@
-"""Which model is meant: a short hash of everything that decides its predictions."""
+"""Which model is meant: a short hash of everything that decides its predictions, and of nothing else."""
 
 from __future__ import annotations
 
+import json
+import tomllib
 from hashlib import sha256
 
 from safedpa.dynamics.model_file import write_model
@@ -11,5 +13,6 @@ __all__ = ["fingerprint"]
 
 
 def fingerprint(model: PhysicsModel) -> str:
-    """Twelve hexadecimal digits of the SHA-256 of the model file's text."""
-    return sha256(write_model(model).encode()).hexdigest()[:12]
+    """Twelve hexadecimal digits of the SHA-256 over the model file's keys and values, its comments left out."""
+    table = tomllib.loads(write_model(model))
+    return sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:12]

@@ -1,0 +1,37 @@
+"""What ships fits together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from safedpa.dynamics import Setting, fingerprint, load_model
+from safedpa.errors import InputError
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+
+
+def test_the_shipped_margin_belongs_to_the_shipped_car() -> None:
+    margin = margin_for(load_model("car"))
+    assert margin is not None
+    assert margin.fingerprint == fingerprint(load_model("car"))
+    assert margin.coverage >= 0.99
+    assert margin.transitions > 5000
+
+
+def test_another_model_has_no_shipped_margin_and_refuses_this_one() -> None:
+    other = load_model("car").with_settings({"base.speed_gain": Setting(2.0)})
+    assert margin_for(other) is None
+    with pytest.raises(InputError, match="calibrate"):
+        SafetyFilterNode(other, settings_named("car"), margin_for(load_model("car")))
+
+
+def test_comments_do_not_change_the_fingerprint_but_values_do() -> None:
+    model = load_model("car")
+    assert fingerprint(model) == fingerprint(model.with_latent(np.array(model.latent)))
+    assert fingerprint(model) != fingerprint(model.with_settings({"base.wheelbase": Setting(0.33)}))
+
+
+def test_unknown_names_list_what_ships() -> None:
+    with pytest.raises(InputError, match="did you mean 'car'"):
+        settings_named("cars")
