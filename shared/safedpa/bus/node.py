@@ -53,6 +53,11 @@ class AbstractNode(ABC):
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         """The outputs of one tick; called once per tick and robot, ticks growing."""
 
+    def afterwards(self, robot: str) -> Outputs:
+        """Outputs of the same tick for which nobody waits; called when those of ``step`` are on their way."""
+        del robot
+        return {}
+
     def forget(self, robot: str) -> None:
         """Drops what is remembered of a robot: it started anew, or left."""
         del robot

@@ -141,18 +141,21 @@ class ServiceLoop:
         started = time.perf_counter()
         try:
             slot.outputs = self._node.step(robot, slot.state, inputs)
+            self._counts.microseconds = 1e6 * (time.perf_counter() - started)
+            self._publish(robot, slot.outputs)
+            further = self._node.afterwards(robot)
         except InputError as error:  # what one robot says must not end the service of the others
             slot.outputs = {}
             self._counts.failing = True
             self._refuse(str(error))
             return
+        self._publish(robot, further)
+        slot.outputs = {**slot.outputs, **further}
         self._counts.failing = False
-        self._counts.microseconds = 1e6 * (time.perf_counter() - started)
         self._counts.steps += 1
         late = [item.sentence for item in inputs.values() if isinstance(item, Stale)]
         self._counts.stale += bool(late)
         self._counts.detail = "; ".join(late)
-        self._publish(robot, slot.outputs)
 
     def _inputs(self, slot: _Slot) -> Inputs:
         return {topic: _usable(topic, slot.inputs.get(topic), slot.state) for topic in self._node.inputs}

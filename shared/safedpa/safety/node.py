@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, TypedDict, final
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypedDict, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,14 @@ class _Stamp(TypedDict):
     publish_time: float
 
 
+class _Decided(NamedTuple):
+    """The last decision."""
+
+    state: StateMessage
+    latent: Values | None
+    verdict: Verdict
+
+
 @dataclass
 class _Robot:
     """What is remembered of one robot between ticks."""
@@ -63,8 +71,11 @@ class _Robot:
     margin: WatchedMargin
     tick: int = -1
     latent: LatentMessage | None = None
-    state: Values | None = None
-    memory: Any = field(default=None)
+    decision: _Decided | None = None
+    memory: Any = None
+    """What the actuators remember, as the model has it."""
+    expected_memory: Any = None
+    """The same one period later, if the robot does what it is told."""
 
 
 @final
@@ -119,9 +130,17 @@ class SafetyFilterNode(AbstractNode):
             epsilon=memory.margin.epsilon,
             stale=stale,
         )
-        predicted = self._predicted(memory, state, verdict, latent)
+        memory.decision = _Decided(state, latent, verdict)
+        return {ACTION: ActionMessage(**_stamp(state), values=tuple(verdict.action.tolist()))}
+
+    def afterwards(self, robot: str) -> Outputs:
+        """The verdict, with the next states that the model expects; the action is on its way already."""
+        memory = self._robots[robot]
+        assert memory.decision is not None
+        state, latent, verdict = memory.decision
+        predicted, memory.expected_memory = self._predicted(memory.memory, state, verdict, latent)
         memory.margin.expect(np.array(predicted[0]) if predicted else None)
-        return self._messages(state, verdict, predicted)
+        return {VERDICT: _report(state, verdict, predicted)}
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
@@ -149,45 +168,47 @@ class SafetyFilterNode(AbstractNode):
         return np.array(known.values), []
 
     def _remember_actuators(self, memory: _Robot, state: StateMessage) -> None:
-        """Advances what the actuators remember by the action in force over the period that ended."""
+        """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
         if len(state.applied) != len(self._model.system.action):
-            return  # the filter refuses the state for its own reasons; nothing to learn here
-        applied = np.array(state.applied)
-        if memory.memory is None or memory.state is None:
-            memory.memory = self._model.initial_memory(applied)
+            return  # the filter refuses such a state for its own reasons; nothing to learn here
+        told = memory.decision
+        obeyed = told is not None and state.tick == told.state.tick + 1 and state.applied_by == "filter"
+        if obeyed and memory.expected_memory is not None:
+            memory.memory = memory.expected_memory
         else:
-            memory.memory = self._model.advance(memory.state, applied, memory.memory, period=state.period)[1]
-        if len(state.values) == len(self._model.system.state):
-            memory.state = np.array(state.values)
+            memory.memory = self._model.initial_memory(np.array(state.applied))
 
     def _predicted(
-        self, memory: _Robot, state: StateMessage, verdict: Verdict, latent: Values | None
-    ) -> tuple[tuple[float, ...], ...]:
-        """The next states (steps, states) that the model expects under the action held."""
+        self, actuators: Any, state: StateMessage, verdict: Verdict, latent: Values | None
+    ) -> tuple[tuple[tuple[float, ...], ...], Any]:
+        """The next states (steps, states) that the model expects under the action held; actuators' memory after one."""
         if len(state.values) != len(self._model.system.state):
-            return ()
-        current, actuators, rows = np.array(state.values), memory.memory, []
+            return (), None
+        current, rows, after_one = np.array(state.values), [], None
         for _ in range(_PREDICTED_STEPS):
             current, actuators = self._model.advance(current, verdict.action, actuators, latent, period=state.period)
-            rows.append(tuple(float(value) for value in current))
-        return tuple(rows) if np.isfinite(rows).all() else ()
+            after_one = actuators if after_one is None else after_one
+            rows.append(tuple(current.tolist()))
+        return (tuple(rows), after_one) if np.isfinite(rows).all() else ((), None)
 
-    def _messages(self, state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...]) -> Outputs:
-        action = tuple(verdict.action.tolist())
-        stamp = _Stamp(epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=time.time())
-        report = VerdictMessage(
-            **stamp,
-            status=verdict.status.value,
-            sentence=verdict.sentence,
-            action=action,
-            wish=() if verdict.wish is None else tuple(verdict.wish.tolist()),
-            slack=verdict.slack,
-            active=verdict.active,
-            h_now=verdict.h_now,
-            h_next=verdict.h_next,
-            margin=verdict.margin,
-            solver=verdict.solver,
-            microseconds=verdict.microseconds,
-            predicted=predicted,
-        )
-        return {ACTION: ActionMessage(**stamp, values=action), VERDICT: report}
+
+def _stamp(state: StateMessage) -> _Stamp:
+    return _Stamp(epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=time.time())
+
+
+def _report(state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...]) -> VerdictMessage:
+    return VerdictMessage(
+        **_stamp(state),
+        status=verdict.status.value,
+        sentence=verdict.sentence,
+        action=tuple(verdict.action.tolist()),
+        wish=() if verdict.wish is None else tuple(verdict.wish.tolist()),
+        slack=verdict.slack,
+        active=verdict.active,
+        h_now=verdict.h_now,
+        h_next=verdict.h_next,
+        margin=verdict.margin,
+        solver=verdict.solver,
+        microseconds=verdict.microseconds,
+        predicted=predicted,
+    )
