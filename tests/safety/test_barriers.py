@@ -178,6 +178,20 @@ def test_finite_differences_follow_the_size_of_the_state() -> None:
     np.testing.assert_allclose(gradient[0], [2.0, 2.0], rtol=1e-3)
 
 
+def test_finite_differences_step_by_a_share_of_the_state() -> None:
+    seen: list[float] = []
+
+    def h(x: np.ndarray) -> float:
+        seen.append(float(x[0]))
+        return float(x[0])
+
+    FunctionBarrier(h).evaluate(np.array([0.5]))
+    assert seen == [0.5, 0.5 + 6e-6, 0.5 - 6e-6]
+    seen.clear()
+    FunctionBarrier(h).evaluate(np.array([-4.0]))
+    assert seen == [-4.0, -4.0 + 2.4e-5, -4.0 - 2.4e-5]
+
+
 def test_finite_differences_leave_the_state_alone() -> None:
     state = np.array([1.0, 2.0])
     FunctionBarrier(lambda x: x[0]).evaluate(state)
@@ -235,5 +249,6 @@ def test_limits_of_what_is_accepted() -> None:
     assert point.values(np.zeros(4)).tolist() == [1.0]
     assert point.names == ("post",)
     assert FieldBarrier((0, 1, 0, 1), (0.0, 0.0, 0.0), BRAKING, 0.0).values(np.zeros(4))[0] == 0.0
+    assert FieldBarrier((0, 1, 0, 1), (0.0, 0.0, 0.0), BRAKING).values(np.zeros(4))[0] == 0.0
     long_nose = ObstacleBarrier([(1.0, 0.0, 0.1)], (-0.2, 0.4, 0.1), BRAKING)
     assert long_nose.values(np.zeros(4))[0] == pytest.approx(0.4)

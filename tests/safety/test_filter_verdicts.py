@@ -361,13 +361,13 @@ def test_statuses_have_sentences() -> None:
 
 
 def test_time_comes_from_the_clock_given() -> None:
-    ticks = iter((10.0, 11.0))
+    ticks = iter((10.0, 12.0))
     settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
     safe = SafetyFilter(
         lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: 5.0 - x[0])], settings, clock=lambda: next(ticks)
     )
     verdict = safe.decide(np.zeros(1), [0.5])
-    assert verdict.microseconds == 1e6
+    assert verdict.microseconds == 2e6
     assert verdict.as_dict() == {
         "action": [0.5],
         "status": "passed",
