@@ -29,7 +29,7 @@ SECONDS = 120
 """After which a mutant counts as killed: it hangs."""
 
 BARRIERS = ("test_barriers.py", "test_filter_invariance.py")
-VERDICTS = ("test_filter_inputs.py", "test_filter_verdicts.py")
+VERDICTS = ("test_filter_edges.py", "test_filter_inputs.py", "test_filter_verdicts.py")
 SLOPES = "test_barriers.py::test_gradient_is_the_derivative"
 MODULES = {
     "decision": (*VERDICTS, "test_filter_invariance.py"),
