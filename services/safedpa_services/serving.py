@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import uuid
 
 from safedpa.bus import NO_ROBOT, AbstractNode, ServiceLoop
@@ -23,6 +24,8 @@ def service_parser(program: str) -> argparse.ArgumentParser:
 def serve(node: AbstractNode, options: argparse.Namespace, stop: Stop) -> int:
     """Runs the node on the bus until ``stop``; returns exit code 0."""
     with bus_from(options) as bus:
+        gc.collect()
+        gc.freeze()  # what lives now lives for ever; the collector need not look at it in the middle of a tick
         bus.announce(NO_ROBOT, node.name, uuid.uuid4().hex[:12])
         ServiceLoop(node, bus, options.robot).run(stop)
     return 0

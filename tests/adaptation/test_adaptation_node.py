@@ -61,6 +61,7 @@ def answers(node: AdaptationNode, states: list[StateMessage], robot: str = "r") 
     found = []
     for message in states:
         latent = node.step(robot, message, {})[LATENT]
+        assert node.afterwards(robot) == {}
         assert isinstance(latent, LatentMessage)
         found.append(dataclasses.replace(latent, publish_time=0.0))
     return found

@@ -25,5 +25,4 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="bare-relay")
     for name in ("--connect", "--source", "--target", "--alive"):
         parser.add_argument(name, required=True)
-    parser.add_argument("--supervised", action="store_true")
     run_process(work, parser)

@@ -82,7 +82,7 @@ def _relays(endpoint: str) -> Iterator[list[Child]]:
         relays = []
         for source, target in itertools.pairwise(_HOPS):
             keys = ("--source", f"bare/{source}", "--target", f"bare/{target}", "--alive", f"bare/alive/{target}")
-            options = ("--connect", endpoint, *keys)
+            options = ("--realtime", "--connect", endpoint, *keys)
             relays.append(
                 Child(target, "safedpa_services.benchmarks.bare_relay", options, Path(folder) / f"{target}.log")
             )

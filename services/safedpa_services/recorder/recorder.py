@@ -15,6 +15,7 @@ from safedpa.records import McapRecorder
 __all__ = ["Recorder"]
 
 _FLUSH_SECONDS = 0.5
+_TURN_SECONDS = 0.05
 
 
 class Recorder:
@@ -33,7 +34,7 @@ class Recorder:
         """Records until ``stopped``; returns 0, or 1 when writing failed on the way."""
         next_flush = time.monotonic()
         while not stopped():
-            self.turn(_FLUSH_SECONDS)
+            self.turn(_TURN_SECONDS)
             if time.monotonic() >= next_flush:
                 next_flush = time.monotonic() + _FLUSH_SECONDS
                 self._guarded(lambda file: file.flush())
@@ -42,9 +43,10 @@ class Recorder:
         self._guarded(lambda file: file.close())
         return 1 if self._error else 0
 
-    def turn(self, longest_wait: float) -> None:
-        """Writes what arrived, waiting up to ``longest_wait`` [s] for the first."""
-        for item in self._inbox.take(longest_wait):
+    def turn(self, wait: float) -> None:
+        """Writes what arrived within ``wait`` [s]."""
+        time.sleep(wait)  # not woken by every message: the loop has the processor first
+        for item in self._inbox.take(0.0):
             if isinstance(item, Received):
                 self._write(item)
             else:
@@ -52,7 +54,8 @@ class Recorder:
 
     def _write(self, item: Received) -> None:
         published = int(1e9 * item.message.publish_time)
-        self._guarded(lambda file: file.write(item.key, item.payload, time.time_ns(), published))
+        arrived = time.time_ns() - int(1e9 * (time.monotonic() - item.at))
+        self._guarded(lambda file: file.write(item.key, item.payload, arrived, published))
         self._written += 1
 
     def _guarded(self, work: Callable[[McapRecorder], None]) -> None:

@@ -44,15 +44,22 @@ class Plan:
         """What the robot says of itself at its end, as JSON."""
         return self.folder / "robot.json"
 
+    @property
+    def _scheduling(self) -> list[str]:
+        """In real time the loop comes before everything else on the machine; recorder and dashboard do not."""
+        return [] if self.lockstep else ["--realtime"]
+
     def services(self) -> list[Child]:
         """Every process but the robot."""
         model = ("--model", self.model)
         unfiltered = () if self.filtered else ("--off",)
         margin = ("--settings", self.settings, *(("--margin", self.margin) if self.margin else ()))
         children = [
-            self._child("adaptation", "safedpa_services.adaptation", *model),
-            self._child("policy", "safedpa_services.policy", *model),
-            self._child("safety_filter", "safedpa_services.safety_filter", *model, *margin, *unfiltered),
+            self._child("adaptation", "safedpa_services.adaptation", *model, *self._scheduling),
+            self._child("policy", "safedpa_services.policy", *model, *self._scheduling),
+            self._child(
+                "safety_filter", "safedpa_services.safety_filter", *model, *margin, *unfiltered, *self._scheduling
+            ),
             self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
         ]
         if self.dashboard:
@@ -64,7 +71,7 @@ class Plan:
         """The robot."""
         options = ["--robot", self.robot, "--name", self.name, "--load", self.load, "--seed", str(self.seed)]
         options += ["--rate", repr(self.rate), "--seconds", repr(self.seconds), "--summary", str(self.summary)]
-        options += ["--lockstep"] if self.lockstep else []
+        options += ["--lockstep"] if self.lockstep else self._scheduling
         return self._child("robot", "safedpa_sim.robots", *options)
 
     def _child(self, name: str, module: str, *arguments: str) -> Child:

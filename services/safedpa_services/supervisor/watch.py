@@ -26,9 +26,10 @@ class Watch:
         self._inbox = self.bus.inbox((HEALTH, VERDICT, STATE))
         self._last: tuple[int, int] = (0, -1)
 
-    def listen(self, longest_wait: float) -> None:
-        """Takes in what arrived, waiting up to ``longest_wait`` [s] for the first."""
-        for item in self._inbox.take(longest_wait):
+    def listen(self, wait: float) -> None:
+        """Takes in what arrived, after ``wait`` [s]."""
+        time.sleep(wait)  # not woken by every message: the loop has the processor first
+        for item in self._inbox.take(0.0):
             if isinstance(item, Received):
                 self._take(item)
 

@@ -25,11 +25,16 @@ class _Memory:
     tick: int = -1
     state: Vector | None = None
     """None until a state came that can be believed."""
+    newest: StateMessage | None = None
+    """What ``afterwards`` has to learn from."""
 
 
 @final
 class AdaptationNode(AbstractNode):
     """Estimates the free parameters of the model for each robot from its states and the actions in force.
+
+    latent[k] holds what all transitions before state[k] taught: the newest one is learned while the policy computes,
+    so that nobody waits for it.
 
     A state that cannot be believed (out of the system's bounds) teaches nothing, nor does the transition out of it.
     Raises InputError when the settings do not fit the model.
@@ -49,30 +54,38 @@ class AdaptationNode(AbstractNode):
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del inputs
-        values, applied = self._checked(state)
+        self._check(state)
         memory = self._robots.get(robot)
         if memory is None:
             memory = self._robots[robot] = _Memory(LatentEstimator(self._model, self._settings))
+        memory.newest = state
+        return {LATENT: self._message(state, memory.estimator)}
+
+    def afterwards(self, robot: str) -> Outputs:
+        """Learns from the transition to the newest state."""
+        memory = self._robots[robot]
+        state = memory.newest
+        assert state is not None
+        values, applied = np.array(state.values), np.array(state.applied)
         plausible = self._model.system.is_plausible(values)
         if plausible and memory.state is not None and state.tick == memory.tick + 1:
             memory.estimator.update(memory.state, applied, values, state.period)
         else:
             memory.estimator.forget_actuators()
         memory.tick, memory.state = state.tick, values if plausible else None
-        return {LATENT: self._message(state, memory.estimator)}
+        return {}
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
 
-    def _checked(self, state: StateMessage) -> tuple[Vector, Vector]:
-        """State (states,) and action in force (actions,). Raises MessageError when their lengths do not fit."""
+    def _check(self, state: StateMessage) -> None:
+        """Raises MessageError when the lengths of state or action in force do not fit."""
         system = self._model.system
         if len(state.values) != len(system.state) or len(state.applied) != len(system.action):
             raise MessageError(
                 f"state: got {len(state.values)} values and {len(state.applied)} actions, wanted "
                 f"{len(system.state)} ({', '.join(system.state_names)}) and {len(system.action)}"
             )
-        return np.array(state.values), np.array(state.applied)
 
     def _message(self, state: StateMessage, estimator: LatentEstimator) -> LatentMessage:
         return LatentMessage(

@@ -53,6 +53,10 @@ class AbstractNode(ABC):
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
         """The outputs of one tick; called once per tick and robot, ticks growing."""
 
+    def prepare(self, robot: str, state: StateMessage) -> None:
+        """What can be done with the state alone while other inputs are still on their way; ``step`` follows."""
+        del robot, state
+
     def afterwards(self, robot: str) -> Outputs:
         """Outputs of the same tick for which nobody waits; called when those of ``step`` are on their way."""
         del robot

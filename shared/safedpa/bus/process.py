@@ -26,6 +26,9 @@ __all__ = ["Stop", "add_bus_options", "bus_from", "run_process"]
 EXIT_CRASHED = 70
 EXIT_BAD_INPUT = 2
 
+_REAL_TIME_PRIORITY = 10
+"""Of 1 to 99; the kernel's own threads stand above it."""
+
 
 class Stop:
     """Says when to end: after SIGTERM or SIGINT, or when the supervisor is gone. ``reason`` tells which."""
@@ -59,7 +62,6 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mode", choices=("peer", "client", "router"), default="peer")
     parser.add_argument("--listen", action="append", default=[], metavar="ENDPOINT", help="such as tcp/0.0.0.0:7447")
     parser.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help="such as tcp/10.0.0.1:7447")
-    parser.add_argument("--supervised", action="store_true", help="end when standard input closes")
 
 
 def bus_from(options: argparse.Namespace) -> Bus:
@@ -74,9 +76,13 @@ def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argpars
     threading.excepthook = lambda arguments: _end_at_once(
         arguments.exc_type, arguments.exc_value or arguments.exc_type(), arguments.exc_traceback
     )
+    parser.add_argument("--realtime", action="store_true", help="ask for real-time scheduling, where it is permitted")
+    parser.add_argument("--supervised", action="store_true", help="end when standard input closes")
     options = parser.parse_args()
     stop = Stop()
     stop.listen_to_signals()
+    if options.realtime:
+        _ask_for_real_time()
     if options.supervised:
         threading.Thread(target=_watch_supervisor, args=(stop,), daemon=True).start()
     try:
@@ -85,6 +91,12 @@ def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argpars
         sys.stderr.write(f"{parser.prog}: {' '.join(str(error).split())}\n")
         code = EXIT_BAD_INPUT
     _leave(code)
+
+
+def _ask_for_real_time() -> None:
+    """First come, first served before all ordinary processes; stays an ordinary one where that is not permitted."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_REAL_TIME_PRIORITY))
 
 
 def _watch_supervisor(stop: Stop) -> None:

@@ -28,6 +28,9 @@ _HEARTBEAT_SECONDS = 0.25
 _SILENCE_SECONDS = 0.3
 """A robot that was silent for so long may start anew under its name; one that speaks is not replaced."""
 
+_FINISH_SHARE = 0.1
+"""Of the period: the pause after a step before what nobody waits for; the tick is usually over by then."""
+
 _FORGET_SECONDS = 30.0
 """A robot that was silent for so long has left."""
 
@@ -44,6 +47,10 @@ class _Slot:
     inputs: dict[Topic, Message] = field(default_factory=dict)
     outputs: Outputs | None = None
     """Of the state's tick; None while the step is due."""
+    unfinished_since: float | None = None
+    """When the step of the state's tick ended, while what comes afterwards is still to be done."""
+    prepared: bool = False
+    """Whether the node was shown the state before its step."""
 
 
 @dataclass
@@ -85,8 +92,10 @@ class ServiceLoop:
             else:
                 self._take_input(item)
         for robot, slot in self._slots.items():
-            if slot.outputs is None and self._is_due(slot):
-                self._step(robot, slot)
+            if slot.outputs is None:
+                self._advance(robot, slot)
+            elif self._clock() >= self._finish_at(slot):
+                self._finish(robot, slot)
         if self._clock() >= self._next_heartbeat:
             self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
             self._forget_silent()
@@ -94,8 +103,13 @@ class ServiceLoop:
 
     def _patience(self, longest_wait: float) -> float:
         now = self._clock()
-        waits = [self._deadline(slot) - now for slot in self._slots.values() if slot.outputs is None]
-        return max(0.0, min([longest_wait, *waits]))
+        due = [self._deadline(slot) if slot.outputs is None else self._finish_at(slot) for slot in self._slots.values()]
+        return max(0.0, min(longest_wait, min(due, default=float("inf")) - now))
+
+    def _finish_at(self, slot: _Slot) -> float:
+        if slot.unfinished_since is None:
+            return float("inf")
+        return slot.unfinished_since + _FINISH_SHARE * slot.state.period
 
     def _deadline(self, slot: _Slot) -> float:
         if slot.state.lockstep:
@@ -114,7 +128,10 @@ class ServiceLoop:
         elif state.tick < slot.state.tick:
             self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}")
         elif state.tick > slot.state.tick:
-            slot.state, slot.arrived, slot.heard, slot.outputs = state, item.at, item.at, None
+            if slot.unfinished_since is not None:
+                self._finish(item.robot, slot)
+            slot.state, slot.arrived, slot.heard = state, item.at, item.at
+            slot.outputs, slot.prepared = None, False
         else:
             slot.heard = item.at
             if slot.outputs is not None:  # the robot still waits: something on the way was lost or started late
@@ -136,6 +153,13 @@ class ServiceLoop:
             return True
         return self._clock() >= self._deadline(slot)
 
+    def _advance(self, robot: str, slot: _Slot) -> None:
+        if self._is_due(slot):
+            self._step(robot, slot)
+        elif not slot.prepared:
+            slot.prepared = True
+            self._node.prepare(robot, slot.state)
+
     def _step(self, robot: str, slot: _Slot) -> None:
         inputs = self._inputs(slot)
         started = time.perf_counter()
@@ -143,19 +167,26 @@ class ServiceLoop:
             slot.outputs = self._node.step(robot, slot.state, inputs)
             self._counts.microseconds = 1e6 * (time.perf_counter() - started)
             self._publish(robot, slot.outputs)
-            further = self._node.afterwards(robot)
         except InputError as error:  # what one robot says must not end the service of the others
             slot.outputs = {}
             self._counts.failing = True
             self._refuse(str(error))
             return
-        self._publish(robot, further)
-        slot.outputs = {**slot.outputs, **further}
         self._counts.failing = False
         self._counts.steps += 1
         late = [item.sentence for item in inputs.values() if isinstance(item, Stale)]
         self._counts.stale += bool(late)
         self._counts.detail = "; ".join(late)
+        slot.unfinished_since = self._clock()
+        if slot.state.lockstep:
+            self._finish(robot, slot)
+
+    def _finish(self, robot: str, slot: _Slot) -> None:
+        """What nobody waits for; in real time a little later, when the processor is not needed by those on the way."""
+        slot.unfinished_since = None
+        further = self._node.afterwards(robot)
+        self._publish(robot, further)
+        slot.outputs = {**(slot.outputs or {}), **further}
 
     def _inputs(self, slot: _Slot) -> Inputs:
         return {topic: _usable(topic, slot.inputs.get(topic), slot.state) for topic in self._node.inputs}

@@ -70,6 +70,10 @@ class _Robot:
     scene: SceneBarriers
     margin: WatchedMargin
     tick: int = -1
+    prepared: tuple[int, int] = (0, -1)
+    """Epoch and tick of the state that the fields below belong to."""
+    barriers: tuple[AbstractBarrier, ...] | str = ()
+    """Of the scene now, or what is wrong with it."""
     latent: LatentMessage | None = None
     decision: _Decided | None = None
     memory: Any = None
@@ -104,7 +108,7 @@ class SafetyFilterNode(AbstractNode):
             )
         self._robots: dict[str, _Robot] = {}
 
-    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
+    def prepare(self, robot: str, state: StateMessage) -> None:  # noqa: D102
         memory = self._robots.get(robot)
         if memory is None:
             memory = self._robots[robot] = _Robot(
@@ -112,21 +116,28 @@ class SafetyFilterNode(AbstractNode):
                 SceneBarriers(self._settings),
                 WatchedMargin(self._calibration),
             )
+        self._remember_actuators(memory, state)
+        memory.barriers = memory.scene.of(state)
+        self._watch_margin(memory, state, () if isinstance(memory.barriers, str) else memory.barriers)
+        memory.prepared = (state.epoch, state.tick)
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
+        memory = self._robots.get(robot)
+        if memory is None or memory.prepared != (state.epoch, state.tick):
+            self.prepare(robot, state)
+            memory = self._robots[robot]
         wish = inputs[WISH]
         latent, stale = self._latent(memory, state, inputs)
         if isinstance(wish, Stale):
             stale.append(f"the wish ({wish.sentence})")
-        self._remember_actuators(memory, state)
-        barriers = memory.scene.of(state)
-        self._watch_margin(memory, state, () if isinstance(barriers, str) else barriers)
-        if isinstance(barriers, str):
-            stale.append(f"the {barriers}")
+        if isinstance(memory.barriers, str):
+            stale.append(f"the {memory.barriers}")
         verdict = memory.filter.decide(
             state.values,
             wish.values if isinstance(wish, WishMessage) else None,
             latent,
             memory=memory.memory,
-            barriers=() if isinstance(barriers, str) else barriers,
+            barriers=() if isinstance(memory.barriers, str) else memory.barriers,
             epsilon=memory.margin.epsilon,
             stale=stale,
         )

@@ -17,7 +17,7 @@ __all__ = ["WatchedMargin"]
 Values = NDArray[np.float64]
 
 _RATE = 0.002
-"""Of the miss level per step: at a coverage of 99 % five misses at once bring the widest margin, a single one does not."""
+"""Of the miss level per step: at 99 % coverage five misses at once bring the widest margin, a single one does not."""
 _WINDOW = 500
 """Errors that are remembered: 25 s at 20 Hz."""
 
