@@ -1,0 +1,80 @@
+"""One hidden-effect case: what is hidden, in which logs; and the truth about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+__all__ = ["ABSORBED", "Case", "equals_of", "truth_of"]
+
+Effects = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What stands behind one set of logs; everything follows from these numbers."""
+
+    suite: str
+    seed: int
+    effects: Effects
+    """Hidden effects with their parameters; empty: nothing is hidden."""
+    robot: Literal["car", "pendulum"] = "car"
+    drive: Literal["speed_servo", "throttle"] = "speed_servo"
+    hard: bool = False
+    """Coloured disturbance, three times the noise, lost rows, tracking glitches, gain 10 % off and free."""
+    patch: bool = False
+    """A round patch of floor with resistance of its own, which no effect of the library describes."""
+    load: str | None = None
+    """Driven by the pymunk car with this load hitched, instead of the integrator."""
+    runs: int = 6
+    seconds: float = 40.0
+
+    @property
+    def name(self) -> str:
+        """Suite, hidden effects and seed, fit for a folder."""
+        return "-".join([self.suite, *(self.effects or ("patch" if self.patch else "nothing",)), str(self.seed)])
+
+
+_DELAYS = {"actuator_delay": ("steering_delay", "drive_delay")}
+
+_PENDULUM_EQUALS = {"torque_gain": ("tip_mass",), "tip_mass": ("torque_gain",)}
+"""(M l^2 rate' = torque + M g l sin(angle)) is rate' = (m / M) torque / (m l^2) + g / l sin(angle)."""
+
+_FREE_GAIN_EQUALS = {
+    # k (u - v) - c v = (k + c) (k / (k + c) u - v)
+    "viscous_drag": ("speed_command_gain",),
+    "speed_command_gain": ("viscous_drag",),
+    # (k (u - v) - m d) / (1 + m) = k / (1 + m) (u - v) - m d / (1 + m)
+    "towed_load": ("rolling_resistance",),
+    "rolling_resistance": ("towed_load",),
+}
+"""What a free gain k of the speed servo makes equal, while the servo's limit is not reached."""
+
+ABSORBED = ("payload",)
+"""What a free gain of the servo takes up whole: k / (1 + mass_ratio)."""
+
+
+def equals_of(case: Case, effect: str) -> tuple[str, ...]:
+    """Effects that no data of this case could tell from ``effect``, worked out from the equations."""
+    if case.robot == "pendulum":
+        return _PENDULUM_EQUALS.get(effect, ())
+    if case.hard and case.drive == "speed_servo":
+        return _FREE_GAIN_EQUALS.get(effect, ())
+    return _DELAYS.get(effect, ()) if len(case.effects) > 1 else ()
+
+
+def truth_of(case: Case) -> dict[str, Any]:
+    """The sealed document: hidden effects and parameters, what equals them, and the case's options."""
+    absorbed = [name for name in case.effects if name in ABSORBED and case.hard and case.drive == "speed_servo"]
+    return {
+        "suite": case.suite,
+        "seed": case.seed,
+        "robot": case.robot,
+        "hard": case.hard,
+        "patch": case.patch,
+        "load": case.load,
+        "effects": {name: dict(parameters) for name, parameters in case.effects.items()},
+        "equals": {name: list(equals_of(case, name)) for name in case.effects},
+        "absorbed": absorbed,
+    }
