@@ -92,34 +92,45 @@ def test_robots_are_kept_apart() -> None:
     assert [pair[1] for pair in together] == answers(AdaptationNode(MODEL), free)
 
 
+def test_an_answer_holds_what_was_learned_before_its_state() -> None:
+    states = drive(60)
+    straight = answers(AdaptationNode(MODEL), states)
+    node = AdaptationNode(MODEL)
+    answers(node, states[:40])
+    odd = dataclasses.replace(states[40], values=(0.0, 0.0, 0.0, 1.0))
+    assert answers(node, [odd])[0] == straight[40], "nobody waits for what the newest state teaches"
+
+
 def test_over_a_gap_in_the_ticks_nothing_is_learned() -> None:
     states = drive(100)
     node = AdaptationNode(MODEL)
-    before = answers(node, states[:50])[-1]
-    after = answers(node, states[70:71])[0]
+    answers(node, states[:50])
+    before, after = answers(node, states[70:72])
     assert (after.values, after.deviations) == (before.values, before.deviations)
-    assert answers(node, states[71:])[-1].values[0] == pytest.approx(0.6, abs=0.15)
+    assert answers(node, states[72:])[-1].values[0] == pytest.approx(0.6, abs=0.15)
 
 
 def test_a_state_that_cannot_be_is_answered_and_not_learned() -> None:
     states = drive(60)
     node = AdaptationNode(MODEL)
-    before = answers(node, states[:30])[-1]
-    for tick, values in ((30, (0.0, 0.0, 0.0, 500.0)), (31, (1e11, 0.0, 0.0, 0.0))):
-        latent = answers(node, [dataclasses.replace(states[tick], values=values)])[0]
-        assert (latent.values, latent.deviations) == (before.values, before.deviations)
-    resumed = answers(node, states[32:33])[0]
-    assert resumed.values == before.values, "the step out of a glitch is no transition either"
-    assert np.isfinite(answers(node, states[33:])[-1].values).all()
+    answers(node, states[:30])
+    glitches = [
+        dataclasses.replace(states[30], values=(0.0, 0.0, 0.0, 500.0)),
+        dataclasses.replace(states[31], values=(1e11, 0.0, 0.0, 0.0)),
+    ]
+    shown = [(latent.values, latent.deviations) for latent in answers(node, [*glitches, *states[32:34]])]
+    assert shown == shown[:1] * 4, "neither the glitches nor the step out of them are transitions"
+    assert np.isfinite(answers(node, states[34:])[-1].values).all()
 
 
 def test_a_state_that_is_no_number_is_never_learned() -> None:
     """The codec refuses it on the bus; a node that is called directly takes it as a state that cannot be."""
     node = AdaptationNode(MODEL)
-    states = drive(30)
-    before = answers(node, states)[-1]
-    latent = answers(node, [state(30, (float("nan"), 0.0, 0.0, 0.0), (0.0, 0.0))])[0]
-    assert latent.values == before.values
+    states = drive(32)
+    answers(node, states[:30])
+    broken = state(30, (float("nan"), 0.0, 0.0, 0.0), (0.0, 0.0))
+    before, after = answers(node, [broken, states[31]])
+    assert (after.values, after.deviations) == (before.values, before.deviations)
 
 
 @pytest.mark.parametrize(("values", "applied"), [((0.0,) * 3, (0.0,) * 2), ((0.0,) * 4, (0.0,)), ((), ())])
