@@ -1,0 +1,53 @@
+"""Trouble from outside while the loop runs: the car stays safe, and a person is told in one line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from safedpa.records import read_messages
+from safedpa_services.supervisor.plan import free_port
+
+pytestmark = pytest.mark.processes
+
+
+def test_a_full_disk_ends_the_recording_not_the_drive(tmp_path: Path) -> None:
+    command = f"{sys.executable} -m safedpa_services up --headless --json --seconds 10 --lockstep --out {tmp_path}"
+    limited = ["bash", "-c", f"ulimit -f 60; exec {command}"]  # no file may grow beyond 60 KiB
+    done = subprocess.run(limited, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["ticks"] == 200
+    assert summary["collisions"] == 0
+    assert "recording.mcap" in summary["recording_error"]
+    assert sum(1 for _ in read_messages(summary["recording"])) > 50, "what was written stays readable"
+
+
+def test_a_second_robot_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    first = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--seconds", "8"]
+    first += ["--listen", endpoint, "--out", str(tmp_path), "--fleet", "twins"]
+    with subprocess.Popen(first, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        while not list(tmp_path.glob("*/robot.log")):
+            assert running.poll() is None
+        second = [sys.executable, "-m", "safedpa_sim.robots", "--name", "r1", "--seconds", "1", "--fleet", "twins"]
+        refused = subprocess.run(
+            [*second, "--connect", endpoint, "--summary", str(tmp_path / "second.json")],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        output, errors = running.communicate(timeout=60)
+    assert refused.returncode == 2
+    assert "r1" in refused.stderr
+    assert "choose another" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+    assert running.returncode == 0, errors
+    summary = json.loads(output)
+    assert summary["collisions"] == 0
+    assert summary["refusals"] == {}
