@@ -12,7 +12,7 @@ from safedpa.bus import NO_ROBOT
 from safedpa.bus.process import Stop, bus_from, run_process
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.safety import FilterSettings, load_settings
+from safedpa.safety.shipped import settings_named
 from safedpa_services.dashboard.dashboard import Dashboard
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import look_of
@@ -26,7 +26,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     os.environ.setdefault("RUST_LOG", "error")
     if not options.viewer and not options.save:
         raise InputError("--no-viewer: got no --save either; name a file to record to, or leave --no-viewer out")
-    settings = load_settings(options.settings) if options.settings else FilterSettings()
+    settings = settings_named(options.settings)
     look = look_of(load_model(options.model), settings)
     from safedpa_services.dashboard.painter import Painter
 
@@ -56,7 +56,9 @@ def _open_door(options: argparse.Namespace, grpc_port: int) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = service_parser("safedpa-dashboard")
-    parser.add_argument("--settings", default="", metavar="FILE.toml", help="settings of the filter, for its limits")
+    parser.add_argument(
+        "--settings", default="car", metavar="FILE.toml", help="settings of the filter: a file or a name"
+    )
     parser.add_argument("--save", default="", metavar="FILE.rrd", help="keep a recording")
     parser.add_argument("--web-port", type=int, default=None, help="port to open in the browser; default 9090 or next")
     parser.add_argument("--grpc-port", type=int, default=None, help="port of the data; default 9876 or the next free")

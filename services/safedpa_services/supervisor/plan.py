@@ -64,7 +64,9 @@ class Plan:
         ]
         if self.dashboard:
             saved = ("--save", str(self.folder / "dashboard.rrd"))
-            children.append(self._child("dashboard", "safedpa_services.dashboard", *model, *saved))
+            children.append(
+                self._child("dashboard", "safedpa_services.dashboard", *model, "--settings", self.settings, *saved)
+            )
         return children
 
     def robot_process(self) -> Child:

@@ -24,11 +24,13 @@ def screen(
 ) -> Iterator[Callable[[], None]]:
     """Yields a function to call often; it redraws at most four times a second."""
     console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        if not quiet:
-            for hint in hints:
-                console.print(hint, soft_wrap=True)
+    if quiet:
         yield lambda: None
+        return
+    if not console.is_terminal:
+        for hint in hints:
+            console.print(hint, soft_wrap=True)
+        yield _Announcement(watch, console)
         return
     drawn = 0.0
     with Live(console=console, auto_refresh=False) as live:
@@ -37,6 +39,26 @@ def screen(
             nonlocal drawn
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                live.update(view_of(watch, services, robot, hints), refresh=True)
+                live.update(view_of(watch, services, robot, [*_live_view(watch), *hints]), refresh=True)
 
         yield redraw
+
+
+class _Announcement:
+    """Tells the dashboard's address once, as soon as it is known."""
+
+    def __init__(self, watch: Watch, console: Console) -> None:
+        self._watch, self._console = watch, console
+        self._told = False
+
+    def __call__(self) -> None:
+        lines = [] if self._told else _live_view(self._watch)
+        for line in lines:
+            self._told = True
+            self._console.print(line, soft_wrap=True)
+
+
+def _live_view(watch: Watch) -> list[str]:
+    """Where to look, once the dashboard has said so."""
+    heard = watch.health.get("dashboard")
+    return [f"live view {heard[0].detail}"] if heard is not None and heard[0].detail else []

@@ -19,7 +19,13 @@ _COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "fal
 
 def view_of(watch: Watch, services: Sequence[Child], robot: Child, hints: Sequence[str]) -> Group:
     """A headline, the table of processes, and hints where to look."""
-    return Group(_headline(watch), _processes(watch, services, robot), *(Text(hint, style="dim") for hint in hints))
+    return Group(
+        _headline(watch), _processes(watch, services, robot), *(Text(hint, style=_hint_style(hint)) for hint in hints)
+    )
+
+
+def _hint_style(hint: str) -> str:
+    return "bold cyan" if hint.startswith("live view") else "dim"
 
 
 def _headline(watch: Watch) -> Text:
