@@ -7,6 +7,7 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
+from safedpa.systems import Variable
 from safedpa_services.dashboard.fleet_view import Scene
 from safedpa_services.dashboard.look import Look
 
@@ -18,6 +19,7 @@ MOST_TABS = 8
 
 _SHOWN_SECONDS = 20.0
 _BACKGROUND = [24, 26, 30]
+_LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[TIME_LINE], text_log_columns=["Body"])
 
 
 def blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
@@ -26,6 +28,7 @@ def blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
     waiting = rrb.TextDocumentView(origin="/waiting", name="no robot yet")
     return rrb.Blueprint(
         rrb.Tabs(*tabs) if tabs else waiting,
+        rrb.TopPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(state="collapsed", timeline=TIME_LINE, play_state="following"),
@@ -37,24 +40,28 @@ def _tab(name: str, scene: Scene, look: Look) -> Any:
     origin = str(rr.new_entity_path(["robots", name]))
     left = rrb.Vertical(
         _world(origin, scene),
-        rrb.TextLogView(origin=f"{origin}/log", name="changes of the verdict"),
+        rrb.TextLogView(origin=f"{origin}/log", name="changes of the verdict", columns=_LOG_COLUMNS),
         row_shares=[4.2, 1],
     )
     middle = rrb.Vertical(
-        _curves(f"{origin}/barrier", "barrier h: safe at 0 and above"),
-        *[
-            _curves(f"{origin}/action/{variable.name}", f"{variable.name} [{variable.unit}]: wish and filtered")
-            for variable in look.system.action
-        ],
+        _curves(f"{origin}/barrier", "h: now blue, predicted orange, margin pink", legend=False),
+        *[_action(origin, variable) for variable in look.system.action],
+        _lanes(f"{origin}/verdict", "verdict"),
+        row_shares=[1.3, *(1.3 for _ in look.system.action), 1],
     )
     right = rrb.Vertical(
         _curves(f"{origin}/latent", "latent, with one sigma"),
         _curves(f"{origin}/residual", "residual: measured - predicted"),
         _curves(f"{origin}/steps", "time of a step [ms]"),
+        _lanes(f"{origin}/services", "services"),
+        row_shares=[0.9, 1.2, 1.3, 1.9],
     )
-    lanes = rrb.Horizontal(_lanes(f"{origin}/verdict", "verdict"), _lanes(f"{origin}/services", "services"))
-    plots = rrb.Vertical(rrb.Horizontal(middle, right), lanes, row_shares=[2.6, 1])
-    return rrb.Horizontal(left, plots, column_shares=[1, 1.35], name=name)
+    return rrb.Horizontal(left, middle, right, column_shares=[1.48, 1, 1], name=name)
+
+
+def _action(origin: str, variable: Variable) -> Any:
+    title = f"{variable.name} [{variable.unit}]: wish orange, filtered blue"
+    return _curves(f"{origin}/action/{variable.name}", title, legend=False)
 
 
 def _world(origin: str, scene: Scene) -> Any:
@@ -73,12 +80,12 @@ def _world(origin: str, scene: Scene) -> Any:
     )
 
 
-def _curves(origin: str, name: str) -> Any:
+def _curves(origin: str, name: str, *, legend: bool = True) -> Any:
     return rrb.TimeSeriesView(
         origin=origin,
         name=name,
         time_ranges=[_last_seconds()],
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
     )
 
 

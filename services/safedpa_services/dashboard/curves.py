@@ -15,32 +15,28 @@ _MOST_CURVES = 16
 _LARGEST = 1e12
 """Of any unit; beyond it a curve has a gap, since one such number flattens the plot."""
 
+_BARRIER = (("h now", SKY, 2.5), ("h predicted", ORANGE, 1.5), ("margin", PURPLE, 1.5), ("threshold", VERMILLION, 1.5))
+_ACTION = (("wish", ORANGE, 2.5), ("filtered", SKY, 1.5), ("lowest", GREY, 1.0), ("highest", GREY, 1.0))
+"""Name, colour, width of the curves of one pane, in the order of their values."""
+
 _WITHOUT_BARRIER = ("fallback", "disabled")
 
 
 def style_entries(look: Look) -> list[Entry]:
     """Names, colours and widths of the curves; static."""
-    entries = [
-        _style(("barrier", "now"), "h now", SKY, 2.5),
-        _style(("barrier", "predicted"), "h predicted", ORANGE, 1.5),
-        _style(("barrier", "margin"), "margin epsilon", PURPLE, 1.5),
-        _style(("barrier", "threshold"), "threshold", VERMILLION, 1.5),
-    ]
+    entries = [Entry(("barrier",), _styles(_BARRIER), static=True)]
     for variable in look.system.action:
-        limits = Curves((), ("lowest", "highest"), (GREY, GREY), (1.0, 1.0))
-        entries += [
-            Entry(("action", variable.name, "limits"), limits, static=True),
-            _style(("action", variable.name, "wish"), "wish", ORANGE, 2.5),
-            _style(("action", variable.name, "filtered"), "filtered", SKY, 1.5),
-        ]
+        entries.append(Entry(("action", variable.name), _styles(_ACTION), static=True))
+    for index, (name, unit) in enumerate(zip(look.latent_names, look.latent_units, strict=True)):
+        entries.append(Entry(("latent", name), Bands(0.0, 0.0, name, unit, SERIES[index % len(SERIES)]), static=True))
     names = tuple(f"{variable.name} [{variable.unit}]" for variable in look.system.state)
     colours = tuple(SERIES[index % len(SERIES)] for index in range(len(names)))
     residual = Curves((), names, colours, tuple(1.5 for _ in names))
     return [*entries, Entry(("residual",), residual, static=True)]
 
 
-def _style(path: tuple[str, ...], name: str, colour: int, width: float) -> Entry:
-    return Entry(path, Curves((), (name,), (colour,), (width,)), static=True)
+def _styles(rows: tuple[tuple[str, int, float], ...]) -> Curves:
+    return Curves((), tuple(row[0] for row in rows), tuple(row[1] for row in rows), tuple(row[2] for row in rows))
 
 
 def latent_entries(latent: LatentMessage, look: Look) -> list[Entry]:
@@ -59,28 +55,18 @@ def latent_entries(latent: LatentMessage, look: Look) -> list[Entry]:
 
 def barrier_entries(verdict: VerdictMessage) -> list[Entry]:
     """h now and predicted, its threshold 0 and the margin; nothing of h where the filter did not compute it."""
-    entries = [
-        Entry(("barrier", "threshold"), Curves((0.0,))),
-        Entry(("barrier", "margin"), Curves((_gap(verdict.margin),))),
-    ]
     unknown = verdict.status in _WITHOUT_BARRIER and verdict.h_now == verdict.h_next == 0.0
     now, ahead = (math.nan, math.nan) if unknown else (verdict.h_now, verdict.h_next)
-    return [
-        *entries,
-        Entry(("barrier", "now"), Curves((_gap(now),))),
-        Entry(("barrier", "predicted"), Curves((_gap(ahead),))),
-    ]
+    return [Entry(("barrier",), Curves((_gap(now), _gap(ahead), _gap(verdict.margin), 0.0)))]
 
 
 def action_entries(verdict: VerdictMessage, look: Look) -> list[Entry]:
     """Wish and filtered action of each entry of the action, between the actuator's limits."""
     entries = []
     for index, variable in enumerate(look.system.action):
-        for name, values in (("wish", verdict.wish), ("filtered", verdict.action)):
-            value = values[index] if index < len(values) else math.nan
-            entries.append(Entry(("action", variable.name, name), Curves((_gap(value),))))
-        limits = Curves((look.action_low[index], look.action_high[index]))
-        entries.append(Entry(("action", variable.name, "limits"), limits))
+        wish, filtered = (_gap(row[index]) if index < len(row) else math.nan for row in (verdict.wish, verdict.action))
+        values = (wish, filtered, look.action_low[index], look.action_high[index])
+        entries.append(Entry(("action", variable.name), Curves(values)))
     return entries
 
 

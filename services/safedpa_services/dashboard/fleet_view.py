@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from safedpa.bus import HEALTH, NO_ROBOT, STATE, Received, Refused, StateMessage
+from safedpa.bus import HEALTH, NO_ROBOT, STATE, HealthMessage, Received, Refused, StateMessage
 from safedpa_services.dashboard.look import Look
 from safedpa_services.dashboard.palette import ORANGE
 from safedpa_services.dashboard.robot_view import RobotView
@@ -50,14 +50,15 @@ class FleetView:
         lag = max((now - item.at for item in items if isinstance(item, Received)), default=0.0)
         frames = self._pace_note(now) if self.pace.observe(lag, now) else []
         for item in items:
-            frame = self._refuse(item, now) if isinstance(item, Refused) else self._take(item)
-            if frame.entries:
-                frames.append(frame)
+            if isinstance(item, Received) and item.robot == NO_ROBOT:
+                frames += self._take_fleet_health(item)
+            else:
+                frames.append(self._refuse(item, now) if isinstance(item, Refused) else self._take(item))
         for name, robot in self._robots.items():
             silent = robot.view.health.silences(now)
             if silent:
                 frames.append(Frame(self._time.now(now), _under(name, silent)))
-        return frames
+        return [frame for frame in frames if frame.entries]
 
     @property
     def left_out(self) -> int:
@@ -67,7 +68,7 @@ class FleetView:
     def _take(self, item: Received) -> Frame:
         message, nothing = item.message, Frame(0.0, ())
         robot = self._robots.get(item.robot)
-        if item.robot == NO_ROBOT or (robot is None and item.topic not in (STATE, HEALTH)):
+        if robot is None and item.topic not in (STATE, HEALTH):
             return nothing
         entries: list[Entry] = []
         if robot is None:
@@ -81,6 +82,16 @@ class FleetView:
         at = self._moment(item, robot)
         draw = item.topic is HEALTH or robot.thinner.draws(item.topic.name, message.robot_time, self.pace.factor)
         return Frame(at, _under(item.robot, entries + robot.view.take(message, item.at, draw=draw)))
+
+    def _take_fleet_health(self, item: Received) -> list[Frame]:
+        message = item.message
+        if not isinstance(message, HealthMessage) or message.service == "dashboard":
+            return []
+        at = self._time.now(item.at)
+        return [
+            Frame(at, _under(name, robot.view.health.add(message, item.at, own=False)))
+            for name, robot in self._robots.items()
+        ]
 
     def _moment(self, item: Received, robot: _Robot) -> float:
         if item.topic is HEALTH or item.message.epoch != robot.epoch:

@@ -20,6 +20,8 @@ _MOST_SERVICES = 16
 class _Service:
     heard: float
     shown: str
+    own: bool
+    """Whether it spoke of this robot, not of the fleet alone."""
 
 
 class HealthBook:
@@ -28,17 +30,19 @@ class HealthBook:
     def __init__(self) -> None:
         self._services: dict[str, _Service] = {}
 
-    def add(self, message: HealthMessage, now: float) -> list[Entry]:
-        """Entries of one heartbeat."""
+    def add(self, message: HealthMessage, now: float, *, own: bool = True) -> list[Entry]:
+        """Entries of one heartbeat; ``own`` False: of a service of the whole fleet, until it speaks of this robot."""
         name = message.service or "unnamed"
         entries: list[Entry] = []
         if name not in self._services:
             if len(self._services) >= _MOST_SERVICES:
                 return []
             entries = _styles(name, len(self._services))
-            self._services[name] = _Service(now, "")
+            self._services[name] = _Service(now, "", own)
         service = self._services[name]
-        service.heard = now
+        if service.own and not own:
+            return []
+        service.heard, service.own = now, own
         if 0.0 <= message.step_microseconds < 1e9:
             entries.append(Entry(("steps", name), Curves((1e-3 * message.step_microseconds,))))
         return [*entries, *_change(name, service, message.state)]
@@ -57,7 +61,7 @@ def _change(name: str, service: _Service, state: str) -> list[Entry]:
 
 
 def _styles(name: str, index: int) -> list[Entry]:
-    curve = Curves((), (f"{name} [ms]",), (SERIES[index % len(SERIES)],), (1.5,))
+    curve = Curves((), (name,), (SERIES[index % len(SERIES)],), (1.5,))
     return [
         Entry(("services", name), StateSet(HEALTH_COLOURS), static=True),
         Entry(("steps", name), curve, static=True),

@@ -32,6 +32,8 @@ __all__ = ["Painter"]
 APPLICATION = "safedpa"
 SERVER_MEMORY = "256MB"
 _FLUSH_SECONDS = 1.0
+_BATCH_SECONDS = 0.4
+"""Rows of one path wait for so long to be sent together: half the size of the file for a barely later picture."""
 
 
 class Painter:
@@ -42,7 +44,9 @@ class Painter:
 
     def __init__(self, look: Look, fleet: str, *, save: Path | None, bind: str, grpc_port: int | None) -> None:
         self._look = look
-        self._stream = rr.RecordingStream(APPLICATION)
+        batches = rr.ChunkBatcherConfig.DEFAULT()
+        batches.flush_tick = _BATCH_SECONDS
+        self._stream = rr.RecordingStream(APPLICATION, batcher_config=batches)
         self.server_uri = ""
         sinks: list[Any] = []
         try:
@@ -75,6 +79,7 @@ class Painter:
     def close(self) -> None:
         """Writes what is still on its way, for a second at most."""
         self._stream.flush(timeout_sec=_FLUSH_SECONDS)
+        self._stream.disconnect()
 
     def _log(self, entry: Entry) -> None:
         self._stream.log(list(entry.path), _archetype(entry.shape, static=entry.static), static=entry.static)
@@ -96,10 +101,11 @@ def _archetype(shape: Shape, *, static: bool) -> Any:  # noqa: PLR0911 - one lin
                 return rr.SeriesLines(names=list(names), colors=_colours(colours), widths=list(widths))
             return rr.Scalars(list(values))
         case Bands(value, deviation, name, unit, colour):
-            units = [unit] if unit not in ("", "1") else None
-            return rr.Measurements(
-                [value], variances=[deviation**2], units=units, names=[name], colors=_colours((colour,)), widths=[2.0]
-            )
+            if static:
+                units = [unit] if unit not in ("", "1") else None
+                colours = _colours((colour,))
+                return rr.Measurements.from_fields(names=[name], units=units, colors=colours, widths=[2.0])
+            return rr.Measurements([value], variances=[deviation**2])
         case States(state):
             return rr.StateChange(state=state)
         case StateSet(colours):

@@ -42,7 +42,7 @@ class RobotView:
         """Static entries: names and colours."""
         return [
             Entry(("verdict", "filter"), StateSet(VERDICT_COLOURS), static=True),
-            Entry(("verdict", "in force"), StateSet(IN_FORCE_COLOURS), static=True),
+            Entry(("verdict", "in_force"), StateSet(IN_FORCE_COLOURS), static=True),
             *style_entries(self._look),
         ]
 
@@ -124,7 +124,7 @@ class RobotView:
         if applied_by == self._in_force:
             return []
         self._in_force = applied_by
-        entries = [Entry(("verdict", "in force"), States(applied_by))]
+        entries = [Entry(("verdict", "in_force"), States(applied_by))]
         if applied_by == "watchdog":
             note = Note("No action arrived in time: the robot's watchdog brakes.", IN_FORCE_COLOURS["watchdog"], "WARN")
             entries.append(Entry(("log",), note))
