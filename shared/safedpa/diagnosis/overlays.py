@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,22 @@ from safedpa.diagnosis.rollout import rollout
 from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 
-__all__ = ["chosen_windows", "overlay_figures"]
+__all__ = ["chosen_windows", "overlay_figures", "window_figure"]
 
 EACH = 4
 """Windows of each kind."""
 
 MOST_ROWS = 250
 """Most points of one line."""
+
+STYLES = {
+    "measured": (2.0, "solid"),
+    "model": (2.5, "solid"),
+    "constant_velocity": (1.5, "dot"),
+    "before": (2.0, "dash"),
+    "after": (2.5, "solid"),
+}
+"""Width and dash of a line, by what it shows."""
 
 
 def overlay_figures(comparison: Comparison) -> list[dict[str, Any]]:
@@ -73,17 +83,24 @@ def _apart(windows: Windows, order: Rows, count: int) -> list[int]:
 
 
 def _figure(windows: Windows, number: int, predicted: Floats, rates: Floats) -> dict[str, Any]:
+    rows = np.arange(windows.start[number], windows.end[number] + 1)
+    elapsed = (windows.clock[rows] - windows.clock[rows[0]])[:, None]
+    lines = {"model": predicted, "constant_velocity": windows.states[rows[0]] + rates * elapsed}
+    return window_figure(windows, number, lines)
+
+
+def window_figure(windows: Windows, number: int, predicted: Mapping[str, Floats]) -> dict[str, Any]:
+    """Path, states and actions of one window, measured from half a horizon before it.
+
+    ``predicted``: by style, the states (steps + 1, states) of one predictor from the window's start to its end.
+    """
     start, end = int(windows.start[number]), int(windows.end[number])
     past = int(np.searchsorted(windows.clock, windows.clock[start] - 0.5 * windows.horizon))
     first = max(past, int(windows.begin[number]))
     shown = _thinned(np.arange(first, end + 1))
     ahead = _thinned(np.arange(start, end + 1))
-    elapsed = (windows.clock[ahead] - windows.clock[start])[:, None]
-    lines = {
-        "measured": (shown, windows.states[shown]),
-        "model": (ahead, predicted[ahead - start]),
-        "constant_velocity": (ahead, windows.states[start] + rates * elapsed),
-    }
+    lines = {"measured": (shown, windows.states[shown])}
+    lines |= {name: (ahead, states[ahead - start]) for name, states in predicted.items()}
     time = windows.clock - windows.clock[start]
     system = windows.system
     flat = all(name in system.state_names for name in PLACE)
@@ -132,7 +149,7 @@ def _wide(values: Floats, least: float) -> list[float]:
 
 
 def _style(name: str) -> dict[str, Any]:
-    width, dash = {"measured": (2.0, "solid"), "model": (2.5, "solid"), "constant_velocity": (1.5, "dot")}[name]
+    width, dash = STYLES[name]
     line = {"color": COLOURS[name], "width": width, "dash": dash}
     return {"mode": "lines", "name": name.replace("_", " "), "line": line}
 

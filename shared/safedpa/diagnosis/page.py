@@ -20,7 +20,7 @@ from safedpa.diagnosis.overlays import overlay_figures
 from safedpa.diagnosis.summary import as_json, bin_text, naive_sentence, state_sentence, where_sentence, worst_bins
 from safedpa.records.atomic import atomic_path
 
-__all__ = ["compare_page", "write_comparison"]
+__all__ = ["compare_page", "embedded", "rendered", "write_comparison"]
 
 
 def write_comparison(comparison: Comparison, folder: Path, title: str) -> tuple[Path, Path]:
@@ -38,15 +38,12 @@ def write_comparison(comparison: Comparison, folder: Path, title: str) -> tuple[
 
 def compare_page(comparison: Comparison, title: str) -> str:
     """The page's text: figures, tables and plotly.js in one file that asks no other host for anything."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(files("safedpa.diagnosis").joinpath("page.html").read_text(encoding="utf-8"))
     place = place_figure(comparison)
     figures = [horizon_figure(comparison), where_figure(comparison), time_figure(comparison)]
     figures += [residual_figure(comparison)] if place is None else [place, residual_figure(comparison)]
     overlays = overlay_figures(comparison)
-    return template.render(
+    return rendered(
+        "page.html",
         title=title,
         comparison=comparison,
         sentences=[where_sentence(comparison), state_sentence(comparison), naive_sentence(comparison)],
@@ -58,9 +55,20 @@ def compare_page(comparison: Comparison, title: str) -> str:
         most_runs=MOST_RUNS,
         has_place=place is not None,
         overlay_labels=[figure["label"] for figure in overlays],
-        data=_embedded({"figures": figures, "overlays": overlays}),
-        plotly=files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8"),
+        data=embedded({"figures": figures, "overlays": overlays}),
     )
+
+
+def rendered(template: str, **values: Any) -> str:
+    """A template beside this file, with plotly.js and the pages' common style in it."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    own = files("safedpa.diagnosis")
+    plotly = files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
+    style = own.joinpath("page.css").read_text(encoding="utf-8")
+    page = environment.from_string(own.joinpath(template).read_text(encoding="utf-8"))
+    return page.render(plotly=plotly, style=style, **values)
 
 
 def _tiles(comparison: Comparison) -> list[tuple[str, str]]:
@@ -83,7 +91,7 @@ def _table_horizons(comparison: Comparison) -> list[Any]:
     return [comparison.horizons[index - 1] for index in picked]
 
 
-def _embedded(data: dict[str, Any]) -> str:
+def embedded(data: dict[str, Any]) -> str:
     """JSON that may stand inside a script element."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,0 +1,172 @@
+"""The figures of a diagnosis: the error as it falls, and where it was before and is after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from safedpa.diagnosis.comparison import Comparison
+from safedpa.diagnosis.figures import COLOURS, LEGEND
+from safedpa.diagnosis.panels import Panels, label, rounded
+from safedpa.diagnosis.where import PLACE, window_squares
+from safedpa.diagnosis.windows import Floats
+
+__all__ = ["before_after_figure", "falling_figure", "map_figure"]
+
+_CELLS = 14
+"""Along each side of a map."""
+_FEWEST = 3
+"""Windows in a cell of a map."""
+_MAPS = 3
+_SOME = 0.05
+"""Share of the differences that a heading must explain to be worth a map."""
+_SAME = 0.8
+"""Correlation from which two variables span a line, not a map."""
+
+
+def falling_figure(document: Mapping[str, Any]) -> dict[str, Any]:
+    """One bar a stage, falling from left to right: the mean in front, then every state."""
+    stages = document["stages"]
+    states = list(stages[0]["per_state"])
+    panels = Panels(rows=1, columns=1, height=330)
+    width = 0.55 / max(len(states), 1)
+    at = panels.place("mean over the states", "", "held-out error", (0.0, 0.36), (0.0, 1.0))
+    _stage_bars(panels, at, [stage["heldout_error"] for stage in stages], stages)
+    for index, state in enumerate(states):
+        left = 0.43 + index * (width + 0.025)
+        at = panels.place(state, "", "", (left, min(left + width - 0.02, 1.0)), (0.0, 1.0))
+        _stage_bars(panels, at, [stage["per_state"][state] for stage in stages], stages, short=True)
+    return panels.figure("falling", bargap=0, margin={"l": 62, "r": 14, "t": 40, "b": 52 if len(stages) < 4 else 90})
+
+
+def _stage_bars(panels: Panels, at: int, errors: list[float], stages: Any, *, short: bool = False) -> None:
+    places = [float(index) for index in range(len(errors))]
+    colours = [COLOURS["before"], *[COLOURS["after"]] * (len(errors) - 1)]
+    names = ["given model", *(f"+ {stage['effects'][-1]}" for stage in stages[1:])]
+    texts = [f"{name}<br>error {error:.3g}" for name, error in zip(names, errors, strict=True)]
+    panels.bars(at, places, errors, [0.72] * len(errors), colours, texts)
+    panels.axis(at, "x", tickvals=places, ticktext=[str(i) for i in range(len(places))] if short else names)
+    panels.axis(at, "x", tickangle=0 if short or len(places) < 4 else -25, range=[-0.6, max(len(errors) - 0.4, 1.6)])
+    panels.axis(at, "y", range=[0.0, 1.18 * max(*errors, 1e-12)])
+    if short:
+        places, errors = [places[0], *places[1:][-1:]], [errors[0], *errors[1:][-1:]]
+        panels.axis(at, "x", title={"text": "additions", "font": {"size": 12}})
+    for place, error in zip(places, errors, strict=True):
+        fall = f"<br>{_change(error, errors[0])}" if place and not short else ""
+        panels.draw(
+            at, [place], [error], mode="text", text=[f"<b>{error:.3g}</b>{fall}"], textposition="top center",
+            hoverinfo="skip", textfont={"size": 11 if short else 13}, cliponaxis=False,
+        )  # fmt: skip
+
+
+def _change(error: float, first: float) -> str:
+    return f"{100.0 * (error / first - 1.0):+.0f} %".replace("-", "−") if first > 0 else ""
+
+
+def before_after_figure(before: Comparison, after: Comparison) -> dict[str, Any]:
+    """Error in bins of every variable, the given model's behind, the diagnosed model's in front."""
+    order = [item.variable for item in before.factors if item.kind != "time"]
+    later = {item.variable: item for item in after.factors}
+    panels = Panels(rows=-(-len(order) // 3), columns=min(3, len(order)), height=250)
+    highest = max(item.error for factor in before.factors if factor.kind != "time" for item in factor.bins)
+    highest = max([highest, *(item.error for name in order for item in later[name].bins)])
+    for factor in before.factors:
+        if factor.kind == "time":
+            continue
+        at = panels.add(f"{factor.variable} (explains {100 * max(factor.explained, 0):.0f} %)", label(factor), "error")
+        for name, bins in (("before", factor.bins), ("after", later[factor.variable].bins)):
+            panels.bars(
+                at,
+                [0.5 * (item.low + item.high) for item in bins],
+                [item.error for item in bins],
+                [item.high - item.low for item in bins],
+                [COLOURS[f"{name}_bar"]] * len(bins),
+                [f"{name}: {item.low:.3g} to {item.high:.3g}<br>error {item.error:.3f}<br>{item.samples} windows"
+                 for item in bins],
+            )  # fmt: skip
+        panels.axis(at, "y", range=[0.0, 1.08 * highest] if np.isfinite(highest) else None)
+    return panels.figure("where", bargap=0, barmode="overlay", legend=LEGEND)
+
+
+def map_figure(before: Comparison, after: Comparison) -> dict[str, Any] | None:
+    """Maps of the error over pairs of state and action, and over the plane: before above, after below.
+
+    The pairs are those of the variables on which the error before depends most. None without two variables.
+    """
+    pairs = _pairs(before)
+    if not pairs:
+        return None
+    panels = Panels(rows=2, columns=len(pairs), height=330)
+    drawn = []
+    for comparison in (before, after):
+        for across, up in pairs:
+            drawn.append((comparison, across, up, _cell_errors(comparison, across, up)))
+    highest = max((float(np.nanmax(item[3][2], initial=0.0)) for item in drawn), default=1.0)
+    for number, (comparison, across, up, (x, y, z, counts)) in enumerate(drawn):
+        units = _units(comparison)
+        when = "before" if number < len(pairs) else "after"
+        at = panels.add(when, f"{across} [{units[across]}]", f"{up} [{units[up]}]" if across != "x" else "y [m]")
+        text = [[f"{int(count)} windows" for count in row] for row in counts]
+        panels.heat(at, rounded(x), rounded(y), [rounded(row) for row in z], text, "error")
+        hover = f"{across} %{{x:.3g}}, {up} %{{y:.3g}}<br>error %{{z:.3f}}<br>%{{text}}<extra></extra>"
+        panels.data[-1].update(zmin=0.0, zmax=highest, showscale=number == 0, hovertemplate=hover)
+        if across == "x":
+            panels.axis(at, "y", scaleanchor="x", constrain="domain")
+            panels.axis(at, "x", constrain="domain")
+    return panels.figure("maps")
+
+
+def _pairs(comparison: Comparison) -> list[tuple[str, str]]:
+    system = comparison.windows.system
+    angles = {item.name for item in system.state if item.angle}
+    names = [
+        item.variable
+        for item in comparison.factors
+        if item.kind in ("state", "action") and (item.variable not in angles or item.explained > _SOME)
+    ]
+    pairs = []
+    for i, later in enumerate(names):
+        for earlier in names[:i]:
+            if abs(np.corrcoef(_values(comparison, later), _values(comparison, earlier))[0, 1]) < _SAME:
+                swap = earlier in system.action_names and later in system.state_names
+                pairs.append((later, earlier) if swap else (earlier, later))
+    if set(PLACE) <= set(_units(comparison)):
+        return [*pairs[: _MAPS - 1], ("x", "y")]
+    return pairs[:_MAPS]
+
+
+def _units(comparison: Comparison) -> dict[str, str]:
+    system = comparison.windows.system
+    return {item.name: item.unit for item in (*system.state, *system.action)}
+
+
+def _values(comparison: Comparison, name: str) -> Floats:
+    """A state or action at the middle of each window, shape (windows,)."""
+    windows = comparison.windows
+    middle, system = windows.start + windows.steps // 2, windows.system
+    if name in system.action_names:
+        return np.asarray(windows.actions[middle, system.action_names.index(name)])
+    index = system.state_names.index(name)
+    values = windows.states[middle, index]
+    return np.asarray((values + np.pi) % (2 * np.pi) - np.pi if system.state[index].angle else values)
+
+
+def _cell_errors(comparison: Comparison, across: str, up: str) -> tuple[Floats, Floats, Floats, Floats]:
+    """Middles (cells,), middles (cells,), root mean square error and windows (cells up, cells across)."""
+    squares = window_squares(comparison.errors, comparison.error.scale)
+    edges, at = [], []
+    for name in (across, up):
+        values = _values(comparison, name)
+        low, high = np.quantile(values, [0.01, 0.99])
+        edges.append(np.linspace(low, max(high, low + 1e-9), _CELLS + 1))
+        at.append(np.searchsorted(edges[-1], values, side="right") - 1)
+    inside = (at[0] >= 0) & (at[0] < _CELLS) & (at[1] >= 0) & (at[1] < _CELLS)
+    cell = at[1][inside] * _CELLS + at[0][inside]
+    counts = np.bincount(cell, minlength=_CELLS**2).astype(np.float64)
+    total = np.bincount(cell, squares[inside], minlength=_CELLS**2)
+    errors = np.where(counts >= _FEWEST, np.sqrt(total / np.maximum(counts, 1.0)), np.nan)
+    middles = [0.5 * (edge[:-1] + edge[1:]) for edge in edges]
+    shape = (_CELLS, _CELLS)
+    return middles[0], middles[1], errors.reshape(shape), counts.reshape(shape)

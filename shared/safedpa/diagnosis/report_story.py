@@ -1,0 +1,127 @@
+"""What a diagnosis says in sentences, from the document that stands in report.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["Found", "Stage", "Story", "parameters_text", "story_of"]
+
+
+@dataclass(frozen=True)
+class Found:
+    """One accepted effect: its parameters as text, and what it cannot be told from."""
+
+    effect: str
+    parameters: list[tuple[str, str, str, str]]
+    """(name, value, standard deviation, unit)"""
+    equals: list[str]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The candidates of one stage, best first, beside the error that they were to lower."""
+
+    number: int
+    question: str
+    error: float
+    candidates: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Story:
+    """Sentences and tables of a page."""
+
+    lead: str
+    remains: str
+    found: list[Found]
+    groups: list[tuple[str, list[str], str]]
+    """(effect, those that this data cannot tell from it, decision)"""
+    stages: list[Stage]
+
+
+def story_of(document: Mapping[str, Any]) -> Story:
+    """Everything that a page says in words."""
+    found = [_found(document, stage, name) for stage, name in enumerate(document["added"])]
+    groups = [
+        (item["effect"], list(item["indistinguishable_from"]), item["decision"])
+        for item in document["candidates"]
+        if item["indistinguishable_from"] and item["decision"] != "rejected"
+    ]
+    numbers = sorted({int(item["stage"]) for item in document["candidates"]})
+    return Story(_lead(document), _remains(document), found, groups, [_stage(document, number) for number in numbers])
+
+
+def _lead(document: Mapping[str, Any]) -> str:
+    stages, added = document["stages"], document["added"]
+    first, last = stages[0]["heldout_error"], stages[-1]["heldout_error"]
+    if added:
+        fall = 100.0 * (1.0 - last / first) if first > 0 else 0.0
+        verb = "falls" if fall > 0 else "changes"
+        return (
+            f"The model lacks {_joined(added)}. With {'it' if len(added) == 1 else 'them'} the error on data that was "
+            f"not used for fitting {verb} from {first:.3g} to {last:.3g}, by {abs(fall):.0f} %."
+        )
+    if document["verdict"] == "nothing_missing":
+        return (
+            f"Nothing is missing: no effect of the library predicts unseen data better than chance would have it. "
+            f"The error is {first:.3g}."
+        )
+    return f"Something is missing that no effect of the library describes. The error is {first:.3g}."
+
+
+def _remains(document: Mapping[str, Any]) -> str:
+    unexplained = document["unexplained"]
+    if unexplained is None:
+        return ""
+    variables = _joined(unexplained["depends_on"]) or "no variable that was measured"
+    share = unexplained.get("share")
+    size = f"{100.0 * share:.0f} % of what remains" if isinstance(share, int | float) else "A part of what remains"
+    return f"{size} depends on {variables} in a way that no effect of the library has."
+
+
+def _found(document: Mapping[str, Any], stage: int, name: str) -> Found:
+    """The accepted candidate of a stage; where several stages name it, the last one's numbers."""
+    own = [item for item in document["candidates"] if item["effect"] == name and item["decision"] == "accepted"]
+    own = [item for item in own if item["stage"] == stage] or own
+    if not own:
+        return Found(name, [], [])
+    rows = [
+        (key, f"{entry['value']:.4g}", "" if entry.get("std") is None else f"{entry['std']:.2g}", entry["unit"])
+        for key, entry in own[-1]["parameters"].items()
+    ]
+    return Found(name, rows, list(own[-1]["indistinguishable_from"]))
+
+
+def _stage(document: Mapping[str, Any], number: int) -> Stage:
+    stage = document["stages"][min(number, len(document["stages"]) - 1)]
+    have = stage["effects"][:number]
+    question = "What does the given model lack?" if not have else f"What is missing beside {_joined(have)}?"
+    candidates = [
+        {**item, "text": parameters_text(item["parameters"]), "width": _width(item["heldout_error"], stage)}
+        for item in document["candidates"]
+        if item["stage"] == number
+    ]
+    return Stage(number, question, stage["heldout_error"], candidates)
+
+
+def _width(error: float | None, stage: Mapping[str, Any]) -> float:
+    """Length of the bar in per cent of the cell, full at the error without any candidate."""
+    if error is None or not stage["heldout_error"] > 0:
+        return 0.0
+    return min(100.0, 100.0 * error / float(stage["heldout_error"]))
+
+
+def parameters_text(parameters: Mapping[str, Any]) -> str:
+    """coefficient 0.121 ± 0.003 1/m, one after the other."""
+    parts = []
+    for name, entry in parameters.items():
+        spread = "" if entry.get("std") is None else f" ± {entry['std']:.2g}"
+        unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+        parts.append(f"{name} {entry['value']:.3g}{spread}{unit}")
+    return ", ".join(parts)
+
+
+def _joined(names: list[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
