@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
-from safedpa.diagnosis.rollout_error import rollout_error
+from safedpa.diagnosis.rollout import rollout_at
+from safedpa.diagnosis.rollout_error import prediction_errors, rollout_error
 from safedpa.diagnosis.windows import windows_of
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect, effects_of
@@ -75,6 +77,26 @@ def test_two_roads_meet(logs, key):
     near = 2.2 if set(log.case.effects) & DRY else 1.5
     assert (told.per_state * told.scale < near * floor.per_state * floor.scale).all()
     assert untold.value > 1.3 * told.value
+
+
+@pytest.mark.parametrize("key", ["car/quadratic_drag", "car/steering_offset", "car/understeer", "pendulum/spring"])
+def test_a_plain_fit_recovers_the_truth(logs, key):
+    """Least squares over short predictions, from the neutral values on, by an optimiser that knows nothing of this."""
+    log = logs[key]
+    ((name, truth),) = log.case.effects.items()
+    given = load_model(log.model)
+    windows = windows_of([load_run(path, given.system) for path in log.runs], 0.5, every=0.5)
+    item = effect(given.system.name, name)
+    sizes = np.array([0.002, 0.002, 0.003, 0.015] if given.system.name == "car" else [0.002, 0.01])
+
+    def residual(values):
+        own = {key: Setting(float(value)) for key, value in zip(truth, values, strict=True)}
+        predicted = rollout_at(given.with_effect(item, own), windows, [windows.end])[0]
+        return (prediction_errors(windows, windows.end, predicted) / sizes).ravel()
+
+    start = [0.0 if parameter.neutral is not None else 3.0 for parameter in item.parameters]
+    fitted = least_squares(residual, start, diff_step=1e-3, x_scale=0.1, loss="soft_l1").x
+    np.testing.assert_allclose(fitted, list(truth.values()), rtol=0.06)
 
 
 def test_nothing_here_knows_the_fitted_models():

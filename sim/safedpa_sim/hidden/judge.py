@@ -1,0 +1,125 @@
+"""What a diagnosis got right, once the truth is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+__all__ = ["Outcome", "judged"]
+
+Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One case: what was hidden and what was said."""
+
+    suite: str
+    case: str
+    hidden: tuple[str, ...]
+    added: tuple[str, ...]
+    verdict: str
+    first_named: bool
+    """What was added first is hidden."""
+    all_named: bool
+    """Every hidden effect was added."""
+    all_in_group: bool
+    """Every hidden effect was added, or is named as what the data cannot tell from something added, or is taken up
+    whole by a free gain."""
+    wrong: tuple[str, ...]
+    """Added effects that are not hidden and stand for nothing that is."""
+    place_told: bool
+    """The unexplained rest is said to depend on the place."""
+    deviations: tuple[float, ...]
+    """(value - truth) / stated standard deviation of every parameter of every hidden effect that was added."""
+    error: float
+    """Held-out error of the last stage."""
+    error_ratio: float
+    """That over the error of the same fit with the true effects; NaN where there is none to compare with."""
+    seconds: float
+
+    @property
+    def right(self) -> bool:
+        """As the suite wants it: effects in their group; nothing where nothing is; the patch unexplained and placed."""
+        if self.suite == "patch":
+            return self.verdict == "unexplained" and self.place_told and not self.added
+        if not self.hidden:
+            return self.verdict == "nothing_missing" and not self.added
+        return self.all_in_group
+
+
+def judged(case: str, document: Document, truth: Document, oracle: float | None, seconds: float) -> Outcome:
+    """Compares report.json with the sealed truth; ``oracle`` is the held-out error with the true effects fitted."""
+    hidden, added = tuple(truth["effects"]), tuple(document["added"])
+    groups = {name: _group(document, name) for name in added}
+    absorbed = set(truth["absorbed"])
+    found = {name: _stands_for(name, groups, truth) or name in absorbed for name in hidden}
+    unexplained = document["unexplained"] or {}
+    error = float(document["stages"][-1]["heldout_error"])
+    return Outcome(
+        suite=truth["suite"],
+        case=case,
+        hidden=hidden,
+        added=added,
+        verdict=document["verdict"],
+        first_named=bool(added) and added[0] in hidden,
+        all_named=set(hidden) <= set(added),
+        all_in_group=all(found.values()),
+        wrong=tuple(name for name in added if not _justified(name, groups, truth)),
+        place_told=bool({"x", "y", "place"} & set(unexplained.get("depends_on", ()))),
+        deviations=tuple(_deviations(document, truth)),
+        error=error,
+        error_ratio=error / oracle if oracle else float("nan"),
+        seconds=seconds,
+    )
+
+
+def _group(document: Document, name: str) -> set[str]:
+    """An added effect and all that its candidates are said to be indistinguishable from."""
+    own = [item for item in document["candidates"] if item["effect"] == name and item["decision"] == "accepted"]
+    return {name}.union(*(_parts(other) for item in own for other in item["indistinguishable_from"]))
+
+
+def _parts(name: str) -> set[str]:
+    """A pair is named with a plus sign between its effects."""
+    return {part.strip() for part in name.split("+")}
+
+
+def _stands_for(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
+    """Added itself; or something added is said to be indistinguishable from it, or from nothing but its equals."""
+    if any(name in group for group in groups.values()):
+        return True
+    return any(len(group) > 1 and set(truth["equals"][name]) & group for group in groups.values())
+
+
+def _justified(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
+    hidden = set(truth["effects"])
+    equals = {other for name_hidden in hidden for other in truth["equals"][name_hidden]}
+    return name in hidden | equals or bool(groups[name] & hidden)
+
+
+def _deviations(document: Document, truth: Document) -> list[float]:
+    """In stated standard deviations, from the last stage that reports the effect."""
+    found = []
+    for name, parameters in truth["effects"].items():
+        own = _last_parameters(document, name)
+        for key, value in parameters.items():
+            entry = own.get(key)
+            if entry is not None and entry.get("std"):
+                deviation = (entry["value"] - value) / entry["std"]
+                found += [float(deviation)] if isfinite(deviation) else []
+    return found
+
+
+def _last_parameters(document: Document, name: str) -> Mapping[str, Any]:
+    if name not in document["added"]:
+        return {}
+    final: Mapping[str, Any] = document.get("parameters") or {}
+    own = {path.split(".")[1]: entry for path, entry in final.items() if path.split(".")[0] == name}
+    if own and all(isinstance(entry, Mapping) for entry in own.values()):
+        return own
+    accepted = [item for item in document["candidates"] if item["effect"] == name and item["decision"] == "accepted"]
+    parameters: Mapping[str, Any] = accepted[-1]["parameters"] if accepted else {}
+    return parameters

@@ -1,0 +1,123 @@
+"""The judge of a diagnosis, and the figures made of its judgements."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from safedpa_sim.experiments.hidden_summary import summary
+from safedpa_sim.hidden import Case, truth_of
+from safedpa_sim.hidden.case import equals_of
+from safedpa_sim.hidden.judge import judged
+
+DRAG = {"quadratic_drag": {"coefficient": 0.12}}
+
+
+def document(added=(), verdict="effect_missing", groups=None, value=0.125, std=0.004, unexplained=None, error=0.02):
+    accepted = [
+        {
+            "stage": stage,
+            "effect": name,
+            "parameters": {"coefficient": {"value": value, "std": std, "unit": "1/m"}},
+            "indistinguishable_from": list((groups or {}).get(name, ())),
+            "decision": "accepted",
+        }
+        for stage, name in enumerate(added)
+    ]
+    rejected = [{**item, "effect": "payload", "decision": "rejected"} for item in accepted]
+    stages = [{"heldout_error": 0.1}, *[{"heldout_error": error}] * len(added)]
+    return {
+        "verdict": verdict,
+        "added": list(added),
+        "stages": stages,
+        "candidates": [*rejected, *accepted],
+        "unexplained": unexplained,
+    }
+
+
+def judge(case, found, oracle=0.02):
+    return judged(case.name, found, json.loads(json.dumps(truth_of(case))), oracle, 1.5)
+
+
+def test_the_hidden_effect_named_first():
+    outcome = judge(Case("ordinary", 1, DRAG), document(["quadratic_drag", "payload"], error=0.021))
+    assert outcome.right
+    assert outcome.first_named
+    assert outcome.wrong == ("payload",)
+    assert outcome.deviations == pytest.approx((1.25,))
+    assert outcome.error_ratio == pytest.approx(1.05)
+
+
+def test_another_effect_instead():
+    outcome = judge(Case("ordinary", 1, DRAG), document(["viscous_drag"]))
+    assert not outcome.right
+    assert not outcome.first_named
+    assert outcome.wrong == ("viscous_drag",)
+    assert outcome.deviations == ()
+
+
+def test_a_group_counts_where_it_is_said():
+    case = Case("fifth", 1, DRAG)
+    said = judge(case, document(["viscous_drag"], groups={"viscous_drag": ["quadratic_drag"]}))
+    assert said.right
+    assert not said.all_named
+    assert said.wrong == ()
+    pair = judge(case, document(["viscous_drag"], groups={"viscous_drag": ["quadratic_drag + payload"]}))
+    assert pair.right
+
+
+def test_equal_effects_must_be_said_not_guessed():
+    case = Case("hard", 1, {"viscous_drag": {"coefficient": 0.3}}, hard=True)
+    assert equals_of(case, "viscous_drag") == ("speed_command_gain",)
+    guessed = judge(case, document(["speed_command_gain"]))
+    assert not guessed.right
+    assert guessed.wrong == ()
+    said = judge(case, document(["speed_command_gain"], groups={"speed_command_gain": ["viscous_drag"]}))
+    assert said.right
+
+
+def test_what_a_free_gain_takes_up_is_not_missed():
+    case = Case("hard", 1, {"payload": {"mass_ratio": 0.3}}, hard=True)
+    assert judge(case, document((), "nothing_missing")).right
+    assert not judge(Case("ordinary", 1, case.effects), document((), "nothing_missing")).right
+
+
+def test_nothing_hidden():
+    case = Case("none", 1, {})
+    assert judge(case, document((), "nothing_missing")).right
+    assert not judge(case, document((), "unexplained")).right
+    alarm = judge(case, document(["payload"]))
+    assert not alarm.right
+    assert alarm.wrong == ("payload",)
+
+
+def test_the_patch_must_be_placed():
+    case = Case("patch", 1, {}, patch=True)
+    placed = {"depends_on": ["x", "y"], "expression": "", "share": 0.4}
+    assert judge(case, document((), "unexplained", unexplained=placed)).right
+    assert not judge(case, document((), "unexplained", unexplained={**placed, "depends_on": ["speed"]})).right
+    assert not judge(case, document(["rolling_resistance"], "unexplained", unexplained=placed)).right
+    assert not judge(case, document((), "nothing_missing")).right
+
+
+def test_the_summary_counts():
+    case = Case("ordinary", 1, DRAG)
+    outcomes = [
+        judge(case, document(["quadratic_drag"], value=0.121)),
+        judge(case, document(["quadratic_drag"], value=0.14, error=0.03)),
+        judge(case, document((), "nothing_missing", error=0.1)),
+        judge(Case("none", 1, {}), document((), "nothing_missing"), None),
+    ]
+    found = summary(["ordinary", "none"], outcomes)
+    ordinary, none = found["suites"]
+    assert (ordinary["right"]["hits"], ordinary["right"]["of"]) == (2, 3)
+    assert ordinary["parameters_within_two"] == {"hits": 1, "of": 2, "interval_95": pytest.approx([0.0945, 0.9055])}
+    assert (ordinary["error_ratio_within"]["hits"], ordinary["error_ratio_within"]["of"]) == (1, 3)
+    assert ordinary["error_ratio_largest"] == pytest.approx(5.0)
+    assert none["named_first"] is None
+    assert none["error_ratio_median"] is None
+    assert none["right"]["hits"] == 1
+    assert [row["effect"] for row in found["effects"]] == ["quadratic_drag"]
+    assert [item["verdict"] for item in found["missed"]] == ["nothing_missing"]
+    json.dumps(found)
