@@ -12,6 +12,7 @@ from safedpa.diagnosis.comparison import EVERY, Comparison, compare_model
 from safedpa.diagnosis.figures import residual_figure
 from safedpa.diagnosis.overlays import chosen_windows, window_figure
 from safedpa.diagnosis.page import embedded, rendered
+from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.diagnosis.report_figures import before_after_figure, falling_figure, map_figure
 from safedpa.diagnosis.report_story import story_of
 from safedpa.diagnosis.rollout import rollout
@@ -21,8 +22,11 @@ from safedpa.records.run import Run
 
 __all__ = ["report_page", "write_report"]
 
+_MOST_ROWS = 200_000
+"""Of longer logs the figures show an excerpt; the numbers in the tables of stages and candidates are those of all."""
+
 _MOST_WINDOWS = 6000
-"""More would make a page no clearer; hours of logs are looked at less densely."""
+"""More would make a page no clearer."""
 
 _SHOWN = 6
 """Candidates of a stage that stand in the table before the others are unfolded."""
@@ -48,9 +52,10 @@ def report_page(
     """The page's text: figures, tables and plotly.js in one file that asks no other host for anything."""
     horizon = float(document.get("horizon", horizon))
     seconds = sum(run.duration for run in runs)
-    every = max(EVERY, seconds / _MOST_WINDOWS)
-    before = compare_model(models[0], runs, horizon, every=every)
-    after = before if len(models) == 1 else compare_model(models[-1], runs, horizon, every=every)
+    shown = excerpt(runs, _MOST_ROWS)
+    every = max(EVERY, sum(run.duration for run in shown) / _MOST_WINDOWS)
+    before = compare_model(models[0], shown, horizon, every=every)
+    after = before if len(models) == 1 else compare_model(models[-1], shown, horizon, every=every)
     figures = [falling_figure(document), before_after_figure(before, after), residual_figure(after)]
     maps = map_figure(before, after)
     figures += [] if maps is None else [maps]
@@ -64,6 +69,7 @@ def report_page(
         after=after,
         tiles=_tiles(document, before, seconds, len(runs)),
         has_maps=maps is not None,
+        share=sum(run.duration for run in shown) / seconds,
         shown=_SHOWN,
         overlay_labels=[figure["label"] for figure in overlays],
         data=embedded({"figures": figures, "overlays": overlays}),

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from safedpa.diagnosis.report_excerpt import heads
 from safedpa.diagnosis.report_story import story_of
 from safedpa.diagnosis.rollout import rollout
 from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats, Windows, windows_of
 from safedpa.dynamics import PhysicsModel
-from safedpa.errors import RecordingError
+from safedpa.errors import InputError, RecordingError
 from safedpa.records.run import Run
 
 __all__ = ["write_recording"]
@@ -62,10 +63,13 @@ def write_recording(
 
 def _back_to_back(runs: Sequence[Run], horizon: float) -> Windows:
     """Windows of one horizon, each beginning where the last one ended, over the first minute of the first runs."""
-    every = windows_of(runs[:_MOST_RUNS], horizon, stride=1)
+    try:
+        every = windows_of(heads(runs[:_MOST_RUNS], _MOST_SECONDS), horizon, stride=1)
+    except InputError:  # no stretch of a whole horizon so early: then from wherever there is one
+        every = windows_of(runs, horizon, stride=1)
     kept, free = [], -1
     for index in np.argsort(every.start, kind="stable"):
-        if every.start[index] >= free and every.time[every.start[index]] <= _MOST_SECONDS:
+        if every.start[index] >= free:
             kept.append(int(index))
             free = int(every.end[index])
     return every.select(np.array(kept, dtype=np.int64))
