@@ -215,16 +215,15 @@ def test_long_logs_are_shown_in_part(diagnosed, monkeypatch):
     document, runs, models = diagnosed
     long = replace(runs[1], stretches=(Stretch(0, 250), Stretch(260, 600)))
     shown = excerpt([runs[0], long], 300)
-    assert [len(run.stretches) for run in shown] == [1, 1]
     assert [run.stretches[0].start for run in shown] == [0, 0]
+    assert 200 <= sum(len(part) for run in shown for part in run.stretches) <= 400
     assert excerpt(runs, 1200) == runs
-    whole = excerpt([replace(runs[0], t=10.0 * runs[0].t)], 150)[0]
-    assert sum(len(part) for part in whole.stretches) <= 180
-    assert all(len(part) in (59, 60, 61) for part in whole.stretches)
+    slow = excerpt([replace(runs[0], t=10.0 * runs[0].t)], 150)[0]
+    assert [(part.start, part.stop) for part in slow.stretches] == [(0, 60), (240, 300), (480, 540)]
     heading = heads([long], 13.52)[0]
     assert [(part.start, part.stop) for part in heading.stretches] == [(0, 250), (260, 271)]
     monkeypatch.setattr("safedpa.diagnosis.report_page._MOST_ROWS", 600)
-    assert "excerpt of 50 % of the logs" in report_page(document, runs * 2, models, "long")
+    assert "excerpt of 25 % of the logs" in report_page(document, runs * 2, models, "long")
 
 
 def test_a_recording_that_cannot_be_written_is_told(diagnosed, tmp_path):

@@ -10,12 +10,12 @@ from safedpa.records.run import Run, Stretch
 
 __all__ = ["excerpt", "heads"]
 
-_PIECE = 30.0
-"""s; long enough that an actuator's unknown past at its beginning does not count."""
+_PIECE = (5.0, 30.0)
+"""s; the longer, the less counts an actuator's unknown past at the beginning."""
 
 
 def excerpt(runs: Sequence[Run], most_rows: int) -> list[Run]:
-    """The runs as they are, or every n-th piece of about 30 s of each, with at most ``most_rows`` rows in all.
+    """The runs as they are, or every n-th piece of 5 to 30 s of each, with about ``most_rows`` rows in all.
 
     The first piece of each run is kept, so time counts from where it did.
     """
@@ -23,12 +23,13 @@ def excerpt(runs: Sequence[Run], most_rows: int) -> list[Run]:
     if rows <= most_rows:
         return list(runs)
     every = -(-rows // most_rows)
-    return [replace(run, stretches=_pieces(run)[::every]) for run in runs]
+    return [replace(run, stretches=_pieces(run, every)[::every]) for run in runs]
 
 
-def _pieces(run: Run) -> tuple[Stretch, ...]:
-    """Neighbouring short stretches count one by one; long ones are cut into pieces of equal length."""
-    length = max(2, round(_PIECE / run.period))
+def _pieces(run: Run, every: int) -> tuple[Stretch, ...]:
+    """Stretches, the long ones cut into pieces of equal length."""
+    shortest, longest = (round(seconds / run.period) for seconds in _PIECE)
+    length = max(2, shortest, min(longest, sum(len(part) for part in run.stretches) // every))
     pieces = []
     for part in run.stretches:
         count = max(1, round(len(part) / length))
