@@ -2,63 +2,32 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Any
+import importlib
 
 import click
 
-from safedpa.errors import InputError
+from safedpa.errors import did_you_mean
+
+__all__ = ["EXPERIMENTS", "command"]
+
+EXPERIMENTS = ("safety",)
+"""One file each in the folder ``experiments``, with options of its own; imported when it is called."""
 
 
-@click.command()
-@click.argument("name", type=click.Choice(["safety"]))
-@click.option("--seeds", type=int, default=100, show_default=True, help="scenes per load")
-@click.option("--first-seed", type=int, default=0, show_default=True)
-@click.option("--seconds", type=float, default=20.0, show_default=True, help="of driving in each episode")
-@click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
-@click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
-@click.option("--processes", type=int, default=2, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
-@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
-def command(name: str, **options: Any) -> None:
-    """Run an experiment. safety: random scenes with every load, with the filter and without; collisions counted."""
-    from safedpa.safety.shipped import settings_named
-    from safedpa_services.progress import progress
-    from safedpa_sim.experiments.safety import safety_experiment
+class _Experiments(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        del ctx
+        return list(EXPERIMENTS)
 
-    if options["seeds"] < 1 or options["seconds"] <= 0.0 or options["processes"] < 1:
-        raise InputError("--seeds, --seconds and --processes: wanted more than 0")
-    seeds = range(options["first_seed"], options["first_seed"] + options["seeds"])
-    settings = settings_named(options["settings"])
-    with progress(f"experiment {name}") as tell:
-        result = safety_experiment(seeds, options["seconds"], options["model"], settings, options["processes"], tell)
-    result = {"experiment": name, "seeds": [seeds.start, seeds.stop - 1], **result}
-    if options["out"]:
-        options["out"].write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    if options["as_json"]:
-        click.echo(json.dumps(result))
-    else:
-        _tell(result)
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
+        del ctx
+        if cmd_name not in EXPERIMENTS:
+            raise click.UsageError(f"experiment '{cmd_name}': {did_you_mean(cmd_name, EXPERIMENTS)}")
+        module = f"safedpa_services.command_line.experiments.{cmd_name.replace('-', '_')}"
+        found: click.Command = importlib.import_module(module).command
+        return found
 
 
-def _tell(result: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    first, last = result["seeds"]
-    table = Table(title=f"seeds {first} to {last}, {result['seconds']:g} s each", box=None)
-    for column in ("load", "episodes", "collisions with filter", "without", "goals with", "without", "changed"):
-        table.add_column(column, justify="left" if column == "load" else "right")
-    for row in result["rows"]:
-        on, off = row["filter_on"], row["filter_off"]
-        table.add_row(
-            row["load"],
-            str(on["episodes"]),
-            f"{on['collisions']} in {on['episodes'] - on['safe_episodes']}",
-            f"{off['collisions']} in {off['episodes'] - off['safe_episodes']}",
-            str(on["goals"]),
-            str(off["goals"]),
-            f"{100 * on['intervention_share']:.0f} %",
-        )
-    Console().print(table)
+@click.command(name="experiment", cls=_Experiments)
+def command() -> None:
+    """Run an experiment: what the product shows, measured."""
