@@ -68,14 +68,14 @@ def _photograph(viewer: subprocess.Popen[bytes], url: str, recording: Path, out:
     while client is None:
         try:
             client = ViewerClient.connect(url)
-            client.viewer_state()
+            client.get_state()
         except (RuntimeError, OSError, ValueError, TimeoutError):
             client = None
             if viewer.poll() is not None or time.monotonic() > ends:
                 raise
             time.sleep(0.1)
     client.open(str(recording))
-    while client.viewer_state().loading or not client.viewer_state().views:
+    while client.get_state().loading or not client.get_state().views:
         if viewer.poll() is not None or time.monotonic() > ends:
             raise TimeoutError("the viewer shows nothing of it; is it a recording of the dashboard?")
         time.sleep(0.1)

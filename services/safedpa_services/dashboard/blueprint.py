@@ -19,7 +19,7 @@ MOST_TABS = 8
 
 _SHOWN_SECONDS = 20.0
 _BACKGROUND = [24, 26, 30]
-_LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[TIME_LINE], text_log_columns=["Body"])
+_LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
 
 
 def blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
@@ -54,7 +54,7 @@ def _tab(name: str, scene: Scene, look: Look) -> Any:
         _curves(f"{origin}/residual", "residual: measured - predicted"),
         _curves(f"{origin}/steps", "time of a step [ms]"),
         _lanes(f"{origin}/services", "services"),
-        row_shares=[0.9, 1.2, 1.3, 1.9],
+        row_shares=[1.0, 1.05, 1.05, 1.55],
     )
     return rrb.Horizontal(left, middle, right, column_shares=[1.48, 1, 1], name=name)
 

@@ -104,8 +104,7 @@ class FleetView:
 
     def _refuse(self, item: Refused, now: float) -> Frame:
         self.refused += 1
-        name = _robot_of(item.key)
-        robot = self._robots.get(name)
+        robot = self._robots.get(item.robot)
         if robot is None:
             return Frame(0.0, ())
         robot.refused += 1
@@ -113,18 +112,13 @@ class FleetView:
             return Frame(0.0, ())
         last = " (further ones are not told)" if robot.refused == _TOLD_REFUSALS else ""
         note = Note(f"refused {item.reason[:200]}{last}", ORANGE, "WARN")
-        return Frame(self._time.now(now), _under(name, [Entry(("log",), note)]))
+        return Frame(self._time.now(now), _under(item.robot, [Entry(("log",), note)]))
 
     def _pace_note(self, now: float) -> list[Frame]:
         factor = self.pace.factor
         text = "dashboard: every picture is drawn" if factor == 1 else f"dashboard: behind, draws one in {factor}"
         note = Note(f"{text}; {self.left_out} left out so far", ORANGE, "INFO" if factor == 1 else "WARN")
         return [Frame(self._time.now(now), _under(name, [Entry(("log",), note)])) for name in self.fields]
-
-
-def _robot_of(key: str) -> str:
-    parts = key.split("/")
-    return parts[2] if len(parts) > 2 else ""
 
 
 def _under(robot: str, entries: list[Entry]) -> tuple[Entry, ...]:

@@ -74,18 +74,18 @@ class Painter:
         for frame in frames:
             self._stream.set_time(TIME_LINE, duration=frame.at)
             for entry in frame.entries:
-                self._log(entry)
+                self._log(entry, frame.at)
 
     def close(self) -> None:
         """Writes what is still on its way, for a second at most."""
         self._stream.flush(timeout_sec=_FLUSH_SECONDS)
         self._stream.disconnect()
 
-    def _log(self, entry: Entry) -> None:
-        self._stream.log(list(entry.path), _archetype(entry.shape, static=entry.static), static=entry.static)
+    def _log(self, entry: Entry, at: float = 0.0) -> None:
+        self._stream.log(list(entry.path), _archetype(entry.shape, at, static=entry.static), static=entry.static)
 
 
-def _archetype(shape: Shape, *, static: bool) -> Any:  # noqa: PLR0911 - one line for each kind of shape
+def _archetype(shape: Shape, at: float, *, static: bool) -> Any:  # noqa: PLR0911 - one line for each kind of shape
     match shape:
         case Discs(centres, radii, colour):
             return rr.Points2D(_points(centres), radii=radii, colors=_colours((colour,)))
@@ -111,7 +111,7 @@ def _archetype(shape: Shape, *, static: bool) -> Any:  # noqa: PLR0911 - one lin
         case StateSet(colours):
             return rr.StateConfiguration(values=list(colours), colors=_colours(tuple(colours.values())))
         case Note(text, colour, level):
-            return rr.TextLog(text, level=level, color=colour)
+            return rr.TextLog(f"{at:.1f} s  {text}", level=level, color=colour)
         case Page(text):
             return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 

@@ -1,0 +1,93 @@
+"""What the dashboard's tests share: a marker, a look, a synthetic drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from safedpa.bus import (
+    HEALTH,
+    LATENT,
+    STATE,
+    VERDICT,
+    HealthMessage,
+    LatentMessage,
+    Message,
+    StateMessage,
+    Topic,
+    VerdictMessage,
+)
+from safedpa.dynamics import load_model
+from safedpa.safety import FilterSettings
+from safedpa_services.dashboard.look import Look, look_of
+
+Tick = list[tuple[Topic, Message]]
+PERIOD = 0.05
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "browser: opens the web viewer in a headless browser")
+
+
+@pytest.fixture(scope="session")
+def look() -> Look:
+    """The car's."""
+    return look_of(load_model("car"), FilterSettings())
+
+
+@pytest.fixture(scope="session")
+def tick_of() -> Callable[..., Tick]:
+    """Everything that a car on a circle of 3 m publishes in tick k."""
+    return _tick
+
+
+@pytest.fixture(scope="session")
+def drive() -> Callable[[int], Iterator[Tick]]:
+    """The first ticks of it."""
+    return lambda count: (_tick(k) for k in range(count))
+
+
+def _pose(k: int) -> tuple[float, float, float, float]:
+    angle = 0.02 * k
+    return 3.0 * math.cos(angle), 3.0 * math.sin(angle), angle + 0.5 * math.pi, 1.2
+
+
+def _tick(k: int, *, epoch: int = 7, applied_by: str = "filter", status: str = "") -> Tick:
+    stamp = {"epoch": epoch, "tick": k, "robot_time": PERIOD * k, "publish_time": 0.0}
+    status = status or ("corrected" if k % 100 >= 80 else "passed")
+    state = StateMessage(
+        **stamp,
+        values=_pose(k),
+        applied=(1.2, 0.1),
+        applied_by=applied_by,
+        period=PERIOD,
+        lockstep=False,
+        goal=(1.0, 2.0),
+        obstacles=((0.5, 0.5, 0.3), (-2.0, 1.0, 0.25)),
+        field=(-4.0, 4.0, -4.0, 4.0),
+        footprint=(0.6, 0.4, 0.15),
+        load_pose=(_pose(k)[0], _pose(k)[1] - 0.5, 0.0, 0.3, 0.3),
+    )
+    latent = LatentMessage(**stamp, model="m", values=(0.4 + 0.001 * k, 2.5), deviations=(0.1, 0.3))
+    verdict = VerdictMessage(
+        **stamp,
+        status=status,
+        sentence=f"The wish was {status}.",
+        action=(1.2, 0.1),
+        wish=(1.4, 0.05),
+        slack=0.0,
+        active=("obstacle 0",),
+        h_now=0.5 + 0.3 * math.sin(0.1 * k),
+        h_next=0.5 + 0.3 * math.sin(0.1 * (k + 1)),
+        margin=0.02,
+        solver="solved",
+        microseconds=300.0,
+        predicted=tuple(_pose(k + step) for step in range(1, 11)),
+    )
+    health = [
+        HealthMessage(**stamp, service=name, pid=1, state="running", step_microseconds=300.0 + k)
+        for name in ("robot", "adaptation", "policy", "safety_filter")
+    ]
+    return [(STATE, state), (LATENT, latent), (VERDICT, verdict), *((HEALTH, message) for message in health)]

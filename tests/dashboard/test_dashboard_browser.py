@@ -1,0 +1,133 @@
+"""The web viewer in a real browser, and pictures made by the command line."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from safedpa_services.command_line.group import safedpa
+
+_FLAGS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-background-networking",
+)
+_PATIENCE_SECONDS = 60
+
+
+@pytest.fixture
+def recording(look, drive, tmp_path):
+    from safedpa.bus import Received
+    from safedpa_services.dashboard.fleet_view import FleetView
+    from safedpa_services.dashboard.painter import Painter
+
+    path = tmp_path / "drive.rrd"
+    painter = Painter(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
+    view = FleetView(look)
+    for k, tick in enumerate(drive(400)):
+        frames = view.take([Received(topic, "r1", message, b"", "key", 0.05 * k) for topic, message in tick], 0.05 * k)
+        if k == 0:
+            painter.arrange(view.fields)
+        painter.draw(frames)
+    painter.close()
+    return path
+
+
+def _colours(png: bytes) -> int:
+    from PIL import Image
+
+    image = Image.open(io.BytesIO(png)).convert("RGB")
+    found = image.getcolors(maxcolors=1 << 24)
+    return len([count for count, _ in found if count >= 20])
+
+
+@pytest.mark.browser
+def test_the_web_viewer_shows_the_drive(free_port):
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no Chromium; install it (Debian: apt-get install chromium)")
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; pip install playwright")
+    script = [sys.executable, "-c", _SERVER, str(free_port)]
+    server = subprocess.Popen(script, stdout=subprocess.PIPE, text=True, env={**os.environ, "RUST_LOG": "error"})
+    try:
+        address = server.stdout.readline().strip()
+        assert address.startswith("http")
+        with playwright.sync_playwright() as play:
+            browser = play.chromium.launch(executable_path=chromium, args=list(_FLAGS))
+            page = browser.new_page(viewport={"width": 1400, "height": 800}, color_scheme="dark")
+            page.goto(address)
+            shown = 0
+            for _ in range(_PATIENCE_SECONDS):
+                page.wait_for_timeout(1000)
+                shown = _colours(page.screenshot(timeout=60000))
+                if shown > 60:
+                    break
+            browser.close()
+    finally:
+        server.kill()
+        server.wait()
+        server.stdout.close()
+    assert shown > 60, "the loading page has some ten colours, the dashboard hundreds"
+
+
+_SERVER = """
+import sys, time
+import rerun as rr
+from safedpa.bus import Received, STATE, StateMessage
+from safedpa.dynamics import load_model
+from safedpa.safety import FilterSettings
+from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.look import look_of
+from safedpa_services.dashboard.painter import Painter
+from safedpa_services.dashboard.ports import choose_port, viewer_address
+
+look = look_of(load_model("car"), FilterSettings())
+grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")
+painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=grpc)
+web = choose_port(None, grpc + 1, "--web-port", "0.0.0.0")
+rr.serve_web_viewer(web_port=web, open_browser=False)
+print(viewer_address("127.0.0.1", web, grpc), flush=True)
+view = FleetView(look)
+for k in range(2000):
+    state = StateMessage(epoch=1, tick=k, robot_time=0.05 * k, publish_time=0.0, values=(0.002 * k - 2, 0.5, 0.3, 1.0),
+        applied=(1.0, 0.2), applied_by="filter", period=0.05, lockstep=False, goal=(2.0, 2.0),
+        obstacles=((1.0, 1.0, 0.3), (-1.0, -1.5, 0.25)), field=(-4.0, 4.0, -4.0, 4.0), footprint=(0.1, 0.4, 0.15))
+    frames = view.take([Received(STATE, "r1", state, b"", "key", 0.05 * k)], 0.05 * k)
+    if k == 0:
+        painter.arrange(view.fields)
+    painter.draw(frames)
+    time.sleep(0.05)
+"""
+
+
+def test_a_picture_of_a_recording_shows_something_everywhere(recording, tmp_path, capsys):
+    out = tmp_path / "picture.png"
+    code = safedpa.run(["screenshot", str(recording), "--out", str(out), "--size", "1000x600"])
+    captured = capsys.readouterr()
+    if "graphics driver" in captured.err:
+        pytest.skip(captured.err)
+    assert code == 0, captured.err
+    assert captured.out.strip() == str(out)
+    assert _colours(out.read_bytes()) > 60
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["missing.rrd", "--out", "a.png"], "missing.rrd: no such file"),
+        ([__file__, "--out", "a.png", "--size", "big"], "--size big: wanted WIDTHxHEIGHT"),
+        ([__file__, "--out", "/no/such/folder/a.png"], "folder /no/such/folder does not exist"),
+    ],
+)
+def test_bad_input_of_screenshot_is_refused_in_one_line(arguments, complaint, capsys):
+    assert safedpa.run(["screenshot", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert error.count("\n") == 1

@@ -1,0 +1,173 @@
+"""From messages to shapes: the right ones for a drive, and none raises whatever a valid message holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.bus import HEALTH, LATENT, NO_ROBOT, STATE, TOPICS, VERDICT, Received, Refused, decode, encode
+from safedpa.bus.codec import LARGEST_NUMBER
+from safedpa_services.dashboard.fleet_view import MOST_ROBOTS, FleetView
+from safedpa_services.dashboard.shapes import Bands, Curves, Lines, Note, Rings, States
+
+_NUMBERS = st.floats(-LARGEST_NUMBER, LARGEST_NUMBER) | st.floats(-5.0, 5.0)
+_VECTORS = st.lists(_NUMBERS, max_size=6).map(tuple)
+_TEXTS = st.text(max_size=12) | st.sampled_from(["passed", "filter", "watchdog", "fallback", "running"])
+_OF_TYPE = {
+    "int": st.integers(0, 30) | st.integers(0, 2**63 - 1),
+    "float": _NUMBERS,
+    "Positive": st.floats(1e-9, LARGEST_NUMBER),
+    "bool": st.booleans(),
+    "str": _TEXTS,
+    "Vector": _VECTORS,
+    "Rows": st.lists(_VECTORS, max_size=5).map(tuple),
+    "tuple[str, ...]": st.lists(_TEXTS, max_size=3).map(tuple),
+}
+
+
+def _messages(topic):
+    return st.builds(topic.message, **{field.name: _OF_TYPE[field.type] for field in fields(topic.message)})
+
+
+_ITEMS = st.sampled_from(list(TOPICS.values())).flatmap(lambda topic: st.tuples(st.just(topic), _messages(topic)))
+
+
+def _received(topic, message, robot="r1", at=0.0):
+    return Received(topic, robot, message, b"", f"safedpa/fleet/{robot}/{topic.name}", at)
+
+
+def _entries(frames):
+    return [entry for frame in frames for entry in frame.entries]
+
+
+@pytest.fixture(scope="module")
+def painter(look, tmp_path_factory):
+    from safedpa_services.dashboard.painter import Painter
+
+    painter = Painter(look, "fleet", save=tmp_path_factory.mktemp("any") / "any.rrd", bind="127.0.0.1", grpc_port=None)
+    yield painter
+    painter.close()
+
+
+@settings(max_examples=300)
+@given(items=st.lists(st.tuples(_ITEMS, st.sampled_from(["r1", "r 2", "ü/x", NO_ROBOT])), max_size=6))
+def test_any_valid_message_can_be_drawn(look, painter, tick_of, items):
+    view = FleetView(look)
+    known = [_received(topic, message) for topic, message in tick_of(0)]
+    strange = [
+        _received(topic, decode(topic.message, encode(message)), robot, 0.1 * k)
+        for k, ((topic, message), robot) in enumerate(items)
+    ]
+    frames = view.take(known, 0.0) + view.take(strange, 1.0) + view.take([], 9.0)
+    painter.arrange(view.fields)
+    painter.draw(frames)
+    assert all(math.isfinite(frame.at) for frame in frames)
+
+
+def test_a_tick_shows_everything_under_the_robots_name(look, tick_of):
+    view = FleetView(look)
+    entries = _entries(view.take([_received(*item) for k in (0, 1) for item in tick_of(k)], 0.0))
+    paths = {"/".join(entry.path[2:]) for entry in entries if entry.path[:2] == ("robots", "r1")}
+    assert len(paths) == len({entry.path for entry in entries})
+    assert paths >= {
+        "world/field", "world/obstacles", "world/clearance", "world/goal", "world/car", "world/load", "world/swept",
+        "world/trail", "world/predicted", "barrier", "action/target_speed", "action/steer", "residual",
+        "latent/towed_load.mass_ratio", "verdict/filter", "verdict/in_force", "services/policy", "steps/policy", "log",
+    }  # fmt: skip
+
+
+def _shape(look, topic, message, path, kind):
+    view = FleetView(look)
+    entries = _entries(view.take([_received(topic, message)], 0.0))
+    return next(e.shape for e in entries if "/".join(e.path[2:]) == path and isinstance(e.shape, kind))
+
+
+def test_the_clearance_ring_is_where_the_capsules_axis_must_stop(look, tick_of):
+    state = tick_of(0)[0][1]
+    rings = _shape(look, STATE, state, "world/clearance", Rings)
+    assert rings.radii == pytest.approx(
+        [radius + state.footprint[2] + look.clearance for *_, radius in state.obstacles]
+    )
+
+
+def test_the_wheels_turn_with_the_steer(look, tick_of):
+    state = tick_of(0)[0][1]
+    car = _shape(look, STATE, state, "world/car", Lines)
+    turned = [strip[1] for strip in car.strips[2:]], [strip[0] for strip in car.strips[2:]]
+    angles = [math.atan2(b[1] - a[1], b[0] - a[0]) for b, a in zip(*turned, strict=True)]
+    yaw, steer = state.values[2], state.applied[1]
+    assert angles == pytest.approx([yaw, yaw, yaw + steer, yaw + steer])
+
+
+def test_the_swept_capsule_reaches_as_far_as_the_car_needs_to_stop(look, tick_of):
+    state = replace(tick_of(0)[0][1], values=(0.0, 0.0, 0.0, 2.0))
+    swept = _shape(look, STATE, state, "world/swept", Lines)
+    farthest = max(x for x, _ in swept.strips[0])
+    assert farthest == pytest.approx(0.4 + 0.15 + look.braking.distance(2.0))
+
+
+def test_actions_stand_beside_wishes_and_limits_and_h_has_a_gap_when_unknown(look, tick_of):
+    verdict = replace(tick_of(0)[2][1], status="fallback", h_now=0.0, h_next=0.0, wish=())
+    view = FleetView(look)
+    entries = _entries(view.take([_received(STATE, tick_of(0)[0][1]), _received(VERDICT, verdict)], 0.0))
+    curves = {"/".join(e.path[2:]): e.shape.values for e in entries if isinstance(e.shape, Curves) and not e.static}
+    assert curves["action/steer"] == pytest.approx((math.nan, 0.1, -0.34, 0.34), nan_ok=True)
+    assert curves["barrier"] == pytest.approx((math.nan, math.nan, 0.02, 0.0), nan_ok=True)
+
+
+def test_the_latent_carries_the_models_names_and_deviations(look, tick_of):
+    view = FleetView(look)
+    entries = _entries(view.take([_received(*item) for item in tick_of(0)], 0.0))
+    bands = [e.shape for e in entries if isinstance(e.shape, Bands) and not e.static]
+    assert [(band.name, band.value, band.deviation) for band in bands] == [
+        (look.latent_names[0], 0.4, 0.1),
+        (look.latent_names[1], 2.5, 0.3),
+    ]
+
+
+def test_the_verdict_is_written_down_when_its_status_changes_and_not_otherwise(look, drive):
+    view = FleetView(look)
+    items = [_received(*item) for tick in drive(200) for item in tick]
+    entries = _entries(view.take(items, 0.0))
+    notes = [e.shape.text.split(":")[0] for e in entries if isinstance(e.shape, Note)]
+    lanes = [e.shape.state for e in entries if isinstance(e.shape, States) and e.path[-1] == "filter"]
+    assert notes == lanes == ["passed", "corrected", "passed", "corrected"]
+
+
+def test_refused_bytes_are_told_a_few_times_and_counted(look, tick_of):
+    view = FleetView(look)
+    view.take([_received(*tick_of(0)[0])], 0.0)
+    refused = [Refused("safedpa/fleet/r1/state", "r1", "no msgpack"), Refused("rubbish", "", "no key")] * 40
+    notes = [e.shape for e in _entries(view.take(refused, 0.0)) if isinstance(e.shape, Note)]
+    assert view.refused == 80
+    assert len(notes) == 20
+
+
+def test_a_flood_of_robot_names_is_bounded(look, tick_of):
+    view = FleetView(look)
+    state = tick_of(0)[0][1]
+    for k in range(200):
+        view.take([_received(STATE, state, f"r{k}")], 0.0)
+    assert len(view.fields) == MOST_ROBOTS
+
+
+def test_a_service_of_the_whole_fleet_is_shown_with_every_robot_and_falls_silent(look, tick_of):
+    view = FleetView(look)
+    health = replace(tick_of(0)[3][1], service="recorder")
+    items = [_received(STATE, tick_of(0)[0][1], name) for name in ("r1", "r2")]
+    shown = _entries(view.take([*items, _received(HEALTH, health, NO_ROBOT)], 0.0))
+    assert {e.path[1] for e in shown if e.path[2:] == ("services", "recorder")} == {"r1", "r2"}
+    silent = _entries(view.take([], 1.5))
+    assert {(e.path[1], e.path[-1], e.shape.state) for e in silent} == {
+        ("r1", "recorder", "silent"),
+        ("r2", "recorder", "silent"),
+    }
+    assert _entries(view.take([], 2.5)) == []
+
+
+def test_a_latent_of_an_unknown_robot_shows_nothing(look, tick_of):
+    assert FleetView(look).take([_received(LATENT, tick_of(0)[1][1])], 0.0) == []

@@ -1,0 +1,84 @@
+"""The process: one line with the address, ports that are taken, an end within two seconds."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+
+import pytest
+
+from safedpa_services.dashboard.ports import Door, choose_port, viewer_address
+
+pytestmark = pytest.mark.processes
+
+
+def _start(*options):
+    command = [sys.executable, "-m", "safedpa_services.dashboard", "--fleet", "alone", *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_it_says_where_to_look_and_ends_at_once_without_a_viewer(tmp_path):
+    process = _start("--save", str(tmp_path / "a.rrd"))
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("dashboard: http://localhost:"), process.stderr.read()
+        address = line.split()[1].rstrip(",")
+        with urllib.request.urlopen(address, timeout=10) as page:
+            assert page.status == 200
+            assert "rerun%2Bhttp://localhost" in page.url
+        started = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        rest, complaint = process.communicate(timeout=10)
+        assert time.monotonic() - started < 2.0
+        assert process.returncode == 0
+        assert (rest, complaint) == ("", "")
+        assert (tmp_path / "a.rrd").stat().st_size > 0
+    finally:
+        process.kill()
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--no-viewer",), "--no-viewer: got no --save"),
+        (("--save", "/no/such/folder/a.rrd"), "/no/such/folder/a.rrd"),
+        (("--model", "no_such_model"), "no_such_model"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(options, complaint):
+    process = _start(*options)
+    out, error = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert complaint in error
+    assert error.count("\n") == 1
+    assert out == ""
+
+
+def test_a_taken_port_is_refused_when_wished_for_and_passed_over_otherwise(free_port):
+    from safedpa.errors import InputError
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", free_port))
+        taken.listen()
+        with pytest.raises(InputError, match=f"--web-port {free_port}: taken"):
+            choose_port(free_port, 9090, "--web-port", "127.0.0.1")
+        assert choose_port(None, free_port, "--web-port", "127.0.0.1") > free_port
+
+
+def test_the_door_sends_a_browser_on_under_the_name_by_which_it_came(free_port):
+    door = Door("127.0.0.1", free_port, 1234, 5678)
+    request = urllib.request.Request(f"http://127.0.0.1:{free_port}", headers={"Host": f"robot.local:{free_port}"})
+
+    class Stay(urllib.request.HTTPRedirectHandler):
+        def redirect_request(self, *arguments):
+            return None
+
+    with pytest.raises(urllib.error.HTTPError) as answer:
+        urllib.request.build_opener(Stay).open(request, timeout=5)
+    assert answer.value.headers["Location"] == viewer_address("robot.local", 1234, 5678)
+    answer.value.close()
+    door.close()

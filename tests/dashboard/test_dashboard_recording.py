@@ -1,0 +1,58 @@
+"""From the bus to a file that Rerun reads again."""
+
+from __future__ import annotations
+
+import pytest
+
+from safedpa.bus import HEALTH, Bus, MemoryBroker, MemoryTransport
+from safedpa_services.dashboard.dashboard import Dashboard
+from safedpa_services.dashboard.fleet_view import FleetView
+
+pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
+
+
+@pytest.fixture
+def recording(look, drive, tmp_path):
+    """Of three robots driving for five seconds, two kinds of rubbish among their messages."""
+    from safedpa_services.dashboard.painter import Painter
+
+    path = tmp_path / "drive.rrd"
+    broker = MemoryBroker()
+    sender, listener = MemoryTransport(broker), MemoryTransport(broker)
+    robots, painter = Bus(sender, "fleet"), Painter(look, "fleet", save=path, bind="127.0.0.1", grpc_port=None)
+    dashboard = Dashboard(Bus(listener, "fleet"), FleetView(look), painter)
+    own = robots.inbox((HEALTH,))
+    for tick in drive(100):
+        for topic, message in tick:
+            for robot in ("r1", "r 2", "front/".strip("/") + "-left"):
+                robots.publish(topic, robot, message, getattr(message, "service", ""))
+        sender.put("safedpa/fleet/r1/state", b"rubbish", never_drop=False)
+        dashboard.turn(0.0)
+    painter.close()
+    heard = [item.message for item in own.take(0.0) if item.message.service == "dashboard"]
+    assert heard[-1].refused > 0
+    assert heard[-1].state == "running"
+    return path
+
+
+def test_the_recording_is_readable_and_nothing_of_a_robot_is_missing(recording):
+    from rerun.chunk import RrdReader
+
+    rows: dict[str, int] = {}
+    for chunk in RrdReader(recording).stream():
+        rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
+    for robot in ("r1", r"r\ 2", "front-left"):
+        under = {path.removeprefix(f"/robots/{robot}/"): count for path, count in rows.items()}
+        for path in ("world/car", "barrier", "action/steer", "latent/towed_load.mass_ratio"):
+            assert under[path] >= 100, path
+        assert under["residual"] == 100, "one style and 99 residuals"
+        assert under["verdict/filter"] == 3, "colours, passed, corrected"
+        assert under["services/policy"] == 2
+    assert rows["/robots/r1/log"] == 2 + 20
+
+
+def test_the_recording_carries_its_own_arrangement(recording):
+    from rerun.chunk import RrdReader
+
+    assert len(RrdReader(recording).recordings()) == 1
+    assert len(RrdReader(recording).blueprints()) >= 1
