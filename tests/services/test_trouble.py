@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from safedpa.bus import STATE, Bus, ZenohSettings, ZenohTransport
+from safedpa.errors import BusError
 from safedpa.records import read_messages
 from safedpa_services.supervisor.plan import free_port
 
@@ -27,13 +30,27 @@ def test_a_full_disk_ends_the_recording_not_the_drive(tmp_path: Path) -> None:
     assert sum(1 for _ in read_messages(summary["recording"])) > 50, "what was written stays readable"
 
 
+def _await_a_driving_robot(endpoint: str, fleet: str, running: subprocess.Popen[str]) -> None:
+    """Returns once a state is heard on the bus that the running loop opened."""
+    deadline = time.monotonic() + 30.0
+    while time.monotonic() < deadline and running.poll() is None:
+        try:
+            with Bus(ZenohTransport(ZenohSettings(connect=(endpoint,))), fleet) as bus:
+                inbox = bus.inbox((STATE,))
+                while time.monotonic() < deadline and running.poll() is None:
+                    if inbox.take(0.5):
+                        return
+        except BusError:
+            continue  # the loop has not opened its endpoint yet
+    raise AssertionError("the robot never drove")
+
+
 def test_a_second_robot_of_the_same_name_is_refused(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     first = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--seconds", "8"]
     first += ["--listen", endpoint, "--out", str(tmp_path), "--fleet", "twins"]
     with subprocess.Popen(first, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        while not list(tmp_path.glob("*/robot.log")):
-            assert running.poll() is None
+        _await_a_driving_robot(endpoint, "twins", running)
         second = [sys.executable, "-m", "safedpa_sim.robots", "--name", "r1", "--seconds", "1", "--fleet", "twins"]
         refused = subprocess.run(
             [*second, "--connect", endpoint, "--summary", str(tmp_path / "second.json")],
