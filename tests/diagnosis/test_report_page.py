@@ -13,7 +13,7 @@ from safedpa.diagnosis.report_excerpt import excerpt, heads
 from safedpa.diagnosis.report_figures import before_after_figure, falling_figure, map_figure
 from safedpa.diagnosis.report_page import report_page, write_report
 from safedpa.diagnosis.report_recording import write_recording
-from safedpa.diagnosis.report_story import parameters_text, story_of
+from safedpa.diagnosis.report_story import parameters_text, step_text, story_of
 from safedpa.diagnosis.rollout_error import rollout_error
 from safedpa.diagnosis.windows import windows_of
 from safedpa.dynamics import load_model
@@ -172,6 +172,29 @@ def test_nothing_missing_is_a_page_too(diagnosed):
     assert "after" not in names
     unexplained = {**bare, "verdict": "unexplained", "unexplained": document["unexplained"]}
     assert "no effect of the library describes" in story_of(unexplained).lead
+
+
+def test_a_stage_says_what_it_changed():
+    names = [["drag"], ["drag", "lag", "offset"], ["lag", "offset"], ["lag", "offset"]]
+    stages = [{"effects": effects} for effects in names]
+    told = [step_text(before, stage) for before, stage in zip([None, *stages], stages, strict=False)]
+    assert told == ["given model", "+ lag + offset", "− drag", "refitted"]
+
+
+def test_numbers_that_are_not_finite_leave_gaps(diagnosed):
+    document, runs, models = diagnosed
+    stages = [{**document["stages"][0], "heldout_error": None, "per_state": {"x": None, "y": 1.0}}]
+    lost = candidate(0, "drag", None, parameters={"coefficient": {"value": None, "std": None, "unit": "1/m"}})
+    broken = {**document, "stages": stages, "added": [], "candidates": [lost], "verdict": "unexplained"}
+    assert "coefficient nan 1/m" in report_page(broken, runs, models[:1], "broken")
+
+
+def test_the_last_fit_counts(diagnosed):
+    document, _, _ = diagnosed
+    last = {"quadratic_drag.coefficient": {"value": 0.19, "std": 0.002, "unit": "1/m"}}
+    found = story_of({**document, "parameters": last}).found
+    assert found[0].parameters == [("coefficient", "0.19", "0.002", "1/m")]
+    assert found[1].parameters == [("coefficient", "0.2", "0.004", "1/m")]
 
 
 def test_parameters_read_as_a_person_writes_them():

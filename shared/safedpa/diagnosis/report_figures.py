@@ -10,6 +10,7 @@ import numpy as np
 from safedpa.diagnosis.comparison import Comparison
 from safedpa.diagnosis.figures import COLOURS, LEGEND
 from safedpa.diagnosis.panels import Panels, label, rounded
+from safedpa.diagnosis.report_story import number, step_text
 from safedpa.diagnosis.where import PLACE, window_squares
 from safedpa.diagnosis.windows import Floats
 
@@ -33,23 +34,23 @@ def falling_figure(document: Mapping[str, Any]) -> dict[str, Any]:
     panels = Panels(rows=1, columns=1, height=330)
     width = 0.55 / max(len(states), 1)
     at = panels.place("mean over the states", "", "held-out error", (0.0, 0.36), (0.0, 1.0))
-    _stage_bars(panels, at, [stage["heldout_error"] for stage in stages], stages)
+    _stage_bars(panels, at, [number(stage["heldout_error"]) for stage in stages], stages)
     for index, state in enumerate(states):
         left = 0.43 + index * (width + 0.025)
         at = panels.place(state, "", "", (left, min(left + width - 0.02, 1.0)), (0.0, 1.0))
-        _stage_bars(panels, at, [stage["per_state"][state] for stage in stages], stages, short=True)
+        _stage_bars(panels, at, [number(stage["per_state"][state]) for stage in stages], stages, short=True)
     return panels.figure("falling", bargap=0, margin={"l": 62, "r": 14, "t": 40, "b": 52 if len(stages) < 4 else 90})
 
 
 def _stage_bars(panels: Panels, at: int, errors: list[float], stages: Any, *, short: bool = False) -> None:
     places = [float(index) for index in range(len(errors))]
     colours = [COLOURS["before"], *[COLOURS["after"]] * (len(errors) - 1)]
-    names = ["given model", *(f"+ {stage['effects'][-1]}" for stage in stages[1:])]
+    names = [step_text(before, stage) for before, stage in zip([None, *stages], stages, strict=False)]
     texts = [f"{name}<br>error {error:.3g}" for name, error in zip(names, errors, strict=True)]
     panels.bars(at, places, errors, [0.72] * len(errors), colours, texts)
     panels.axis(at, "x", tickvals=places, ticktext=[str(i) for i in range(len(places))] if short else names)
     panels.axis(at, "x", tickangle=0 if short or len(places) < 4 else -25, range=[-0.6, max(len(errors) - 0.4, 1.6)])
-    panels.axis(at, "y", range=[0.0, 1.18 * max(*errors, 1e-12)])
+    panels.axis(at, "y", range=[0.0, 1.18 * max([1e-12, *(error for error in errors if np.isfinite(error))])])
     if short:
         places, errors = [places[0], *places[1:][-1:]], [errors[0], *errors[1:][-1:]]
         panels.axis(at, "x", title={"text": "additions", "font": {"size": 12}})
@@ -104,14 +105,14 @@ def map_figure(before: Comparison, after: Comparison) -> dict[str, Any] | None:
         for across, up in pairs:
             drawn.append((comparison, across, up, _cell_errors(comparison, across, up)))
     highest = max((float(np.nanmax(item[3][2], initial=0.0)) for item in drawn), default=1.0)
-    for number, (comparison, across, up, (x, y, z, counts)) in enumerate(drawn):
+    for index, (comparison, across, up, (x, y, z, counts)) in enumerate(drawn):
         units = _units(comparison)
-        when = "before" if number < len(pairs) else "after"
+        when = "before" if index < len(pairs) else "after"
         at = panels.add(when, f"{across} [{units[across]}]", f"{up} [{units[up]}]" if across != "x" else "y [m]")
         text = [[f"{int(count)} windows" for count in row] for row in counts]
         panels.heat(at, rounded(x), rounded(y), [rounded(row) for row in z], text, "error")
         hover = f"{across} %{{x:.3g}}, {up} %{{y:.3g}}<br>error %{{z:.3f}}<br>%{{text}}<extra></extra>"
-        panels.data[-1].update(zmin=0.0, zmax=highest, showscale=number == 0, hovertemplate=hover)
+        panels.data[-1].update(zmin=0.0, zmax=highest, showscale=index == 0, hovertemplate=hover)
         if across == "x":
             panels.axis(at, "y", scaleanchor="x", constrain="domain")
             panels.axis(at, "x", constrain="domain")

@@ -14,7 +14,7 @@ from safedpa.diagnosis.overlays import chosen_windows, window_figure
 from safedpa.diagnosis.page import embedded, rendered
 from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.diagnosis.report_figures import before_after_figure, falling_figure, map_figure
-from safedpa.diagnosis.report_story import story_of
+from safedpa.diagnosis.report_story import number, story_of
 from safedpa.diagnosis.rollout import rollout
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.atomic import atomic_path
@@ -78,7 +78,7 @@ def report_page(
 
 def _tiles(document: Mapping[str, Any], before: Comparison, seconds: float, runs: int) -> list[tuple[str, str]]:
     stages = document["stages"]
-    first, last = stages[0]["heldout_error"], stages[-1]["heldout_error"]
+    first, last = number(stages[0]["heldout_error"]), number(stages[-1]["heldout_error"])
     tiles = [(f"{first:.3g}", "held-out error of the given model")]
     if len(stages) > 1:
         tiles.append((f"{last:.3g}", "with what was found"))
@@ -97,10 +97,10 @@ def _overlays(before: Comparison, after: Comparison) -> list[dict[str, Any]]:
     if after is not before:
         lines["after"] = rollout(after.model, windows)
     figures = []
-    for number, (kind, index) in enumerate(chosen):
-        rows = windows.steps[number] + 1
-        figure = window_figure(windows, number, {name: states[:rows, number] for name, states in lines.items()})
-        at, run = windows.time[windows.start[number]], windows.names[windows.run[number]]
+    for place, (kind, index) in enumerate(chosen):
+        rows = windows.steps[place] + 1
+        figure = window_figure(windows, place, {name: states[:rows, place] for name, states in lines.items()})
+        at, run = windows.time[windows.start[place]], windows.names[windows.run[place]]
         errors = f"error {before.window_errors[index]:.2f}"
         errors += "" if after is before else f" before, {after.window_errors[index]:.2f} after"
         figure["label"] = f"{kind}: {errors}, {run} at {at:.1f} s"

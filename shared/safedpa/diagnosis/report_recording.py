@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from safedpa.diagnosis.report_excerpt import heads
-from safedpa.diagnosis.report_story import story_of
+from safedpa.diagnosis.report_story import number, step_text, story_of
 from safedpa.diagnosis.rollout import rollout
 from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats, Windows, windows_of
@@ -51,10 +51,10 @@ def write_recording(
         raise RecordingError(f"{path}: cannot be written ({error}); choose another folder with --out") from error
     stream.send_blueprint(_blueprint(windows))
     begin = 0.0
-    for number, model in enumerate(models):
-        stage = _Stage(number, begin, document["stages"][number], windows, rollout(model, windows))
+    for index, model in enumerate(models):
+        stage = _Stage(index, begin, document["stages"][index], windows, rollout(model, windows))
         stream.set_time(_TIME_LINE, duration=begin)
-        stream.log("story", rr.TextDocument(_text(document, number), media_type=rr.MediaType.MARKDOWN))
+        stream.log("story", rr.TextDocument(_text(document, index), media_type=rr.MediaType.MARKDOWN))
         begin = stage.log(stream) + _PAUSE
     _name_curves(stream, windows)
     stream.flush(timeout_sec=10.0)
@@ -123,7 +123,7 @@ class _Stage:
             place = [windows.system.state_names.index(name) for name in PLACE]
             points = _flat(windows.states[at][:, place]).astype(np.float32)
             stream.send_columns("plane/robot", [time], rr.Points2D.columns(positions=points))
-        errors = np.full(2, self.entry["heldout_error"])
+        errors = np.full(2, number(self.entry["heldout_error"]))
         ends = rr.TimeColumn(_TIME_LINE, duration=[self.begin, float(seconds[-1])])
         stream.send_columns("error", [ends], rr.Scalars.columns(scalars=errors))
         return float(seconds[-1])
@@ -134,11 +134,11 @@ def _flat(points: Floats) -> Floats:
     return np.asarray(points * np.array([1.0, -1.0]))
 
 
-def _text(document: Mapping[str, Any], number: int) -> str:
-    stage, story = document["stages"][number], story_of(document)
-    title = "The given model" if number == 0 else f"Added: {stage['effects'][-1]}"
-    lines = [f"# {title}", f"held-out error **{stage['heldout_error']:.3g}**", ""]
-    for found in story.found[:number]:
+def _text(document: Mapping[str, Any], index: int) -> str:
+    stage, story = document["stages"][index], story_of(document)
+    title = step_text(document["stages"][index - 1] if index else None, stage)
+    lines = [f"# {title}", f"held-out error **{number(stage['heldout_error']):.3g}**", ""]
+    for found in [item for item in story.found if item.effect in stage["effects"]]:
         parameters = [f"{name} {value} ± {spread} {unit}" for name, value, spread, unit in found.parameters]
         lines.append(f"- {found.effect}: {', '.join(parameters)}")
     return "\n".join([*lines, "", story.lead, "", story.remains])

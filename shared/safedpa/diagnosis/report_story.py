@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
-__all__ = ["Found", "Stage", "Story", "parameters_text", "story_of"]
+__all__ = ["Found", "Stage", "Story", "number", "parameters_text", "step_text", "story_of"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,22 @@ class Story:
     groups: list[tuple[str, list[str], str]]
     """(effect, those that this data cannot tell from it, decision)"""
     stages: list[Stage]
+    improved: list[tuple[str, str]]
+    """(what a stage changed, in how many runs the error fell)"""
+
+
+def number(value: float | None) -> float:
+    """A number of the document, where null stands for what is not finite."""
+    return math.nan if value is None else float(value)
+
+
+def step_text(before: Mapping[str, Any] | None, stage: Mapping[str, Any]) -> str:
+    """What one stage changed against the one before: ``+ quadratic_drag``, or the given model."""
+    if before is None:
+        return "given model"
+    old, new = before["effects"], stage["effects"]
+    parts = [f"+ {name}" for name in new if name not in old] + [f"− {name}" for name in old if name not in new]
+    return " ".join(parts) or "refitted"
 
 
 def story_of(document: Mapping[str, Any]) -> Story:
@@ -49,13 +67,16 @@ def story_of(document: Mapping[str, Any]) -> Story:
         for item in document["candidates"]
         if item["indistinguishable_from"] and item["decision"] != "rejected"
     ]
-    numbers = sorted({int(item["stage"]) for item in document["candidates"]})
-    return Story(_lead(document), _remains(document), found, groups, [_stage(document, number) for number in numbers])
+    order = sorted({int(item["stage"]) for item in document["candidates"]})
+    stages = document["stages"]
+    improved = [(step_text(before, stage), str(stage["runs_improved"])) for before, stage in pairwise(stages)]
+    tables = [_stage(document, index) for index in order]
+    return Story(_lead(document), _remains(document), found, groups, tables, improved)
 
 
 def _lead(document: Mapping[str, Any]) -> str:
     stages, added = document["stages"], document["added"]
-    first, last = stages[0]["heldout_error"], stages[-1]["heldout_error"]
+    first, last = number(stages[0]["heldout_error"]), number(stages[-1]["heldout_error"])
     if added:
         fall = 100.0 * (1.0 - last / first) if first > 0 else 0.0
         verb = "falls" if fall > 0 else "changes"
@@ -88,27 +109,33 @@ def _found(document: Mapping[str, Any], stage: int, name: str) -> Found:
     if not own:
         return Found(name, [], [])
     rows = [
-        (key, f"{entry['value']:.4g}", "" if entry.get("std") is None else f"{entry['std']:.2g}", entry["unit"])
-        for key, entry in own[-1]["parameters"].items()
+        (key, f"{number(entry['value']):.4g}", "" if entry.get("std") is None else f"{entry['std']:.2g}", entry["unit"])
+        for key, entry in _parameters(document, name, own[-1]["parameters"]).items()
     ]
     return Found(name, rows, list(own[-1]["indistinguishable_from"]))
 
 
-def _stage(document: Mapping[str, Any], number: int) -> Stage:
-    stage = document["stages"][min(number, len(document["stages"]) - 1)]
-    have = stage["effects"][:number]
+def _parameters(document: Mapping[str, Any], name: str, trial: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The numbers of the last model, by name; those of the trial in which it was accepted where there are none."""
+    final = document.get("parameters") or {}
+    return {path.split(".")[1]: entry for path, entry in final.items() if path.split(".")[0] == name} or trial
+
+
+def _stage(document: Mapping[str, Any], index: int) -> Stage:
+    stage = document["stages"][min(index, len(document["stages"]) - 1)]
+    have = stage["effects"]
     question = "What does the given model lack?" if not have else f"What is missing beside {_joined(have)}?"
     candidates = [
         {**item, "text": parameters_text(item["parameters"]), "width": _width(item["heldout_error"], stage)}
         for item in document["candidates"]
-        if item["stage"] == number
+        if item["stage"] == index
     ]
-    return Stage(number, question, stage["heldout_error"], candidates)
+    return Stage(index, question, number(stage["heldout_error"]), candidates)
 
 
 def _width(error: float | None, stage: Mapping[str, Any]) -> float:
     """Length of the bar in per cent of the cell, full at the error without any candidate."""
-    if error is None or not stage["heldout_error"] > 0:
+    if error is None or not number(stage["heldout_error"]) > 0:
         return 0.0
     return min(100.0, 100.0 * error / float(stage["heldout_error"]))
 
@@ -119,7 +146,7 @@ def parameters_text(parameters: Mapping[str, Any]) -> str:
     for name, entry in parameters.items():
         spread = "" if entry.get("std") is None else f" ± {entry['std']:.2g}"
         unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-        parts.append(f"{name} {entry['value']:.3g}{spread}{unit}")
+        parts.append(f"{name} {number(entry['value']):.3g}{spread}{unit}")
     return ", ".join(parts)
 
 
