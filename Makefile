@@ -13,7 +13,7 @@ help:  ## lists the targets
 
 run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends it
 	@echo "Starting robot, services and dashboard; the address of the live view stands below. Ctrl-C ends everything."
-	@$(BIN)/safedpa up --robot car
+	@$(BIN)/safedpa up --robot car --load chair --seed 4
 
 test: environment  ## runs all tests
 	@$(BIN)/pytest
