@@ -56,12 +56,12 @@ def test_search_result_that_breaks_a_condition_by_just_the_tolerance_counts(monk
 def test_program_is_posed_once_and_then_as_often_as_allowed(
     monkeypatch: pytest.MonkeyPatch, relinearisations: int
 ) -> None:
-    """A solver that always answers with the wish: the search gives up after the last round."""
+    """A solver whose answers all break the condition and never come again: the search gives up after the last round."""
     safe, calls = line_filter(relinearisations=relinearisations), []
 
     def stubborn(_: object, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
         calls.append(wish)
-        return Solution(np.array([2.0]), np.zeros(1), True, "solved")
+        return Solution(np.array([2.0 - 0.01 * len(calls)]), np.zeros(1), True, "solved")
 
     monkeypatch.setattr(QuadraticProgram, "solve", stubborn)
     assert safe.decide(np.zeros(1), [2.0]).reason == "The backup action keeps every condition."

@@ -1,4 +1,4 @@
-"""The filter decides as it did when ``recorded_verdicts.json`` was written: a guard for changes that must not change it.
+"""The filter decides as it did when ``recorded_verdicts.json`` was written: what makes it faster must not change it.
 
 Run this file as a script to write the recording anew, after a change that is meant to change decisions.
 """

@@ -7,7 +7,7 @@ import pytest
 
 from safedpa.safety import QuadraticProgram, Solution
 from safedpa.safety.conditions import Outcome
-from safedpa.safety.search import DecisionError, _better, search
+from safedpa.safety.search import DecisionError, _better, _same, search
 
 TOLERANCE = 0.25
 
@@ -17,9 +17,10 @@ def outcome(action: float, *residual: float) -> Outcome:
 
 
 class Scripted:
-    """Stands for conditions and solver: the n-th solution is n, its residuals are the n-th of the script."""
+    """Stands for conditions and solver: the n-th solution is n or as given, its residuals the n-th of the script."""
 
-    def __init__(self, *script: tuple[float, ...]) -> None:
+    def __init__(self, *script: tuple[float, ...], actions: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)) -> None:
+        self.actions = actions
         self.script, self.solved, self.tangents = script, 0, 0
         self.limits: list[float] = []
         self.low, self.high, self.range = np.zeros(1), np.full(1, 9.0), np.full(1, 9.0)
@@ -31,7 +32,7 @@ class Scripted:
     def solve(self, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> Solution:
         self.solved += 1
         self.limits.append(float(b[0]))
-        return Solution(np.array([float(self.solved)]), np.zeros(1), True, "solved")
+        return Solution(np.array([self.actions[self.solved - 1]]), np.zeros(1), True, "solved")
 
     def outcome(self, action: np.ndarray) -> Outcome:
         return outcome(float(action[0]), *self.script[self.solved - 1])
@@ -77,6 +78,40 @@ def test_service_is_judged_against_the_last_solution() -> None:
     scripted = Scripted((-5.0,), (-0.6,), (0.0,))
     scripted.run(outcome(0.0, -10.0))
     assert (scripted.solved, scripted.tangents) == (3, 3)
+
+
+@pytest.mark.parametrize("again", [1.0, 1.0 + 8.9e-8, 1.0 - 8.9e-8])
+def test_ends_when_fresh_slopes_lead_to_the_same_solution(again: float) -> None:
+    """The range is 9: solutions within 9e-8 are the same."""
+    scripted = Scripted((-5.0,), (-5.0,), (0.0,), actions=(1.0, again, 2.0))
+    scripted.run(outcome(0.0, -10.0))
+    assert (scripted.solved, scripted.tangents) == (2, 2)
+
+
+@pytest.mark.parametrize("again", [1.0 + 9.1e-8, 1.0 - 9.1e-8])
+def test_goes_on_while_the_solution_moves(again: float) -> None:
+    scripted = Scripted((-5.0,), (-5.0,), (0.0,), actions=(1.0, again, 2.0))
+    assert scripted.run(outcome(0.0, -10.0)).action == 2.0
+
+
+def test_ends_when_the_start_is_the_solution() -> None:
+    scripted = Scripted((-10.0,), (0.0,))
+    scripted.run(outcome(1.0, -10.0))
+    assert scripted.solved == 1
+
+
+def test_goes_on_when_reused_slopes_lead_to_the_same_solution() -> None:
+    """They were drawn elsewhere: those drawn here may lead on."""
+    scripted = Scripted((-0.9,), (-0.9,), (0.0,), actions=(1.0, 1.0, 2.0))
+    assert scripted.run(outcome(0.0, -10.0)).action == 2.0
+    assert (scripted.solved, scripted.tangents) == (3, 2)
+
+
+def test_one_entry_that_moves_is_enough() -> None:
+    program = QuadraticProgram(np.zeros(2), np.full(2, 9.0), np.ones(2), 1.0, 1.0)
+    one, other = (Outcome(np.array(a), np.zeros(1), np.zeros(1), np.zeros(1)) for a in ((1.0, 1.0), (1.0, 2.0)))
+    assert _same(program, one, one)
+    assert not _same(program, one, other)
 
 
 def test_rounds_are_limited_and_the_least_broken_is_returned() -> None:

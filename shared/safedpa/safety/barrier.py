@@ -53,6 +53,5 @@ class Barriers:
 
     def of_each(self, by_kind: dict[str, float], otherwise: float) -> Values:
         """(m,) the number that belongs to each barrier's kind."""
-        return np.repeat(
-            [by_kind.get(part.kind, otherwise) for part in self.parts], [len(part.names) for part in self.parts]
-        ).astype(np.float64)
+        numbers = [by_kind.get(part.kind, otherwise) for part in self.parts for _ in part.names]
+        return np.array(numbers, dtype=np.float64)

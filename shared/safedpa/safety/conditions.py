@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from safedpa.errors import InputError
 from safedpa.safety.barrier import Barriers
+from safedpa.safety.inputs import all_finite
 from safedpa.safety.prediction import Prediction
 
 __all__ = ["Conditions", "Outcome", "limits"]
@@ -31,15 +33,20 @@ class Outcome:
     residual: Values
     """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i): negative where a condition is broken."""
 
+    @cached_property
+    def tightest(self) -> float:
+        """Smallest residual."""
+        return float(min(self.residual.tolist()))
+
     @property
     def violation(self) -> float:
         """The slack that this action needs: max(0, -min residual)."""
-        return max(0.0, -float(self.residual.min()))
+        return max(0.0, -self.tightest)
 
     @property
     def least(self) -> float:
         """Smallest h_i(x+)."""
-        return float(self.h_next.min())
+        return float(min(self.h_next.tolist()))
 
 
 @final
@@ -90,7 +97,7 @@ class Conditions:
         _finite("g of the model", g, (len(self._state), len(about.action)))
         _, p = self.barriers.evaluate(about.next_state)
         _finite("gradient of h", p, (len(self.required), len(self._state)))
-        return np.asarray(p @ self._unsaturated(g, about))
+        return np.asarray(p.dot(self._unsaturated(g, about)))
 
     def _unsaturated(self, g: Values, about: Outcome) -> Values:
         """g with a chord in place of each column that vanishes because the actuator saturates at ``about``.
@@ -98,11 +105,12 @@ class Conditions:
         A tangent of zero would say that this action does not matter, though its other values do: the chord leads to the
         bound that is further away, unless an earlier tangent knows the slope.
         """
-        silent = np.flatnonzero(np.abs(g).max(axis=0) <= _NO_INFLUENCE * (1.0 + np.abs(about.next_state).max()))
-        if len(silent):
+        noise = _NO_INFLUENCE * (1.0 + _largest(about.next_state))
+        silent = [index for index, column in enumerate(g.T) if _largest(column) <= noise]
+        if silent:
             g = g.copy()
             for index in silent:
-                g[:, index] = self._chord(about, int(index)) if self._last_g is None else self._last_g[:, index]
+                g[:, index] = self._chord(about, index) if self._last_g is None else self._last_g[:, index]
         self._last_g = g
         return g
 
@@ -117,12 +125,17 @@ class Conditions:
 
 def limits(A: Values, about: Outcome) -> Values:
     """b (m,) of A a >= b for slopes A (m, actions) and the true residual at ``about``."""
-    return np.asarray(A @ about.action - about.residual)
+    return np.asarray(A.dot(about.action) - about.residual)
+
+
+def _largest(vector: Values) -> float:
+    """Of the absolute values."""
+    return float(max(map(abs, vector.tolist())))
 
 
 def _finite(what: str, array: Values, shape: tuple[int, ...]) -> Values:
     if array.shape != shape:
         raise InputError(f"{what}: got shape {array.shape}, wanted {shape}")
-    if not np.isfinite(array).all():
+    if not all_finite(array):
         raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
     return array

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, final
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier, Barriers
 from safedpa.safety.conditions import Conditions, Outcome
-from safedpa.safety.inputs import Plausible, Unusable, checked_input
+from safedpa.safety.inputs import Plausible, Unusable, all_finite, checked_input
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError, search
@@ -84,7 +85,7 @@ class Decision:
         assert self._wish is not None
         conditions = self._posed()
         within = self._within(self._wish)
-        unclipped = bool((within == self._wish).all())
+        unclipped = within.tolist() == self._wish.tolist()
         asked = conditions.outcome(self._wish if unclipped else within)  # bit for bit: -0.0 must not become 0.0
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
@@ -123,9 +124,10 @@ class Decision:
             raise DecisionError("there is no barrier to keep")
         margins = {**settings.epsilon, **request.epsilon}
         epsilon = barriers.of_each(margins, margins.get("default", 0.0))
-        if not np.isfinite(epsilon).all() or (epsilon < 0.0).any():
+        ordered = sorted(epsilon.tolist())
+        if not all_finite(epsilon) or ordered[0] < 0.0:
             raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
-        self._margin = float(epsilon.max())
+        self._margin = ordered[-1]
         self._conditions = Conditions(
             barriers,
             self._tools.prediction,
@@ -194,7 +196,7 @@ class Decision:
             reason=reason,
             slack=slack,
             active=active,
-            h_now=float(self._conditions.h_now.min()) if self._conditions is not None else 0.0,
+            h_now=min(self._conditions.h_now.tolist()) if self._conditions is not None else 0.0,
             h_next=0.0 if h_next is None else h_next,
             margin=self._margin,
             solver=solver,
@@ -204,8 +206,12 @@ class Decision:
         )
 
     def _active(self, outcome: Outcome) -> tuple[str, ...]:
-        binding = outcome.residual <= _BINDING * self._tools.settings.slack_tolerance
-        if not binding.any():
+        limit = _BINDING * self._tools.settings.slack_tolerance
+        if outcome.tightest > limit or self._conditions is None:
             return ()
-        names = self._conditions.barriers.names if self._conditions is not None else ()
-        return tuple(names[index] for index in np.argsort(outcome.residual, kind="stable") if binding[index])
+        binding = [
+            pair
+            for pair in zip(outcome.residual.tolist(), self._conditions.barriers.names, strict=True)
+            if pair[0] <= limit
+        ]
+        return tuple(name for _, name in sorted(binding, key=itemgetter(0)))

@@ -18,6 +18,9 @@ __all__ = ["FieldBarrier"]
 
 Values = NDArray[np.float64]
 
+_NORMALS = np.array(((1.0, -1.0, 0.0, 0.0) * 2, (0.0, 0.0, 1.0, -1.0) * 2))
+"""d(h)/d(x, y) (2, 8): the walls' inward normals, for both ends."""
+
 
 @final
 class FieldBarrier(AbstractBarrier):
@@ -57,19 +60,18 @@ class FieldBarrier(AbstractBarrier):
         yaw, speed = float(state[2]), float(state[3])
         c, s = cos(yaw), sin(yaw)
         stretch, slope = self.braking.distance(speed), self.braking.slope(speed)
-        gradient = np.zeros((8, len(state)))
         ends = (
             (self.front + max(stretch, 0.0), slope if speed >= 0.0 else 0.0),
             (-self.rear + min(stretch, 0.0), slope if speed <= 0.0 else 0.0),
         )
-        for row, (reach, change) in zip((0, 4), ends, strict=True):
-            gradient[row : row + 4, :4] = (
-                (1.0, 0.0, -reach * s, change * c),
-                (-1.0, 0.0, reach * s, -change * c),
-                (0.0, 1.0, reach * c, change * s),
-                (0.0, -1.0, -reach * c, -change * s),
-            )
-        return np.array(self._heights(state)), gradient
+        turning, stretching = [], []
+        for reach, change in ends:
+            turning += [-reach * s, reach * s, reach * c, -reach * c]
+            stretching += [change * c, -change * c, change * s, -change * s]
+        columns = np.zeros((len(state), 8))  # transposed: its rows lie together and are quicker to fill
+        columns[:2] = _NORMALS
+        columns[2], columns[3] = turning, stretching
+        return np.array(self._heights(state)), columns.T
 
     def _heights(self, state: Values) -> list[float]:
         x, y, yaw, speed = state.tolist()[:4]

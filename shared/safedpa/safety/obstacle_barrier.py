@@ -66,37 +66,37 @@ class ObstacleBarrier(AbstractBarrier):
         self.names = tuple(names) if names is not None else tuple(f"obstacle {i}" for i in range(len(table)))
         if len(self.names) != len(table):
             raise InputError(f"names of obstacles: got {len(self.names)}, wanted {len(table)}, one for each obstacle")
-        self._x, self._y = table[:, 0].copy(), table[:, 1].copy()
+        self._centres = table[:, :2].T.copy()
         self._reach = table[:, 2] + (self.radius + clearance)
 
     def values(self, state: Values) -> Values:  # noqa: D102
         return self._geometry(state)[0] - self._reach
 
     def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
-        distance, along, across, nearest, low, high = self._geometry(state)
-        safe = np.maximum(distance, _SMALLEST_DISTANCE)
-        beyond = (along - nearest) / safe
-        sideways = across / safe
-        sideways[distance == 0.0] = 1.0
-        c, s, speed = cos(state[2]), sin(state[2]), float(state[3])
-        gradient = np.zeros((len(safe), len(state)))
-        gradient[:, 0] = s * sideways - c * beyond
-        gradient[:, 1] = -s * beyond - c * sideways
-        gradient[:, 2] = -nearest * sideways
-        stretched = ((nearest == high) & (speed >= 0.0)) | ((nearest == low) & (speed <= 0.0))
-        gradient[:, 3] = np.where(stretched, -self.braking.slope(speed) * beyond, 0.0)
-        return distance - self._reach, gradient
+        distance, offset, nearest, low, high, turn = self._geometry(state)
+        direction = offset / np.maximum(distance, _SMALLEST_DISTANCE)
+        direction[1, distance == 0.0] = 1.0
+        speed = float(state[3])
+        stretched = nearest == (high if speed >= 0.0 else low)
+        if speed == 0.0:
+            stretched |= nearest == low
+        columns = np.zeros((len(state), len(distance)))  # transposed: its rows lie together and are quicker to fill
+        columns[:2] = turn.T.dot(-direction)
+        columns[2] = -nearest * direction[1]
+        columns[3] = -self.braking.slope(speed) * direction[0] * stretched
+        return distance - self._reach, columns.T
 
-    def _geometry(self, state: Values) -> tuple[Values, Values, Values, Values, float, float]:
-        x, y, yaw, speed = state.tolist()[:4]
+    def _geometry(self, state: Values) -> tuple[Values, Values, Values, float, float, Values]:
+        """Distances d (m,), offsets (u - t, w) (2, m), t (m,), its least and greatest value, turn to the heading."""
+        _, _, yaw, speed = state.tolist()[:4]
         c, s = cos(yaw), sin(yaw)
         stretch = self.braking.distance(speed)
         low, high = -self.rear + min(stretch, 0.0), self.front + max(stretch, 0.0)
-        east, north = self._x - x, self._y - y
-        along = c * east + s * north
-        across = c * north - s * east
-        nearest = np.minimum(np.maximum(along, low), high)
-        return np.hypot(along - nearest, across), along, across, nearest, low, high
+        turn = np.array(((c, s), (-s, c)))
+        offset = turn.dot(self._centres - state[:2, np.newaxis])
+        nearest = np.minimum(np.maximum(offset[0], low), high)
+        offset[0] -= nearest
+        return np.hypot(offset[0], offset[1]), offset, nearest, low, high, turn
 
 
 def checked_footprint(footprint: Sequence[float]) -> Footprint:

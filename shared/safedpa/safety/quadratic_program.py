@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, final
 
 import numpy as np
@@ -44,13 +45,14 @@ class QuadraticProgram:
     def __init__(self, low: Values, high: Values, weights: Values, quadratic: float, linear: float) -> None:
         self.low, self.high, self.range = low, high, high - low
         self.weights, self.quadratic, self.linear = weights, quadratic, linear
+        self._ones = np.ones(len(low))
         self._workspaces: dict[int, _Workspace] = {}
 
     def solve(self, A: Values, b: Values, wish: Values) -> Solution:
         """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,)."""
         scaled = A * self.range
-        limits = b - A @ self.low
-        needed = np.flatnonzero(np.minimum(scaled, 0.0).sum(axis=1) < limits)
+        limits = b - A.dot(self.low)
+        needed = (np.minimum(scaled, 0.0).dot(self._ones) < limits).nonzero()[0]
         slack = np.zeros(len(b))
         if len(needed) == 0:
             return Solution(np.minimum(np.maximum(wish, self.low), self.high), slack, True, "not needed")
@@ -100,5 +102,10 @@ class _Workspace:
         self._costs[: self._actions] = -2.0 * self._weights * wish
         self._solver.update(c=self._costs, G=self._left, h_l=self._right)
         status = self._solver.solve()
-        name = str(status.name).removeprefix("PIQP_").lower().replace("_", " ")
-        return status == self._solved, name, np.array(self._solver.result.x)
+        return status == self._solved, _words(status), self._solver.result.x
+
+
+@cache
+def _words(status: Any) -> str:
+    """``PIQP_MAX_ITER_REACHED`` as ``max iter reached``."""
+    return str(status.name).removeprefix("PIQP_").lower().replace("_", " ")

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.safety.conditions import Conditions, Outcome, limits
+from safedpa.safety.inputs import all_finite
 from safedpa.safety.quadratic_program import QuadraticProgram
 
 __all__ = ["DecisionError", "search"]
@@ -14,6 +15,10 @@ Values = NDArray[np.float64]
 
 _BOUND_TOLERANCE = 1e-6
 """Share of an action's range by which a solution may miss its bounds before it is not believed."""
+
+
+_SAME = 1e-8
+"""Share of an action's range within which a solution is the last one over again; the solver's accuracy is 1e-9."""
 
 
 _SERVED_WELL = 0.1
@@ -40,23 +45,31 @@ def search(
     Best: keeps all conditions within ``tolerance``, and nearest to the wish; if none does, the least broken one. Begins
     with the tangent at ``start`` and poses the program at most ``rounds`` times, anew about its last solution: with the
     true residual there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions
-    are kept and none of them needlessly far. Raises DecisionError when the solver did not solve, or its solution is not
-    finite or misses the bounds.
+    are kept and none of them needlessly far, or when slopes drawn at a solution lead to it again, as they always would.
+    Raises DecisionError when the solver did not solve, or its solution is not finite or misses the bounds.
     """
     A, b = conditions.linearised(start)
     about, status = _posed(conditions, program, A, b, wish)
-    best, before = about, start
+    best, before, fresh = about, start, True
     for _ in range(rounds - 1):
-        if about.violation <= tolerance and about.residual.min() <= _NEEDLESS * tolerance:
+        if about.violation <= tolerance and about.tightest <= _NEEDLESS * tolerance:
             break
-        if tolerance < about.violation < _SERVED_WELL * before.violation:
-            b = limits(A, about)
-        else:
+        if fresh and _same(program, about, before):
+            break
+        fresh = not tolerance < about.violation < _SERVED_WELL * before.violation
+        if fresh:
             A, b = conditions.linearised(about)
+        else:
+            b = limits(A, about)
         before = about
         about, status = _posed(conditions, program, A, b, wish)
         best = _better(program, wish, best, about, tolerance)
     return best, status
+
+
+def _same(program: QuadraticProgram, one: Outcome, other: Outcome) -> bool:
+    near = zip(one.action.tolist(), other.action.tolist(), program.range.tolist(), strict=True)
+    return all(abs(value - last) <= _SAME * width for value, last, width in near)
 
 
 def _better(program: QuadraticProgram, wish: Values, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
@@ -75,9 +88,10 @@ def _posed(
 
 
 def _believed(action: Values, program: QuadraticProgram, status: str) -> Values:
-    if not np.isfinite(action).all():
+    if not all_finite(action):
         raise DecisionError("the QP's solution holds NaN or infinity", status)
     clipped = np.minimum(np.maximum(action, program.low), program.high)
-    if (np.abs(clipped - action) > _BOUND_TOLERANCE * program.range).any():
+    missed = zip(action.tolist(), clipped.tolist(), program.range.tolist(), strict=True)
+    if any(abs(value - kept) > _BOUND_TOLERANCE * width for value, kept, width in missed):
         raise DecisionError("the QP's solution misses the actuator bounds", status)
     return clipped
