@@ -15,16 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa_sim.hidden.lanes import Floats, Lane, Trajectories, gathered, per_lane
-from safedpa_sim.hidden.strengths import LARGEST_STEER
+from safedpa_sim.hidden.strengths import LARGEST_STEER, STEP
 
-__all__ = ["ACCELERATION_LIMIT", "STEP", "WHEELBASE", "simulate_cars"]
+__all__ = ["ACCELERATION_LIMIT", "WHEELBASE", "simulate_cars"]
 
 WHEELBASE: Final = 0.32
 """m"""
 ACCELERATION_LIMIT: Final = 6.0
 """m/s2 of the speed servo."""
-STEP: Final = 0.002
-"""s"""
 _HOME = 4.0
 """m from the origin at which the driver turns back."""
 _LATERAL = 6.0

@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from safedpa_sim.hidden.car import STEP
 from safedpa_sim.hidden.lanes import Floats, Lane, Trajectories, gathered, per_lane
+from safedpa_sim.hidden.strengths import STEP
 
 __all__ = ["GRAVITY", "LENGTH", "MASS", "simulate_pendulums"]
 

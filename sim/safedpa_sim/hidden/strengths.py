@@ -8,7 +8,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-__all__ = ["CAR_EFFECTS", "LARGEST_STEER", "PENDULUM_EFFECTS", "Strength"]
+__all__ = ["CAR_EFFECTS", "LARGEST_STEER", "PENDULUM_EFFECTS", "STEP", "Strength"]
+
+STEP: Final = 0.002
+"""s; step of the simulators."""
 
 LARGEST_STEER: Final = 0.34
 """rad; largest steer that is commanded."""
@@ -41,6 +44,8 @@ class Strength:
             sign = float(random.choice([-1.0, 1.0])) if name in self.signed else 1.0
             neutral = self.neutral.get(name, 0.0)
             values[name] = ordinary if name in self.shape else neutral + share * scale * sign * (ordinary - neutral)
+            if name == "seconds":  # delays are whole steps of the simulator, so that the truth is what happened
+                values[name] = STEP * round(values[name] / STEP)
         return values
 
 
