@@ -11,7 +11,10 @@ from safedpa.errors import InputError, SafedpaError, did_you_mean
 
 __all__ = ["COMMANDS", "safedpa"]
 
-COMMANDS = ("bench", "calibrate", "compare", "effects", "experiment", "export", "predict", "screenshot", "up")
+COMMANDS = (
+    "add", "bench", "calibrate", "compare", "diagnose", "effects", "experiment", "export", "predict", "screenshot",
+    "up",
+)  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 
 

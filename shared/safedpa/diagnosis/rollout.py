@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from safedpa.diagnosis.actuators import felt_at_once
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import CommandEffect
@@ -100,7 +101,8 @@ def felt_actions(model: PhysicsModel, windows: Windows) -> Floats:
 def _transformed(command: CommandEffect, columns: Columns, own: dict[str, float], windows: Windows) -> Columns:
     """One effect on all rows: at once when it remembers nothing, else row after row."""
     if command.initial_memory(dict.fromkeys(columns, 0.0)) is not None:
-        return _followed(command, columns, own, windows)
+        at_once = felt_at_once(command, columns, own, windows)
+        return _followed(command, columns, own, windows) if at_once is None else at_once
     period: Any = windows.period
     return dict(command.transform(columns, None, own, period, NUMPY)[0])
 

@@ -1,0 +1,57 @@
+"""``safedpa add``: one effect by the engineer's choice, fitted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command(name="add")
+@click.argument("model")
+@click.argument("effect")
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="MODEL2.toml", help="The new model.")
+@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
+@click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects of your own.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
+def command(
+    model: str,
+    effect: str,
+    runs: tuple[str, ...],
+    out: Path,
+    columns: str | None,
+    horizon: float,
+    effects: Path | None,
+    as_json: bool,
+) -> None:
+    """Add one EFFECT to MODEL, fitted to recorded RUNs, whatever the ranking says.
+
+    Prints the fitted numbers and the error on data that was not used for fitting, before and after.
+    """
+    from safedpa.diagnosis.diagnose import add_effect
+    from safedpa.diagnosis.output import writable
+    from safedpa.dynamics import load_model, save_model
+    from safedpa.effects import load_effects
+    from safedpa_services.command_line.diagnose import loaded_runs, value_text
+
+    if effects is not None:
+        load_effects(effects)
+    loaded = load_model(model)
+    writable(out.absolute().parent)
+    found = add_effect(loaded, effect, loaded_runs(loaded, runs, columns), horizon)
+    save_model(found.model, out)
+    before, after = found.before.value, found.after.value
+    if as_json:
+        values = {path: vars(value) for path, value in found.values.items()}
+        click.echo(json.dumps({"format": 1, "effect": effect, "before": before, "after": after, "parameters": values}))
+        return
+    for path, value in found.values.items():
+        click.echo(value_text(path, value))
+    change = f" ({100 * (after / before - 1):+.1f} %)" if before > 0 else ""
+    click.echo(f"held-out error after {horizon:g} s: {before:.4g} before, {after:.4g} with {effect}{change}")
+    click.echo(f"Model: {out}")

@@ -1,0 +1,173 @@
+"""``safedpa diagnose``: which physical effect a model lacks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from safedpa.diagnosis.report import Report, Value
+    from safedpa.dynamics import PhysicsModel
+    from safedpa.records.run import Run
+
+__all__ = ["command"]
+
+BAR = 40
+"""Characters of the longest bar."""
+FINDINGS = 6
+"""Findings about the data that are printed; all stand in the report."""
+
+
+@click.command(name="diagnose")
+@click.argument("model")
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
+@click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path(),
+    metavar="DIR",
+    help="Folder for report.json, report.html, diagnosis.rrd and model.toml; by default the current one.",
+)
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects of your own.")
+@click.option("--json", "as_json", is_flag=True, help="Print report.json and nothing else.")
+def command(
+    model: str,
+    runs: tuple[str, ...],
+    columns: str | None,
+    horizon: float,
+    out: Path,
+    effects: Path | None,
+    as_json: bool,
+) -> None:
+    """Find out which physical effect MODEL lacks, by recorded RUNs.
+
+    Fits every effect of the library, alone and in pairs, and adds those that predict data which the fit did not see.
+    Says as well when nothing is missing, when the data cannot tell effects apart, and when no effect explains the rest.
+    """
+    from safedpa.diagnosis.diagnose import diagnose
+    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.report import as_document
+    from safedpa.dynamics import load_model
+    from safedpa.effects import load_effects
+    from safedpa_services.progress import progress
+
+    if effects is not None:
+        load_effects(effects)
+    loaded = load_model(model)
+    writable(out, create=True)
+    recorded = loaded_runs(loaded, runs, columns)
+    with progress("diagnosing") as tell:
+        report = diagnose(loaded, recorded, horizon, tell)
+    document = as_document(report)
+    _write(document, report, recorded, out, Path(model).stem)
+    if as_json:
+        click.echo(json.dumps(document, allow_nan=False))
+    else:
+        _show(report, out)
+
+
+def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
+    """The recordings, named so that they can be told apart."""
+    from safedpa.diagnosis.comparison import with_distinct_names
+    from safedpa.records import load_column_map, load_run
+
+    mapping = load_column_map(columns) if columns else None
+    return with_distinct_names([load_run(path, model.system, mapping) for path in paths], paths)
+
+
+def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:
+    from safedpa.diagnosis.report_page import write_report
+    from safedpa.diagnosis.report_recording import write_recording
+    from safedpa.dynamics import write_model
+    from safedpa.records.atomic import atomic_path
+
+    for name, text in (
+        ("report.json", json.dumps(document, allow_nan=False, indent=1) + "\n"),
+        ("model.toml", write_model(report.models[-1])),
+    ):
+        with atomic_path(out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    write_report(document, runs, report.models, out, title)
+    write_recording(document, runs, report.models, out)
+
+
+def _show(report: Report, out: Path) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False, soft_wrap=True)
+    console.print()
+    for line, style in story_lines(report):
+        console.print(line, style=style, markup=False)
+    console.print(f"Report: {out / 'report.html'}  model: {out / 'model.toml'}", markup=False)
+
+
+def story_lines(report: Report) -> list[tuple[str, str]]:
+    """The diagnosis as lines and their styles: error, where, what is missing, the falling error, what remains, next."""
+    from safedpa.diagnosis.report import as_document
+    from safedpa.diagnosis.report_story import story_of
+
+    story = story_of(as_document(report))
+    lines = [(_verdict(report, story.lead), "bold")]
+    if report.where:
+        worst = report.where[0]
+        unit = "" if worst["unit"] == "1" else f" {worst['unit']}"
+        place = f"{worst['variable']} {worst['low']:.3g} to {worst['high']:.3g}{unit}"
+        lines.append((f"Worst at {place}: {worst['ratio']:.1f} times the average error.", ""))
+    lines += [(f"  {line}", "green") for line in _found(report)]
+    lines += _bars(report)
+    lines += [
+        (f"  Cannot be told apart: {name} and {', '.join(others)}.", "yellow") for name, others in _groups(report)
+    ]
+    if report.unexplained is not None and report.unexplained.depends_on:
+        lines.append((f"{story.remains} A formula that fits: {report.unexplained.expression}", "yellow"))
+    if report.next_experiment is not None:
+        item = report.next_experiment
+        lines.append((f"Next: {item.manoeuvre}; {item.why}.", "cyan"))
+    messages = list(dict.fromkeys(str(item["message"]) for item in report.data_quality))
+    lines += [(f"  data: {message}", "dim") for message in messages[:FINDINGS]]
+    return lines
+
+
+def _verdict(report: Report, lead: str) -> str:
+    if report.verdict == "unexplained" and report.unexplained is not None and not report.unexplained.depends_on:
+        return f"No verdict: {report.unexplained.expression}."
+    if report.verdict == "unexplained" and report.added:
+        return f"No verdict: the model predicts badly whatever is added ({', '.join(report.added)} fit best)."
+    return lead
+
+
+def _found(report: Report) -> list[str]:
+    lines = []
+    for name in report.added:
+        own = {path.split(".")[1]: item for path, item in report.parameters.items() if path.split(".")[0] == name}
+        lines.append(f"{name}: {', '.join(value_text(key, item) for key, item in own.items())}")
+    return lines
+
+
+def value_text(name: str, value: Value) -> str:
+    """coefficient 0.121 +- 0.003 1/m"""
+    spread = "" if value.std is None else f" +- {value.std:.2g}"
+    return f"{name} {value.value:.4g}{spread}" + ("" if value.unit == "1" else f" {value.unit}")
+
+
+def _bars(report: Report) -> list[tuple[str, str]]:
+    first = report.stages[0].heldout_error
+    lines = []
+    for stage in report.stages:
+        name = f"+ {stage.effects[-1]}" if stage.effects else "given model"
+        length = round(BAR * min(stage.heldout_error / first, 1.0)) if first > 0 else 0
+        runs = f" ({stage.runs_improved} runs better)" if stage.runs_improved else ""
+        lines.append((f"  {name:24.24} {'█' * length:{BAR}} {stage.heldout_error:.3g}{runs}", ""))
+    return lines
+
+
+def _groups(report: Report) -> list[tuple[str, tuple[str, ...]]]:
+    kept = [item for item in report.candidates if item.decision == "accepted" and item.indistinguishable_from]
+    return [(item.effect, item.indistinguishable_from) for item in kept]

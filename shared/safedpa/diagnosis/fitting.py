@@ -1,0 +1,201 @@
+"""Parameters of named effects by weighted nonlinear least squares on short rollouts, and how well they hold elsewhere.
+
+minimise sum over the states s of size_s log(sum of squares of the reduced residual of s): each state's noise is unknown
+and is estimated beside the parameters. Gauss-Newton steps with bounds; derivatives by differences.
+
+Source: Seber and Wild, Nonlinear Regression, Wiley 1989, ch. 11; Liang and Zeger, Biometrika 73, 1986 (sandwich).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.diagnosis.shooting import Shooting
+from safedpa.diagnosis.windows import Floats
+from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics.settings import Setting
+from safedpa.effects.parameter import Parameter
+
+__all__ = ["Fit", "fit", "objective", "scale_of"]
+
+_STEPS = 8
+_DONE = 2e-4
+"""Fall of the objective per independent number below which a fit has converged."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model with fitted parameters.
+
+    residual (windows, compared * states) and columns (..., paths): reduced, in units of ``scale`` (states,).
+    """
+
+    model: PhysicsModel
+    paths: tuple[str, ...]
+    value: float
+    """The objective per independent number."""
+    scale: Floats
+    residual: Floats
+    columns: Floats
+    free: NDArray[np.bool_]
+    """Parameters that do not stand at a bound that holds them, (paths,)."""
+
+    @property
+    def values(self) -> Floats:
+        """(paths,)"""
+        return np.array([self.model.settings[path].value for path in self.paths])
+
+    def deviations(self, shooting: Shooting) -> Floats:
+        """One standard deviation of each parameter (paths,), NaN at a bound: sandwich over blocks of time."""
+        found = np.full(len(self.paths), np.nan)
+        if not self.free.any():
+            return found
+        columns = self.columns[..., self.free]
+        scores = np.einsum("wip,wi->wp", columns, self.residual)
+        blocks = np.zeros((int(shooting.block.max()) + 1, scores.shape[1]))
+        np.add.at(blocks, shooting.block, scores)
+        blocks = blocks[np.unique(shooting.block)]
+        bread = _inverse(np.einsum("wip,wiq->pq", columns, columns))
+        correction = len(blocks) / max(len(blocks) - columns.shape[-1], 1)
+        spread = np.diag(bread @ (blocks.T @ blocks) @ bread) * correction
+        white = np.diag(bread) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
+        found[self.free] = np.sqrt(np.maximum(np.maximum(spread, 0.5 * white), 0.0))
+        return found
+
+    def without(self, shooting: Shooting) -> dict[int, Floats]:
+        """Parameters (paths,) fitted without each fold, to first order, by fold."""
+        curvature = np.einsum("wip,wiq->wpq", self.columns, self.columns)
+        slope = np.einsum("wip,wi->wp", self.columns, self.residual)
+        found = {}
+        for fold in np.unique(shooting.fold).tolist():
+            used = shooting.fold != fold
+            values = self.values.copy()
+            if self.free.any() and used.any():
+                part = curvature[used].sum(axis=0) + np.diag(_prior(self.model, self.paths))
+                part = part[np.ix_(self.free, self.free)]
+                values[self.free] -= _inverse(part, _SETTLED) @ slope[used].sum(axis=0)[self.free]
+            found[fold] = np.clip(values, *_bounds(self.model, self.paths))
+        return found
+
+    def heldout_squares(self, shooting: Shooting) -> Floats:
+        """Squares (windows, states) of the reduced residual in the states' units, fitted without the window's fold."""
+        shift = np.zeros((len(shooting.windows), len(self.paths)))
+        for fold, values in self.without(shooting).items():
+            shift[shooting.fold == fold] = values - self.values
+        residual = self.residual + np.einsum("wip,wp->wi", self.columns, shift)
+        return np.asarray(shooting.squares(residual) * self.scale**2)
+
+
+_SETTLED = 3e-3
+"""Share of the curvature below which a direction stays where all folds put it: valleys of a fit are bent, and a
+straight step along one leaves it."""
+
+
+def fit(model: PhysicsModel, paths: Sequence[str], shooting: Shooting, scale: Floats, steps: int = _STEPS) -> Fit:
+    """The parameters ``paths`` of a model, from where they stand; ``scale`` (states,): a guess of the noise."""
+    names = tuple(paths)
+    best = _linearised(model, names, shooting, scale)
+    damping = 0.0
+    for _ in range(steps):
+        tried = _stepped(best, damping)
+        if tried is None:
+            break
+        new = _linearised(tried, names, shooting, best.scale)
+        if new.value < best.value:
+            fall, best, damping = best.value - new.value, new, 0.0 if damping < 0.1 else 0.1 * damping
+            if fall < _DONE:
+                break
+        else:
+            damping = 0.05 if damping == 0.0 else 10.0 * damping
+            if damping > 100.0:
+                break
+    return best
+
+
+def objective(residual: Floats, shooting: Shooting, scale: Floats) -> tuple[float, Floats]:
+    """(objective per independent number, each state's root mean square) of residuals (windows, compared, states)."""
+    reduced = shooting.eliminated(residual[..., None], scale)[..., 0]
+    found = scale_of(shooting, reduced, scale)
+    return float((shooting.size * np.log(found)).sum() / shooting.size.sum()), found
+
+
+def scale_of(shooting: Shooting, reduced: Floats, scale: Floats) -> Floats:
+    """Root mean square of each state's reduced residual in the state's unit, (states,); never 0."""
+    squares = shooting.squares(reduced).sum(axis=0)
+    return np.asarray(np.maximum(np.sqrt(squares / shooting.size) * scale, 1e-6))
+
+
+def _linearised(model: PhysicsModel, paths: tuple[str, ...], shooting: Shooting, scale: Floats) -> Fit:
+    steps = [_difference(model.parameters[path], model.settings[path].value) for path in paths]
+    variants = [model]
+    for path, step in zip(paths, steps, strict=True):
+        variants.append(moved(model, {path: model.settings[path].value + step}))
+    residuals = shooting.residuals(variants)
+    if paths:
+        columns = np.stack([(residuals[i + 1] - residuals[0]) / step for i, step in enumerate(steps)], axis=-1)
+    else:
+        columns = np.zeros((*residuals[0].shape, 0))
+    value, found = objective(residuals[0], shooting, scale)
+    value, found = objective(residuals[0], shooting, found)
+    reduced = shooting.eliminated(np.concatenate([residuals[0][..., None], columns], axis=-1), found)
+    slope = np.einsum("wip,wi->p", reduced[..., 1:], reduced[..., 0])
+    low, high = _bounds(model, paths)
+    now = np.array([model.settings[path].value for path in paths])
+    size = np.array([_scale(model.parameters[path]) for path in paths])
+    held = ((now <= low + 1e-9 * size) & (slope > 0)) | ((now >= high - 1e-9 * size) & (slope < 0))
+    dead = (reduced[..., 1:] ** 2).sum(axis=(0, 1)) * size**2 < 1e-8 * shooting.size.sum()
+    return Fit(model, paths, value, found, reduced[..., 0], reduced[..., 1:], ~(held | dead))
+
+
+def _stepped(at: Fit, damping: float) -> PhysicsModel | None:
+    """The model after a Gauss-Newton step of the free parameters, clipped to the bounds; None where none is free."""
+    if not at.free.any():
+        return None
+    columns = at.columns[..., at.free]
+    curvature = np.einsum("wip,wiq->pq", columns, columns)
+    prior = _prior(at.model, at.paths)[at.free]
+    curvature = curvature + np.diag(damping * np.diag(curvature) + prior)
+    slope = np.einsum("wip,wi->p", columns, at.residual)
+    values = at.values
+    values[at.free] -= _inverse(curvature) @ slope
+    low, high = _bounds(at.model, at.paths)
+    return moved(at.model, dict(zip(at.paths, np.clip(values, low, high).tolist(), strict=True)))
+
+
+def moved(model: PhysicsModel, values: dict[str, float]) -> PhysicsModel:
+    """The model with other numbers; what is free stays free."""
+    return model.with_settings({path: Setting(value, model.settings[path].free) for path, value in values.items()})
+
+
+def _inverse(matrix: Floats, smallest: float = 1e-7) -> Floats:
+    """Inverse of a symmetric matrix after scaling its diagonal to 1; directions without any curvature do not move."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(
+        np.linalg.pinv(matrix / np.outer(size, size), rcond=smallest, hermitian=True) / np.outer(size, size)
+    )
+
+
+def _bounds(model: PhysicsModel, paths: Iterable[str]) -> tuple[Floats, Floats]:
+    found = [model.parameters[path] for path in paths]
+    return np.array([item.low for item in found]), np.array([item.high for item in found])
+
+
+def _prior(model: PhysicsModel, paths: Iterable[str]) -> Floats:
+    """Curvature that keeps a direction without any of its own from moving by more than some ordinary changes."""
+    return np.array([(5.0 * _scale(model.parameters[path])) ** -2 for path in paths])
+
+
+def _scale(parameter: Parameter) -> float:
+    """The size of a change that is ordinary."""
+    neutral = parameter.neutral
+    change = abs(parameter.typical - neutral) if neutral is not None else 0.0
+    return max(min(change, 10 * abs(parameter.typical) + 1e-12), 0.05 * abs(parameter.typical), 1e-4)
+
+
+def _difference(parameter: Parameter, value: float) -> float:
+    step = min(0.01 * _scale(parameter), 0.05 * (parameter.high - parameter.low))
+    return step if value + step <= parameter.high else -step

@@ -1,0 +1,234 @@
+"""Short rollouts with a start of their own, all windows of all runs and all variants of a model side by side.
+
+The measured start of a window is noisy. So its entries are unknowns as well: to first order they are eliminated from
+the residuals window by window (multiple shooting, variable projection). What is left depends on the model alone.
+
+Source: Bock and Plitt, A multiple shooting algorithm, IFAC 1984; Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.diagnosis.rollout import felt_actions
+from safedpa.diagnosis.windows import Floats, Rows, Windows, windows_of
+from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics.settings import Setting
+from safedpa.effects import CommandEffect
+from safedpa.records.run import Run
+
+__all__ = ["Shooting", "shooting_of", "simulate"]
+
+_ROWS = 24
+"""Rows of a window that are compared at most."""
+_STEP = 1e-4
+"""Difference of a start's entry, in its unit."""
+_GLITCH = 8.0
+"""Median deviations from the neighbouring rows beyond which a row is a glitch."""
+_PUSH = 5.0
+"""Times the median size of a window's residual beyond which it counts less."""
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """Windows that do not overlap, their starts, and what each compared row counts.
+
+    ``rows`` (compared,): steps after the start at which states are compared, the start itself first.
+    ``measured`` (windows, compared, states); ``counts`` the same shape, 0 to 1; ``starts`` (windows, states);
+    ``tangent`` (windows, compared, states, states): derivative of the prediction with respect to the start;
+    ``block`` (windows,): independent stretches of time; ``fold`` (windows,): what is held out together.
+    """
+
+    windows: Windows
+    rows: Rows
+    measured: Floats
+    counts: Floats
+    starts: Floats
+    tangent: Floats
+    block: Rows
+    fold: Rows
+
+    def residual(self, predicted: Floats) -> Floats:
+        """predicted - measured (..., windows, compared, states), angles by the short way round."""
+        with np.errstate(all="ignore"):
+            found = self.windows.system.difference(predicted, np.broadcast_to(self.measured, predicted.shape))
+        return np.asarray(np.clip(np.nan_to_num(found, nan=1e3, posinf=1e3, neginf=-1e3), -1e3, 1e3))
+
+    def residuals(self, models: Sequence[PhysicsModel]) -> Floats:
+        """(models, windows, compared, states)"""
+        return self.residual(simulate(models, self.windows, self.rows, self.starts))
+
+    def eliminated(self, columns: Floats, scale: Floats) -> Floats:
+        """Columns (windows, compared, states, columns) over ``scale``, without what a start explains.
+
+        c - A (A'A)^-1 A'c with A = sqrt(counts) tangent / scale; shape (windows, compared * states, columns).
+        """
+        weight = np.sqrt(self.counts) / scale
+        count = len(self.windows)
+        basis = (self.tangent * weight[..., None]).reshape(count, -1, self.tangent.shape[-1])
+        wide = (columns * weight[..., None]).reshape(count, basis.shape[1], -1)
+        basis = basis / (np.linalg.norm(basis, axis=1, keepdims=True) + 1e-30)
+        turned = basis.transpose(0, 2, 1)
+        gram = turned @ basis + 1e-9 * np.eye(basis.shape[2])
+        return np.asarray(wide - basis @ np.linalg.solve(gram, turned @ wide))
+
+    def squares(self, reduced: Floats) -> Floats:
+        """Sum of the squares of a reduced residual (windows, compared * states), by window and state."""
+        shaped = reduced.reshape(len(self.windows), len(self.rows), -1)
+        return np.asarray((shaped**2).sum(axis=1))
+
+    @property
+    def size(self) -> Floats:
+        """How many independent numbers each state has: rows that count, less one start a window, shape (states,)."""
+        return np.asarray(np.maximum(self.counts.sum(axis=(0, 1)) - len(self.windows), 1.0))
+
+    def around(self, model: PhysicsModel, scale: Floats | None = None) -> Shooting:
+        """The same with starts, derivatives and weights as they are best for one model."""
+        found = replace(self, tangent=_tangent(self, model))
+        for _ in range(2):
+            residual = found.residuals([model])[0]
+            found = replace(found, counts=_counts(found, residual))
+            weight = found.counts / _robust(residual, found.counts) ** 2 if scale is None else found.counts / scale**2
+            normal = np.einsum("wnsi,wns,wnsj->wij", found.tangent, weight, found.tangent)
+            normal += (1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-9) * np.eye(normal.shape[1])
+            slope = np.einsum("wnsi,wns,wns->wi", found.tangent, weight, residual)
+            shift = np.linalg.solve(normal, slope[..., None])[..., 0]
+            found = replace(found, starts=found.starts - shift)
+        return replace(found, tangent=_tangent(found, model))
+
+
+def shooting_of(runs: Sequence[Run], seconds: float, folds: int = 6, block: float = 4.0) -> Shooting:
+    """Windows of ``seconds`` one after the other; folds are runs, or stretches of time where there are few runs."""
+    every = windows_of(runs, seconds, stride=1)
+    windows = every.select(_one_after_the_other(every))
+    longest = int(windows.steps.max())
+    spacing = max(1, -(-longest // _ROWS))
+    rows = np.unique(np.append(np.arange(0, longest, spacing), longest))
+    at = windows.start[:, None] + rows
+    inside = at <= windows.end[:, None]
+    states = windows.states[np.minimum(at, windows.end[:, None])]
+    size = states.shape[-1]
+    identity = np.broadcast_to(np.eye(size), (*states.shape, size)).copy()
+    clock = windows.clock[windows.start]
+    return Shooting(
+        windows=windows,
+        rows=rows,
+        measured=states,
+        counts=np.repeat(inside[..., None], size, axis=-1).astype(np.float64),
+        starts=windows.states[windows.start].copy(),
+        tangent=identity,
+        block=np.unique(np.stack([windows.run, (clock / block).astype(np.int64)]), axis=1, return_inverse=True)[1],
+        fold=folds_of(windows, folds),
+    )
+
+
+def folds_of(windows: Windows, folds: int) -> Rows:
+    """What is held out together, (windows,): runs where there are three or more, else stretches of time."""
+    runs = len(windows.names)
+    if runs >= 3:
+        return np.asarray(windows.run % folds, dtype=np.int64)
+    found = np.zeros(len(windows), dtype=np.int64)
+    for run in range(runs):
+        own = np.flatnonzero(windows.run == run)
+        if len(own):
+            first, last = windows.clock[windows.start[own[0]]], windows.clock[windows.end[own]].max()
+            share = (windows.clock[windows.start[own]] - first) / max(last - first, 1e-9)
+            found[own] = np.minimum((share * folds).astype(np.int64), folds - 1)
+    return found
+
+
+def simulate(models: Sequence[PhysicsModel], windows: Windows, rows: Rows, starts: Floats) -> Floats:
+    """Predicted states (models, windows, compared, states); models of one structure, whose numbers may differ.
+
+    ``starts`` (windows, states) or (models, windows, states). Beyond a window's end nothing is meant.
+    """
+    count, size = len(windows), starts.shape[-1]
+    mechanics, latent = _together(models, count)
+    felt = np.stack([felt_actions(model, windows) for model in models])
+    states = np.broadcast_to(starts, (len(models), count, size)).reshape(-1, size)
+    period = _period(windows)
+    found = np.empty((len(models), count, len(rows), size))
+    wanted = {int(row): index for index, row in enumerate(rows)}
+    for step in range(int(rows[-1]) + 1):
+        if step in wanted:
+            found[:, :, wanted[step]] = states.reshape(len(models), count, size)
+        at = np.minimum(windows.start + step, windows.end - 1)
+        seconds: Any = np.tile(windows.period[at], len(models)) if period is None else period
+        time: Any = np.tile(windows.time[at], len(models))
+        with np.errstate(all="ignore"):
+            action = felt[:, at].reshape(len(states), -1)
+            states, _ = mechanics.advance(states, action, (), latent, period=seconds, time=time)
+    return found
+
+
+def _together(models: Sequence[PhysicsModel], count: int) -> tuple[PhysicsModel, Floats | None]:
+    """One model without commands whose latent (models * windows, latents) holds the numbers that differ."""
+    first = models[0]
+    others = [item for item in first.effects if not isinstance(item, CommandEffect)]
+    owners = {"base", *(item.name for item in others)}
+    paths = [path for path in first.settings if path.split(".")[0] in owners]
+    values = {path: [model.settings[path].value for model in models] for path in paths}
+    varied = {path for path in paths if len(set(values[path])) > 1}
+    settings = {path: Setting(values[path][0], path in varied) for path in paths}
+    mechanics = PhysicsModel(first.base, others, settings, first.period)
+    if not mechanics.latent_names:
+        return mechanics, None
+    table = np.array([values[path] for path in mechanics.latent_names]).T
+    return mechanics, np.repeat(table, count, axis=0)
+
+
+def _period(windows: Windows) -> float | None:
+    middle = float(np.median(windows.period))
+    return middle if np.ptp(windows.period) <= 1e-6 * middle else None
+
+
+def _tangent(shooting: Shooting, model: PhysicsModel) -> Floats:
+    size = shooting.starts.shape[1]
+    shifted = np.stack([shooting.starts, *(shooting.starts + _STEP * np.eye(size)[i] for i in range(size))])
+    predicted = simulate([model] * (size + 1), shooting.windows, shooting.rows, shifted)
+    with np.errstate(all="ignore"):
+        columns = np.clip(np.nan_to_num((predicted[1:] - predicted[0]) / _STEP), -1e3, 1e3)
+    return np.asarray(np.moveaxis(columns, 0, -1))
+
+
+def _robust(residual: Floats, counts: Floats) -> Floats:
+    """Root of the mean square of each state's residual without its largest 5 %, (states,); never 0."""
+    found = np.empty(residual.shape[-1])
+    for state in range(len(found)):
+        squares = residual[..., state][counts[..., state] > 0] ** 2
+        kept = max(1, int(0.95 * len(squares)))
+        found[state] = np.sqrt(np.partition(squares, kept - 1)[:kept].mean())
+    return np.maximum(found, 1e-7)
+
+
+def _counts(shooting: Shooting, residual: Floats) -> Floats:
+    """1 where a row is like its neighbours, 0 where it is a glitch; less in windows with a far larger residual."""
+    inside = (shooting.windows.steps[:, None] >= shooting.rows)[..., None]
+    from numpy.lib.stride_tricks import sliding_window_view
+
+    padded = np.pad(residual, ((0, 0), (2, 2), (0, 0)), mode="reflect") if residual.shape[1] > 2 else residual
+    if residual.shape[1] > 2:
+        smooth = np.median(sliding_window_view(padded, 5, axis=1), axis=-1)
+        rough = np.abs(residual - smooth)
+        typical = np.median(rough.reshape(-1, rough.shape[-1]), axis=0) * 1.4826 + 1e-6
+        kept = inside & (rough <= _GLITCH * typical).all(axis=-1, keepdims=True)
+    else:
+        kept = np.broadcast_to(inside, residual.shape)
+    scale = _robust(residual, kept * np.ones_like(residual))
+    size = np.sqrt((((residual / scale) ** 2) * kept).sum(axis=(1, 2)) / np.maximum(kept.sum(axis=(1, 2)), 1))
+    light = np.minimum(1.0, (_PUSH * np.median(size) + 1e-12) / (size + 1e-12)) ** 2
+    return np.asarray(kept * light[:, None, None] * np.ones_like(residual))
+
+
+def _one_after_the_other(windows: Windows) -> NDArray[np.int64]:
+    kept, free = [], -1
+    for index, (start, end) in enumerate(zip(windows.start.tolist(), windows.end.tolist(), strict=True)):
+        if start >= free:
+            kept.append(index)
+            free = end
+    return np.array(kept, dtype=np.int64)

@@ -1,0 +1,139 @@
+"""Effects on trial: starts on a grid, a fit, and the gain on data that the fit did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from safedpa.diagnosis.fitting import Fit, fit, objective
+from safedpa.diagnosis.shooting import Shooting
+from safedpa.diagnosis.windows import Floats
+from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics.settings import Setting
+from safedpa.effects import AbstractEffect
+from safedpa.effects.parameter import Parameter
+
+__all__ = ["Trial", "block_gain", "likeness", "starts_of", "tried", "with_start"]
+
+_MOST_STARTS = 9
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Effects added together, fitted; ``heldout`` squares (windows, states) without the window's own fold."""
+
+    effects: tuple[str, ...]
+    fit: Fit
+    heldout: Floats
+    explained: Floats
+    """What the effects take off the residual, (windows, compared * states), in units of the stage's noise."""
+    loss: float
+    """sum over states of size log(root mean square held out) / sum of sizes."""
+
+    @property
+    def name(self) -> str:
+        """Pairs with a plus sign between them."""
+        return " + ".join(self.effects)
+
+
+def starts_of(item: AbstractEffect) -> list[dict[str, float]]:
+    """Values from which a fit of an effect may start: fits that start where it does nothing get stuck."""
+    grids = [_grid(parameter, len(item.parameters)) for parameter in item.parameters]
+    names = [parameter.name for parameter in item.parameters]
+    every = [dict(zip(names, values, strict=True)) for values in product(*grids)]
+    spread = (
+        np.unique(np.linspace(0, len(every) - 1, _MOST_STARTS).astype(int)) if len(every) > 16 else range(len(every))
+    )
+    return [every[index] for index in spread]
+
+
+def _grid(parameter: Parameter, beside: int) -> list[float]:
+    """Fractions of what is ordinary, to both sides where the bounds allow it."""
+    neutral, typical = parameter.neutral, parameter.typical
+    if neutral is None:
+        found = [0.4 * typical, typical, 2.5 * typical]
+    elif neutral == 0.0:
+        parts = (0.15, 0.4, 0.8, 1.2, 1.8, 3.0) if beside == 1 else (0.4, 1.5)
+        found = [part * typical for part in parts] if typical else [0.0]
+        if parameter.low < 0.0:
+            found = [sign * value for value in found[: 3 if beside == 1 else 1] for sign in (-1.0, 1.0)]
+    elif abs(neutral - typical) < 0.5 * neutral:
+        found = [neutral + part * (typical - neutral) for part in (-2.0, -1.0, -0.3, 0.3, 1.0, 2.0)]
+    else:
+        found = [part * typical for part in (0.4, 0.6, 0.75, 0.9, 1.0, 1.1, 1.3)]
+    kept = [value for value in found if parameter.low <= value <= parameter.high]
+    return kept or [parameter.start]
+
+
+def with_start(model: PhysicsModel, item: AbstractEffect, values: dict[str, float]) -> PhysicsModel:
+    """The model with one more effect at given numbers."""
+    return model.with_effect(item, {name: Setting(value) for name, value in values.items()})
+
+
+def tried(
+    null: Trial, items: Sequence[AbstractEffect], shooting: Shooting, starts: Sequence[PhysicsModel] | None = None
+) -> Trial:
+    """The effects fitted on top of the null's, together with everything that the null fitted."""
+    models = list(starts) if starts is not None else _start_models(null.fit.model, items)
+    residuals = shooting.residuals(models)
+    values = [objective(residual, shooting, null.fit.scale)[0] for residual in residuals]
+    paths = [*null.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
+    found = fit(models[int(np.argmin(values))], paths, shooting, null.fit.scale)
+    return trial_of(found, shooting, tuple(item.name for item in items), null)
+
+
+def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Trial | None) -> Trial:
+    """A fit with its held-out squares and what it explains beside the null."""
+    heldout = found.heldout_squares(shooting)
+    mean = np.maximum(heldout.sum(axis=0) / shooting.size, 1e-12)
+    loss = float((shooting.size * np.log(mean)).sum() / (2.0 * shooting.size.sum()))
+    explained = np.zeros_like(found.residual)
+    if null is not None:
+        ratio = np.tile(found.scale / null.fit.scale, len(shooting.rows))
+        explained = null.fit.residual - found.residual * ratio
+    return Trial(effects, found, heldout, explained, loss)
+
+
+def _start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[PhysicsModel]:
+    grids = [starts_of(item) for item in items]
+    if len(items) > 1:
+        grids = [grid[:: max(1, len(grid) // 4)] for grid in grids]
+    found = []
+    for values in product(*grids):
+        made = model
+        for item, own in zip(items, values, strict=True):
+            made = with_start(made, item, own)
+        found.append(made)
+    return found
+
+
+def block_gain(one: Trial, other: Trial, shooting: Shooting) -> float:
+    """How much better ``other`` predicts unseen blocks than ``one``, in standard errors of the blocks' differences.
+
+    Differences of the squares over the better one's mean square; each window's counts at most 20 times the typical.
+    """
+    scale = np.maximum(np.minimum(one.heldout.sum(axis=0), other.heldout.sum(axis=0)) / shooting.size, 1e-12)
+    difference = ((one.heldout - other.heldout) / scale).sum(axis=1)
+    most = 20.0 * float(np.median(np.abs(difference))) + 1e-12
+    sums = np.zeros(int(shooting.block.max()) + 1)
+    np.add.at(sums, shooting.block, np.clip(difference, -most, most))
+    sums = sums[np.unique(shooting.block)]
+    if len(sums) < 3:
+        return 0.0
+    spread = float(sums.std(ddof=1)) * np.sqrt(len(sums))
+    # a gain below one unit is rounding, however steady
+    return float(sums.sum() / np.hypot(spread, 1.0))
+
+
+def likeness(one: Trial, other: Trial) -> float:
+    """Correlation of what two trials of one stage explain, -1 to 1."""
+    size = float(np.sqrt((one.explained**2).sum() * (other.explained**2).sum()))
+    return float((one.explained * other.explained).sum() / size) if size > 0 else 0.0
+
+
+def paths_of(items: Iterable[AbstractEffect]) -> list[str]:
+    """Paths of all parameters of effects."""
+    return [f"{item.name}.{p.name}" for item in items for p in item.parameters]

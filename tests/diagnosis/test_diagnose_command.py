@@ -1,0 +1,89 @@
+"""``safedpa diagnose`` and ``safedpa add`` as a person runs them, and bad data."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from safedpa.diagnosis.diagnose import diagnose
+from safedpa.dynamics import load_model
+from safedpa.errors import InputError
+from safedpa.records.run import Run, Stretch
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.hidden import Case, write_case
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    case = Case("test", 3, {"quadratic_drag": {"coefficient": 0.12}}, runs=3, seconds=20.0)
+    return write_case(case, tmp_path_factory.mktemp("logs"))
+
+
+def test_diagnose_tells_and_writes(log, tmp_path, capsys):
+    paths = [str(path) for path in log.runs]
+    assert safedpa.run(["diagnose", str(log.model), *paths, "--out", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    assert "The model lacks quadratic_drag" in told
+    assert "quadratic_drag: coefficient 0.1" in told
+    assert "given model" in told
+    document = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert document["added"] == ["quadratic_drag"]
+    for name in ("report.html", "diagnosis.rrd"):
+        assert (tmp_path / name).stat().st_size > 1000
+    model = load_model(str(tmp_path / "model.toml"))
+    assert abs(model.settings["quadratic_drag.coefficient"].value - 0.12) < 0.005
+
+
+def test_json_is_the_report_and_nothing_else(log, tmp_path, capsys):
+    assert safedpa.run(["diagnose", str(log.model), str(log.runs[0]), "--json", "--out", str(tmp_path)]) == 0
+    assert json.loads(capsys.readouterr().out)["robot"] == "car"
+
+
+def test_add_fits_one_effect_by_choice(log, tmp_path, capsys):
+    out = tmp_path / "model2.toml"
+    arguments = ["add", str(log.model), "viscous_drag", *map(str, log.runs), "--out", str(out), "--json"]
+    assert safedpa.run(arguments) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["after"] < document["before"]
+    assert [item.name for item in load_model(str(out)).effects] == ["viscous_drag"]
+
+
+def test_add_refuses_what_is_no_effect(log, tmp_path, capsys):
+    arguments = ["add", str(log.model), "viscus_drag", str(log.runs[0]), "--out", str(tmp_path / "m.toml")]
+    assert safedpa.run(arguments) == 2
+    assert "viscous_drag" in capsys.readouterr().err
+
+
+def still(model, seconds, action):
+    rows = round(seconds / model.period)
+    states = np.zeros((rows, 4))
+    states[0] = 0.0, 0.0, 0.0, 1.0
+    actions = np.tile(action, (rows, 1))
+    for row in range(rows - 1):
+        states[row + 1] = model.step(states[row], actions[row])
+    states += np.random.default_rng(0).normal(0.0, 0.002, states.shape)
+    return Run("run", model.system, model.period * np.arange(rows), states, actions, (Stretch(0, rows),))
+
+
+def test_two_seconds_are_no_evidence(log):
+    model = load_model(str(log.model))
+    report = diagnose(model, [still(model, 2.0, [1.0, 0.1])])
+    assert report.verdict == "unexplained"
+    assert report.added == ()
+    assert any(item["kind"] == "too_little" for item in report.data_quality)
+
+
+def test_constant_inputs_are_no_evidence(log):
+    model = load_model(str(log.model))
+    report = diagnose(model, [still(model, 40.0, [1.0, 0.1])])
+    assert report.verdict == "unexplained"
+    assert report.added == ()
+    assert {"constant_input", "too_little"} <= {item["kind"] for item in report.data_quality}
+
+
+def test_a_horizon_longer_than_the_log_is_refused(log):
+    model = load_model(str(log.model))
+    with pytest.raises(InputError, match="horizon"):
+        diagnose(model, [still(model, 2.0, [1.0, 0.1])], horizon=5.0)

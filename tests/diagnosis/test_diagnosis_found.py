@@ -1,0 +1,108 @@
+"""What was hidden is found: logs made by simulators that share no code with the fitted models."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from safedpa.diagnosis.diagnose import diagnose
+from safedpa.diagnosis.report import Report, as_document
+from safedpa.dynamics import load_model, parse_model, write_model
+from safedpa.records import load_run
+from safedpa_sim.hidden import Case, write_case
+
+Diagnose = tuple[Report, Path]
+
+
+@pytest.fixture
+def hidden(tmp_path):
+    """hidden(effects, ...) -> report on logs in which the effects are hidden."""
+
+    def made(effects, runs=4, seconds=25.0, seed=7, horizon=1.0, **options):
+        log = write_case(Case("test", seed, effects, runs=runs, seconds=seconds, **options), tmp_path / str(seed))
+        model = load_model(str(log.model))
+        return diagnose(model, [load_run(str(path), model.system) for path in log.runs], horizon)
+
+    return made
+
+
+def accepted(report, name):
+    return next(item for item in report.candidates if item.decision == "accepted" and name in item.effect)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [("quadratic_drag", {"coefficient": 0.12}), ("steering_lag", {"time_constant": 0.15})],
+)
+def test_one_effect_is_named_with_its_number(hidden, name, parameters):
+    report = hidden({name: parameters})
+    assert report.verdict == "effect_missing"
+    assert report.added == (name,)
+    first, last = report.stages
+    assert last.heldout_error < 0.4 * first.heldout_error
+    assert last.runs_improved == "4/4"
+    for key, value in parameters.items():
+        found = report.parameters[f"{name}.{key}"]
+        assert abs(found.value - value) < max(4 * found.std, 0.01 * value)
+        assert found.std < 0.05 * value
+    model = report.models[-1]
+    assert [item.name for item in model.effects] == [name]
+    assert parse_model(write_model(model)).settings == model.settings
+
+
+def test_two_effects_are_both_found(hidden):
+    report = hidden({"rolling_resistance": {"deceleration": 0.45}, "steering_offset": {"angle": 0.04}})
+    assert set(report.added) == {"rolling_resistance", "steering_offset"}
+    errors = [stage.heldout_error for stage in report.stages]
+    assert errors[0] > errors[1] > errors[2]
+
+
+def test_nothing_is_missing_where_nothing_is_hidden(hidden):
+    report = hidden({})
+    assert report.verdict == "nothing_missing"
+    assert report.added == ()
+    assert report.unexplained is None
+    assert all(item.decision != "accepted" for item in report.candidates)
+
+
+def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden):
+    report = hidden({"viscous_drag": {"coefficient": 0.3}}, hard=True, runs=6, seconds=30.0)
+    assert report.added[0] in ("viscous_drag", "speed_command_gain")
+    group = {report.added[0], *accepted(report, report.added[0]).indistinguishable_from}
+    assert {"viscous_drag", "speed_command_gain"} <= group
+
+
+def test_a_payload_is_taken_up_by_a_free_servo_gain_and_it_says_so(hidden):
+    report = hidden({"payload": {"mass_ratio": 0.3}}, hard=True, runs=6, seconds=30.0)
+    assert "payload" not in report.added
+    payload = next(item for item in report.candidates if item.effect == "payload")
+    assert payload.indistinguishable_from == ("base.speed_gain",)
+    assert "speed_gain" in payload.reason
+
+
+def test_a_rough_patch_is_not_blamed_on_the_library(hidden):
+    report = hidden({}, patch=True, runs=6, seconds=40.0, seed=194365079)
+    assert report.verdict == "unexplained"
+    assert report.added == ()
+    assert set(report.unexplained.depends_on) == {"x", "y"}
+    assert "sign(speed)" in report.unexplained.expression
+
+
+def test_the_document_is_the_contract(hidden):
+    report = hidden({"viscous_drag": {"coefficient": 0.3}}, runs=3, seconds=20.0)
+    document = json.loads(json.dumps(as_document(report), allow_nan=False))
+    assert {
+        "format", "robot", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
+        "data_quality",
+    } <= set(document)  # fmt: skip
+    assert document["format"] == 1
+    assert document["stages"][0]["effects"] == []
+    assert set(document["stages"][0]) == {"effects", "heldout_error", "per_state", "runs_improved"}
+    assert set(document["candidates"][0]) == {
+        "stage", "effect", "parameters", "heldout_error", "score", "indistinguishable_from", "decision", "reason",
+    }  # fmt: skip
+    value = accepted(report, "viscous_drag").parameters["coefficient"]
+    assert value.unit == "1/s"
+    assert {"variable", "low", "high", "error", "share", "samples"} <= set(document["where"][0])
