@@ -97,7 +97,7 @@ def test_the_page_tells_the_whole_story(diagnosed, tmp_path):
         "coefficient 0.2 ± 0.004 1/m",
         "quadratic_drag (accepted) and viscous_drag",
         "4 more candidates",
-        "quadratic_drag does what it does Cannot be told from viscous_drag.",
+        "Quadratic_drag does what it does. Cannot be told from viscous_drag.",
         "Coast down It separates a from b. They differ there",
         "It is a formula that fits, not a physical effect with a name",
         "x jumped &lt;once&gt; &amp; was cut",
