@@ -1,0 +1,49 @@
+"""The product's diagnosis on files, and an oracle: the same fit, told which effects are there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safedpa.diagnosis.diagnose import diagnose
+from safedpa.diagnosis.fitting import fit
+from safedpa.diagnosis.heldout import error_with, heldout_of
+from safedpa.diagnosis.report import as_document
+from safedpa.diagnosis.shooting import shooting_of
+from safedpa.diagnosis.trial import trial_of, tried
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.effects import effect
+from safedpa.records import load_run
+from safedpa.records.run import Run
+
+__all__ = ["HORIZON", "diagnosed", "oracle_error"]
+
+HORIZON = 1.0
+"""s, as the command has it."""
+
+
+def diagnosed(model: Path, runs: Sequence[Path]) -> dict[str, Any]:
+    """What ``safedpa diagnose`` writes into report.json for these files."""
+    return as_document(diagnose(*_loaded(model, runs), HORIZON))
+
+
+def oracle_error(model: Path, runs: Sequence[Path], effects: Sequence[str]) -> float:
+    """The held-out error of the model with the named effects, fitted by the same fitter on the same windows."""
+    given, recorded = _loaded(model, runs)
+    heldout, shooting = heldout_of(recorded, HORIZON), shooting_of(recorded, HORIZON)
+    free = list(given.latent_names)
+    shooting = shooting.around(given)
+    scale = np.maximum(shooting.residuals([given])[0].std(axis=(0, 1)), 1e-6)
+    base = trial_of(fit(given, free, shooting, scale), shooting, (), None)
+    trial = tried(base, [effect(given.system.name, name) for name in effects], shooting)
+    again = shooting.around(trial.fit.model)
+    best = fit(trial.fit.model, trial.fit.paths, again, trial.fit.scale)
+    return error_with(best, again, heldout).value
+
+
+def _loaded(model: Path, runs: Sequence[Path]) -> tuple[PhysicsModel, list[Run]]:
+    given = load_model(model)
+    return given, [load_run(path, given.system) for path in runs]
