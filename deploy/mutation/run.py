@@ -28,8 +28,8 @@ PACKAGE = "safedpa.safety"
 SECONDS = 120
 """After which a mutant counts as killed: it hangs."""
 
-BARRIERS = ("test_barriers.py", "test_filter_invariance.py")
-VERDICTS = ("test_filter_edges.py", "test_filter_inputs.py", "test_filter_verdicts.py")
+BARRIERS = ("test_barriers.py", "test_filter_recorded.py", "test_filter_invariance.py")
+VERDICTS = ("test_filter_recorded.py", "test_filter_edges.py", "test_filter_inputs.py", "test_filter_verdicts.py")
 SLOPES = "test_barriers.py::test_gradient_is_the_derivative"
 MODULES = {
     "decision": (*VERDICTS, "test_filter_invariance.py"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from itertools import chain
 from typing import final
 
 import numpy as np
@@ -37,7 +38,7 @@ class Barriers:
 
     def __init__(self, parts: Sequence[AbstractBarrier]) -> None:
         self.parts = tuple(parts)
-        self.names = tuple(name for part in self.parts for name in part.names)
+        self.names = tuple(chain.from_iterable(part.names for part in self.parts))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -53,5 +54,7 @@ class Barriers:
 
     def of_each(self, by_kind: dict[str, float], otherwise: float) -> Values:
         """(m,) the number that belongs to each barrier's kind."""
-        numbers = [by_kind.get(part.kind, otherwise) for part in self.parts for _ in part.names]
+        numbers: list[float] = []
+        for part in self.parts:
+            numbers += [by_kind.get(part.kind, otherwise)] * len(part.names)
         return np.array(numbers, dtype=np.float64)

@@ -75,7 +75,7 @@ class ObstacleBarrier(AbstractBarrier):
     def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
         distance, offset, nearest, low, high, turn = self._geometry(state)
         direction = offset / np.maximum(distance, _SMALLEST_DISTANCE)
-        direction[1, distance == 0.0] = 1.0
+        direction[1] += distance == 0.0  # on the segment itself (0, 0) / 1e-12 is no direction: to the left is one
         speed = float(state[3])
         stretched = nearest == (high if speed >= 0.0 else low)
         if speed == 0.0:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, final
 
 import numpy as np
@@ -81,12 +80,13 @@ class _Workspace:
     def __init__(self, rows: int, weights: Values, quadratic: float, linear: float) -> None:
         import piqp
 
-        self._actions, self._rows, self._weights = len(weights), rows, weights
+        self._actions, self._pull = len(weights), -2.0 * weights
         self._solved = piqp.PIQP_SOLVED
         self._solver: Any = piqp.DenseSolver()
         self._costs = np.concatenate([np.zeros(len(weights)), np.full(rows, linear)])
         self._left = np.zeros((rows, len(weights) + rows), order="F")
         self._left[:, len(weights) :] = np.eye(rows)
+        self._slopes = self._left[:, : len(weights)]
         self._right = np.full(rows, _NO_CONDITION)
         for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
             setattr(self._solver.settings, name, _ACCURACY)
@@ -97,15 +97,11 @@ class _Workspace:
     def solve(self, left: Values, right: Values, wish: Values) -> tuple[bool, str, Values]:
         """Whether it was solved, the solver's word, and (u, s) (actions + rows,)."""
         rows = len(right)
-        self._left[:rows, : self._actions], self._left[rows:, : self._actions] = left, 0.0
+        self._slopes[:rows], self._slopes[rows:] = left, 0.0
         self._right[:rows], self._right[rows:] = right, _NO_CONDITION
-        self._costs[: self._actions] = -2.0 * self._weights * wish
+        self._costs[: self._actions] = self._pull * wish
         self._solver.update(c=self._costs, G=self._left, h_l=self._right)
         status = self._solver.solve()
-        return status == self._solved, _words(status), self._solver.result.x
-
-
-@cache
-def _words(status: Any) -> str:
-    """``PIQP_MAX_ITER_REACHED`` as ``max iter reached``."""
-    return str(status.name).removeprefix("PIQP_").lower().replace("_", " ")
+        if status == self._solved:
+            return True, "solved", self._solver.result.x
+        return False, str(status.name).removeprefix("PIQP_").lower().replace("_", " "), self._solver.result.x
