@@ -76,7 +76,7 @@ _LEGEND = (
 def _table(first: str, rows: list[dict[str, Any]]) -> Any:
     from rich.table import Table
 
-    table = Table(box=None)
+    table = Table(box=None, padding=(0, 1, 0, 0))
     table.add_column(first, no_wrap=True)
     for name in ("n", "right", "95 %", "first", "all", "wrong", "2 sd", "oracle", "worst", "s"):
         table.add_column(name, justify="right", no_wrap=True)
