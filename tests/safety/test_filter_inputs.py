@@ -20,7 +20,7 @@ from safedpa.safety import (
     car_barriers,
 )
 from safedpa.safety import decision as decision_module
-from safedpa.safety.inputs import Unusable, checked_input
+from safedpa.safety.inputs import Unusable, all_finite, checked_input
 
 GOOD = np.array([0.0, 0.0, 0.0, 0.5])
 WISH = np.array([0.4, 0.1])
@@ -300,3 +300,34 @@ def test_checked_input_gives_a_fresh_array_or_a_reason() -> None:
     assert isinstance(checked_input("it", [0.0], narrow), np.ndarray)
     assert isinstance(checked_input("it", [1.0], narrow), np.ndarray)
     assert checked_input("it", [1.5], narrow) == Unusable("it is out of its plausible range: a = 1.5, wanted 0 to 1")
+
+
+@pytest.mark.parametrize(
+    ("entries", "finite"),
+    [
+        ([0.0, -1e150], True),
+        ([1e200, -1e300], True),  # their squares are not
+        ([], True),
+        ([1.0, math.nan], False),
+        ([math.inf, 1.0], False),
+        ([1e200, -math.inf], False),
+        ([[1.0, 2.0], [1e200, 3.0]], True),
+        ([[1.0, 2.0], [math.nan, 3.0]], False),
+    ],
+)
+def test_finite_is_what_every_entry_is(entries: Any, finite: bool) -> None:
+    array = np.array(entries)
+    assert all_finite(array) is finite
+    assert all_finite(array.T) is finite
+
+
+def test_one_range_may_stand_for_all_entries() -> None:
+    broad = Plausible(np.array([0.0]), np.array([1.0]), ("a", "b"))
+    assert isinstance(checked_input("x", [0.5, 1.0], broad), np.ndarray)
+    refused = checked_input("x", [0.5, 1.5], broad)
+    assert refused == Unusable("x is out of its plausible range: b = 1.5, wanted 0 to 1")
+
+
+def test_a_range_that_leaves_entries_out_is_refused() -> None:
+    with pytest.raises(ValueError, match="broadcast"):
+        checked_input("x", [0.5, 0.5, 0.5], Plausible(np.zeros(2), np.ones(2), ("a", "b", "c")))

@@ -27,7 +27,8 @@ class Plausible:
     @cached_property
     def sides(self) -> tuple[tuple[float, float], ...]:
         """(low, high) of each entry, as plain numbers: a few of them are compared faster than arrays."""
-        return tuple(zip(np.asarray(self.low).tolist(), np.asarray(self.high).tolist(), strict=True))
+        low, high = (np.broadcast_to(side, len(self.names)).tolist() for side in (self.low, self.high))
+        return tuple(zip(low, high, strict=True))
 
 
 @final
