@@ -92,6 +92,13 @@ def test_nothing_hidden():
     assert alarm.wrong == ("payload",)
 
 
+def test_what_the_pymunk_car_has_by_itself_is_not_wrong():
+    case = Case("towing", 1, {"towed_load": {"mass_ratio": 0.8, "deceleration": 1.5}}, load="chair")
+    outcome = judge(case, document(["towed_load", "steering_lag", "battery_sag"]))
+    assert outcome.right
+    assert outcome.wrong == ("battery_sag",)
+
+
 def test_the_patch_must_be_placed():
     case = Case("patch", 1, {}, patch=True)
     placed = {"depends_on": ["x", "y"], "expression": "", "share": 0.4}

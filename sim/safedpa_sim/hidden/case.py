@@ -55,6 +55,10 @@ ABSORBED = ("payload",)
 """What a free gain of the servo takes up whole: k / (1 + mass_ratio)."""
 
 
+PYMUNK_CAR = ("drive_lag", "quadratic_drag", "rolling_resistance", "steering_lag", "tyre_slip", "understeer")
+"""What the pymunk car has by itself and its given model has not: naming it is not wrong."""
+
+
 def equals_of(case: Case, effect: str) -> tuple[str, ...]:
     """Effects that no data of this case could tell from ``effect``, worked out from the equations."""
     if case.robot == "pendulum":
@@ -77,4 +81,5 @@ def truth_of(case: Case) -> dict[str, Any]:
         "effects": {name: dict(parameters) for name, parameters in case.effects.items()},
         "equals": {name: list(equals_of(case, name)) for name in case.effects},
         "absorbed": absorbed,
+        "present": list(PYMUNK_CAR) if case.load is not None else [],
     }

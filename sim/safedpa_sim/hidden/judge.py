@@ -97,7 +97,7 @@ def _stands_for(name: str, groups: Mapping[str, set[str]], truth: Document) -> b
 def _justified(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
     hidden = set(truth["effects"])
     equals = {other for name_hidden in hidden for other in truth["equals"][name_hidden]}
-    return name in hidden | equals or bool(groups[name] & hidden)
+    return name in hidden | equals | set(truth["present"]) or bool(groups[name] & hidden)
 
 
 def _deviations(document: Document, truth: Document) -> list[float]:
