@@ -9,12 +9,13 @@ import numpy as np
 
 from safedpa.diagnosis.experiment_choice import chosen_experiment
 from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with, heldout_of
+from safedpa.diagnosis.heldout import HeldoutError, error_with, heldout_of
 from safedpa.diagnosis.remaining import remaining
-from safedpa.diagnosis.report import Candidate, Report, Stage, Unexplained, Value, Verdict
+from safedpa.diagnosis.report import Candidate, Report, Unexplained, Value, Verdict
 from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.diagnosis.search import Judged, Search, searched
 from safedpa.diagnosis.shooting import Shooting, shooting_of
+from safedpa.diagnosis.stages import stages_of
 from safedpa.diagnosis.summary import worst_bins
 from safedpa.diagnosis.trial import Trial, trial_of
 from safedpa.dynamics import PhysicsModel
@@ -59,7 +60,7 @@ def diagnose(
     search = searched(model, library, shooting, heldout, tell)
     quality += _too_bad(search)
     rest = remaining(search.current, search.shooting, search.patch) if enough else None
-    stages, models = _stages(search, heldout)
+    stages, models = stages_of(search, heldout)
     return Report(
         robot=model.system.name,
         horizon=horizon,
@@ -138,37 +139,6 @@ def _verdict(search: Search, rest: Unexplained | None, enough: bool) -> Verdict:
     return "nothing_missing" if rest is None else "unexplained"
 
 
-def _stages(search: Search, heldout: Heldout) -> tuple[list[Stage], list[PhysicsModel]]:
-    """The given model refitted, then one stage per accepted effect, each refitted on the same windows."""
-    names = heldout.windows.system.state_names
-    fits = [search.first.fit]
-    given = search.first.fit.model
-    final = search.current.fit.model
-    for count in range(1, len(search.added)):
-        model = given
-        for name in search.added[:count]:
-            item = effect(given.system.name, name)
-            model = model.with_effect(item, {p.name: final.settings[f"{name}.{p.name}"] for p in item.parameters})
-        paths = [*search.first.fit.paths, *(path for path in model.settings if path.split(".")[0] in search.added)]
-        fits.append(fit(model, paths, search.shooting, search.current.fit.scale))
-    if search.added:
-        fits.append(search.current.fit)
-    errors = [error_with(item, search.shooting, heldout) for item in fits]
-    stages = []
-    for number, error in enumerate(errors):
-        before = errors[number - 1] if number else None
-        per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
-        stages.append(Stage(tuple(search.added[:number]), error.value, per_state, _improved(before, error)))
-    return stages, [item.model for item in fits]
-
-
-def _improved(before: HeldoutError | None, after: HeldoutError) -> str:
-    if before is None:
-        return ""
-    there = np.isfinite(before.by_run) & np.isfinite(after.by_run)
-    return f"{int((after.by_run[there] < before.by_run[there]).sum())}/{int(there.sum())}"
-
-
 def _candidate(item: Judged, search: Search) -> Candidate:
     own = set(item.trial.effects)
     paths = [path for path in item.trial.fit.paths if path.split(".")[0] in own]
@@ -205,23 +175,21 @@ def _where(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> tuple[di
 
 def _experiment(search: Search, library: Sequence[AbstractEffect]) -> Any:
     """Between an accepted effect and what this data cannot tell from it; else between the best two candidates."""
-    noise = np.maximum(search.shooting.windows.horizon * 0.0 + search.current.fit.scale, 1e-9)
-    final = search.current.fit.model
+    noise = np.maximum(search.current.fit.scale, 1e-9)
     for item in search.candidates:
         if item.decision != "rejected" and item.equals:
-            models = _survivors(item, search, final)
+            models = _survivors(item, search)
             if len(models) > 1:
                 return chosen_experiment(models, noise)
     return None
 
 
-def _survivors(item: Judged, search: Search, final: PhysicsModel) -> dict[str, PhysicsModel]:
+def _survivors(item: Judged, search: Search) -> dict[str, PhysicsModel]:
     same = [other for other in search.candidates if other.stage == item.stage]
     models = {item.trial.name: item.trial.fit.model}
     for other in same:
         if other.trial.name in item.equals and len(models) < 4:
             models[other.trial.name] = other.trial.fit.model
-    del final
     return models
 
 

@@ -3,7 +3,8 @@
 minimise sum over the states s of size_s log(sum of squares of the reduced residual of s): each state's noise is unknown
 and is estimated beside the parameters. Gauss-Newton steps with bounds; derivatives by differences.
 
-Source: Seber and Wild, Nonlinear Regression, Wiley 1989, ch. 11; Liang and Zeger, Biometrika 73, 1986 (sandwich).
+Source: Seber and Wild, Nonlinear Regression, Wiley 1989, ch. 11; Efron and Tibshirani, An Introduction to the
+Bootstrap, 1993, ch. 11 (jackknife).
 """
 
 from __future__ import annotations
@@ -50,20 +51,25 @@ class Fit:
         return np.array([self.model.settings[path].value for path in self.paths])
 
     def deviations(self, shooting: Shooting) -> Floats:
-        """One standard deviation of each parameter (paths,), NaN at a bound: sandwich over blocks of time."""
+        """One standard deviation of each parameter (paths,), NaN at a bound: jackknife over blocks of time.
+
+        (B - 1) / B sum over the blocks of (parameters without the block - parameters)^2, to first order; at least what
+        white residuals would give.
+        """
         found = np.full(len(self.paths), np.nan)
         if not self.free.any():
             return found
         columns = self.columns[..., self.free]
-        scores = np.einsum("wip,wi->wp", columns, self.residual)
-        blocks = np.zeros((int(shooting.block.max()) + 1, scores.shape[1]))
-        np.add.at(blocks, shooting.block, scores)
-        blocks = blocks[np.unique(shooting.block)]
-        bread = _inverse(np.einsum("wip,wiq->pq", columns, columns))
-        correction = len(blocks) / max(len(blocks) - columns.shape[-1], 1)
-        spread = np.diag(bread @ (blocks.T @ blocks) @ bread) * correction
-        white = np.diag(bread) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
-        found[self.free] = np.sqrt(np.maximum(np.maximum(spread, 0.5 * white), 0.0))
+        size = columns.shape[-1]
+        count = int(shooting.block.max()) + 1
+        curvature, slope = np.zeros((count, size, size)), np.zeros((count, size))
+        np.add.at(curvature, shooting.block, np.einsum("wip,wiq->wpq", columns, columns))
+        np.add.at(slope, shooting.block, np.einsum("wip,wi->wp", columns, self.residual))
+        whole, total = curvature.sum(axis=0), slope.sum(axis=0)
+        shifts = np.array([_inverse(whole - own) @ (total - part) for own, part in zip(curvature, slope, strict=True)])
+        spread = ((shifts - shifts.mean(axis=0)) ** 2).sum(axis=0) * (count - 1) / max(count, 1)
+        white = np.diag(_inverse(whole)) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
+        found[self.free] = np.sqrt(np.maximum(np.maximum(spread, white), 0.0))
         return found
 
     def without(self, shooting: Shooting) -> dict[int, Floats]:

@@ -28,6 +28,9 @@ _ROWS = 24
 """Rows of a window that are compared at most."""
 _STEP = 1e-4
 """Difference of a start's entry, in its unit."""
+_BLOCKS = 40
+"""Independent stretches of time that are wanted, of at least and at most so many seconds each:"""
+_BLOCK = (3.0, 10.0)
 _GLITCH = 8.0
 """Median deviations from the neighbouring rows beyond which a row is a glitch."""
 _PUSH = 5.0
@@ -102,7 +105,7 @@ class Shooting:
         return replace(found, tangent=_tangent(found, model))
 
 
-def shooting_of(runs: Sequence[Run], seconds: float, folds: int = 6, block: float = 4.0) -> Shooting:
+def shooting_of(runs: Sequence[Run], seconds: float, folds: int = 6) -> Shooting:
     """Windows of ``seconds`` one after the other; folds are runs, or stretches of time where there are few runs."""
     every = windows_of(runs, seconds, stride=1)
     windows = every.select(_one_after_the_other(every))
@@ -115,6 +118,7 @@ def shooting_of(runs: Sequence[Run], seconds: float, folds: int = 6, block: floa
     size = states.shape[-1]
     identity = np.broadcast_to(np.eye(size), (*states.shape, size)).copy()
     clock = windows.clock[windows.start]
+    block = float(np.clip(sum(run.duration for run in runs) / _BLOCKS, *_BLOCK))
     return Shooting(
         windows=windows,
         rows=rows,

@@ -1,0 +1,71 @@
+"""The model stage after stage: how the held-out error falls with every addition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from safedpa.diagnosis.fitting import Fit, fit
+from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.report import Stage
+from safedpa.diagnosis.search import Search
+from safedpa.dynamics import PhysicsModel
+from safedpa.effects import effect
+
+__all__ = ["stages_of"]
+
+_Step = tuple[Fit, HeldoutError]
+
+
+def stages_of(search: Search, heldout: Heldout) -> tuple[list[Stage], list[PhysicsModel]]:
+    """The given model refitted, then one stage per accepted effect, each refitted on the same windows.
+
+    Effects stand in the order in which they were accepted. Where one helps only beside a later one, they are put in
+    the order in which the error falls most, and ``search.added`` with them.
+    """
+    first = (search.first.fit, error_with(search.first.fit, search.shooting, heldout))
+    steps = [first, *(_step(search, search.added[: count + 1], heldout) for count in range(len(search.added)))]
+    if any(later[1].value > earlier[1].value for earlier, later in pairwise(steps)) and len(search.added) > 2:
+        search.added, steps = _by_fall(search, first, heldout)
+    names = heldout.windows.system.state_names
+    found = []
+    for number, (_, error) in enumerate(steps):
+        before = steps[number - 1][1] if number else None
+        per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
+        found.append(Stage(tuple(search.added[:number]), error.value, per_state, _improved(before, error)))
+    return found, [item.model for item, _ in steps]
+
+
+def _by_fall(search: Search, first: _Step, heldout: Heldout) -> tuple[list[str], list[_Step]]:
+    """The accepted effects, at each step the one with which the error is lowest."""
+    order: list[str] = []
+    steps = [first]
+    while len(order) < len(search.added):
+        left = [name for name in search.added if name not in order]
+        tried = {name: _step(search, [*order, name], heldout) for name in left}
+        best = min(left, key=lambda name: tried[name][1].value)
+        order.append(best)
+        steps.append(tried[best])
+    return order, steps
+
+
+def _step(search: Search, names: Sequence[str], heldout: Heldout) -> _Step:
+    """The first model with some of the accepted effects, refitted from the numbers of the last model."""
+    if set(names) == set(search.added):
+        return search.current.fit, error_with(search.current.fit, search.shooting, heldout)
+    model, final = search.first.fit.model, search.current.fit.model
+    for name in names:
+        item = effect(model.system.name, name)
+        model = model.with_effect(item, {p.name: final.settings[f"{name}.{p.name}"] for p in item.parameters})
+    own = [path for path in model.settings if path.split(".")[0] in names]
+    found = fit(model, [*search.first.fit.paths, *own], search.shooting, search.current.fit.scale)
+    return found, error_with(found, search.shooting, heldout)
+
+
+def _improved(before: HeldoutError | None, after: HeldoutError) -> str:
+    if before is None:
+        return ""
+    there = np.isfinite(before.by_run) & np.isfinite(after.by_run)
+    return f"{int((after.by_run[there] < before.by_run[there]).sum())}/{int(there.sum())}"
