@@ -107,6 +107,12 @@ def test_goes_on_when_reused_slopes_lead_to_the_same_solution() -> None:
     assert (scripted.solved, scripted.tangents) == (3, 2)
 
 
+def test_just_the_last_share_of_the_range_is_the_same() -> None:
+    program = QuadraticProgram(np.zeros(1), np.ones(1), np.ones(1), 1.0, 1.0)
+    one, other = (Outcome(np.array([a]), np.zeros(1), np.zeros(1), np.zeros(1)) for a in (1e-8, 0.0))
+    assert _same(program, one, other)
+
+
 def test_one_entry_that_moves_is_enough() -> None:
     program = QuadraticProgram(np.zeros(2), np.full(2, 9.0), np.ones(2), 1.0, 1.0)
     one, other = (Outcome(np.array(a), np.zeros(1), np.zeros(1), np.zeros(1)) for a in ((1.0, 1.0), (1.0, 2.0)))

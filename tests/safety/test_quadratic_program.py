@@ -115,3 +115,10 @@ def test_numbers_that_are_none_are_not_reported_as_solved() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
     solution = program.solve(np.array([[np.inf]]), np.array([0.5]), np.zeros(1))
     assert not (solution.solved and np.isfinite(solution.action).all())
+
+
+def test_a_solver_that_gives_up_is_not_believed() -> None:
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
+    program._workspace(1)._solver.settings.max_iter = 1
+    solution = program.solve(np.array([[1.0]]), np.array([0.5]), np.zeros(1))
+    assert (solution.solved, solution.status) == (False, "max iter reached")
