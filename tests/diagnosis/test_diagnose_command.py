@@ -10,6 +10,7 @@ import pytest
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.hidden import Case, write_case
@@ -72,7 +73,7 @@ def test_two_seconds_are_no_evidence(log):
     report = diagnose(model, [still(model, 2.0, [1.0, 0.1])])
     assert report.verdict == "unexplained"
     assert report.added == ()
-    assert any(item["kind"] == "too_little" for item in report.data_quality)
+    assert any(item["kind"] == "no_verdict" for item in report.data_quality)
 
 
 def test_constant_inputs_are_no_evidence(log):
@@ -80,10 +81,45 @@ def test_constant_inputs_are_no_evidence(log):
     report = diagnose(model, [still(model, 40.0, [1.0, 0.1])])
     assert report.verdict == "unexplained"
     assert report.added == ()
-    assert {"constant_input", "too_little"} <= {item["kind"] for item in report.data_quality}
+    assert {"constant_input", "no_verdict"} <= {item["kind"] for item in report.data_quality}
 
 
 def test_a_horizon_longer_than_the_log_is_refused(log):
     model = load_model(str(log.model))
     with pytest.raises(InputError, match="horizon"):
         diagnose(model, [still(model, 2.0, [1.0, 0.1])], horizon=5.0)
+
+
+def changed(log, tmp_path, change):
+    """The log's runs with their tables changed, as loaded runs."""
+    model = load_model(str(log.model))
+    found = []
+    for path in log.runs:
+        names = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        change(names, table)
+        out = tmp_path / path.name
+        np.savetxt(out, table, delimiter=",", header=",".join(names), comments="")
+        found.append(load_run(str(out), model.system))
+    return model, found
+
+
+def test_swapped_columns_are_no_physics(log, tmp_path):
+    def swap(names, table):
+        pair = [names.index("x"), names.index("y")]
+        table[:, pair] = table[:, pair[::-1]]
+
+    report = diagnose(*changed(log, tmp_path, swap))
+    assert report.verdict == "unexplained"
+    assert report.added == ()
+    assert "swapped_columns" in {item["kind"] for item in report.data_quality}
+
+
+def test_a_teleport_and_a_missing_number_are_cut_and_told(log, tmp_path):
+    def spoil(names, table):
+        table[100, names.index("yaw")] = np.nan
+        table[200:, names.index("x")] += 3.0
+
+    report = diagnose(*changed(log, tmp_path, spoil))
+    assert report.added == ("quadratic_drag",)
+    assert {"jump", "not_a_number"} <= {item["kind"] for item in report.data_quality}

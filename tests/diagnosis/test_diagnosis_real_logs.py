@@ -1,22 +1,21 @@
-"""What real logs lack: the pendulum's friction."""
+"""What real logs lack: friction, in the pendulum and in the car."""
 
 from __future__ import annotations
 
 from safedpa.diagnosis.comparison import with_distinct_names
-from safedpa.diagnosis.diagnose import add_effect, diagnose
+from safedpa.diagnosis.diagnose import add_effect
 from safedpa.dynamics import load_model
 from safedpa.records import load_column_map, load_run
 
 
-def test_the_pendulum_lacks_coulomb_friction(data):
+def test_coulomb_friction_takes_almost_half_of_the_error_off_the_pendulum(data):
     model = load_model("dfki_pendulum")
     paths = sorted((data / "dfki_pendulum").rglob("data_measured.csv"))
     columns = load_column_map("dfki_pendulum_columns")
     runs = with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
-    report = diagnose(model, runs, 0.4)
-    assert report.added[0] == "coulomb_friction"
-    assert report.stages[-1].heldout_error < 0.55 * report.stages[0].heldout_error
-    assert not {"torque_lag", "torque_delay", "angle_offset", "torque_offset"} & set(report.added)
+    found = add_effect(model, "coulomb_friction", runs, 0.4)
+    assert found.after.value < 0.56 * found.before.value
+    assert found.values["coulomb_friction.torque"].std < 0.05
 
 
 def test_friction_of_the_car_takes_error_off_logs_that_it_was_not_fitted_to(data):

@@ -29,6 +29,8 @@ _MOST_ROWS = 40_000
 """Of longer logs evenly spread pieces are used."""
 _FEWEST_WINDOWS = 12
 _FEWEST_SECONDS = 10.0
+_SEVERE = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent")
+"""Findings with which no verdict about physics is possible."""
 _LONGEST_WINDOW = 2.0
 """s; disturbances add up over longer ones."""
 
@@ -54,9 +56,10 @@ def diagnose(
     heldout = heldout_of(used, horizon)
     shooting = shooting_of(used, min(horizon, _LONGEST_WINDOW))
     enough, why = _enough(shooting, used)
+    enough, why = (enough, why) if not (wrong := _wrong(runs)) else (False, wrong)
     library = library_for(model) if enough else []
     if not enough:
-        quality.append(_row("all", Finding("too_little", why)))
+        quality.append(_row("all", Finding("no_verdict", why)))
     search = searched(model, library, shooting, heldout, tell)
     quality += _too_bad(search)
     rest = remaining(search.current, search.shooting, search.patch) if enough else None
@@ -118,6 +121,12 @@ def _enough(shooting: Shooting, runs: Sequence[Run]) -> tuple[bool, str]:
     if (np.ptp(actions, axis=0) < 1e-9).all():
         return False, "no input ever changes: nothing can be told from a constant; record a drive with steps in it"
     return True, ""
+
+
+def _wrong(runs: Sequence[Run]) -> str:
+    """What makes recordings something else than they say, empty where nothing does."""
+    found = [f"{run.name}: {item.message}" for run in runs for item in run.findings if item.kind in _SEVERE]
+    return found[0] if found else ""
 
 
 def _too_bad(search: Search) -> list[dict[str, Any]]:

@@ -198,6 +198,8 @@ def _prior(model: PhysicsModel, paths: Iterable[str]) -> Floats:
 def _scale(parameter: Parameter) -> float:
     """The size of a change that is ordinary."""
     neutral = parameter.neutral
+    if parameter.typical == 0.0 and not neutral:  # an angle, say, of which no size is ordinary
+        return 0.05 * (parameter.high - parameter.low)
     change = abs(parameter.typical - neutral) if neutral is not None else 0.0
     return max(min(change, 10 * abs(parameter.typical) + 1e-12), 0.05 * abs(parameter.typical), 1e-4)
 

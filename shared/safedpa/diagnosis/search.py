@@ -127,7 +127,7 @@ def _addition(
         pairs = _pairs(null, trials, rest, shooting)
         gains |= {trial.effects: block_gain(null, trial, shooting) for trial in pairs}
         errors |= {trial.effects: error_with(trial.fit, shooting, heldout) for trial in pairs}
-        good = [t for t in pairs if _passes(gains[t.effects], errors[t.effects], search.error)]
+        good = [t for t in pairs if _inside(t, null) and _passes(gains[t.effects], errors[t.effects], search.error)]
         if good:
             best, passed = min(good, key=lambda trial: trial.loss), True
         trials = sorted([*trials, *pairs], key=lambda trial: trial.loss)
@@ -160,13 +160,18 @@ def _passes(gain: float, error: HeldoutError | None, before: HeldoutError) -> bo
 
 def _preferred(trials: Sequence[Trial], shooting: Shooting, null: Trial) -> Trial | None:
     """The best trial, or the simplest of those that cannot be told from it with certainty."""
-    better = [trial for trial in trials if trial.loss < null.loss]
+    better = [trial for trial in trials if trial.loss < null.loss and _inside(trial, null)]
     if not better:
         return None
     close = [trial for trial in better[:8] if block_gain(trial, better[0], shooting) < SIMPLER]
     close = close or better[:1]
     fewest = min(len(trial.fit.paths) for trial in close)
     return next(trial for trial in close if len(trial.fit.paths) == fewest)
+
+
+def _inside(trial: Trial, null: Trial) -> bool:
+    """Whether none of its own parameters was pushed to a bound: what fits only there is something else."""
+    return bool(trial.fit.free[len(null.fit.paths) :].all())
 
 
 def _equals(trial: Trial, trials: Sequence[Trial], shooting: Shooting, null: Trial) -> tuple[str, ...]:

@@ -53,7 +53,9 @@ def starts_of(item: AbstractEffect) -> list[dict[str, float]]:
 def _grid(parameter: Parameter, beside: int) -> list[float]:
     """Fractions of what is ordinary, to both sides where the bounds allow it."""
     neutral, typical = parameter.neutral, parameter.typical
-    if neutral is None:
+    if typical == 0.0 and not neutral:
+        found = [part * parameter.high for part in (-0.4, -0.15, 0.0, 0.15, 0.4)]
+    elif neutral is None:
         found = [0.4 * typical, typical, 2.5 * typical]
     elif neutral == 0.0:
         parts = (0.15, 0.4, 0.8, 1.2, 1.8, 3.0) if beside == 1 else (0.4, 1.5)
