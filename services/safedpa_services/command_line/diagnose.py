@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from safedpa.dynamics import PhysicsModel
     from safedpa.records.run import Run
 
-__all__ = ["command"]
+__all__ = ["command", "loaded_runs", "story_lines", "value_text"]
 
 BAR = 40
 """Characters of the longest bar."""

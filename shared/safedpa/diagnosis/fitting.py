@@ -21,7 +21,7 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects.parameter import Parameter
 
-__all__ = ["Fit", "fit", "objective", "scale_of"]
+__all__ = ["Fit", "fit", "moved", "objective", "scale_of"]
 
 _STEPS = 8
 _DONE = 2e-4

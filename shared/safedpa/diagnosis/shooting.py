@@ -22,7 +22,7 @@ from safedpa.dynamics.settings import Setting
 from safedpa.effects import CommandEffect
 from safedpa.records.run import Run
 
-__all__ = ["Shooting", "shooting_of", "simulate"]
+__all__ = ["Shooting", "folds_of", "shooting_of", "simulate"]
 
 _ROWS = 24
 """Rows of a window that are compared at most."""

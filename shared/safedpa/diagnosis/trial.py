@@ -16,7 +16,7 @@ from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect
 from safedpa.effects.parameter import Parameter
 
-__all__ = ["Trial", "block_gain", "likeness", "starts_of", "tried", "with_start"]
+__all__ = ["Trial", "block_gain", "likeness", "paths_of", "starts_of", "trial_of", "tried", "with_start"]
 
 _MOST_STARTS = 9
 
