@@ -123,6 +123,9 @@ def _addition(
     errors = {trial.effects: error_with(trial.fit, shooting, heldout) for trial in close}
     best = _preferred(trials, shooting, null)
     passed = best is not None and _passes(gains[best.effects], errors.get(best.effects), search.error)
+    if not passed:  # the one that takes most off the windows may not help over the horizon: then another that does
+        good = [t for t in close if _inside(t, null) and _passes(gains[t.effects], errors[t.effects], search.error)]
+        best, passed = (good[0], True) if good else (best, False)
     if not passed:
         pairs = _pairs(null, trials, rest, shooting)
         gains |= {trial.effects: block_gain(null, trial, shooting) for trial in pairs}
