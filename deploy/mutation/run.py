@@ -121,7 +121,6 @@ def main(arguments: list[str]) -> int:
     from mutants import mutants
 
     import_what_is_not_mutated()
-    explained = (HERE / "survivors.md").read_text(encoding="utf-8") if (HERE / "survivors.md").exists() else ""
     rows, survivors, start = [], [], time.monotonic()
     for module in arguments or list(MODULES):
         source = (ROOT / "shared" / "safedpa" / "safety" / f"{module}.py").read_text(encoding="utf-8")
@@ -134,8 +133,7 @@ def main(arguments: list[str]) -> int:
         rows.append({"module": module, "mutants": len(planted), "survived": len(left)})
         for mutant in left:
             sys.stderr.write(f"survived: {module}:{mutant.line} {mutant.name}\n")
-            explanation = f"{module}: `{mutant.name}`" in explained
-            survivors.append({"module": module, "line": mutant.line, "name": mutant.name, "explained": explanation})
+            survivors.append({"module": module, "line": mutant.line, "name": mutant.name})
         sys.stderr.write(f"{module}: {len(planted)} mutants, {len(left)} survived, {time.monotonic() - start:.0f} s\n")
     return report(rows, survivors)
 
@@ -146,6 +144,9 @@ def report(rows: list[dict[str, Any]], survivors: list[dict[str, Any]]) -> int:
     before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"modules": [], "survivors": []}
     rows += [row for row in before["modules"] if row["module"] not in renewed and row["module"] in MODULES]
     survivors += [entry for entry in before["survivors"] if entry["module"] not in renewed]
+    explained = (HERE / "survivors.md").read_text(encoding="utf-8") if (HERE / "survivors.md").exists() else ""
+    for entry in survivors:
+        entry["explained"] = f"{entry['module']}: `{entry['name']}`" in explained
     rows.sort(key=lambda row: list(MODULES).index(row["module"]))
     total, alive = sum(row["mutants"] for row in rows), len(survivors)
     open_ones = [survivor for survivor in survivors if not survivor["explained"]]
