@@ -54,7 +54,7 @@ class TransportContract(ABC):
         """Sends until something arrives, then forgets it: subscriptions spread over a network with some delay."""
 
         def arrives() -> bool:
-            sender.put(key, b"are you there", never_drop=False)
+            sender.put(key, b"are you there", never_drop=True)
             return bool(heard.samples)
 
         assert until(arrives)

@@ -74,16 +74,16 @@ class ZenohTransport(AbstractTransport):
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
                 f"({_first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error
-        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         self._declared: list[Any] = []
 
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
         import zenoh
 
         try:
-            publisher = self._publishers.get(key)
+            publisher = self._publishers.get((key, never_drop))
             if publisher is None:
-                publisher = self._publishers[key] = self._publisher(key, never_drop)
+                publisher = self._publishers[key, never_drop] = self._publisher(key, never_drop)
             publisher.put(payload)
         except zenoh.ZError as error:
             raise BusError(f"{key}: could not be sent ({_first_clause(error)}); was the bus closed?") from error
