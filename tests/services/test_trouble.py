@@ -20,7 +20,7 @@ pytestmark = pytest.mark.processes
 
 def test_a_full_disk_ends_the_recording_not_the_drive(tmp_path: Path) -> None:
     command = f"{sys.executable} -m safedpa_services up --headless --json --seconds 10 --lockstep --out {tmp_path}"
-    limited = ["bash", "-c", f"ulimit -f 60; exec {command}"]  # no file may grow beyond 60 KiB
+    limited = ["bash", "-c", f"ulimit -f 32; exec {command}"]  # no file may grow beyond 32 KiB
     done = subprocess.run(limited, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
