@@ -41,6 +41,7 @@ class Recorder:
                 self._tell_health()
         self.turn(0.0)
         self._guarded(lambda file: file.close())
+        self._tell_health()  # the last word: whether everything was kept
         return 1 if self._error else 0
 
     def turn(self, wait: float) -> None:

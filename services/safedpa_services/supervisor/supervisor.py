@@ -85,3 +85,4 @@ class Supervisor:
             child.terminate()
         for child in self.services:
             child.end(_SERVICE_PATIENCE_SECONDS)
+        self.watch.listen(_TURN_SECONDS)  # the recorder's last word
