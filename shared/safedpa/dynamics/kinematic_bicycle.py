@@ -18,36 +18,50 @@ _WHEELBASE = Parameter("wheelbase", "m", 0.01, 10.0, 0.32, neutral=None, meaning
 _SPEED_GAIN = Parameter("speed_gain", "1/s", 0.05, 50.0, 3.0, neutral=None, meaning="gain of the speed servo")
 _LIMIT = Parameter("acceleration_limit", "m/s2", 0.1, 50.0, 6.0, neutral=None, meaning="limit of the servo")
 _DRIVE_GAIN = Parameter("drive_gain", "m/s2", 0.01, 100.0, 5.0, neutral=None, meaning="at full throttle")
+_TRACKED_POINT = Parameter("tracked_point", "m", -10.0, 10.0, 0.15, meaning="of the position, ahead of the rear axle")
 
 
 @final
 class KinematicBicycle(AbstractBase):
-    """A car whose wheels roll without slip; the position is that of the middle of the rear axle.
+    """A car whose wheels roll without slip; position and speed are those of a point on its middle line.
 
-    d(x)/dt = speed cos(yaw), d(y)/dt = speed sin(yaw), d(yaw)/dt = speed tan(steer) / wheelbase, and
+    beta = atan(tracked_point / wheelbase tan(steer)), the angle between that point's motion and the car's heading,
+
+    d(x)/dt = speed cos(yaw + beta), d(y)/dt = speed sin(yaw + beta), d(yaw)/dt = speed cos(beta) tan(steer) / wheelbase
 
     - speed_servo: d(speed)/dt = clip(speed_gain (target_speed - speed), +-acceleration_limit);
     - throttle: d(speed)/dt = drive_gain throttle.
+
+    The point lies ``tracked_point`` metres ahead of the rear axle: 0, the rear axle itself, unless given (beta = 0).
 
     Source: Rajamani, Vehicle Dynamics and Control, 2nd ed., section 2.2. Valid while tyres do not slip.
     """
 
     kind = "kinematic_bicycle"
-    equation = "x' = v cos(yaw), y' = v sin(yaw), yaw' = v tan(steer)/wheelbase, v' = drive"
+    equation = (
+        "x' = v cos(yaw + beta), y' = v sin(yaw + beta), yaw' = v cos(beta) tan(steer)/wheelbase, v' = drive, "
+        "beta = atan(tracked_point/wheelbase tan(steer))"
+    )
     source = "Rajamani, Vehicle Dynamics and Control, section 2.2"
 
     def __init__(self, drive: Drive = "speed_servo") -> None:
         self.drive = drive
         self.system = CAR if drive == "speed_servo" else CAR_THROTTLE
         servo = (_SPEED_GAIN, _LIMIT)
-        self.parameters = (_WHEELBASE, *(servo if drive == "speed_servo" else (_DRIVE_GAIN,)))
+        self.parameters = (_WHEELBASE, *(servo if drive == "speed_servo" else (_DRIVE_GAIN,)), _TRACKED_POINT)
 
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:  # noqa: D102
-        speed, yaw = state["speed"], state["yaw"]
+        speed, course = state["speed"], state["yaw"]
+        turning = speed * operations.tan(action["steer"]) / parameters["wheelbase"]
+        point = parameters["tracked_point"]
+        if not (isinstance(point, float) and point == 0.0):  # the rear axle moves along the heading: nothing to compute
+            slope = point / parameters["wheelbase"] * operations.tan(action["steer"])
+            course = course + operations.atan(slope)
+            turning = turning / operations.sqrt(1.0 + slope * slope)  # cos(atan(slope))
         return {
-            "x": speed * operations.cos(yaw),
-            "y": speed * operations.sin(yaw),
-            "yaw": speed * operations.tan(action["steer"]) / parameters["wheelbase"],
+            "x": speed * operations.cos(course),
+            "y": speed * operations.sin(course),
+            "yaw": turning,
             "speed": self._acceleration(speed, action, parameters, operations),
         }
 

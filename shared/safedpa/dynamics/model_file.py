@@ -108,6 +108,8 @@ def _setting_lines(model: PhysicsModel, owner: str, parameters: tuple[Parameter,
     lines = []
     for parameter in parameters:
         setting = model.settings[f"{owner}.{parameter.name}"]
+        if owner == "base" and parameter.neutral == 0.0 and setting == Setting(0.0):
+            continue  # it does nothing, and a file without the key says so too: fingerprints outlive new parameters
         value = f"{{ value = {setting.value!r}, free = true }}" if setting.free else repr(setting.value)
         lines.append(f"{parameter.name} = {value}  # {parameter.unit}")
     return lines

@@ -31,7 +31,8 @@ class PhysicsModel(AbstractDynamics):
     """x[t+1] = measure(RK4 over one period of (base + effects)(restore(x[t]), command(a[t])))).
 
     The latent z is the vector of all free parameters, in SI units, in the order base first, then effects as listed.
-    ``settings`` maps "base.<parameter>" and "<effect>.<parameter>" to values; every parameter must be there.
+    ``settings`` maps "base.<parameter>" and "<effect>.<parameter>" to values; every parameter must be there; those
+    of the base that have a neutral value get it when they are left out.
     Models are immutable: the ``with_`` methods return new ones.
 
     Raises ModelFileError when an effect does not fit the robot or its actions, stands twice, or a parameter is missing,
@@ -49,7 +50,8 @@ class PhysicsModel(AbstractDynamics):
         self.effects = tuple(effects)
         self.system = base.system
         self.period = period
-        self.settings = dict(settings or {})
+        optional = {f"base.{item.name}": Setting(item.neutral) for item in base.parameters if item.neutral is not None}
+        self.settings = {**optional, **(settings or {})}
         check_effects(base, self.effects)
         check_settings(self.parameters, self.settings)
         self.latent_names = tuple(path for path in self.parameters if self.settings[path].free)
