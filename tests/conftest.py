@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
 from safedpa.effects import library
+from safedpa.networks import Description, EnvironmentEntry, Weights
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -50,3 +53,58 @@ def _effects_of_one_test_alone() -> Iterator[None]:
     yield
     library._own.clear()
     library._own.update(before)
+
+
+@pytest.fixture(scope="session")
+def random_car_weights() -> Callable[..., Weights]:
+    """Makes weights for a car from (seed, latents, history, width)."""
+    return _random_car_weights
+
+
+def _random_car_weights(seed: int = 0, latents: int = 4, history: int = 50, width: int = 16) -> Weights:
+    """Random networks for the car: they predict nonsense, smoothly, in the shapes and names of trained ones."""
+    draw = np.random.default_rng(seed)
+    tensors: dict[str, Any] = {}
+
+    def dense(name: str, outputs: int, inputs: int) -> None:
+        tensors[f"{name}.weight"] = draw.normal(0.0, 1.0 / np.sqrt(inputs), (outputs, inputs))
+        tensors[f"{name}.bias"] = draw.normal(0.0, 0.1, outputs)
+
+    for name, outputs in (("f", 4), ("g", 8)):
+        for index, (out, into) in enumerate(((width, 3 + latents), (width, width), (outputs, width))):
+            dense(f"{name}.{index}", out, into)
+    environment = ()
+    if latents:
+        environment = (
+            EnvironmentEntry("towed_load.mass_ratio", 0.0, 1.5),
+            EnvironmentEntry("towed_load.deceleration", 0.0, 4.0),
+        )
+        dense("mu.0", 64, 2)
+        dense("mu.1", latents, 64)
+        dense("phi.dense.0", 32, 9)
+        dense("phi.dense.1", 32, 32)
+        for index in range(2):
+            tensors[f"phi.conv.{index}.weight"] = draw.normal(0.0, 0.06, (32, 32, 8))
+            tensors[f"phi.conv.{index}.bias"] = draw.normal(0.0, 0.1, 32)
+        dense("phi.out", latents, 32)
+        tensors |= {"environment_middle": np.array([0.75, 2.0]), "environment_scale": np.array([0.75, 2.0])}
+        tensors |= {"latent_low": np.full(latents, -3.0), "latent_high": np.full(latents, 3.0)}
+        tensors["latent_nominal"] = np.zeros(latents)
+    tensors |= {
+        "feature_middle": np.array([0.0, 0.0, 0.7]),
+        "feature_scale": np.array([1.0, 1.0, 1.3]),
+        "action_middle": np.array([0.7, 0.0]),
+        "action_scale": np.array([1.3, 0.34]),
+        "increment_scale": np.array([0.1, 0.02, 0.1, 0.2]),
+    }
+    description = Description(
+        robot="car",
+        period=0.05,
+        states=("x", "y", "yaw", "speed"),
+        actions=("target_speed", "steer"),
+        latents=latents,
+        history=history if latents else 0,
+        environment=environment,
+        trained_on={"seed": seed},
+    )
+    return Weights({name: tensor.astype(np.float32) for name, tensor in tensors.items()}, description)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from safedpa.dynamics.runge_kutta import Derivative, runge_kutta
 from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter
-from safedpa.operations import Operations
+from safedpa.operations import Operations, Scalar
 from safedpa.systems import System
 
 __all__ = ["AbstractBase"]
@@ -25,3 +26,7 @@ class AbstractBase(ABC):
     @abstractmethod
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:
         """d(state)/dt by name of the state's entry, in SI units per second."""
+
+    def integrate(self, derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
+        """The state after ``period`` seconds from d(state)/dt = derivative(state, time)."""
+        return runge_kutta(derivative, state, time, period)

@@ -11,18 +11,21 @@ from typing import Any
 
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
+from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.physics import PhysicsModel
 from safedpa.dynamics.rigid_pendulum import RigidPendulum
-from safedpa.dynamics.settings import Setting, wanted
+from safedpa.dynamics.settings import LATENT_PREFIX, Setting, base_default, wanted
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, ModelFileError, did_you_mean
+from safedpa.networks import load_weights, save_weights
 
 __all__ = ["FORMAT", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
 
 FORMAT = 1
-_TOP = ("format", "robot", "period", "base", "effects")
+_TOP = ("format", "robot", "period", "base", "networks", "effects")
+_NETWORKS = ("weights", "digest")
 _PARAMETER_KEYS = ("value", "free", "unit")
 
 
@@ -42,7 +45,7 @@ def load_model(source: str | Path) -> PhysicsModel:
             f"{source}: cannot be read ({error}); wanted a model file, or one of {', '.join(shipped)}"
         ) from error
     try:
-        return parse_model(text)
+        return parse_model(text, path.parent)
     except ModelFileError as error:
         raise ModelFileError(f"{source}: {error}") from error
 
@@ -53,8 +56,8 @@ def shipped_models() -> dict[str, Path]:
         return {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.endswith("_columns")}
 
 
-def parse_model(text: str) -> PhysicsModel:
-    """The model that a TOML text describes; see the docs page on model files.
+def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
+    """The model that a TOML text describes; see the docs page on model files. Weights are sought in ``folder``.
 
     Raises ModelFileError naming the key.
     """
@@ -70,23 +73,33 @@ def parse_model(text: str) -> PhysicsModel:
     base_table = table.get("base")
     if not isinstance(base_table, dict):
         raise ModelFileError("base: missing; wanted a table [base] with the key 'kind'")
-    base = _base(robot, base_table)
+    base, period = _base(robot, base_table), _period(table)
+    if "networks" in table:
+        base = _learned(base, table["networks"], folder or Path(), period)
     settings = _settings("base", base.parameters, base_table, ("kind", "drive"))
     effects = []
     for entry in _effect_tables(table):
         item = _effect(base, entry)
         effects.append(item)
         settings.update(_settings(item.name, item.parameters, entry, ("name",)))
-    return PhysicsModel(base, effects, settings, _period(table))
+    return PhysicsModel(base, effects, settings, period)
 
 
 def save_model(model: PhysicsModel, path: Path) -> None:
-    """Writes ``write_model`` to a file."""
-    path.write_text(write_model(model), encoding="utf-8")
+    """Writes ``write_model`` to a file, and a learned model's weights beside it."""
+    name = ""
+    if isinstance(model.base, LearnedBase):
+        name = path.with_suffix(".safetensors").name
+        save_weights(model.base.weights, path.with_name(name))
+    path.write_text(write_model(model, name), encoding="utf-8")
 
 
-def write_model(model: PhysicsModel) -> str:
-    """The TOML text that ``parse_model`` reads back to the same model."""
+def write_model(model: PhysicsModel, weights: str = "") -> str:
+    """The TOML text that ``parse_model`` reads back to the same model; ``weights`` is the name of a learned one's file.
+
+    Without that name the file that the weights came from is named, as its folder has it.
+    """
+    physical = model.base.nominal if isinstance(model.base, LearnedBase) else model.base
     lines = [
         f"format = {FORMAT}",
         f'robot = "{model.system.name}"',
@@ -94,10 +107,14 @@ def write_model(model: PhysicsModel) -> str:
         "",
         "[base]",
     ]
-    lines.append(f'kind = "{model.base.kind}"')
-    if isinstance(model.base, KinematicBicycle):
-        lines.append(f'drive = "{model.base.drive}"')
+    lines.append(f'kind = "{physical.kind}"')
+    if isinstance(physical, KinematicBicycle):
+        lines.append(f'drive = "{physical.drive}"')
     lines += _setting_lines(model, "base", model.base.parameters)
+    if isinstance(model.base, LearnedBase):
+        source = model.base.weights.source
+        name = weights or ("" if source is None else source.name)
+        lines += ["", "[networks]", f'weights = "{name}"', f'digest = "{model.base.weights.digest}"']
     for item in model.effects:
         lines += ["", "[[effects]]", f'name = "{item.name}"', f"# {item.equation}"]
         lines += _setting_lines(model, item.name, item.parameters)
@@ -108,11 +125,20 @@ def _setting_lines(model: PhysicsModel, owner: str, parameters: tuple[Parameter,
     lines = []
     for parameter in parameters:
         setting = model.settings[f"{owner}.{parameter.name}"]
-        if owner == "base" and parameter.neutral == 0.0 and setting == Setting(0.0):
-            continue  # it does nothing, and a file without the key says so too: fingerprints outlive new parameters
+        if owner == "base" and _goes_without_saying(parameter, setting):
+            continue
         value = f"{{ value = {setting.value!r}, free = true }}" if setting.free else repr(setting.value)
         lines.append(f"{parameter.name} = {value}  # {parameter.unit}")
     return lines
+
+
+def _goes_without_saying(parameter: Parameter, setting: Setting) -> bool:
+    """Whether a file without the key says the same: so fingerprints outlive new parameters that do nothing.
+
+    A neutral value other than 0 is written all the same (the pendulum's gravity): it does something.
+    """
+    silent = parameter.neutral == 0.0 or parameter.name.startswith(LATENT_PREFIX)
+    return silent and setting == base_default(parameter)
 
 
 def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
@@ -129,6 +155,25 @@ def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
     if drive not in ("speed_servo", "throttle"):
         raise ModelFileError(f"base.drive: got {drive!r}, wanted 'speed_servo' or 'throttle'")
     return KinematicBicycle(drive)
+
+
+def _learned(nominal: AbstractBase, table: Any, folder: Path, period: float) -> LearnedBase:
+    if not isinstance(table, dict) or not isinstance(table.get("weights"), str):
+        raise ModelFileError("networks.weights: missing; wanted the name of a safetensors file beside the model file")
+    _refuse_unknown(table, _NETWORKS, "networks.")
+    try:
+        weights = load_weights(folder / table["weights"])
+    except InputError as error:
+        raise ModelFileError(f"networks.weights: {error}") from error
+    if table.get("digest", weights.digest) != weights.digest:
+        raise ModelFileError(
+            f"networks.digest: got {table['digest']}, the weights in '{table['weights']}' have {weights.digest}; "
+            "they were changed after the model was written: choose the weights that it was written with"
+        )
+    trained = weights.description.period
+    if abs(trained - period) > 1e-9:
+        raise ModelFileError(f"period: got {period:g} s, the networks were trained for {trained:g} s; write that")
+    return LearnedBase(nominal, weights)
 
 
 def _effect_tables(table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -159,7 +204,7 @@ def _settings(
         if parameter.name in table:
             found[path] = _setting(path, parameter, table[parameter.name])
         elif owner == "base" and parameter.neutral is not None:
-            found[path] = Setting(parameter.neutral)
+            found[path] = base_default(parameter)
         # an effect's parameter that is left out is an error, raised by the model: an effect that silently does
         # nothing, or something typical, would be worse
     return found

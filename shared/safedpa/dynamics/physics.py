@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
-from safedpa.dynamics.runge_kutta import runge_kutta
-from safedpa.dynamics.settings import Setting, check_effects, check_settings
+from safedpa.dynamics.settings import Setting, base_default, check_effects, check_settings
 from safedpa.dynamics.tangent import batched_difference, forward_mode, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
@@ -50,7 +49,7 @@ class PhysicsModel(AbstractDynamics):
         self.effects = tuple(effects)
         self.system = base.system
         self.period = period
-        optional = {f"base.{item.name}": Setting(item.neutral) for item in base.parameters if item.neutral is not None}
+        optional = {f"base.{item.name}": base_default(item) for item in base.parameters if item.neutral is not None}
         self.settings = {**optional, **(settings or {})}
         check_effects(base, self.effects)
         check_settings(self.parameters, self.settings)
@@ -175,14 +174,14 @@ class PhysicsModel(AbstractDynamics):
             return rates
 
         try:
-            after = runge_kutta(derivative, state, time, period)
+            after = self.base.integrate(derivative, state, time, period)
         except (ValueError, ArithmeticError):
             # Python's math refuses sin(inf) and exp(1000), where numpy and torch answer NaN and inf: so does this model
             if operations is not FLOATS:
                 raise
             operations = NUMPY
             with np.errstate(all="ignore"):
-                after = runge_kutta(
+                after = self.base.integrate(
                     derivative, {name: np.float64(value) for name, value in state.items()}, time, period
                 )
         for sensor in reversed(self._sensors):

@@ -1,4 +1,4 @@
-"""The classical Runge-Kutta method over named scalars."""
+"""Integration over named scalars: the classical Runge-Kutta method, and the step of Euler."""
 
 from __future__ import annotations
 
@@ -7,10 +7,18 @@ from collections.abc import Callable
 from safedpa.effects.effect import Named
 from safedpa.operations import Scalar
 
-__all__ = ["runge_kutta"]
+__all__ = ["Derivative", "euler", "runge_kutta"]
+
+Derivative = Callable[[Named, Scalar], Named]
 
 
-def runge_kutta(derivative: Callable[[Named, Scalar], Named], state: Named, time: Scalar, period: float) -> Named:
+def euler(derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
+    """state + period derivative(state, time)."""
+    rates = derivative(state, time)
+    return {name: value + period * rates[name] for name, value in state.items()}
+
+
+def runge_kutta(derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
     """The state after ``period`` [s] from d(state)/dt = derivative(state, time); local error of order period^5.
 
     Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section II.1.

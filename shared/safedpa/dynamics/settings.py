@@ -10,7 +10,10 @@ from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError, did_you_mean
 
-__all__ = ["Setting", "check_effects", "check_settings", "wanted"]
+__all__ = ["LATENT_PREFIX", "Setting", "base_default", "check_effects", "check_settings", "wanted"]
+
+LATENT_PREFIX = "latent_"
+"""Names of a learned latent's entries among the base's parameters: latent_0, latent_1, ..."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,12 @@ class Setting:
     def __post_init__(self) -> None:
         # fits hand in numpy's numbers, which a model file would print as np.float64(...)
         object.__setattr__(self, "value", float(self.value))
+
+
+def base_default(parameter: Parameter) -> Setting:
+    """What a base's parameter is when nobody says; a learned latent is free: adaptation is there to estimate it."""
+    assert parameter.neutral is not None
+    return Setting(parameter.neutral, free=parameter.name.startswith(LATENT_PREFIX))
 
 
 def wanted(parameter: Parameter) -> str:

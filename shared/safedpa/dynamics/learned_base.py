@@ -1,0 +1,117 @@
+"""A base whose motion comes from learned networks: what filter, comparison and diagnosis take as any other base."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.runge_kutta import Derivative, euler
+from safedpa.dynamics.settings import LATENT_PREFIX
+from safedpa.effects.effect import Named
+from safedpa.effects.parameter import Parameter
+from safedpa.errors import ModelFileError
+from safedpa.networks import LearnedNetworks, Weights
+from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar
+
+__all__ = ["LearnedBase"]
+
+
+@final
+class LearnedBase(AbstractBase):
+    """d(state)/dt = (f(x, z) + g(x, z) a) / period from networks; z are the parameters latent_0, latent_1, ...
+
+    ``nominal`` is the physics that the file names beside the weights: its parameters (a wheelbase, say) are what named
+    effects on top refer to; it does not move the robot. Raises ModelFileError when the weights are for another robot.
+    """
+
+    kind = "learned"
+    equation = "x' = f(x, z) + g(x, z) a"
+    source = "Xiao, He, Dolan, Shi, Safe Deep Policy Adaptation, ICRA 2024"
+
+    def __init__(self, nominal: AbstractBase, weights: Weights) -> None:
+        described, system = weights.description, nominal.system
+        got = (described.robot, described.states, described.actions)
+        wanted = (system.name, system.state_names, system.action_names)
+        if got != wanted:
+            raise ModelFileError(
+                f"networks.weights: trained for robot '{got[0]}' with state {', '.join(got[1])} and action "
+                f"{', '.join(got[2])}; the model is a '{wanted[0]}' with {', '.join(wanted[1])} and "
+                f"{', '.join(wanted[2])}; choose the weights of this robot"
+            )
+        self.nominal = nominal
+        self.weights = weights
+        self.system = system
+        self.networks = LearnedNetworks(weights)
+        self.parameters = (*nominal.parameters, *_latent_parameters(weights))
+        self._latents = tuple(f"{LATENT_PREFIX}{index}" for index in range(described.latents))
+        self._last: tuple[tuple[float, ...], list[float], list[list[float]]] | None = None
+        self._torch: Any = None
+
+    def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:  # noqa: D102
+        names = self.system.state_names
+        entries = [state[name] for name in names]
+        latent = [parameters[name] for name in self._latents]
+        wish = [action[name] for name in self.system.action_names]
+        if operations is FLOATS or operations is COMPLEX:
+            change = self._single(entries, latent, wish)
+        elif operations is NUMPY:
+            change = self._batch(entries, latent, wish)
+        else:
+            change = self._tensors(entries, latent, wish)
+        return {name: value / self.weights.description.period for name, value in zip(names, change, strict=True)}
+
+    def integrate(self, derivative: Derivative, state: Named, time: Scalar, period: float) -> Named:
+        """state + period rates: networks tell the change over a whole period, nothing is to be refined."""
+        return euler(derivative, state, time, period)
+
+    def _single(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
+        """The change of one robot; f and g of the last state are kept, for the many actions that the filter tries."""
+        known = (*entries, *latent)
+        if self._last is None or self._last[0] != known:
+            f, g = self.networks.increment(np.array(entries), np.array(latent))
+            self._last = (known, f.tolist(), g.tolist())
+        _, f_rows, g_rows = self._last
+        return [
+            start + sum(slope * felt for slope, felt in zip(row, wish, strict=True))
+            for start, row in zip(f_rows, g_rows, strict=True)
+        ]
+
+    def _batch(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
+        arrays = np.broadcast_arrays(*entries, *latent, *wish)
+        states, latents = len(entries), len(latent)
+        x, z, a = (
+            np.stack(part, axis=-1) if part else np.zeros((*arrays[0].shape, 0))
+            for part in (arrays[:states], arrays[states : states + latents], arrays[states + latents :])
+        )
+        f, g = self.networks.increment(x, z)
+        change = f + np.einsum("...sa,...a->...s", g, a)
+        return [change[..., index] for index in range(states)]
+
+    def _tensors(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
+        from safedpa.networks.tensors import TensorNetworks
+
+        if self._torch is None:
+            self._torch = TensorNetworks(self.weights)
+        change: list[Scalar] = self._torch.change(entries, latent, wish)
+        return change
+
+
+def _latent_parameters(weights: Weights) -> tuple[Parameter, ...]:
+    """One parameter per entry of z, in the range that the networks were trained on; at rest where nothing acts."""
+    if not weights.description.latents:
+        return ()
+    low, high, nominal = (weights[name].tolist() for name in ("latent_low", "latent_high", "latent_nominal"))
+    return tuple(
+        Parameter(
+            f"{LATENT_PREFIX}{index}",
+            "1",
+            low[index],
+            high[index],
+            max(0.25 * (high[index] - low[index]), 1e-6),
+            neutral=min(max(nominal[index], low[index]), high[index]),
+            meaning="learned: what the environment does to the motion",
+        )
+        for index in range(len(low))
+    )

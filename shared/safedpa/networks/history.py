@@ -1,0 +1,82 @@
+"""The history encoder z = phi(last k states and actions)."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+from safedpa.networks.frame import frame_of
+from safedpa.networks.layers import Layer, convolution_stack, dense_stack, layers_of
+from safedpa.networks.weights import STRIDE, Weights
+
+__all__ = ["HistoryEncoder"]
+
+Values = NDArray[np.float64]
+
+
+@final
+class HistoryEncoder:
+    """Inference of phi: two dense layers for each row, two convolutions over time, one dense layer.
+
+    A row is one transition: what the networks see of the state, the change of state in the robot's own frame and the
+    action, all scaled. Rows of zeros stand for transitions before the first one. Raises InputError without phi.
+    Source: the 1-D CNN of Kumar et al., RMA: Rapid Motor Adaptation, RSS 2021, in the sizes of SafeDPA's related code.
+    """
+
+    def __init__(self, weights: Weights) -> None:
+        if not weights.has("phi"):
+            raise InputError("weights: no history encoder (phi) in them; train phase 2 first")
+        self.length = weights.description.history
+        self.latents = weights.description.latents
+        self._frame = frame_of(weights.description.robot)
+        self._scales = [
+            weights[name].astype(np.float64)
+            for name in ("feature_middle", "feature_scale", "increment_scale", "action_middle", "action_scale")
+        ]
+        self.row_length = sum(len(self._scales[index]) for index in (0, 2, 3))
+        self._dense = layers_of(weights.tensors, "phi.dense")
+        self._convolutions = layers_of(weights.tensors, "phi.conv")
+        self._out = Layer(weights["phi.out.weight"], weights["phi.out.bias"])
+        self._low, self._high = (weights[name].astype(np.float64) for name in ("latent_low", "latent_high"))
+
+    def rows(self, states: Values, actions: Values) -> Values:
+        """The rows (..., n, row_length) of n transitions: states (..., n + 1, states), actions (..., n, actions)."""
+        if states.shape[-2] != actions.shape[-2] + 1:
+            raise InputError(
+                f"history: got {states.shape[-2]} states and {actions.shape[-2]} actions, wanted one state more"
+            )
+        feature_middle, feature_scale, increment_scale, action_middle, action_scale = self._scales
+        before = states[..., :-1, :]
+        return np.concatenate(
+            [
+                (self._frame.features(before) - feature_middle) / feature_scale,
+                self._frame.own_increment(before, states[..., 1:, :]) / increment_scale,
+                (actions - action_middle) / action_scale,
+            ],
+            axis=-1,
+        )
+
+    def padded(self, rows: Values) -> Values:
+        """The last k rows (..., k, row_length), with rows of zeros in front where there are fewer."""
+        kept = rows[..., max(0, rows.shape[-2] - self.length) :, :]
+        missing = self.length - kept.shape[-2]
+        return np.concatenate([np.zeros((*kept.shape[:-2], missing, self.row_length)), kept], axis=-2)
+
+    def encode(self, rows: Values) -> Values:
+        """z (..., latents) for exactly k rows (..., k, row_length), within the range that the networks know.
+
+        Raises InputError when there are fewer or more: pad a history that has just begun with ``padded``.
+        """
+        if rows.shape[-2:] != (self.length, self.row_length):
+            raise InputError(
+                f"history: got {rows.shape[-2]} rows of {rows.shape[-1]}, wanted {self.length} of {self.row_length}; "
+                "a history that has just begun must be padded"
+            )
+        seen = dense_stack(rows.astype(np.float32), self._dense, "relu", last_linear=False)
+        seen = convolution_stack(seen, self._convolutions, STRIDE)
+        flat = np.swapaxes(seen, -1, -2).reshape(*seen.shape[:-2], -1)
+        latent = dense_stack(flat, [self._out], "relu").astype(np.float64)
+        return np.clip(latent, self._low, self._high)

@@ -1,0 +1,64 @@
+"""Dense and convolutional layers in numpy: some matrix products, and nothing else at work in a service."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+
+__all__ = ["Activation", "Layer", "convolution_stack", "dense_stack", "layers_of"]
+
+Activation = Literal["relu", "tanh"]
+Values = NDArray[np.floating[Any]]
+
+
+class Layer(NamedTuple):
+    """Weight and bias: (out, in) and (out,) of a dense layer, (out, in, kernel) and (out,) of a convolution."""
+
+    weight: Values
+    bias: Values
+
+
+def layers_of(tensors: Mapping[str, Values], prefix: str) -> tuple[Layer, ...]:
+    """The layers ``prefix.0``, ``prefix.1``, ... of a weights file; none when there is no such network.
+
+    Raises InputError when a weight comes without its bias.
+    """
+    layers: list[Layer] = []
+    while (name := f"{prefix}.{len(layers)}.weight") in tensors:
+        bias = f"{prefix}.{len(layers)}.bias"
+        if bias not in tensors:
+            raise InputError(f"weights: got '{name}' without '{bias}', wanted both; write the file anew")
+        layers.append(Layer(tensors[name], tensors[bias]))
+    return tuple(layers)
+
+
+def dense_stack(x: Values, layers: Sequence[Layer], activation: Activation, *, last_linear: bool = True) -> Values:
+    """y = W_n s(... s(W_1 x + b_1) ...) + b_n for x (..., in), shape (..., out); s is the activation.
+
+    ``last_linear`` false applies the activation after the last layer, too.
+    """
+    last = len(layers) - 1
+    for index, (weight, bias) in enumerate(layers):
+        x = x @ weight.T + bias
+        if index < last or not last_linear:
+            x = np.maximum(x, 0.0) if activation == "relu" else np.tanh(x)
+    return x
+
+
+def convolution_stack(x: Values, layers: Sequence[Layer], stride: int) -> Values:
+    """Convolutions over time with ReLU after each, without padding: x (..., time, in) to (..., shorter time, out).
+
+    y[t, o] = relu(b[o] + sum over i, j of W[o, i, j] x[stride t + j, i]).
+    """
+    for weight, bias in layers:
+        kernel = weight.shape[2]
+        steps = (x.shape[-2] - kernel) // stride + 1
+        windows = np.lib.stride_tricks.sliding_window_view(x, kernel, axis=-2)[..., ::stride, :, :]
+        flat = windows[..., :steps, :, :].reshape(*x.shape[:-2], steps, -1)
+        x = np.maximum(flat @ weight.reshape(len(weight), -1).T + bias, 0.0)
+    return x
