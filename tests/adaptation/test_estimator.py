@@ -195,7 +195,7 @@ def test_the_lag_of_the_actuators_is_remembered_between_updates() -> None:
     kept = Drive(LAGGED).run(15.0, planted).estimator.latent[1]
     drive = Drive(LAGGED)
     for _ in range(round(15.0 / PERIOD)):
-        drive.estimator.forget_actuators()
+        drive.estimator.forget_transient()
         drive.run(PERIOD, planted)
     assert abs(kept - 0.2) < 0.05
     assert abs(drive.estimator.latent[1] - 0.2) > 0.1

@@ -13,11 +13,12 @@ sections 13.2 and 13.4 (parameter estimation).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.adaptation.abstract import AbstractEstimator, check_transition
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 
@@ -48,8 +49,11 @@ class EstimatorSettings:
             raise InputError(f"estimator settings: got {self}, wanted positive numbers")
 
 
-class LatentEstimator:
-    """Estimates z of one robot. ``latent`` (latents,) and ``deviations`` (latents,) are the result so far."""
+@final
+class LatentEstimator(AbstractEstimator):
+    """Estimates the free parameters of a model by the extended Kalman filter above."""
+
+    quick = False
 
     def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
         settings = settings or EstimatorSettings()
@@ -70,16 +74,11 @@ class LatentEstimator:
         self._memory: Any = None
 
     @property
-    def deviations(self) -> Vector:
-        """Standard deviation of each entry of the latent."""
+    def deviations(self) -> Vector:  # noqa: D102
         return np.sqrt(np.diag(self._covariance))
 
-    def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:
-        """Learns from one transition: state (states,), action in force (actions,), next state one period [s] later.
-
-        Raises InputError when a number is not finite or the period not positive; nothing is learned then.
-        """
-        _check_finite(state, action, next_state, period)
+    def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:  # noqa: D102
+        check_transition(state, action, next_state, period)
         memory = self._model.initial_memory(action) if self._memory is None else self._memory
         predicted, self._memory = self._model.advance(state, action, memory, self.latent, period=period)
         if not len(self.latent):
@@ -107,8 +106,8 @@ class LatentEstimator:
         limited: Vector = covariance * np.outer(excess, excess)
         return limited
 
-    def forget_actuators(self) -> None:
-        """Takes the actuators as settled at the next action: after a gap in the ticks."""
+    def forget_transient(self) -> None:
+        """Takes the actuators as settled at the next action."""
         self._memory = None
 
     def _sensitivity(self, state: Vector, action: Vector, memory: Any, predicted: Vector, period: float) -> Vector:
@@ -125,10 +124,3 @@ class LatentEstimator:
     def _weighted_down(self, innovation: Vector, spread: Vector) -> Vector:
         size = float(np.sqrt(innovation @ np.linalg.solve(spread, innovation) / len(innovation)))
         return innovation * min(1.0, self._settings.largest_innovation / max(size, 1e-12))
-
-
-def _check_finite(state: Vector, action: Vector, next_state: Vector, period: float) -> None:
-    if not (np.isfinite(state).all() and np.isfinite(action).all() and np.isfinite(next_state).all()):
-        raise InputError(f"transition: got {state} under {action} to {next_state}, wanted finite numbers")
-    if not (np.isfinite(period) and period > 0.0):
-        raise InputError(f"period: got {period}, wanted a positive number of seconds")

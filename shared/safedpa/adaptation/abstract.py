@@ -1,0 +1,48 @@
+"""What an estimator of the latent is, whatever it learns from."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+
+__all__ = ["AbstractEstimator", "check_transition"]
+
+Vector = NDArray[np.float64]
+
+
+class AbstractEstimator(ABC):
+    """Estimates z of one robot from its transitions."""
+
+    quick: ClassVar[bool]
+    """Whether it may learn while others wait for the latent."""
+    latent: Vector
+    """The estimate so far, shape (latents,)."""
+
+    @property
+    @abstractmethod
+    def deviations(self) -> Vector:
+        """Standard deviation of each entry of the latent; 0 for one that is not estimated."""
+
+    @abstractmethod
+    def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:
+        """Learns from one transition: state (states,), action in force (actions,), next state one period [s] later.
+
+        Raises InputError when a number is not finite or the period not positive; nothing is learned then.
+        """
+
+    @abstractmethod
+    def forget_transient(self) -> None:
+        """Takes what comes next as not joined to what came last: after a gap in the ticks."""
+
+
+def check_transition(state: Vector, action: Vector, next_state: Vector, period: float) -> None:
+    """Raises InputError when a transition cannot teach anything."""
+    if not (np.isfinite(state).all() and np.isfinite(action).all() and np.isfinite(next_state).all()):
+        raise InputError(f"transition: got {state} under {action} to {next_state}, wanted finite numbers")
+    if not (np.isfinite(period) and period > 0.0):
+        raise InputError(f"period: got {period}, wanted a positive number of seconds")

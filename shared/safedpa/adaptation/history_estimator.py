@@ -1,0 +1,74 @@
+"""The learned estimator: z = phi(last k states and actions)."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.adaptation.abstract import AbstractEstimator, check_transition
+from safedpa.dynamics import LearnedBase, PhysicsModel
+from safedpa.dynamics.settings import LATENT_PREFIX
+from safedpa.errors import InputError
+from safedpa.networks import HistoryEncoder
+
+__all__ = ["HistoryEstimator"]
+
+Vector = NDArray[np.float64]
+
+
+@final
+class HistoryEstimator(AbstractEstimator):
+    """Keeps the last k transitions and encodes them; until there are k, rows of zeros stand in front.
+
+    Free parameters of effects on top of the networks keep the values of the model file. Raises InputError when the
+    model has no history encoder.
+    """
+
+    quick = True
+
+    def __init__(self, model: PhysicsModel) -> None:
+        if not isinstance(model.base, LearnedBase):
+            raise InputError("model: got physics, wanted learned networks with a history encoder")
+        self._encoder = HistoryEncoder(model.base.weights)
+        self._period = model.period
+        self._entries = [
+            index for index, path in enumerate(model.latent_names) if path.startswith(f"base.{LATENT_PREFIX}")
+        ]
+        if len(self._entries) != self._encoder.latents:
+            raise InputError(
+                f"model: {len(self._entries)} of {self._encoder.latents} entries of the latent are free, wanted all; "
+                f"remove base.{LATENT_PREFIX}... from the model file"
+            )
+        self._rows = np.zeros((self._encoder.length, self._encoder.row_length))
+        self.latent: Vector = model.latent.copy()
+        self._deviations = _deviations(model, self._entries)
+
+    @property
+    def deviations(self) -> Vector:  # noqa: D102
+        return self._deviations
+
+    def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:  # noqa: D102
+        check_transition(state, action, next_state, period)
+        if abs(period - self._period) > 0.01 * self._period:
+            raise InputError(
+                f"period: got {period:g} s, the networks were trained for {self._period:g} s; run the robot at that"
+            )
+        self._rows[:-1] = self._rows[1:]
+        self._rows[-1] = self._encoder.rows(np.stack([state, next_state]), action[None])[0]
+        self.latent[self._entries] = self._encoder.encode(self._rows)
+
+    def forget_transient(self) -> None:
+        """Begins a new history; the estimate stays until it says something."""
+        self._rows[:] = 0.0
+
+
+def _deviations(model: PhysicsModel, entries: list[int]) -> Vector:
+    """As measured in training, where the weights say so; else half the range, which is all that is known."""
+    assert isinstance(model.base, LearnedBase)
+    weights = model.base.weights
+    spread = 0.5 * (weights["latent_high"] - weights["latent_low"])
+    found = np.zeros(len(model.latent_names))
+    found[entries] = weights.tensors.get("latent_deviation", spread)
+    return found

@@ -1,0 +1,115 @@
+"""The learned estimator at work in the service's step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from safedpa.adaptation import AdaptationNode, HistoryEstimator, LatentEstimator
+from safedpa.bus import LATENT, LatentMessage, StateMessage
+from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, load_model
+from safedpa.effects.library import effect
+from safedpa.errors import InputError, MessageError
+from safedpa.networks import HistoryEncoder, Weights
+
+
+def learned(weights: Weights) -> PhysicsModel:
+    nominal = load_model("car")
+    settings = {path: setting for path, setting in nominal.settings.items() if path.startswith("base.")}
+    return PhysicsModel(LearnedBase(nominal.base, weights), (), settings)
+
+
+def states(count: int, period: float = 0.05) -> list[StateMessage]:
+    draw = np.random.default_rng(0)
+    values = np.cumsum(draw.normal(scale=0.05, size=(count, 4)), axis=0)
+    actions = draw.normal(scale=0.3, size=(count, 2))
+    return [
+        StateMessage(
+            epoch=1,
+            tick=tick,
+            robot_time=period * tick,
+            publish_time=0.0,
+            values=tuple(values[tick].tolist()),
+            applied=tuple(actions[tick].tolist()),
+            applied_by="filter",
+            period=period,
+            lockstep=True,
+            goal=(1.0, 1.0),
+            obstacles=(),
+            field=(-4.0, 4.0, -4.0, 4.0),
+            footprint=(0.08, 0.4, 0.12),
+        )
+        for tick in range(count)
+    ]
+
+
+def latents(node: AdaptationNode, messages: list[StateMessage]) -> list[np.ndarray]:
+    found = []
+    for message in messages:
+        answer = node.step("r", message, {})[LATENT]
+        assert isinstance(answer, LatentMessage)
+        found.append(np.array(answer.values))
+        node.afterwards("r")
+    return found
+
+
+def test_the_latent_of_a_tick_encodes_the_history_up_to_it(random_car_weights):
+    weights = random_car_weights(3)
+    messages, encoder = states(60), HistoryEncoder(weights)
+    found = latents(AdaptationNode(learned(weights)), messages)
+    np.testing.assert_array_equal(found[0], np.zeros(4))  # where nothing acts, until there is a transition
+    values = np.array([message.values for message in messages])
+    applied = np.array([message.applied for message in messages])
+    for tick in (1, 7, 59):
+        rows = encoder.rows(values[: tick + 1], applied[1 : tick + 1])
+        np.testing.assert_allclose(found[tick], encoder.encode(encoder.padded(rows)), atol=1e-5)
+
+
+def test_a_gap_begins_a_new_history(random_car_weights):
+    weights = random_car_weights(3)
+    messages, encoder = states(60), HistoryEncoder(weights)
+    found = latents(AdaptationNode(learned(weights)), messages[:20] + messages[30:])
+    np.testing.assert_array_equal(found[20], found[19])
+    values = np.array([message.values for message in messages[30:33]])
+    applied = np.array([message.applied for message in messages[31:33]])
+    np.testing.assert_allclose(found[22], encoder.encode(encoder.padded(encoder.rows(values, applied))), atol=1e-5)
+
+
+def test_a_robot_of_another_period_is_refused(random_car_weights):
+    node = AdaptationNode(learned(random_car_weights(3)))
+    first, second = states(2, period=0.1)
+    node.step("r", first, {})
+    with pytest.raises(MessageError, match=r"period: got 0\.1 s, the networks were trained for 0\.05 s"):
+        node.step("r", second, {})
+
+
+def test_effects_on_top_keep_their_values(random_car_weights):
+    free = {"ax": Setting(0.8, free=True), "ay": Setting(0.0)}
+    model = learned(random_car_weights(3)).with_effect(effect("car", "constant_force"), free)
+    estimator = HistoryEstimator(model)
+    estimator.update(np.zeros(4), np.zeros(2), np.full(4, 0.1), 0.05)
+    assert estimator.latent[model.latent_names.index("constant_force.ax")] == 0.8
+    assert np.abs(estimator.latent[:4]).max() > 0.0
+
+
+def test_without_a_history_encoder_the_latent_is_estimated_recursively(random_car_weights):
+    weights = random_car_weights(3)
+    tensors = {name: tensor for name, tensor in weights.tensors.items() if not name.startswith("phi.")}
+    model = learned(Weights(tensors, weights.description))
+    with pytest.raises(InputError, match="no history encoder"):
+        HistoryEstimator(model)
+    true = np.array([0.4, -0.3, 0.2, 0.1])
+    estimator, state, draw = LatentEstimator(model), np.zeros(4), np.random.default_rng(0)
+    for _ in range(200):
+        action = draw.uniform([-0.5, -0.3], [2.0, 0.3])
+        following = model.step(state, action, true)
+        estimator.update(state, action, following, 0.05)
+        state = following
+    action = np.array([1.0, 0.1])
+    error = np.abs(model.step(state, action, estimator.latent) - model.step(state, action, true)).max()
+    assert error < 0.2 * np.abs(model.step(state, action, np.zeros(4)) - model.step(state, action, true)).max()
+
+
+def test_physics_has_no_history_encoder():
+    with pytest.raises(InputError, match="got physics"):
+        HistoryEstimator(load_model("car"))
