@@ -12,6 +12,7 @@ from safedpa.errors import InputError
 
 if TYPE_CHECKING:
     from safedpa.bus.process import Stop
+    from safedpa.dynamics import PhysicsModel
     from safedpa_services.supervisor.plan import Plan
 
 LOADS = ("none", "box", "chair", "large_chair")
@@ -59,7 +60,9 @@ def _plan(options: dict[str, Any]) -> Plan:
         raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
     if not 1.0 <= options["rate"] <= 500.0:
         raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
-    system = load_model(options["model"]).system
+    model = load_model(options["model"])
+    _check_rate(model, options["rate"])
+    system = model.system
     if system.name != options["robot"] or "target_speed" not in system.action_names:
         raise InputError(
             f"--model {options['model']}: a {system.name} with {', '.join(system.action_names)}, "
@@ -82,6 +85,17 @@ def _plan(options: dict[str, Any]) -> Plan:
         endpoint=options["listen"] or f"tcp/127.0.0.1:{free_port()}",
         folder=Plan.new_folder(options["out"], options["name"]),
     )
+
+
+def _check_rate(model: PhysicsModel, rate: float) -> None:
+    """Networks tell the change over one period, and no other."""
+    from safedpa.dynamics import LearnedBase
+
+    if isinstance(model.base, LearnedBase) and abs(rate * model.period - 1.0) > 0.01:
+        raise InputError(
+            f"--rate: got {rate:g} ticks per second, the model's networks were trained for {1.0 / model.period:g}; "
+            "leave the rate out"
+        )
 
 
 def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
