@@ -1,0 +1,213 @@
+"""The bound of the theory is never exceeded, and no part of it can be left out."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as some
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+from safedpa.networks import Layer, dense_stack, frame_of
+from safedpa.safety.theory_bound import ErrorConstants, barrier_error_bound, scaled_gradient
+from safedpa.safety.theory_lipschitz import largest_slope, lipschitz_bound
+from safedpa.safety.theory_measure import affine_parts, error_constants
+
+Values = NDArray[np.float64]
+seeds = some.integers(0, 2**32 - 1)
+NONE = {"f": 0.0, "g": 0.0, "remainder": 0.0, "latent": 0.0, "lipschitz_f": 0.0, "lipschitz_g": 0.0}
+
+
+def network(random: np.random.Generator, inputs: int, outputs: int, depth: int) -> list[Layer]:
+    widths = [inputs, *random.integers(1, 9, depth - 1).tolist(), outputs]
+    return [Layer(random.normal(size=(after, before)), random.normal(size=after)) for before, after in pairwise(widths)]
+
+
+@given(seeds, some.integers(1, 4), some.integers(1, 3), some.integers(1, 3), some.integers(1, 4))
+@settings(max_examples=150, deadline=None)
+def test_no_step_of_a_random_system_exceeds_the_bound(
+    seed: int, states: int, actions: int, latents: int, depth: int
+) -> None:
+    """Truth: another random network of the environment, plus a part that is not affine in the action."""
+    random = np.random.default_rng(seed)
+    f, g = (network(random, states + latents, rows, depth) for rows in (states, states * actions))
+    f_true, g_true = (network(random, states + latents, rows, 2) for rows in (states, states * actions))
+    mu = network(random, latents, latents, 2)
+    x, e = random.normal(size=(20, states)), random.normal(size=(20, latents))
+    z = dense_stack(e, mu, "relu")
+    deployed = z + random.normal(size=z.shape) * random.exponential(size=(20, 1))
+    u, p = random.uniform(-1, 1, (20, actions)), random.normal(size=(20, states))
+    r = 0.1 * random.normal(size=(20, states))
+
+    def parts(nets: tuple[list[Layer], list[Layer]], about: Values) -> tuple[Values, Values]:
+        seen = np.concatenate([x, about], axis=1)
+        first, second = (dense_stack(seen, net, "relu") for net in nets)
+        return first, second.reshape(20, states, actions)
+
+    (F, G), (F_deployed, G_deployed), (F_true, G_true) = (
+        parts((f, g), z),
+        parts((f, g), deployed),
+        parts((f_true, g_true), e),
+    )
+    truth = F_true + np.einsum("nsa,na->ns", G_true, u) + r
+    expected = F_deployed + np.einsum("nsa,na->ns", G_deployed, u)
+    inputs = range(states, states + latents)
+    constants = ErrorConstants(
+        f=float(np.abs(F_true - F).max()),
+        g=float(np.abs(G_true - G).max()),
+        remainder=float(np.abs(r).max()),
+        latent=float(np.abs(deployed - z).sum(axis=1).max()),
+        lipschitz_f=lipschitz_bound(f, inputs),
+        lipschitz_g=lipschitz_bound(g, inputs),
+    )
+    error = np.abs(((truth - expected) * p).sum(axis=1))
+    assert (error <= barrier_error_bound(p, constants, u) * (1 + 1e-9) + 1e-12).all()
+
+
+@given(seeds, some.integers(1, 4), some.integers(1, 5), some.integers(1, 4))
+@settings(max_examples=150, deadline=None)
+def test_no_slope_and_no_chord_is_steeper_than_the_lipschitz_bound(
+    seed: int, depth: int, inputs: int, latents: int
+) -> None:
+    random = np.random.default_rng(seed)
+    layers = network(random, inputs + latents, 3, depth)
+    chosen = range(inputs, inputs + latents)
+    above = lipschitz_bound(layers, chosen)
+    samples = random.normal(size=(30, inputs + latents))
+    assert largest_slope(layers, samples, chosen) <= above * (1 + 1e-9)
+    moved = samples.copy()
+    moved[:, inputs:] += random.normal(size=(30, latents))
+    rise = np.abs(dense_stack(moved, layers, "relu") - dense_stack(samples, layers, "relu")).max(axis=1)
+    run = np.abs(moved - samples)[:, inputs:].sum(axis=1)
+    assert (rise <= above * run * (1 + 1e-9) + 1e-12).all()
+
+
+@given(seeds)
+@settings(max_examples=50, deadline=None)
+def test_the_largest_slope_is_that_of_central_differences(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    layers = network(random, 4, 3, 3)
+    sample = random.normal(size=(1, 4))
+    step = 1e-6
+    differences = [
+        (dense_stack(sample + shift, layers, "relu") - dense_stack(sample - shift, layers, "relu")) / (2 * step)
+        for shift in step * np.eye(4)[2:]
+    ]
+    assert largest_slope(layers, sample, [2, 3]) == pytest.approx(np.abs(differences).max(), rel=1e-4, abs=1e-6)
+
+
+def test_a_linear_network_reaches_its_lipschitz_bound() -> None:
+    layers = [Layer(np.array([[5.0, 1.0, -3.0], [7.0, 2.0, 0.5]]), np.zeros(2))]
+    assert lipschitz_bound(layers, [1, 2]) == 3.0
+    assert largest_slope(layers, np.zeros((1, 3)), [1, 2]) == 3.0
+
+
+def test_the_least_of_the_norms_is_taken() -> None:
+    """Entries of one sign in a chain: the product of absolute values is exact, and norms are not below it."""
+    layers = [Layer(np.array([[1.0], [1.0]]), np.ones(2)), Layer(np.array([[1.0, 1.0]]), np.zeros(1))]
+    assert lipschitz_bound(layers, [0]) == pytest.approx(2.0)
+    assert largest_slope(layers, np.zeros((1, 1)), [0]) == pytest.approx(2.0)
+
+
+def test_cancelling_weights_are_bounded_by_the_spectral_norm() -> None:
+    """A rotation between two layers: absolute values and row sums lose sqrt(2), the 2-norm nothing."""
+    turn = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2)
+    chain = [Layer(np.array([[1.0], [0.0]]), np.zeros(2)), *[Layer(turn, np.zeros(2))] * 6]
+    assert lipschitz_bound([*chain, Layer(np.array([[1.0, 0.0]]), np.zeros(1))], [0]) == pytest.approx(1.0)
+
+
+def bound(gradient: list[float], action: list[float], **constants: float) -> float:
+    return float(barrier_error_bound(gradient, ErrorConstants(**{**NONE, **constants}), action))
+
+
+def test_the_sum_of_a_gradient_is_no_norm_of_it() -> None:
+    """p'1 = 0 for p = (1, -1), and the errors (0.1, -0.1) still move h by 0.2, as far as the bound says."""
+    error = np.array([0.1, -0.1])
+    assert bound([1.0, -1.0], [0.0], f=0.1) == pytest.approx(error @ [1.0, -1.0])
+
+
+def test_each_constant_alone_is_reached_by_some_system() -> None:
+    """Every term with the factor |p|_1 = 3 and |u|_1 = 1.5: the worst case has equality: none can be dropped."""
+    p, u = [2.0, -1.0], [1.0, -0.5]
+    signs = np.sign(p)
+    assert bound(p, u, f=0.1) == pytest.approx(np.dot(p, 0.1 * signs))
+    assert bound(p, u, g=0.1) == pytest.approx(np.dot(p, 0.1 * np.outer(signs, np.sign(u)) @ u))
+    assert bound(p, u, remainder=0.1) == pytest.approx(np.dot(p, 0.1 * signs))
+    assert bound(p, u, latent=0.2, lipschitz_f=5.0) == pytest.approx(np.dot(p, 5.0 * 0.2 * signs))
+    slope = 5.0 * np.outer(signs, np.sign(u))
+    assert bound(p, u, latent=0.2, lipschitz_g=5.0) == pytest.approx(np.dot(p, 0.2 * slope @ u))
+
+
+def test_terms_add() -> None:
+    whole = bound([1.0], [-2.0], f=1.0, g=10.0, remainder=100.0, latent=1.0, lipschitz_f=1000.0, lipschitz_g=10000.0)
+    assert whole == pytest.approx(1.0 + 20.0 + 100.0 + 1000.0 + 20000.0)
+
+
+@pytest.mark.parametrize("name", list(NONE))
+@pytest.mark.parametrize("value", [-1e-9, np.nan, np.inf])
+def test_constants_that_are_none_are_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=name):
+        ErrorConstants(**{**NONE, name: value})
+
+
+@given(seeds)
+@settings(max_examples=50, deadline=None)
+def test_a_scaled_gradient_tells_the_same_change_of_h(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    state, p, v = random.normal(size=4), random.normal(size=4), random.normal(size=4)
+    scale = random.uniform(0.01, 2.0, 4)
+    frame = frame_of("car")
+    change = frame.world_increment(state, scale * v)
+    assert scaled_gradient(p, state, frame, scale) @ v == pytest.approx(p @ change)
+
+
+@given(seeds, some.integers(1, 3), some.integers(1, 4))
+@settings(max_examples=50, deadline=None)
+def test_affine_parts_are_found_and_the_rest_is_the_remainder(seed: int, actions: int, states: int) -> None:
+    random = np.random.default_rng(seed)
+    u = random.uniform(-1, 1, (5, 2 * actions + 3, actions))
+    f, g = random.normal(size=(5, states)), random.normal(size=(5, states, actions))
+    affine = f[:, None] + np.einsum("nsa,nka->nks", g, u)
+    found_f, found_g, remainder = affine_parts(u, affine)
+    assert found_f == pytest.approx(f)
+    assert found_g == pytest.approx(g)
+    assert remainder.max() < 1e-9
+    bent = affine + (u**2).sum(axis=-1)[..., None]
+    found_f, found_g, remainder = affine_parts(u, bent)
+    again = found_f[:, None] + np.einsum("nsa,nka->nks", found_g, u)
+    assert remainder == pytest.approx(np.abs(bent - again).max(axis=(1, 2)))
+    assert remainder.max() > 1e-6
+
+
+def test_actions_that_tell_nothing_apart_are_refused() -> None:
+    u = np.zeros((2, 6, 2))
+    u[:, :, 0] = np.linspace(-1, 1, 6)
+    with pytest.raises(InputError, match="all ways"):
+        affine_parts(u, np.zeros((2, 6, 4)))
+    with pytest.raises(InputError, match="at least 4"):
+        affine_parts(np.random.default_rng(0).normal(size=(2, 3, 2)), np.zeros((2, 3, 4)))
+
+
+def test_constants_at_a_coverage_hold_together_in_that_share_of_new_states() -> None:
+    """Four independent errors: without the correction by Bonferroni 4 % of the states would miss one of them."""
+    random = np.random.default_rng(5)
+    kinds = random.uniform(size=(2, 4, 20_000))
+    names = ("f", "g", "remainder", "latent")
+    lipschitz = {"f": (2.0, 1.0), "g": (3.0, 1.5)}
+    constants = error_constants(dict(zip(names, kinds[0], strict=True)), lipschitz, 0.99)
+    missed = np.zeros(20_000, bool)
+    for name, fresh in zip(names, kinds[1], strict=True):
+        missed |= fresh > getattr(constants, name)
+    assert 0.985 < 1.0 - missed.mean() < 0.995
+    assert (constants.lipschitz_f, constants.lipschitz_g) == (2.0, 3.0)
+
+
+def test_without_a_coverage_the_largest_errors_count() -> None:
+    errors = {name: np.array([0.1, 0.3, 0.2]) for name in ("f", "g", "remainder", "latent")}
+    constants = error_constants(errors, {"f": (0.0, 0.0), "g": (0.0, 0.0)})
+    assert (constants.f, constants.g, constants.remainder, constants.latent) == (0.3, 0.3, 0.3, 0.3)
+    with pytest.raises(InputError, match="got 3 states"):
+        error_constants(errors, {"f": (0.0, 0.0), "g": (0.0, 0.0)}, 0.9)
