@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -49,7 +49,9 @@ class Tick:
     refusal: str | None
 
 
-def drive(robot: Robot, nodes: Sequence[AbstractNode], ticks: int, fleet: str = "experiment") -> Iterator[Tick]:
+def drive(
+    robot: Robot, nodes: Sequence[AbstractNode], ticks: int, fleet: str = "experiment"
+) -> Generator[Tick, None, None]:
     """Runs ``ticks`` periods; nodes in the order of the data flow, the one that sends actions last.
 
     The messages are encoded and decoded as on the network. Raises BusError when no action comes out of a tick.

@@ -1,0 +1,108 @@
+"""A small car experiment through the command line: the physics model, and a learned one with a tiny weights file."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from PIL import Image
+
+from safedpa_services.command_line.group import safedpa
+
+SMALL = ["--processes", "1", "--load", "none", "--load", "box"]
+
+
+def run(*arguments):
+    return safedpa.run(["experiment", "car", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    """One run with everything in it, as a person would start it."""
+    folder = tmp_path_factory.mktemp("car")
+    arguments = ["--models", folder, "--episodes", 2, "--drives", 1, "--drive-ticks", 120, *SMALL, "--out", folder]
+    assert run(*arguments) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(out):
+    return json.loads((out / "car.json").read_text())
+
+
+def test_the_filter_keeps_the_goal_seeker_from_contact(result):
+    cells = {(cell["method"], cell["load"]): cell for cell in result["cells"]}
+    for load in ("none", "box"):
+        assert cells["physics", load]["safe"]["hits"] == 2
+        assert cells["physics", load]["changed_share"] > 0.0
+        assert cells["goal_seeker", load]["safe"]["hits"] < 2
+        assert cells["goal_seeker", load]["changed_share"] == 0.0
+        for cell in (cells["physics", load], cells["goal_seeker", load]):
+            assert cell["both"]["hits"] <= min(cell["success"]["hits"], cell["safe"]["hits"])
+            low, high = cell["success"]["interval_95"]
+            assert low <= cell["success"]["share"] <= high
+
+
+def test_what_is_not_there_is_left_out_by_name(result):
+    assert any("SafeDPA is left out" in sentence for sentence in result["left_out"])
+    assert set(result["methods"]) == {"physics", "goal_seeker"}
+
+
+def test_tables_and_pictures_are_written(out):
+    text = (out / "car.md").read_text()
+    assert "| Physics model |" in text
+    assert "1.00 / 0.75" in text  # the paper's SafeDPA without load
+    for name in ("car_table.png", "car_predictions.png", "car_errors.png", "car_latent.png", "car_margin.png"):
+        with Image.open(out / name) as picture:
+            assert picture.width == 1290
+            assert len(picture.getcolors(10**6)) > 20
+    assert (out / "car.rrd").stat().st_size > 1000
+
+
+def test_finished_episodes_are_not_driven_again(out, monkeypatch, capsys):
+    def refused(_):
+        raise AssertionError("an episode was driven again")
+
+    monkeypatch.setattr("safedpa_sim.experiments.car_cells.run_group", refused)
+    before = (out / "cells" / "physics-box.json").read_text()
+    arguments = ["--models", out, "--episodes", 2, "--drives", 1, "--drive-ticks", 120, *SMALL, "--out", out]
+    assert run(*arguments, "--part", "table", "--json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert [cell["episodes"] for cell in shown["cells"]] == [2, 2, 2, 2]
+    assert (out / "cells" / "physics-box.json").read_text() == before
+
+
+def test_another_margin_is_another_cell(out, monkeypatch, capsys):
+    class DrivenError(Exception):
+        pass
+
+    def driven(_):
+        raise DrivenError
+
+    monkeypatch.setattr("safedpa_sim.experiments.car_cells.run_group", driven)
+    arguments = ["--models", out, "--episodes", 2, "--drives", 1, "--drive-ticks", 120, *SMALL, "--out", out]
+    with pytest.raises(DrivenError):
+        run(*arguments, "--part", "table", "--margin", 0.03)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--method", "safdpa"], "did you mean 'safedpa'"),
+        (["--method", "safedpa"], "safedpa train car"),
+        (["--load", "sofa"], "sofa"),
+        (["--part", "tables"], "did you mean 'table'"),
+        (["--episodes", 0], "wanted at least 1"),
+        (["--first-seed", 4950], "wanted seeds from 0"),
+        (["--margin", "wide"], "wanted 'conformal' or a number"),
+        (["--drive-ticks", 30], "at least 120"),
+        (["--out", "/proc/no/where"], "choose another folder"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(arguments, told, tmp_path, capsys):
+    assert run("--models", tmp_path, *arguments) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert told in shown.err
+    assert shown.err.count("\n") == 1
