@@ -1,0 +1,147 @@
+"""``safedpa train``: the learned model of a robot, from nothing to weights that the services load."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from safedpa.errors import InputError
+
+if TYPE_CHECKING:
+    from safedpa_sim.training.configuration import Configuration
+
+__all__ = ["command"]
+
+_ALL = "1a,1b,2,3,ablations"
+
+
+@click.command()
+@click.argument("robot", type=click.Choice(["car"]))
+@click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
+@click.option("--configuration", "source", metavar="FILE", help="what to train on; 'car' when left out")
+@click.option("--small", is_flag=True, help="every phase in seconds, to see it work: nothing to drive with")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="folder; learned/ROBOT when left out")
+@click.option("--phases", default=_ALL, show_default=True, help="which ones, in this order whatever the order given")
+@click.option("--pairs", type=click.IntRange(min=1), help="state-action pairs of phase 1a")
+@click.option("--seed", type=click.IntRange(min=0), help="of everything that is drawn")
+@click.option("--device", default="cpu", show_default=True, help="cpu or cuda")
+@click.option("--tune", is_flag=True, help="only tune WEIGHTS on the recorded RUNs")
+@click.option("--weights", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: what to tune")
+@click.option("--columns", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: column map of the runs")
+@click.option(
+    "--what", type=click.Choice(["all", "phi", "heads"]), default="all", show_default=True, help="with --tune"
+)
+@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool, **options: Any) -> None:
+    """Train the learned model of a robot, or tune one on recorded runs.
+
+    1a: environment encoder and control-affine dynamics. 1b: policy. 2: history encoder. 3: tuning on few data of the
+    real robot. ablations: Fix, Mix and RMA-P. A phase that is there already from the same configuration is skipped; an
+    interrupted one goes on where it was.
+    """
+    out = Path("learned") / robot if out is None else out
+    _check(runs, options)
+    configuration = _configuration(robot, options)
+    with _progress() as tell:
+        result = _result(configuration, runs, out, options, tell)
+    if as_json:
+        click.echo(json.dumps(result))
+    elif not options["tune"]:
+        _tell(result, out)
+    else:
+        click.echo(f"{out}: tuned on {len(runs)} runs")
+
+
+def _check(runs: tuple[Path, ...], options: dict[str, Any]) -> None:
+    """Raises InputError when the options do not belong together."""
+    if options["small"] and options["source"]:
+        raise InputError("--small: got --configuration too; --small is a configuration of its own, choose one")
+    if options["tune"]:
+        if not runs or options["weights"] is None:
+            raise InputError("--tune: wanted RUN... and --weights FILE: what to tune, on which recorded runs")
+    elif runs or options["weights"] or options["columns"]:
+        raise InputError("RUN, --weights and --columns: wanted with --tune only; say --tune, or leave them out")
+
+
+def _configuration(robot: str, options: dict[str, Any]) -> Configuration:
+    from dataclasses import replace
+
+    from safedpa_sim.training.configuration import load_configuration
+
+    source = options["source"] or (f"{robot}_small" if options["small"] else robot)
+    configuration = load_configuration(source)
+    if configuration.robot != robot:
+        raise InputError(f"{source}: got a simulator of robot '{configuration.robot}', wanted '{robot}'")
+    if options["pairs"] is not None:
+        phase = replace(configuration.phase_1a, pairs=options["pairs"])
+        configuration = replace(configuration, phase_1a=phase)
+    return configuration if options["seed"] is None else replace(configuration, seed=options["seed"])
+
+
+def _result(
+    configuration: Configuration,
+    runs: tuple[Path, ...],
+    out: Path,
+    options: dict[str, Any],
+    tell: Callable[[str, int, int, str], None],
+) -> dict[str, Any]:
+    from safedpa_sim.training.pipeline import run_pipeline, tune_on_runs
+
+    if options["tune"]:
+        chosen = (options["weights"], list(runs), options["columns"], out, options["what"])
+        return tune_on_runs(configuration, *chosen, tell)
+    phases = [name.strip() for name in options["phases"].split(",") if name.strip()]
+    if not phases:
+        raise InputError(f"--phases: got none, wanted one or more of {_ALL.replace(',', ', ')}")
+    return run_pipeline(configuration, out, phases, tell, options["device"])
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int, str], None]]:
+    """Yields tell(phase, done, everything, note): one bar a phase with its expected end, and only on a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda _phase, _done, _all, _note: None
+        return
+    title, note = TextColumn("train {task.description}"), TextColumn("{task.fields[note]}")
+    with Progress(title, BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), note, console=console) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def tell(phase: str, done: int, everything: int, words: str) -> None:
+            if phase not in tasks:
+                tasks[phase] = bar.add_task(phase, note="")
+            bar.update(tasks[phase], completed=done, total=everything, note=words)
+
+        yield tell
+
+
+def _tell(records: dict[str, Any], out: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("phase", "seconds", "loss", "explained"):
+        table.add_column(name, justify="right" if name in ("seconds", "loss") else "left", no_wrap=True)
+    for phase, record in records.items():
+        seconds = "there" if record.get("skipped") else f"{record['seconds']:.1f}"
+        table.add_row(phase, seconds, _loss(record), _explained(record))
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(f"Weights, model files and progress.json are in {out}", markup=False, soft_wrap=True)
+
+
+def _loss(record: dict[str, Any]) -> str:
+    return f"{record['loss']:.2e}" if "loss" in record else ""
+
+
+def _explained(record: dict[str, Any]) -> str:
+    shares = zip(record.get("states", ()), record.get("explained", ()), strict=True)
+    return ", ".join(f"{name} {100 * share:.2f} %" for name, share in shares)

@@ -1,0 +1,1 @@
+"""Training of learned models on batched simulators, in the paper's phases."""

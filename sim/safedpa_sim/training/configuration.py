@@ -1,0 +1,272 @@
+"""What a learned model is trained on, and how: a TOML file that a person can read and change."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from hashlib import sha256
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from safedpa.dynamics import PhysicsModel, load_model, write_model
+from safedpa.effects import Parameter, effect
+from safedpa.errors import InputError, did_you_mean
+
+__all__ = [
+    "Ablations",
+    "Configuration",
+    "Phase1a",
+    "Phase2",
+    "Range",
+    "configurations",
+    "limited",
+    "load_configuration",
+    "parse_configuration",
+]
+
+Range = tuple[float, float]
+"""Lowest and highest value."""
+
+Section = TypeVar("Section")
+
+
+def limited(default: float, low: float, high: float = math.inf) -> Any:
+    """A number of a section: its default and the range that is accepted, both ends included."""
+    return field(default=default, metadata={"low": low, "high": high})
+
+
+@dataclass(frozen=True)
+class Phase1a:
+    """mu, f and g on transitions of the simulator, every one of them new."""
+
+    pairs: int = limited(20_000_000, 1)
+    """State-action pairs, each seen once."""
+    batch: int = limited(1024, 1)
+    learning_rate: float = limited(1e-3, 1e-8, 1.0)
+    last_learning_rate: float = limited(1e-5, 0.0, 1.0)
+    """The rate falls to it along half a cosine."""
+    hidden: int = limited(256, 1, 4096)
+    """Neurons in each of the two hidden layers of f and g."""
+    encoder_hidden: int = limited(64, 1, 4096)
+    """Neurons in mu's hidden layer."""
+    checkpoint_seconds: float = limited(30.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Phase2:
+    """phi on drives in the simulator, in rounds."""
+
+    rounds: int = limited(6, 1, 1000)
+    cars: int = limited(1500, 1)
+    """That drive in each round."""
+    steps: int = limited(200, 60)
+    """Periods that each of them drives; more than the history, so that full ones occur."""
+    updates: int = limited(300, 1)
+    """Steps of Adam in each round."""
+    batch: int = limited(1024, 1)
+    learning_rate: float = limited(1e-3, 1e-8, 1.0)
+    last_learning_rate: float = limited(1e-5, 0.0, 1.0)
+    change: float = limited(0.005, 0.0, 1.0)
+    """Share of the cars whose environment changes in a period: a load is hitched or let go, the wind turns."""
+    noise: float = limited(0.003, 0.0, 1.0)
+    """Standard deviation of what is added to the scaled rows, so that phi does not rely on the last digit."""
+
+
+@dataclass(frozen=True)
+class Ablations:
+    """f and g that know no environment: Fix, trained where nothing acts, and Mix, trained in all environments."""
+
+    pairs: int = limited(5_000_000, 1)
+    hidden: int = limited(128, 1, 4096)
+    penalty: float = limited(10.0, 0.0)
+    """Reward lost by each contact when RMA-P's policy is trained."""
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A whole training: simulator, ranges, networks, and one section for each phase.
+
+    Raises InputError naming the key when something is unknown, missing or out of its bounds.
+    """
+
+    simulator: PhysicsModel
+    """The physics, as its file has it; what is randomised stands in ``environment``."""
+    state: Mapping[str, Range]
+    """Ranges of the state's entries; angles go all around, entries that are not named stay 0."""
+    action: Mapping[str, Range]
+    environment: Mapping[str, Range]
+    """Ranges of what is randomised, by ``effect.parameter`` or ``base.parameter``."""
+    seed: int = limited(0, 0)
+    latents: int = limited(4, 1, 64)
+    """Entries of z."""
+    history: int = limited(50, 36, 1000)
+    """Transitions that phi sees; its two convolutions need 36."""
+    absent: float = limited(0.2, 0.0, 1.0)
+    """Share of the environments in which a given effect does nothing."""
+    phase_1a: Phase1a = Phase1a()
+    phase_2: Phase2 = Phase2()
+    ablations: Ablations = Ablations()
+
+    @property
+    def robot(self) -> str:
+        """The name of the simulated robot's system."""
+        return self.simulator.system.name
+
+    def digest(self, *sections: str) -> str:
+        """Twelve hexadecimal digits over everything that is common to all phases, and the named sections."""
+        plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in _SECTIONS}
+        plain["simulator"] = write_model(self.simulator)
+        chosen = {name: asdict(getattr(self, name)) for name in sections if name in _SECTIONS}
+        text = json.dumps({**plain, **chosen}, sort_keys=True)
+        return sha256(text.encode()).hexdigest()[:12]
+
+    def as_table(self) -> dict[str, Any]:
+        """What the file says, defaults filled in: to be written beside what was trained."""
+        table = {item.name: getattr(self, item.name) for item in fields(self)}
+        sections = {name: asdict(table[name]) for name in _SECTIONS}
+        ranges = {name: {key: list(pair) for key, pair in table[name].items()} for name in _RANGES}
+        return {**table, **ranges, **sections, "simulator": write_model(self.simulator)}
+
+
+_SECTIONS = {
+    name: kind for name, kind in get_type_hints(Configuration).items() if hasattr(kind, "__dataclass_fields__")
+}
+_RANGES = ("state", "action", "environment")
+
+
+def configurations() -> dict[str, Path]:
+    """The configurations that ship with the project, by name."""
+    with as_file(files("safedpa_sim.training") / "configurations") as folder:
+        return {path.stem: path for path in sorted(folder.glob("*.toml")) if not path.stem.startswith("published")}
+
+
+def load_configuration(source: str | Path = "car") -> Configuration:
+    """The configuration in a file, or one that ships, by its name. Raises InputError naming the file and the key."""
+    path = Path(source)
+    if not path.exists() and path.parent == Path():
+        path = configurations().get(path.stem, path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        return parse_configuration(text, path.parent)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{source}: cannot be read ({error}); wanted a configuration, or one of {', '.join(configurations())}"
+        ) from error
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+
+
+def parse_configuration(text: str, folder: Path) -> Configuration:
+    """The configuration that a TOML text describes; its simulator's file is sought in ``folder``."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"not TOML: {error}") from error
+    _refuse_unknown(table, [item.name for item in fields(Configuration)], "")
+    if not isinstance(table.get("simulator"), str):
+        raise InputError(f"simulator: got {table.get('simulator')!r}, wanted the path of a model file")
+    simulator = load_model(folder / table["simulator"])
+    system = simulator.system
+    ranges = {
+        "state": _ranges(table, "state", system.state_names),
+        "action": _ranges(table, "action", system.action_names),
+        "environment": _environment(simulator, _subtable(table, "environment")),
+    }
+    for name in system.action_names:
+        if name not in ranges["action"]:
+            raise InputError(f"action.{name}: missing; give its range as [low, high]")
+    sections = {name: _section(kind, name, _subtable(table, name)) for name, kind in _SECTIONS.items()}
+    skipped = {"simulator", *ranges, *sections}
+    plain = {
+        item.name: _value(item.name, table[item.name], item)
+        for item in fields(Configuration)
+        if item.name in table and item.name not in skipped
+    }
+    known: dict[str, Any] = {**ranges, **sections, **plain}
+    return Configuration(simulator=simulator, **known)
+
+
+def _environment(simulator: PhysicsModel, table: Mapping[str, Any]) -> dict[str, Range]:
+    """The ranges by path; every parameter must be one of the base or of an effect for the robot, within its bounds."""
+    found: dict[str, Range] = {}
+    for owner, entries in table.items():
+        if not isinstance(entries, dict):
+            raise InputError(f"environment.{owner}: got {entries!r}, wanted a table of ranges")
+        parameters = {parameter.name: parameter for parameter in _parameters(simulator, owner)}
+        _refuse_unknown(entries, parameters, f"environment.{owner}.")
+        for name, entry in entries.items():
+            path, parameter = f"{owner}.{name}", parameters[name]
+            low, high = found[path] = _range(f"environment.{path}", entry)
+            if not parameter.low <= low <= high <= parameter.high:
+                raise InputError(
+                    f"environment.{path}: got {low:g} to {high:g}, wanted within {parameter.low:g} to "
+                    f"{parameter.high:g} {parameter.unit}"
+                )
+    return found
+
+
+def _parameters(simulator: PhysicsModel, owner: str) -> tuple[Parameter, ...]:
+    if owner == "base":
+        return simulator.base.parameters
+    try:
+        return effect(simulator.system.name, owner).parameters
+    except InputError as error:
+        raise InputError(f"environment.{owner}: {error}") from error
+
+
+def _ranges(table: Mapping[str, Any], name: str, known: tuple[str, ...]) -> dict[str, Range]:
+    entries = _subtable(table, name)
+    _refuse_unknown(entries, known, f"{name}.")
+    return {key: _range(f"{name}.{key}", entry) for key, entry in entries.items()}
+
+
+def _range(path: str, entry: Any) -> Range:
+    if isinstance(entry, list) and len(entry) == 2:
+        low, high = (_number(path, value) for value in entry)
+        if low < high:
+            return low, high
+    raise InputError(f"{path}: got {entry!r}, wanted [low, high] with low < high")
+
+
+def _section(kind: type[Section], name: str, table: Mapping[str, Any]) -> Section:
+    known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    _refuse_unknown(table, known, f"{name}.")
+    return kind(**{key: _value(f"{name}.{key}", value, known[key]) for key, value in table.items()})
+
+
+def _value(path: str, value: Any, item: Any) -> Any:
+    """A setting as the kind of its default, within its limits."""
+    kind = type(item.default)
+    if kind is tuple and isinstance(value, list):
+        return tuple(value)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not kind:
+        raise InputError(f"{path}: got {value!r}, wanted a value of type {kind.__name__}")
+    low, high = item.metadata.get("low", -math.inf), item.metadata.get("high", math.inf)
+    if kind in (int, float) and not low <= value <= high:
+        raise InputError(f"{path}: got {value:g}, wanted {low:g} to {high:g}")
+    return value
+
+
+def _subtable(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    entry = table.get(name, {})
+    if not isinstance(entry, dict):
+        raise InputError(f"{name}: got {entry!r}, wanted a table [{name}]")
+    return entry
+
+
+def _number(path: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(f"{path}: got {value!r}, wanted a finite number")
+    return float(value)
+
+
+def _refuse_unknown(table: Mapping[str, Any], known: Any, prefix: str) -> None:
+    for key in table:
+        if key not in known:
+            raise InputError(f"{prefix}{key}: unknown key; {did_you_mean(key, known)}")

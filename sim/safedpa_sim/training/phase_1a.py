@@ -1,0 +1,200 @@
+"""Phase 1a: the environment encoder mu and the control-affine networks f and g, trained jointly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import Any, Literal, final
+
+import torch
+
+from safedpa.errors import InputError
+from safedpa.networks import Weights, frame_of
+from safedpa_sim.training.checkpoint import read_checkpoint, write_checkpoint
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.explained import affine_floor, evaluate
+from safedpa_sim.training.networks import AffineNetworks, AffineSizes
+from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.transitions import Transitions, draw_transitions, scales
+from safedpa_sim.training.weights_export import export_weights, normalise_latent
+
+__all__ = ["Variant", "train_affine", "training_device"]
+
+Variant = Literal["1a", "fix", "mix"]
+"""1a: f and g know z = mu(e). fix and mix: they know nothing of e, and learn where nothing acts, or everywhere."""
+
+_HELD_OUT = 20_000
+_STREAMS = {"scales": 1, "training": 2, "held_out": 3, "latents": 4, "floor": 5}
+"""Each purpose draws from its own seed: seed * 10 + this."""
+_TELL_SECONDS = 0.5
+_POINTS = 200
+"""Of the learning curve."""
+
+
+def training_device(name: str) -> torch.device:
+    """The device of that name; raises InputError when this machine has none such."""
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise InputError(f"--device {name}: no such kind of device; wanted cpu or cuda") from error
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise InputError(
+            f"--device {name}: torch finds no CUDA device here; leave --device out to train on the processor"
+        )
+    return device
+
+
+def train_affine(
+    configuration: Configuration, out: Path, tell: Tell = silent, device: str = "cpu", variant: Variant = "1a"
+) -> tuple[Weights, dict[str, Any]]:
+    """Minimises mean(((increment - predicted) / increment_scale)^2) by Adam over fresh transitions, in one pass.
+
+    Returns the weights and what is worth recording: loss, share of variance explained and error for each state on
+    held-out transitions, and the part of the variance that no model affine in the action explains. Checkpoints go to
+    ``out``; a training that was interrupted goes on there, to the same result bit for bit on the same kind of processor
+    and number of threads.
+    """
+    training = _Training.begin(configuration, variant, training_device(device))
+    checkpoint = out / f"checkpoint_{variant}.pt"
+    training.run(training.restore(checkpoint), checkpoint, tell)
+    normalise_latent(training.networks, training.cars, training.seed("latents"))
+    summary = training.summary() | {"learning_curve": training.curve}
+    weights = export_weights(
+        training.networks,
+        training.cars,
+        configuration,
+        {"phase": variant, "pairs": summary["pairs"], "seed": configuration.seed, "loss": summary["loss"]},
+    )
+    checkpoint.unlink(missing_ok=True)
+    return weights, summary
+
+
+@final
+@dataclass
+class _Training:
+    configuration: Configuration
+    variant: Variant
+    cars: BatchedCars
+    networks: AffineNetworks
+    optimiser: torch.optim.Adam
+    generator: torch.Generator
+    pairs: int
+    curve: list[list[float]] = field(default_factory=list)
+    losses: list[torch.Tensor] = field(default_factory=list)
+    """Of the steps since the curve's last point; tensors, because asking each for its number takes time."""
+
+    @staticmethod
+    def begin(configuration: Configuration, variant: Variant, device: torch.device) -> _Training:
+        cars = BatchedCars(configuration, device)
+        phase, ablations = configuration.phase_1a, configuration.ablations
+        whole = variant == "1a"
+        networks = _networks(cars, configuration, phase.hidden if whole else ablations.hidden, whole).to(device)
+        optimiser = torch.optim.Adam(networks.parameters(), phase.learning_rate, fused=True)
+        generator = cars.generator(configuration.seed * 10 + _STREAMS["training"])
+        pairs = phase.pairs if whole else ablations.pairs
+        return _Training(configuration, variant, cars, networks, optimiser, generator, pairs)
+
+    @property
+    def steps(self) -> int:
+        return math.ceil(self.pairs / self.configuration.phase_1a.batch)
+
+    def seed(self, purpose: str) -> int:
+        return self.configuration.seed * 10 + _STREAMS[purpose]
+
+    def _digest(self) -> str:
+        return f"{self.variant} {self.configuration.digest('phase_1a', 'ablations')}"
+
+    def restore(self, checkpoint: Path) -> int:
+        """Steps that an interrupted training has already done; its networks and its curve are back then."""
+        done, told = read_checkpoint(checkpoint, self._digest(), self.networks, self.optimiser, self.generator)
+        self.curve, self.losses = told.get("curve", []), told.get("losses", [])
+        return done
+
+    def run(self, done: int, checkpoint: Path, tell: Tell) -> None:
+        """Trains until all steps are done, with ``curve`` as pairs and mean loss along the way.
+
+        Checkpoints are written between steps only: an interrupt may come in the midst of one, when weights and
+        optimiser do not belong together.
+        """
+        saved = told = monotonic()
+        while done < self.steps:
+            self._note(done, self._step(done))
+            done += 1
+            now = monotonic()
+            if self.curve and now - told > _TELL_SECONDS:
+                self._tell(done, tell)
+                told = now
+            if now - saved > self.configuration.phase_1a.checkpoint_seconds:
+                self._save(checkpoint, done)
+                saved = now
+
+    def _note(self, done: int, loss: torch.Tensor) -> None:
+        self.losses.append(loss)
+        if (done + 1) % max(1, self.steps // _POINTS) == 0 or done + 1 == self.steps:
+            mean = float(torch.stack(self.losses).mean())
+            self.curve.append([(done + 1) * self.configuration.phase_1a.batch, mean])
+            self.losses = []
+
+    def _tell(self, done: int, tell: Tell) -> None:
+        batch = self.configuration.phase_1a.batch
+        tell(self.variant, done * batch, self.steps * batch, f"loss {self.curve[-1][1]:.2e}")
+
+    def _save(self, checkpoint: Path, done: int) -> None:
+        told: dict[str, list[Any]] = {"curve": self.curve, "losses": self.losses}
+        write_checkpoint(checkpoint, self._digest(), done, self.networks, self.optimiser, self.generator, told)
+
+    def _step(self, done: int) -> torch.Tensor:
+        """One step of Adam on fresh transitions; its loss."""
+        phase = self.configuration.phase_1a
+        share = 0.5 * (1.0 + math.cos(math.pi * done / self.steps))
+        rate = phase.last_learning_rate + (phase.learning_rate - phase.last_learning_rate) * share
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        environment, state, action, increment = self._transitions(phase.batch, self.generator)
+        networks = self.networks
+        predicted = networks(state, action, networks.encode(environment))
+        loss = (predicted - increment / networks.increment_scale).square().mean()
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimiser.step()
+        detached: torch.Tensor = loss.detach()
+        return detached
+
+    def _transitions(self, count: int, generator: torch.Generator) -> Transitions:
+        alone = self.cars.nominal if self.variant == "fix" else None
+        return draw_transitions(self.cars, count, generator, environment=alone)
+
+    def summary(self) -> dict[str, Any]:
+        """What was reached, on transitions that were not trained on (of the environments trained in)."""
+        held_out = self._transitions(_HELD_OUT, self.cars.generator(self.seed("held_out")))
+        floor = affine_floor(self.cars, self.cars.generator(self.seed("floor")))
+        return {
+            "pairs": self.steps * self.configuration.phase_1a.batch,
+            "states": list(self.cars.model.system.state_names),
+            **evaluate(self.networks, held_out),
+            "not_affine": floor.tolist(),
+        }
+
+
+def _networks(cars: BatchedCars, configuration: Configuration, hidden: int, whole: bool) -> AffineNetworks:
+    """Networks at the start of training, the same for the same seed, whatever the device."""
+    system = cars.model.system
+    sizes = AffineSizes(
+        features=len(frame_of(system.name).feature_names),
+        states=len(system.state),
+        actions=len(system.action),
+        environment=len(cars.entries),
+        latents=configuration.latents if whole else 0,
+        hidden=hidden,
+        encoder_hidden=configuration.phase_1a.encoder_hidden,
+    )
+    vectors = scales(cars, configuration.seed * 10 + _STREAMS["scales"])
+    if whole:
+        zeros = torch.zeros(configuration.latents)
+        vectors |= {"latent_low": zeros - 1.0, "latent_high": zeros + 1.0, "latent_nominal": zeros}
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(configuration.seed)
+        return AffineNetworks(system.name, sizes, vectors)

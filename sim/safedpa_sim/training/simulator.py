@@ -1,0 +1,112 @@
+"""Thousands of robots at a time: the model that people read, stepped on torch tensors."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import torch
+
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.effects import CommandEffect, effect
+from safedpa.networks import EnvironmentEntry
+from safedpa_sim.training.configuration import Configuration
+
+__all__ = ["BatchedCars"]
+
+Tensor = torch.Tensor
+
+
+@final
+class BatchedCars:
+    """Robots in environments e that differ: x[t+1] = ``PhysicsModel.advance``(x[t], a[t], e), in single precision.
+
+    e holds the randomised parameters in SI units, in the order of ``entries``. Everything is drawn by a generator that
+    the caller seeds and keeps. There is no second implementation of the physics: the effects' own equations run.
+    """
+
+    def __init__(self, configuration: Configuration, device: str | torch.device = "cpu") -> None:
+        self.device = torch.device(device)
+        self.model = _randomised(configuration)
+        ranges = configuration.environment
+        self.entries = tuple(EnvironmentEntry(path, *ranges[path]) for path in self.model.latent_names)
+        self.nominal = self._tensor([self.model.settings[path].value for path in self.model.latent_names])
+        """The environment (entries,) in which nothing acts; numbers that only shape an effect as in the simulator."""
+        self.environment_ranges = self._tensor([list(ranges[path]) for path in self.model.latent_names])
+        """Lowest and highest value of each entry of e, shape (entries, 2)."""
+        self._absent = configuration.absent
+        parameters = [self.model.parameters[path] for path in self.model.latent_names]
+        self._neutral = self._tensor([torch.nan if item.neutral is None else item.neutral for item in parameters])
+        self._owners = _owners(self.model)
+        system = self.model.system
+        turn = (-torch.pi, torch.pi)
+        states = [turn if entry.angle else configuration.state.get(entry.name, (0.0, 0.0)) for entry in system.state]
+        self.state_ranges = self._tensor([list(pair) for pair in states])
+        """The same of the state, shape (states, 2)."""
+        self.action_ranges = self._tensor([list(configuration.action[name]) for name in system.action_names])
+        """The same of the action, shape (actions, 2)."""
+        self.remembers = any(isinstance(item, CommandEffect) for item in self.model.effects)
+        """Whether any actuator does: then what follows depends on earlier actions too."""
+
+    def generator(self, seed: int) -> torch.Generator:
+        """A source of random numbers on the robots' device."""
+        return torch.Generator(self.device).manual_seed(seed)
+
+    def draw_environments(self, count: int, generator: torch.Generator) -> Tensor:
+        """Environments (count, entries), uniform in their ranges; each effect does nothing in a share of them."""
+        drawn = self._uniform(count, self.environment_ranges, generator)
+        if self._absent:
+            acts = torch.rand(count, len(set(self._owners)), generator=generator, device=self.device) >= self._absent
+            drawn = torch.where(acts[:, self._owners] | self._neutral.isnan(), drawn, self._neutral)
+        return drawn
+
+    def draw_states(self, count: int, generator: torch.Generator) -> Tensor:
+        """States (count, states), uniform in their ranges: angles all around, entries without a range 0."""
+        return self._uniform(count, self.state_ranges, generator)
+
+    def draw_actions(self, count: int, generator: torch.Generator) -> Tensor:
+        """Actions (count, actions), uniform in their ranges."""
+        return self._uniform(count, self.action_ranges, generator)
+
+    def settled(self, action: Tensor, environment: Tensor) -> Any:
+        """What the actuators remember after an action (count, actions) has been held for long."""
+        return self.model.initial_memory(action, environment)
+
+    def advance(self, state: Tensor, action: Tensor, environment: Tensor, memory: Any = ()) -> tuple[Tensor, Any]:
+        """States (count, states) and memory one period later."""
+        return self.model.advance(state, action, memory, environment)
+
+    def _uniform(self, count: int, ranges: Tensor, generator: torch.Generator) -> Tensor:
+        low, high = ranges.unbind(1)
+        return low + (high - low) * torch.rand(count, len(ranges), generator=generator, device=self.device)
+
+    def _tensor(self, values: Any) -> Tensor:
+        return torch.tensor(values, dtype=torch.float32, device=self.device)
+
+
+def _randomised(configuration: Configuration) -> PhysicsModel:
+    """The simulator's model with every effect that is named in the environment, its randomised parameters free."""
+    model = configuration.simulator
+    for owner in dict.fromkeys(path.split(".")[0] for path in configuration.environment):
+        if owner != "base" and owner not in {item.name for item in model.effects}:
+            model = model.with_effect(effect(model.system.name, owner), {})
+    settings = {
+        path: Setting(_nominal(model, path, configuration), path in configuration.environment)
+        for path in model.parameters
+    }
+    return model.with_settings(settings)
+
+
+def _nominal(model: PhysicsModel, path: str, configuration: Configuration) -> float:
+    """The value in the file; one that only shapes an effect is moved into its range."""
+    value = model.settings[path].value
+    if path in configuration.environment and model.parameters[path].neutral is None:
+        low, high = configuration.environment[path]
+        value = min(max(value, low), high)
+    return value
+
+
+def _owners(model: PhysicsModel) -> list[int]:
+    """Which effect each entry of e belongs to, counted from 0."""
+    names = [path.split(".")[0] for path in model.latent_names]
+    order = list(dict.fromkeys(names))
+    return [order.index(name) for name in names]

@@ -1,0 +1,151 @@
+"""``safedpa train``: phases in order, what is there is not made again, mistakes get one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from safedpa.dynamics import load_model
+from safedpa.networks import Weights, load_weights
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.training import pipeline
+from safedpa_sim.training.configuration import load_configuration
+from safedpa_sim.training.networks import HistoryNetwork, tensors_of
+from safedpa_sim.training.pipeline import run_pipeline
+
+FEW = ["train", "car", "--small", "--pairs", "4096"]
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    torch.set_num_threads(1)
+    code = safedpa.run([*arguments])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+def trained(capsys: pytest.CaptureFixture[str], out: Path, *more: str) -> dict[str, Any]:
+    code, printed, error = run(capsys, *FEW, "--phases", "1a", "--out", str(out), "--json", *more)
+    assert (code, error) == (0, ""), "no bar in a pipe"
+    return json.loads(printed)["1a"]
+
+
+def test_it_leaves_a_model_that_every_command_takes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    record = trained(capsys, tmp_path / "new" / "car")
+    assert record["file"] == "car_simulated.safetensors"
+    assert record["pairs"] == 4096
+    assert len(record["explained"]) == 4
+    model = load_model(tmp_path / "new" / "car" / "car_simulated.toml")
+    assert model.latent_names == ("base.latent_0", "base.latent_1", "base.latent_2", "base.latent_3")
+    kept = json.loads((tmp_path / "new" / "car" / "progress.json").read_text())["1a"]
+    assert kept == record
+    assert kept["seconds"] > 0.0
+    assert kept["seed"] == 0
+
+
+def test_what_is_there_is_not_made_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    first = trained(capsys, tmp_path)
+    assert "skipped" not in first
+    assert trained(capsys, tmp_path) == {**first, "skipped": True}
+    other = trained(capsys, tmp_path, "--seed", "5")
+    assert "skipped" not in other
+    assert other["digest"] != first["digest"]
+    (tmp_path / "car_simulated.safetensors").unlink()
+    assert "skipped" not in trained(capsys, tmp_path, "--seed", "5")
+
+
+def test_a_person_sees_a_table(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, printed, _ = run(capsys, *FEW, "--phases", "1a", "--out", str(tmp_path))
+    assert code == 0
+    assert "1a" in printed
+    assert "speed " in printed
+    code, printed, _ = run(capsys, *FEW, "--phases", "1a", "--out", str(tmp_path))
+    assert "there" in printed
+
+
+MISTAKES = [
+    (["--phases", "1a,4"], "phase '4': known: 1a, 1b, 2, 3, ablations"),
+    (["--phases", ""], "--phases: got none, wanted one or more of 1a, 1b, 2, 3, ablations"),
+    (["--phases", "2"], "phase 2: no "),
+    (["--device", "abacus"], "--device abacus: no such kind of device; wanted cpu or cuda"),
+    (["--configuration", "car"], "--small: got --configuration too"),
+    (["--pairs", "0"], "Invalid value for '--pairs'"),
+    (["a.csv"], "RUN, --weights and --columns: wanted with --tune only"),
+    (["--weights", "w.safetensors"], "RUN, --weights and --columns: wanted with --tune only"),
+    (["--tune"], "--tune: wanted RUN... and --weights FILE"),
+    (["--tune", "a.csv"], "--tune: wanted RUN... and --weights FILE"),
+    (["--what", "all", "--tune", "a.csv", "--weights", "none.safetensors"], "none.safetensors: "),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), MISTAKES, ids=[" ".join(item[0]) for item in MISTAKES])
+def test_a_mistake_gets_one_line(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, printed, error = run(capsys, *FEW, "--out", str(tmp_path / "out"), *options)
+    assert (code, printed) == (2, "")
+    assert error.startswith(f"safedpa: {message}")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_without_a_cuda_device_it_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, _, error = run(capsys, *FEW, "--out", str(tmp_path), "--device", "cuda")
+    assert code == 2
+    assert "torch finds no CUDA device here" in error
+
+
+def test_a_boat_cannot_be_trained(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, error = run(capsys, "train", "boat")
+    assert code == 2
+    assert "'boat' is not 'car'" in error
+
+
+def test_a_damaged_record_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "progress.json").write_text("{")
+    code, _, error = run(capsys, *FEW, "--phases", "1a", "--out", str(tmp_path))
+    assert code == 2
+    assert "progress.json: cannot be read" in error
+
+
+def adding(name: str, calls: list[str]) -> Any:
+    """A phase that adds one number under its network's name, and tells what it was given."""
+
+    def train(configuration: Any, weights: Weights, out: Path, tell: Any, device: str, **options: Any) -> Any:
+        del configuration, out, tell, device
+        calls.append(
+            " ".join([name, *sorted(n for n in ("mu", "phi", "policy") if weights.has(n)), *map(str, options)])
+        )
+        shapes: dict[str, dict[str, Any]] = {
+            "policy": {"policy.0.weight": [[1.0]], "policy.0.bias": [0.0]},
+            "phi": dict(tensors_of(HistoryNetwork(9, 50, 4))),
+        }
+        return weights.with_tensors(shapes[name]), {"loss": 0.5}
+
+    return train
+
+
+def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[str] = []
+    known = {"train_policy": "policy", "train_history_encoder": "phi", "tune": "phi"}
+    monkeypatch.setattr(pipeline, "_phase_function", lambda _module, name: adding(known[name], calls))
+    configuration = load_configuration("car_small")
+    torch.set_num_threads(1)
+    records = run_pipeline(configuration, tmp_path, ("3", "2", "1b", "1a"))
+    assert calls == ["policy mu", "phi mu policy", "phi mu phi policy"]
+    assert not any("skipped" in record for record in records.values())
+    calls.clear()
+    again = run_pipeline(configuration, tmp_path)
+    assert calls == ["policy mu phi penalty"], "RMA-P alone is new, and does not see the other policy"
+    assert [name for name, record in again.items() if "skipped" not in record] == ["fix", "mix", "rma_p"]
+    assert load_weights(tmp_path / "rma_p.safetensors").has("policy")
+    assert load_weights(tmp_path / "car_learned.safetensors").has("phi")
+    # a new policy: the history encoder was trained on the old one's drives
+    monkeypatch.setattr(pipeline, "_is_there", lambda path, stage: stage.name != "1b")
+    calls.clear()
+    run_pipeline(configuration, tmp_path, ("1b",))
+    assert calls == ["policy mu"]
+    assert not load_weights(tmp_path / "car_simulated.safetensors").has("phi")
