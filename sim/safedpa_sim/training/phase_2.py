@@ -1,0 +1,156 @@
+"""Phase 2: the history encoder phi, taught on its own drives to tell what mu tells.
+
+In rounds, thousands of cars drive in the simulator with phi's own latent in the policy, so that phi meets the histories
+that it causes itself; all rounds are kept. Environments change while driving. Loss, with the spread of z = mu(e):
+
+    mean over latents of ((phi(history) - mu(e)) / spread)^2
+
+What no history shows cannot be learned: how a load of mass 0 would slide, a force across the heading. That part of the
+loss stays; the summary tells it for each latent, and what it costs in predictions.
+Source: Kumar et al., RMA: Rapid Motor Adaptation, RSS 2021, section III.B; Ross et al., DAgger, AISTATS 2011.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, final
+
+import torch
+
+from safedpa.networks import Weights
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.explained import explained
+from safedpa_sim.training.histories import Lived, RandomDriver, drive_cars, history_rows
+from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
+from safedpa_sim.training.phase_1a import training_device
+from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.simulator import BatchedCars
+
+__all__ = ["train_history_encoder"]
+
+Tensor = torch.Tensor
+_STREAM = 6
+"""Seeds of this phase: seed * 10 + this."""
+_SAMPLES = 20_000
+_HELD_OUT_CARS = 500
+_TOLD = 20
+"""Updates between two words about the progress."""
+
+
+def train_history_encoder(
+    configuration: Configuration, weights: Weights, out: Path, tell: Tell = silent, device: str = "cpu"
+) -> tuple[Weights, dict[str, Any]]:
+    """phi for the mu, f, g and policy of ``weights``; without a policy the cars drive at random.
+
+    Returns the weights with phi, and what is worth recording: for each latent the share of mu's variance that phi
+    explains on drives that it was not trained on, and the prediction errors with mu's latent and with phi's.
+    """
+    del out
+    phase = configuration.phase_2
+    training = _Training.begin(configuration, weights, training_device(device))
+    for index in range(phase.rounds):
+        training.add_drives()
+        training.learn(index, tell)
+    return weights.with_tensors(tensors_of(training.encoder)), training.summary()
+
+
+@final
+@dataclass
+class _Training:
+    configuration: Configuration
+    cars: BatchedCars
+    networks: AffineNetworks
+    encoder: HistoryNetwork
+    optimiser: torch.optim.Adam
+    generator: torch.Generator
+    spread: Tensor
+    """Standard deviation of each entry of z = mu(e), (latents,)."""
+    known: list[Lived] = field(default_factory=list)
+    """One item per round."""
+    losses: list[float] = field(default_factory=list)
+
+    @staticmethod
+    def begin(configuration: Configuration, weights: Weights, device: torch.device) -> _Training:
+        cars = BatchedCars(configuration, device)
+        generator = cars.generator(configuration.seed * 10 + _STREAM)
+        networks = affine_networks(weights).requires_grad_(False).to(device)
+        sizes = networks.sizes
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(configuration.seed * 10 + _STREAM)
+            row = sizes.features + sizes.states + sizes.actions
+            encoder = HistoryNetwork(row, configuration.history, sizes.latents).to(device)
+        optimiser = torch.optim.Adam(encoder.parameters(), configuration.phase_2.learning_rate)
+        spread = networks.encode(cars.draw_environments(_SAMPLES, generator)).std(0).clamp_min(1e-3)
+        return _Training(configuration, cars, networks, encoder, optimiser, generator, spread)
+
+    def add_drives(self) -> None:
+        """One more round, driven with phi as it is now."""
+        phase = self.configuration.phase_2
+        self.known.append(self._lived(phase.cars, phase.steps))
+
+    def _lived(self, count: int, steps: int) -> Lived:
+        driver = RandomDriver(self.cars, count, self.generator)
+        with torch.no_grad():
+            drives = drive_cars(self.cars, self.networks, driver, count, steps, self.generator, self.configuration)
+            rows = history_rows(self.networks, drives.states, drives.actions)
+            return Lived(drives, rows, self.networks.encode(drives.environments))
+
+    def learn(self, round_: int, tell: Tell) -> None:
+        """The updates of one round, on histories of all rounds so far."""
+        phase = self.configuration.phase_2
+        everything = phase.rounds * phase.updates
+        for index in range(phase.updates):
+            done = round_ * phase.updates + index
+            share = 0.5 * (1.0 + math.cos(math.pi * done / everything))
+            rate = phase.last_learning_rate + (phase.learning_rate - phase.last_learning_rate) * share
+            for group in self.optimiser.param_groups:
+                group["lr"] = rate
+            loss = self._step(phase.batch)
+            if done % _TOLD == 0:
+                self.losses.append(loss)
+                tell("2", done, everything, f"loss {loss:.3f}")
+
+    def _step(self, batch: int) -> float:
+        """One step of Adam on histories drawn from all rounds; its loss."""
+        which = torch.randint(len(self.known), (1,), generator=self.generator, device=self.cars.device)
+        lived = self.known[int(which)]
+        _, histories, latent = lived.draw(batch, self.configuration.history, self.generator)
+        histories = _disturbed(histories, self.configuration.phase_2.noise, self.generator)
+        loss = ((self.encoder(histories) - latent) / self.spread).square().mean()
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimiser.step()
+        return float(loss.detach())
+
+    def summary(self) -> dict[str, Any]:
+        """What was reached on fresh drives; only histories that are full count."""
+        phase, history = self.configuration.phase_2, self.configuration.history
+        lived = self._lived(_HELD_OUT_CARS, phase.steps)
+        with torch.no_grad():
+            picked, histories, latent = lived.draw(_SAMPLES, history, self.generator, earliest=history)
+            seen = self.encoder(histories)
+            return {
+                "loss": float(((seen - latent) / self.spread).square().mean()),
+                "explained": explained(seen, latent).tolist(),
+                "one_step_error_with_mu": self._errors(lived, picked, latent),
+                "one_step_error_with_phi": self._errors(lived, picked, seen),
+                "policy": "random",
+                "pairs": sum(item.rows.shape[0] * item.rows.shape[1] for item in self.known),
+                "learning_curve": self.losses,
+            }
+
+    def _errors(self, lived: Lived, picked: tuple[Tensor, Tensor], latent: Tensor) -> list[float]:
+        """Root mean square of the scaled one-step error, for each state."""
+        states, following, actions = lived.transitions(picked)
+        increment = self.networks.frame.own_increment(states, following) / self.networks.increment_scale
+        errors = self.networks(states, actions, latent) - increment
+        result: list[float] = errors.square().mean(0).sqrt().tolist()
+        return result
+
+
+def _disturbed(rows: Tensor, noise: float, generator: torch.Generator) -> Tensor:
+    """Rows with measurement noise; rows of zeros, before the first transition, stay zeros."""
+    drawn = torch.randn(rows.shape, generator=generator, device=rows.device)
+    return rows + noise * drawn * rows.abs().amax(-1, keepdim=True).gt(0.0)
