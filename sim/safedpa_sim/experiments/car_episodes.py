@@ -31,6 +31,8 @@ class EpisodeGroup:
     folder: Path
     settings: FilterSettings
     margin: MarginCalibration | None
+    ticks: int = TICKS
+    """After which an episode ends in any case."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def _outcome(group: EpisodeGroup, seed: int) -> Outcome:
     robot = CarRobot(car_scene(seed, group.load), PERIOD)
     statuses: Counter[str] = Counter()
     least_h = float("inf")
-    with closing(drive(robot, nodes, TICKS)) as ticks:
+    with closing(drive(robot, nodes, group.ticks)) as ticks:
         for tick in ticks:
             statuses[tick.verdict.status] += 1
             least_h = min(least_h, tick.verdict.h_now)
