@@ -6,6 +6,7 @@ import time
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safedpa.bus import (
     LATENT,
@@ -18,58 +19,53 @@ from safedpa.bus import (
     WishMessage,
 )
 from safedpa.dynamics import PhysicsModel, fingerprint
-from safedpa.errors import MessageError
-from safedpa.policy.compensation import SpeedCompensation
-from safedpa.policy.goal_seeker import GoalSeeker, GoalSeekerSettings
+from safedpa.policy.controller import Controller, controller_for
+from safedpa.policy.goal_seeker import GoalSeekerSettings
 
 __all__ = ["PolicyNode"]
 
 
 @final
 class PolicyNode(AbstractNode):
-    """Seeks each robot's goal, and makes up for what it tows as far as the latent is known."""
+    """Wishes for actions that lead each robot to its goal, by one of the controllers of ``CONTROLLERS``.
+
+    Without a name it is the learned policy when the model's weights hold one, else the goal seeker. A latent that does
+    not belong to the model is left aside. Raises InputError for a controller that does not exist or lacks its weights.
+    """
 
     name = "policy"
     inputs = (LATENT,)
     outputs = (WISH,)
     share = 0.2
 
-    def __init__(self, model: PhysicsModel, settings: GoalSeekerSettings | None = None) -> None:
-        self._compensation = SpeedCompensation(model)
+    def __init__(
+        self, model: PhysicsModel, settings: GoalSeekerSettings | None = None, controller: str | None = None
+    ) -> None:
+        self._make = controller_for(model, controller, settings)
+        self._latents = len(model.latent_names)
         self._fingerprint = fingerprint(model)
-        self._settings = settings or GoalSeekerSettings()
-        self._seekers: dict[str, GoalSeeker] = {}
+        self._controllers: dict[str, Controller] = {}
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
-        if len(state.values) != 4 or len(state.goal) != 2:
-            raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
-        seeker = self._seekers.setdefault(robot, GoalSeeker(self._settings))
-        values = seeker.wish(state.robot_time, state.values, state.goal)
-        latent = inputs[LATENT]
-        if isinstance(latent, LatentMessage) and latent.model == self._fingerprint and self._fits(state, latent):
-            values = self._compensated(state, values, latent)
+        if robot not in self._controllers:
+            self._controllers[robot] = self._make()
+        values, controller = self._controllers[robot].wish(state, self._latent(inputs))
         message = WishMessage(
             epoch=state.epoch,
             tick=state.tick,
             robot_time=state.robot_time,
             publish_time=time.time(),
             values=values,
-            controller=f"goal_seeker:{seeker.mode}",
+            controller=controller,
         )
         return {WISH: message}
 
-    def _fits(self, state: StateMessage, latent: LatentMessage) -> bool:
-        """Whether the model can be asked: the latent has its length, and the state can be believed."""
-        model = self._compensation.model
-        return len(latent.values) == len(model.latent_names) and model.system.is_plausible(np.array(state.values))
-
-    def _compensated(
-        self, state: StateMessage, wish: tuple[float, float], latent: LatentMessage
-    ) -> tuple[float, float]:
-        vectors = (np.array(state.values), np.array(wish), np.array(latent.values))
-        speed, steer = self._compensation.compensated(*vectors)
-        settings = self._settings
-        return min(max(float(speed), settings.slowest_target), settings.fastest_target), float(steer)
+    def _latent(self, inputs: Inputs) -> NDArray[np.float64] | None:
+        """The latent, if there is one and it belongs to the model."""
+        latent = inputs[LATENT]
+        if not isinstance(latent, LatentMessage) or latent.model != self._fingerprint:
+            return None
+        return np.array(latent.values) if len(latent.values) == self._latents else None
 
     def forget(self, robot: str) -> None:  # noqa: D102
-        self._seekers.pop(robot, None)
+        self._controllers.pop(robot, None)

@@ -1,0 +1,80 @@
+"""A policy that was trained: a network from the observation to an action."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import StateMessage
+from safedpa.errors import InputError, MessageError
+from safedpa.networks import Weights, dense_stack
+from safedpa.networks.layers import layers_of
+from safedpa.policy.observation import observation_length, observe, padded
+
+__all__ = ["LearnedPolicy"]
+
+Values = NDArray[np.floating[Any]]
+
+_LARGEST = 10.0
+"""Scaled observations are clipped to it: what training never saw shall not drive the network without bound."""
+
+
+@final
+class LearnedPolicy:
+    """a = action_middle + action_scale clip(pi((o - observation_middle) / observation_scale), -1, 1).
+
+    pi: dense layers with tanh between them, the mean of the Gaussian that proximal policy optimisation trained; o as
+    ``observe`` makes it. Without a latent the policy takes that of the environment in which nothing acts.
+    Raises InputError when the weights hold no policy, or one for other observations.
+    """
+
+    def __init__(self, weights: Weights) -> None:
+        self._layers = layers_of(weights.tensors, "policy")
+        if not self._layers:
+            raise InputError("weights: got no policy (policy.0.weight), wanted one; run phase 1b of 'safedpa train'")
+        latents, actions = weights.description.latents, len(weights.description.actions)
+        wanted = (observation_length(latents), actions)
+        got = (self._layers[0].weight.shape[1], self._layers[-1].weight.shape[0])
+        if got != wanted:
+            raise InputError(
+                f"weights: the policy takes {got[0]} numbers and gives {got[1]}, wanted {wanted[0]} and {wanted[1]}; "
+                "train it anew with phase 1b of 'safedpa train'"
+            )
+        self._middle, self._scale = weights["observation_middle"], weights["observation_scale"]
+        self._action_middle, self._action_scale = weights["action_middle"], weights["action_scale"]
+        self._nominal = weights["latent_nominal"].astype(np.float64) if latents else np.zeros(0)
+
+    def act(self, observation: Values) -> Values:
+        """Actions (..., actions) in SI units for observations (..., observations)."""
+        scaled = ((observation - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
+        chosen = dense_stack(scaled, self._layers, "tanh").clip(-1.0, 1.0)
+        return np.asarray(self._action_middle + self._action_scale * chosen, dtype=np.float64)
+
+    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """The action for a state, and the controller's name.
+
+        Raises MessageError when the state or the latent (latents,) does not fit the policy.
+        """
+        latent = self._nominal if latent is None else latent
+        if latent.shape != self._nominal.shape:
+            raise MessageError(f"latent: got {latent.size} entries, wanted {self._nominal.size}")
+        observation = observe(*_perceived(state), latent)
+        if not np.isfinite(observation).all():
+            raise MessageError(f"state: got numbers that are not finite in {state.values}, wanted finite ones")
+        return tuple(self.act(observation).tolist()), "learned"
+
+
+def _perceived(state: StateMessage) -> tuple[Values, Values, Values, Values, Values, Values]:
+    """State, action in force, goal, obstacles, field and footprint as arrays of the right lengths."""
+    vectors = []
+    for name, wanted in (("values", 4), ("applied", 2), ("goal", 2), ("field", 4), ("footprint", 3)):
+        vector = np.array(getattr(state, name), dtype=np.float64)
+        if vector.shape != (wanted,):
+            raise MessageError(f"state.{name}: got {vector.size} numbers, wanted {wanted}")
+        vectors.append(vector)
+    if any(len(row) != 3 for row in state.obstacles):
+        raise MessageError("state.obstacles: got rows of another length, wanted 3 numbers in each: x, y, radius")
+    values, applied, goal, field, footprint = vectors
+    return values, applied, goal, padded(state.obstacles), field, footprint

@@ -1,0 +1,168 @@
+"""What a learned policy sees: the goal and the free space around the robot, in the robot's own frame.
+
+The same function serves the batched simulator in training and the service at work: one robot or many at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["OBSTACLES", "RAYS", "clearances", "observation_length", "observe", "padded"]
+
+Values = NDArray[np.floating[Any]]
+
+RAYS = 16
+"""Directions, evenly around the robot, the first straight ahead."""
+OBSTACLES = 4
+"""How many of the nearest obstacles are told one by one."""
+
+_FAR_AWAY = (1e4, 1e4, 0.0)
+"""An obstacle that fills a row and is nowhere near."""
+_FULL_SPEED = 2.0
+_FULL_STEER = 0.34
+_FULL_RADIUS = 0.45
+_NEAR = 1.0
+"""m at which the closeness near / (near + distance) is a half."""
+_TOUCHING = 0.2
+"""m; the same for the clearance of the nearest obstacles, where centimetres count."""
+_GOAL = 5
+_OWN = 4
+_PER_OBSTACLE = 5
+_ANGLES = 2.0 * np.pi / RAYS * np.arange(RAYS)
+
+
+def observation_length(latents: int) -> int:
+    """How many numbers an observation has."""
+    return _GOAL + _OWN + _PER_OBSTACLE * OBSTACLES + RAYS + latents
+
+
+def observe(
+    state: Values,
+    applied: Values,
+    goal: Values,
+    obstacles: Values,
+    field: Values,
+    footprint: Values,
+    latent: Values,
+) -> Values:
+    """Observations (..., observation_length) of cars: goal, own motion, nearest obstacles, rays, latent.
+
+    State (..., 4) and the action in force ``applied`` (..., 2) in SI units, goal (..., 2) [m], obstacles (..., m, 3):
+    x, y, radius [m], m >= OBSTACLES (``padded`` sees to it), field (..., 4): lowest x, highest x, lowest y, highest y,
+    footprint (..., 3): rear, front, radius, latent (..., latents). A distance d is told as closeness near / (near + d).
+    Rays begin in the footprint's middle and tell how far a disc of the footprint's radius gets: what they leave open,
+    the robot fits through.
+    """
+    cosine, sine = np.cos(state[..., 2]), np.sin(state[..., 2])
+    own = _own_frame(obstacles[..., :2] - state[..., np.newaxis, :2], cosine[..., np.newaxis], sine[..., np.newaxis])
+    parts = (
+        _goal(_own_frame(goal - state[..., :2], cosine, sine)),
+        _motion(state, applied, footprint),
+        _nearest(own, obstacles[..., 2], footprint),
+        _rays(state, own, obstacles[..., 2], field, footprint),
+        latent,
+    )
+    return np.concatenate(parts, axis=-1)
+
+
+def padded(obstacles: Sequence[Sequence[float]], least: int = OBSTACLES) -> Values:
+    """Obstacles (m, 3) with as many added far away as are lacking to ``least``."""
+    rows = [tuple(row) for row in obstacles]
+    return np.array(rows + [_FAR_AWAY] * (least - len(rows)), dtype=np.float64)
+
+
+def clearances(own: Values, radii: Values, footprint: Values) -> tuple[Values, Values]:
+    """Room [m] between capsule and obstacles (..., m), negative inside, and what leads there (..., m, 2).
+
+    ``own``: the obstacles' centres (..., m, 2) in the robot's frame; the second result points from the nearest point of
+    the capsule's line to the centre, in the same frame.
+    """
+    rear, front, radius = (footprint[..., index, np.newaxis] for index in range(3))
+    offset = own.copy()
+    offset[..., 0] -= np.minimum(np.maximum(own[..., 0], -rear), front)
+    return _length(offset) - radii - radius, offset
+
+
+def _goal(own: Values) -> Values:
+    distance = _length(own)
+    direction = own / np.maximum(distance, 1e-6)[..., np.newaxis]
+    scaled = np.stack((_closeness(distance, _NEAR), _closeness(distance, 4.0 * _NEAR)), axis=-1)
+    aside = own[..., 1:] / (_NEAR + distance[..., np.newaxis])
+    return np.concatenate((direction, scaled, aside), axis=-1)
+
+
+def _motion(state: Values, applied: Values, footprint: Values) -> Values:
+    radius = np.broadcast_to(footprint[..., 2], state.shape[:-1])
+    entries = (
+        state[..., 3] / _FULL_SPEED,
+        applied[..., 0] / _FULL_SPEED,
+        applied[..., 1] / _FULL_STEER,
+        radius / _FULL_RADIUS,
+    )
+    return np.stack(entries, axis=-1)
+
+
+def _nearest(own: Values, radii: Values, footprint: Values) -> Values:
+    """Of the nearest obstacles, nearest first: closeness of surface, direction and centre, clearance, size."""
+    room, offset = clearances(own, radii, footprint)
+    order = np.argsort(room, axis=-1)[..., :OBSTACLES]
+    room = np.take_along_axis(room, order, axis=-1)
+    offset = np.take_along_axis(offset, order[..., np.newaxis], axis=-2)
+    centre = np.take_along_axis(own, order[..., np.newaxis], axis=-2)
+    near = _closeness(np.maximum(room, 0.0), _NEAR)[..., np.newaxis]
+    touching = _closeness(np.maximum(room, 0.0), _TOUCHING)[..., np.newaxis]
+    direction = offset / np.maximum(_length(offset), 1e-6)[..., np.newaxis]
+    towards = centre / (_NEAR + _length(centre))[..., np.newaxis]
+    told = np.concatenate((near * direction, near * towards, touching), axis=-1)
+    return told.reshape(*told.shape[:-2], -1)
+
+
+def _rays(state: Values, own: Values, radii: Values, field: Values, footprint: Values) -> Values:
+    """Closeness of what stops a disc of the footprint's radius that leaves the footprint's middle, per ray."""
+    middle = 0.5 * (footprint[..., 1] - footprint[..., 0])
+    radius = footprint[..., 2]
+    cosine, sine = (turn(_ANGLES).astype(state.dtype) for turn in (np.cos, np.sin))
+    nearest = _to_walls(state, middle, radius, field)
+    for index in range(own.shape[-2]):  # one after the other: the arrays in between stay small enough for the cache
+        ahead = (own[..., index, 0] - middle)[..., np.newaxis]
+        aside = own[..., index, 1, np.newaxis]
+        along = ahead * cosine + aside * sine
+        across = aside * cosine - ahead * sine
+        inside = np.square(radii[..., index] + radius)[..., np.newaxis] - across * across
+        hit = np.maximum(along - np.sqrt(np.maximum(inside, 0.0)), 0.0)
+        met = (inside > 0.0) & (along > 0.0)
+        nearest = np.where(met, np.minimum(nearest, hit), nearest)
+    return _closeness(nearest, _NEAR)
+
+
+def _to_walls(state: Values, middle: Values, radius: Values, field: Values) -> Values:
+    """How far [m] the same disc gets on each ray until it touches a wall, shape (..., RAYS)."""
+    angle = state[..., 2, np.newaxis] + _ANGLES.astype(state.dtype)
+    nearest: Values = np.full(angle.shape, _FAR_AWAY[0], dtype=state.dtype)
+    for axis, slope in ((0, np.cos(angle)), (1, np.sin(angle))):
+        heading = np.cos(state[..., 2]) if axis == 0 else np.sin(state[..., 2])
+        start = state[..., axis] + middle * heading
+        up = np.maximum(field[..., 2 * axis + 1] - radius - start, 0.0)[..., np.newaxis]
+        down = np.maximum(start - field[..., 2 * axis] - radius, 0.0)[..., np.newaxis]
+        room = np.where(slope > 0.0, up, down) / np.maximum(np.abs(slope), 1e-4)
+        nearest = np.minimum(nearest, room)
+    return nearest
+
+
+def _own_frame(offset: Values, cosine: Values, sine: Values) -> Values:
+    x, y = offset[..., 0], offset[..., 1]
+    return np.stack((cosine * x + sine * y, cosine * y - sine * x), axis=-1)
+
+
+def _length(offset: Values) -> Values:
+    length: Values = np.sqrt(np.square(offset[..., 0]) + np.square(offset[..., 1]))
+    return length
+
+
+def _closeness(distance: Values, near: float) -> Values:
+    closeness: Values = near / (near + distance)
+    return closeness
