@@ -33,7 +33,7 @@ def test_commands_are_held_for_one_to_three_seconds(runs):
 def test_commands_cover_the_range_and_the_car_follows_them_late(runs):
     run = runs[0]
     assert run.actions[:, 0].min() < -0.3
-    assert run.actions[:, 0].max() > 1.7
+    assert run.actions[:, 0].max() > 1.5
     assert np.abs(run.actions[:, 1]).max() > 0.3
     error = np.abs(run.states[1:, 3] - run.actions[:-1, 0])
     changes = np.flatnonzero(np.abs(np.diff(run.actions[:, 0])) > 0.5)

@@ -1,135 +1,79 @@
-"""What robots lived through in the simulator, and the rows that the history encoder sees of it."""
+"""What robots lived through, simulated or recorded, and the rows that the history encoder sees of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from typing import NamedTuple
 
 import torch
 
-from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.networks import AffineNetworks
-from safedpa_sim.training.simulator import BatchedCars
 
-__all__ = ["Drives", "Lived", "RandomDriver", "drive_cars", "history_rows", "windows"]
+__all__ = ["Lived", "history_rows", "joined", "lived"]
 
 Tensor = torch.Tensor
 
-Driver = Callable[[Tensor, Tensor], Tensor]
-"""Actions (cars, actions) for states (cars, states) and rows of the history so far (cars, history, row)."""
-
-
-class Drives(NamedTuple):
-    """States (cars, steps + 1, states), actions (cars, steps, actions), environments (cars, steps, entries)."""
-
-    states: Tensor
-    actions: Tensor
-    environments: Tensor
-
 
 class Lived(NamedTuple):
-    """Drives with what networks make of them: rows (cars, steps, row) and latents (cars, steps, latents)."""
+    """Transitions one after the other, drive by drive; each knows where its own drive begins and ends."""
 
-    drives: Drives
+    states: Tensor
+    """(n, states) before each transition."""
+    following: Tensor
+    """(n, states) after it."""
+    actions: Tensor
+    """(n, actions)."""
     rows: Tensor
+    """(n, row): what the history encoder sees of it."""
+    first: Tensor
+    """(n,): index of the first transition of the same drive."""
+    last: Tensor
+    """(n,): index of its last transition."""
     latents: Tensor
+    """(n, latents): what mu says of the environment at each; (n, 0) where nobody knows it."""
 
-    def draw(
-        self, batch: int, history: int, generator: torch.Generator, earliest: int = 0
-    ) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
-        """Moments (car, time), histories before them (batch, history, row) and latents at them (batch, latents)."""
-        cars, steps = self.rows.shape[:2]
-        device = self.rows.device
-        car = torch.randint(cars, (batch,), generator=generator, device=device)
-        time = torch.randint(earliest, steps, (batch,), generator=generator, device=device)
-        return (car, time), windows(self.rows, car, time, history), self.latents[car, time]
+    def draw(self, batch: int, generator: torch.Generator, *, before: int = 0, ahead: int = 1) -> Tensor:
+        """Indices (batch,) of transitions with at least ``before`` others of their drive before them, and ``ahead``
+        from them on, themselves included; the whole drive where it is shorter than that."""
+        index = torch.arange(len(self.rows), device=self.rows.device)
+        fits = torch.nonzero((index - self.first >= before) & (self.last - index >= ahead - 1)).squeeze(1)
+        fits = fits if len(fits) else index
+        return fits[torch.randint(len(fits), (batch,), generator=generator, device=index.device)]
 
-    def transitions(self, moments: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """State, following state and action at moments (car, time)."""
-        car, time = moments
-        states, actions, _ = self.drives
-        return states[car, time], states[car, time + 1], actions[car, time]
+    def histories(self, index: Tensor, length: int) -> Tensor:
+        """The ``length`` rows before transitions (batch,), zeros before the drive: (batch, length, row)."""
+        wanted = index.unsqueeze(1) + torch.arange(-length, 0, device=index.device)
+        there = wanted >= self.first[index].unsqueeze(1)
+        return self.rows[wanted.clamp_min(0)] * there.unsqueeze(2)
 
 
-def history_rows(networks: AffineNetworks, states: Tensor, actions: Tensor) -> Tensor:
-    """One row (..., n, row) per transition: states (..., n + 1, states), actions (..., n, actions).
+def history_rows(networks: AffineNetworks, states: Tensor, actions: Tensor, following: Tensor) -> Tensor:
+    """One row (..., row) for each transition from states (..., states) by actions (..., actions):
 
-    row = [scaled features(x_i), own-frame increment x_i -> x_{i+1} / increment_scale, u_i], as ``HistoryEncoder.rows``.
+    [scaled features(x_i), own-frame increment x_i -> x_{i+1} / increment_scale, u_i], as ``HistoryEncoder.rows``.
     """
-    before, after = states[..., :-1, :], states[..., 1:, :]
-    features = (networks.frame.features(before) - networks.feature_middle) / networks.feature_scale
-    increments = networks.frame.own_increment(before, after) / networks.increment_scale
+    features = (networks.frame.features(states) - networks.feature_middle) / networks.feature_scale
+    increments = networks.frame.own_increment(states, following) / networks.increment_scale
     return torch.cat((features, increments, networks.scaled_action(actions)), dim=-1)
 
 
-def windows(rows: Tensor, car: Tensor, time: Tensor, history: int) -> Tensor:
-    """The ``history`` rows before ``time`` (batch,) of the cars ``car`` (batch,), zeros before the first row.
-
-    Rows (cars, steps, row) give (batch, history, row): what phi may see when the action of ``time`` is chosen.
-    """
-    index = time.unsqueeze(1) + torch.arange(-history, 0, device=rows.device)
-    seen: Tensor = rows[car.unsqueeze(1), index.clamp_min(0)]
-    return seen * (index >= 0).unsqueeze(2)
-
-
-@final
-class RandomDriver:
-    """Actions that glide, each car at a pace of its own, towards wishes that are drawn anew now and then.
-
-    a[t+1] = a[t] + pace (wish - a[t]); the wish changes with probability ``change`` in each period.
-    """
-
-    def __init__(self, cars: BatchedCars, count: int, generator: torch.Generator, change: float = 0.05) -> None:
-        self._cars, self._count, self._generator, self._change = cars, count, generator, change
-        self._wish = cars.draw_actions(count, generator)
-        self._action = self._wish.clone()
-        self._pace = 0.05 + 0.95 * torch.rand(count, 1, generator=generator, device=cars.device).square()
-
-    def __call__(self, state: Tensor, rows: Tensor) -> Tensor:
-        """The next actions; they depend on nothing that is seen."""
-        del state, rows
-        draws = torch.rand(self._count, 1, generator=self._generator, device=self._cars.device)
-        fresh = self._cars.draw_actions(self._count, self._generator)
-        self._wish = torch.where(draws < self._change, fresh, self._wish)
-        self._action = self._action + self._pace * (self._wish - self._action)
-        return self._action
+def lived(networks: AffineNetworks, states: Tensor, actions: Tensor, environments: Tensor | None = None) -> Lived:
+    """Drives side by side as transitions: states (drives, steps + 1, states), actions (drives, steps, actions) and, if
+    somebody knows them, environments (drives, steps, entries)."""
+    drives, steps = actions.shape[:2]
+    before, after = states[:, :-1], states[:, 1:]
+    index = torch.arange(drives * steps, device=states.device)
+    first = index - index % steps
+    latents = states.new_zeros(drives, steps, 0) if environments is None else networks.encode(environments)
+    rows = history_rows(networks, before, actions, after)
+    flat = [part.reshape(drives * steps, part.shape[-1]) for part in (before, after, actions, rows, latents)]
+    return Lived(flat[0], flat[1], flat[2], flat[3], first, first + steps - 1, flat[4])
 
 
-def drive_cars(
-    cars: BatchedCars,
-    networks: AffineNetworks,
-    driver: Driver,
-    count: int,
-    steps: int,
-    generator: torch.Generator,
-    configuration: Configuration,
-) -> Drives:
-    """Drives ``count`` cars from drawn states; now and then the environment of one changes while it drives."""
-    environment = cars.draw_environments(count, generator)
-    state, memory = cars.draw_states(count, generator), None
-    rows = _no_rows(networks, count, configuration.history, state)
-    states, actions, environments = [state], [], []
-    for _ in range(steps):
-        action = driver(state, rows)
-        memory = cars.settled(action, environment) if memory is None else memory
-        following, memory = cars.advance(state, action, environment, memory)
-        row = history_rows(networks, torch.stack((state, following), 1), action.unsqueeze(1))
-        rows = torch.cat((rows[:, 1:], row), dim=1)
-        states.append(following)
-        actions.append(action)
-        environments.append(environment)
-        state = following
-        environment = _changed(cars, environment, configuration.phase_2.change, generator)
-    return Drives(torch.stack(states, 1), torch.stack(actions, 1), torch.stack(environments, 1))
-
-
-def _no_rows(networks: AffineNetworks, count: int, history: int, like: Tensor) -> Tensor:
-    sizes = networks.sizes
-    return like.new_zeros(count, history, sizes.features + sizes.states + sizes.actions)
-
-
-def _changed(cars: BatchedCars, environment: Tensor, share: float, generator: torch.Generator) -> Any:
-    """A load is hitched or let go, the wind turns: every entry is drawn anew."""
-    count = len(environment)
-    changes = torch.rand(count, 1, generator=generator, device=cars.device) < share
-    return torch.where(changes, cars.draw_environments(count, generator), environment)
+def joined(parts: list[Lived]) -> Lived:
+    """Several of them as one; drives stay drives of their own."""
+    starts = torch.tensor([0, *(len(part.rows) for part in parts)]).cumsum(0)[:-1].tolist()
+    moved = [
+        part._replace(first=part.first + start, last=part.last + start)
+        for part, start in zip(parts, starts, strict=True)
+    ]
+    return Lived(*(torch.cat(columns) for columns in zip(*moved, strict=True)))

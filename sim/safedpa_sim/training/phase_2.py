@@ -21,8 +21,10 @@ import torch
 
 from safedpa.networks import Weights
 from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.drives import policy_drives, random_drives
+from safedpa_sim.training.driving import Driving
 from safedpa_sim.training.explained import explained
-from safedpa_sim.training.histories import Lived, RandomDriver, drive_cars, history_rows
+from safedpa_sim.training.histories import Lived, joined
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.progress import Tell, silent
@@ -48,9 +50,8 @@ def train_history_encoder(
     explains on drives that it was not trained on, and the prediction errors with mu's latent and with phi's.
     """
     del out
-    phase = configuration.phase_2
     training = _Training.begin(configuration, weights, training_device(device))
-    for index in range(phase.rounds):
+    for index in range(configuration.phase_2.rounds):
         training.add_drives()
         training.learn(index, tell)
     return weights.with_tensors(tensors_of(training.encoder)), training.summary()
@@ -60,7 +61,10 @@ def train_history_encoder(
 @dataclass
 class _Training:
     configuration: Configuration
+    weights: Weights
     cars: BatchedCars
+    driving: Driving | None
+    """Cars among obstacles, for the policy; nothing without one."""
     networks: AffineNetworks
     encoder: HistoryNetwork
     optimiser: torch.optim.Adam
@@ -83,19 +87,29 @@ class _Training:
             encoder = HistoryNetwork(row, configuration.history, sizes.latents).to(device)
         optimiser = torch.optim.Adam(encoder.parameters(), configuration.phase_2.learning_rate)
         spread = networks.encode(cars.draw_environments(_SAMPLES, generator)).std(0).clamp_min(1e-3)
-        return _Training(configuration, cars, networks, encoder, optimiser, generator, spread)
+        driving = None
+        if weights.has("policy"):
+            seed = configuration.seed * 10 + _STREAM
+            driving = Driving(configuration, weights, max(1, configuration.phase_2.cars // 2), seed)
+        return _Training(configuration, weights, cars, driving, networks, encoder, optimiser, generator, spread)
 
     def add_drives(self) -> None:
         """One more round, driven with phi as it is now."""
         phase = self.configuration.phase_2
-        self.known.append(self._lived(phase.cars, phase.steps))
+        self.known.append(self._lived(phase.cars))
 
-    def _lived(self, count: int, steps: int) -> Lived:
-        driver = RandomDriver(self.cars, count, self.generator)
-        with torch.no_grad():
-            drives = drive_cars(self.cars, self.networks, driver, count, steps, self.generator, self.configuration)
-            rows = history_rows(self.networks, drives.states, drives.actions)
-            return Lived(drives, rows, self.networks.encode(drives.environments))
+    def _lived(self, count: int) -> Lived:
+        """Half the cars drive to goals by the policy with phi's latent, if there is one; the others at random."""
+        phase = self.configuration.phase_2
+        driving, parts = self.driving, []
+        if driving is not None:
+            history = self.configuration.history
+            parts.append(policy_drives(driving, self.weights, self.networks, self.encoder, phase.steps, history))
+            count -= driving.count
+        if count > 0:
+            change, generator = phase.change, self.generator
+            parts.append(random_drives(self.cars, self.networks, count, phase.steps, change, generator))
+        return joined(parts)
 
     def learn(self, round_: int, tell: Tell) -> None:
         """The updates of one round, on histories of all rounds so far."""
@@ -116,7 +130,8 @@ class _Training:
         """One step of Adam on histories drawn from all rounds; its loss."""
         which = torch.randint(len(self.known), (1,), generator=self.generator, device=self.cars.device)
         lived = self.known[int(which)]
-        _, histories, latent = lived.draw(batch, self.configuration.history, self.generator)
+        index = lived.draw(batch, self.generator)
+        histories, latent = lived.histories(index, self.configuration.history), lived.latents[index]
         histories = _disturbed(histories, self.configuration.phase_2.noise, self.generator)
         loss = ((self.encoder(histories) - latent) / self.spread).square().mean()
         self.optimiser.zero_grad(set_to_none=True)
@@ -125,25 +140,25 @@ class _Training:
         return float(loss.detach())
 
     def summary(self) -> dict[str, Any]:
-        """What was reached on fresh drives; only histories that are full count."""
-        phase, history = self.configuration.phase_2, self.configuration.history
-        lived = self._lived(_HELD_OUT_CARS, phase.steps)
+        """What was reached on fresh drives; only full histories count."""
+        history = self.configuration.history
+        lived = self._lived(min(self.configuration.phase_2.cars, _HELD_OUT_CARS))
         with torch.no_grad():
-            picked, histories, latent = lived.draw(_SAMPLES, history, self.generator, earliest=history)
-            seen = self.encoder(histories)
+            index = lived.draw(_SAMPLES, self.generator, before=history)
+            latent, seen = lived.latents[index], self.encoder(lived.histories(index, history))
             return {
                 "loss": float(((seen - latent) / self.spread).square().mean()),
                 "explained": explained(seen, latent).tolist(),
-                "one_step_error_with_mu": self._errors(lived, picked, latent),
-                "one_step_error_with_phi": self._errors(lived, picked, seen),
-                "policy": "random",
-                "pairs": sum(item.rows.shape[0] * item.rows.shape[1] for item in self.known),
+                "one_step_error_with_mu": self._errors(lived, index, latent),
+                "one_step_error_with_phi": self._errors(lived, index, seen),
+                "driven_by": "random" if self.driving is None else "policy and random",
+                "pairs": sum(len(item.rows) for item in self.known),
                 "learning_curve": self.losses,
             }
 
-    def _errors(self, lived: Lived, picked: tuple[Tensor, Tensor], latent: Tensor) -> list[float]:
+    def _errors(self, lived: Lived, index: Tensor, latent: Tensor) -> list[float]:
         """Root mean square of the scaled one-step error, for each state."""
-        states, following, actions = lived.transitions(picked)
+        states, following, actions = lived.states[index], lived.following[index], lived.actions[index]
         increment = self.networks.frame.own_increment(states, following) / self.networks.increment_scale
         errors = self.networks(states, actions, latent) - increment
         result: list[float] = errors.square().mean(0).sqrt().tolist()

@@ -1,0 +1,113 @@
+"""Cars that drive in the simulator: at random, or to goals with the policy and phi's own latent."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+import torch
+
+from safedpa.networks import Weights
+from safedpa_sim.training.histories import Lived, history_rows, lived
+from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork
+from safedpa_sim.training.simulator import BatchedCars
+
+__all__ = ["RandomDriver", "policy_drives", "random_drives"]
+
+Tensor = torch.Tensor
+
+
+@final
+class RandomDriver:
+    """Actions that glide, each car at a pace of its own, towards wishes that are drawn anew now and then.
+
+    a[t+1] = a[t] + pace (wish - a[t]); each entry of the wish changes with probability ``change`` in a period. The pace
+    is 1 (steps) for a third of the cars, and between 0.05 and 1, mostly slow, for the others.
+    """
+
+    def __init__(self, cars: BatchedCars, count: int, generator: torch.Generator, change: float = 0.04) -> None:
+        self._cars, self._count, self._generator, self._change = cars, count, generator, change
+        self._wish = cars.draw_actions(count, generator)
+        self._action = self._wish.clone()
+        drawn = self._drawn(2)
+        pace = 0.05 + 0.95 * drawn[:, :1].square()
+        self._pace = torch.where(drawn[:, 1:] < 1.0 / 3.0, torch.ones_like(pace), pace)
+
+    def action(self) -> Tensor:
+        """The next actions (count, actions)."""
+        fresh = self._cars.draw_actions(self._count, self._generator)
+        self._wish = torch.where(self._drawn(fresh.shape[1]) < self._change, fresh, self._wish)
+        self._action = self._action + self._pace * (self._wish - self._action)
+        return self._action
+
+    def _drawn(self, columns: int) -> Tensor:
+        return torch.rand(self._count, columns, generator=self._generator, device=self._cars.device)
+
+
+def random_drives(
+    cars: BatchedCars, networks: AffineNetworks, count: int, steps: int, change: float, generator: torch.Generator
+) -> Lived:
+    """``count`` drives from drawn states under ``RandomDriver``; environments change as ``change`` says."""
+    environment = cars.draw_environments(count, generator)
+    state, memory = cars.draw_states(count, generator), None
+    driver = RandomDriver(cars, count, generator)
+    states, actions, environments = [state], [], []
+    with torch.no_grad():
+        for _ in range(steps):
+            action = driver.action()
+            memory = cars.settled(action, environment) if memory is None else memory
+            state, memory = cars.advance(state, action, environment, memory)
+            states.append(state)
+            actions.append(action)
+            environments.append(environment)
+            changes = torch.rand(count, 1, generator=generator, device=cars.device) < change
+            environment = torch.where(changes, cars.draw_environments(count, generator), environment)
+        return lived(networks, torch.stack(states, 1), torch.stack(actions, 1), torch.stack(environments, 1))
+
+
+def policy_drives(
+    driving: Any, weights: Weights, networks: AffineNetworks, encoder: HistoryNetwork, steps: int, history: int
+) -> Lived:
+    """Drives among obstacles (``Driving``) where the policy's latent is phi(history): what phi itself brings about.
+
+    An episode's end, or touching something, ends a drive: the simulator's free motion tells nothing of either.
+    """
+    from safedpa.policy.learned import LearnedPolicy
+
+    policy = LearnedPolicy(weights)
+    low, high = weights["latent_low"], weights["latent_high"]
+    count = driving.count
+    seen = torch.zeros(count, history, networks.sizes.features + networks.sizes.states + networks.sizes.actions)
+    first = np.zeros(count, dtype=np.int64)
+    columns: list[tuple[Any, ...]] = []
+    firsts = []
+    for step in range(steps):
+        with torch.no_grad():
+            latent = encoder(seen).numpy().clip(low, high)
+        truth, driving.latent = driving.latent, latent
+        chosen = (policy.act(driving.observation()) - weights["action_middle"]) / weights["action_scale"]
+        driving.latent = truth
+        before, known = driving.state.copy(), truth.copy()
+        moved = driving.advance(chosen.astype(np.float32))
+        tensors = [torch.from_numpy(np.array(part)) for part in (before, driving.state, driving.applied, known)]
+        row = history_rows(networks, tensors[0], tensors[2], tensors[1])
+        seen = torch.cat((seen[:, 1:], row.unsqueeze(1)), dim=1)
+        columns.append((tensors[0], tensors[1], tensors[2], row, tensors[3]))
+        firsts.append(first.copy())
+        over = moved.reached | moved.timed_out | moved.contact
+        driving.restart(np.flatnonzero(moved.reached | moved.timed_out))
+        seen[torch.from_numpy(over)] = 0.0
+        first[over] = step + 1
+    return _cut(columns, np.stack(firsts, 1))
+
+
+def _cut(columns: list[tuple[Any, ...]], firsts: np.ndarray[Any, Any]) -> Lived:
+    """Car by car, with the beginnings of drives within the steps of each car."""
+    count, steps = firsts.shape
+    parts = [torch.stack(column, 1).flatten(0, 1) for column in zip(*columns, strict=True)]
+    first = torch.from_numpy(firsts + steps * np.arange(count)[:, np.newaxis]).flatten()
+    index = torch.arange(count * steps)
+    ends = torch.cat((first[1:] == index[1:], torch.tensor([True])))
+    after = torch.where(ends, index, count * steps)
+    last = after.flip(0).cummin(0).values.flip(0)
+    return Lived(parts[0], parts[1], parts[2], parts[3], first, last, parts[4])
