@@ -140,6 +140,15 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(tmp_path: Path, monk
     assert [pairs for pairs, _ in summary["learning_curve"]] == [256 * step for step in range(1, 21)]
 
 
+def test_it_tells_how_far_it_is_and_ends_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(phase_1a, "_TELL_SECONDS", 0.0)
+    told: list[tuple[str, int, int, str]] = []
+    train_affine(with_pairs(5 * 256), tmp_path, lambda *words: told.append(words))
+    assert [(phase, done, everything) for phase, done, everything, _ in told[-2:]] == [("1a", 5 * 256, 5 * 256)] * 2
+    assert [done for _, done, _, _ in told[:5]] == [256 * step for step in range(1, 6)]
+    assert all(note.startswith("loss ") for *_, note in told)
+
+
 def test_a_checkpoint_is_written_along_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[int] = []
     write = phase_1a.write_checkpoint

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from safedpa.dynamics import PhysicsModel, load_model, write_model
+from safedpa.dynamics.settings import wanted
 from safedpa.effects import Parameter, effect
 from safedpa.errors import InputError, did_you_mean
 
@@ -20,6 +21,7 @@ __all__ = [
     "Ablations",
     "Configuration",
     "Phase1a",
+    "Phase1b",
     "Phase2",
     "Range",
     "configurations",
@@ -54,6 +56,31 @@ class Phase1a:
     encoder_hidden: int = limited(64, 1, 4096)
     """Neurons in mu's hidden layer."""
     checkpoint_seconds: float = limited(30.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Phase1b:
+    """The policy, by proximal policy optimisation on driving cars with mu frozen."""
+
+    steps: int = limited(5_000_000, 1)
+    """Largest number of steps, all cars together."""
+    enough: float = limited(0.985, 0.0)
+    """Share of the evaluation drives that reach their goal at which training ends; above 1: never before all steps."""
+    cars: int = limited(512, 1, 100_000)
+    rollout: int = limited(64, 2)
+    """Ticks of every car between two updates."""
+    batch: int = limited(8192, 2)
+    epochs: int = limited(8, 1, 100)
+    """Times that each tick is learned from."""
+    learning_rate: float = limited(1e-3, 1e-8, 1.0)
+    """At the beginning; it falls in a straight line to a twentieth."""
+    discount: float = limited(0.99, 0.0, 1.0)
+    hidden: int = limited(128, 1, 4096)
+    """Neurons in each of the two hidden layers."""
+    noise: float = limited(0.6, 1e-3, 10.0)
+    """Standard deviation of the actions at the beginning, as a share of half their range."""
+    evaluate_every: int = limited(10, 1)
+    """Updates between two evaluations."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +130,13 @@ class Configuration:
     seed: int = limited(0, 0)
     latents: int = limited(4, 1, 64)
     """Entries of z."""
-    history: int = limited(50, 36, 1000)
-    """Transitions that phi sees; its two convolutions need 36."""
+    history: int = limited(52, 36, 1000)
+    """Transitions that phi sees. Its two convolutions, of kernel 8 and stride 4, see all of them where it is 36, 52, 68
+    and so on; with 50 they would miss the newest 14, of which the actuators' lag and a load just hitched are told."""
     absent: float = limited(0.2, 0.0, 1.0)
     """Share of the environments in which a given effect does nothing."""
     phase_1a: Phase1a = Phase1a()
+    phase_1b: Phase1b = Phase1b()
     phase_2: Phase2 = Phase2()
     ablations: Ablations = Ablations()
 
@@ -202,10 +231,7 @@ def _environment(simulator: PhysicsModel, table: Mapping[str, Any]) -> dict[str,
             path, parameter = f"{owner}.{name}", parameters[name]
             low, high = found[path] = _range(f"environment.{path}", entry)
             if not parameter.low <= low <= high <= parameter.high:
-                raise InputError(
-                    f"environment.{path}: got {low:g} to {high:g}, wanted within {parameter.low:g} to "
-                    f"{parameter.high:g} {parameter.unit}"
-                )
+                raise InputError(f"environment.{path}: got {low:g} to {high:g}, wanted within {wanted(parameter)}")
     return found
 
 

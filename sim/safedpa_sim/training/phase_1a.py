@@ -110,7 +110,8 @@ class _Training:
     def restore(self, checkpoint: Path) -> int:
         """Steps that an interrupted training has already done; its networks and its curve are back then."""
         done, told = read_checkpoint(checkpoint, self._digest(), self.networks, self.optimiser, self.generator)
-        self.curve, self.losses = told.get("curve", []), told.get("losses", [])
+        self.curve = told.get("curve", [])
+        self.losses = [loss.to(self.cars.device) for loss in told.get("losses", [])]
         return done
 
     def run(self, done: int, checkpoint: Path, tell: Tell) -> None:
@@ -130,6 +131,7 @@ class _Training:
             if now - saved > self.configuration.phase_1a.checkpoint_seconds:
                 self._save(checkpoint, done)
                 saved = now
+        self._tell(done, tell)
 
     def _note(self, done: int, loss: torch.Tensor) -> None:
         self.losses.append(loss)
