@@ -11,6 +11,7 @@ from typing import Any
 from safedpa.safety import FilterSettings
 from safedpa.safety.calibration import MarginCalibration
 from safedpa_sim.closed_loop import drive
+from safedpa_sim.experiments.car_margin import CoverageCount
 from safedpa_sim.experiments.car_methods import Method, nodes_of
 from safedpa_sim.experiments.car_scenes import TICKS, car_scene
 from safedpa_sim.robots.core import CarRobot
@@ -53,6 +54,8 @@ class Outcome:
     least_h: float
     """Smallest barrier value that was measured [m]; without a filter as well."""
     statuses: dict[str, int]
+    covered: dict[str, list[int]]
+    """By kind of barrier: steps whose error the calibrated margin covered, and all steps; empty without a margin."""
     trajectory: str
     """SHA-256 of all states."""
 
@@ -71,11 +74,12 @@ def _outcome(group: EpisodeGroup, seed: int) -> Outcome:
     nodes = nodes_of(group.method, group.folder, group.settings, group.margin)
     robot = CarRobot(car_scene(seed, group.load), PERIOD)
     statuses: Counter[str] = Counter()
-    least_h = float("inf")
+    least_h, coverage = float("inf"), CoverageCount(group.settings, group.margin)
     with closing(drive(robot, nodes, group.ticks)) as ticks:
         for tick in ticks:
             statuses[tick.verdict.status] += 1
             least_h = min(least_h, tick.verdict.h_now)
+            coverage.see(tick.state, tick.verdict.predicted)
             if robot.goals_reached:
                 break
     collisions = robot.collisions
@@ -89,5 +93,6 @@ def _outcome(group: EpisodeGroup, seed: int) -> Outcome:
         changed=sum(count for status, count in statuses.items() if status not in ("passed", "disabled")),
         least_h=round(least_h, 6),
         statuses=dict(sorted(statuses.items())),
+        covered=coverage.counts,
         trajectory=robot.trajectory_hash,
     )

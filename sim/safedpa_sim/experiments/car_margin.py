@@ -7,7 +7,7 @@ The rule: epsilon of each kind of barrier is the split conformal quantile of the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from safedpa.safety.scene import SceneBarriers
 from safedpa_sim.experiments.car_drives import Drive
 from safedpa_sim.experiments.statistics import wilson_interval
 
-__all__ = ["COVERAGE", "conformal_margin", "coverage_of", "h_errors", "latents_along", "worst_errors"]
+__all__ = ["COVERAGE", "CoverageCount", "conformal_margin", "coverage_of", "h_errors", "latents_along", "worst_errors"]
 
 Values = NDArray[np.float64]
 
@@ -95,6 +95,31 @@ def coverage_of(margin: MarginCalibration, fresh: dict[str, Values]) -> dict[str
             "largest_error": float(errors.max()),
         }
     return rows
+
+
+@final
+class CoverageCount:
+    """Counts along one episode how often the calibrated margin covered the error of what the filter predicted."""
+
+    def __init__(self, settings: FilterSettings, margin: MarginCalibration | None) -> None:
+        self._scene, self._margin = SceneBarriers(settings), margin
+        self._expected: Values | None = None
+        self._barriers: Sequence[AbstractBarrier] = ()
+        self.counts: dict[str, list[int]] = {}
+        """By kind: steps covered, and all steps; empty without a margin."""
+
+    def see(self, state: StateMessage, predicted: Sequence[Sequence[float]]) -> None:
+        """One tick: the measured state, and the states that the filter expects after it."""
+        if self._margin is None:
+            return
+        if self._expected is not None:
+            errors = worst_errors(self._barriers, self._expected, np.array(state.values))
+            for kind, error in errors.items():
+                count = self.counts.setdefault(kind, [0, 0])
+                count[0] += error <= self._margin.epsilon[kind]
+                count[1] += 1
+        self._barriers = _barriers(self._scene, state)
+        self._expected = np.array(predicted[0]) if predicted else None
 
 
 def _barriers(scene: SceneBarriers, message: StateMessage) -> Sequence[AbstractBarrier]:

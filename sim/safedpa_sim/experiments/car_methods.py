@@ -32,10 +32,12 @@ class Method:
     """Of adaptation and policy."""
     filter_model: str | None
     """None: no filter."""
-    learned: bool = True
-    """Whether the policy is a learned one; else the goal seeker, which knows nothing of obstacles."""
+    controller: str = "learned"
+    """As the policy service names it. The goal seeker knows nothing of obstacles; the planner looks ahead by itself."""
     adaptive: bool = True
     """Without, the latent stays what it is where nothing acts."""
+    usual: bool = True
+    """Whether it is driven when no method is named; planners take ten times as long."""
     meaning: str = ""
 
 
@@ -57,22 +59,40 @@ METHODS: dict[str, Method] = {
         Method(
             "policy", "Policy alone", "car_simulated", None, adaptive=False, meaning="neither adaptation nor filter"
         ),
-        Method("physics", "Physics model", "car", "car", learned=False, meaning="estimator, goal seeker, filter"),
-        Method("goal_seeker", "Goal seeker alone", "car", None, learned=False, meaning="the goal seeker, no filter"),
+        Method("physics", "Physics model", "car", "car", "goal_seeker", meaning="estimator, goal seeker, filter"),
+        Method("goal_seeker", "Goal seeker alone", "car", None, "goal_seeker", meaning="the goal seeker, no filter"),
+        Method(
+            "planner",
+            "SafeDPA, planner",
+            "car_learned",
+            "car_learned",
+            "planner",
+            usual=False,
+            meaning="SafeDPA with the sampling planner in place of the policy",
+        ),
+        Method(
+            "physics_planner",
+            "Physics model, planner",
+            "car",
+            "car",
+            "planner",
+            usual=False,
+            meaning="estimator, sampling planner, filter",
+        ),
     )
 }
 """Every method by name, in the order of the table."""
 
 
 def chosen_methods(names: tuple[str, ...], folder: Path) -> tuple[list[Method], list[str]]:
-    """The named methods (all of them without names) whose models exist, and sentences about those left out.
+    """The named methods (the usual ones without names) whose models exist, and sentences about those left out.
 
     Raises InputError for a name that does not exist, and for one that was asked for and lacks its model.
     """
     for name in names:
         if name not in METHODS:
             raise InputError(f"method '{name}': {did_you_mean(name, METHODS)}")
-    wanted = [METHODS[name] for name in names] if names else list(METHODS.values())
+    wanted = [METHODS[name] for name in names] if names else [item for item in METHODS.values() if item.usual]
     present, missing = [], []
     for method in wanted:
         lack = _lack(method, folder)
@@ -92,9 +112,9 @@ def _lack(method: Method, folder: Path) -> str:
         if model_path(name, folder) is None:
             return f"{name}.toml is neither in {folder} nor among the shipped models"
     base = named_model(method.model, folder).base
-    if method.learned and not (isinstance(base, LearnedBase) and base.weights.has("policy")):
+    if method.controller == "learned" and not (isinstance(base, LearnedBase) and base.weights.has("policy")):
         return f"{method.model}.toml in {folder} has no policy among its weights"
-    if method.learned and method.adaptive and isinstance(base, LearnedBase) and not base.weights.has("phi"):
+    if method.adaptive and isinstance(base, LearnedBase) and not base.weights.has("phi"):
         return f"{method.model}.toml in {folder} has no history encoder (phi) among its weights"
     return ""
 
@@ -122,7 +142,7 @@ def nodes_of(
     """Adaptation, policy and filter of a method, new ones for one episode."""
     model = named_model(method.model, folder)
     adaptation = AdaptationNode(model) if method.adaptive else FixedLatentNode(model)
-    policy = PolicyNode(model)
+    policy = PolicyNode(model, controller=method.controller)
     if method.filter_model is None:
         return [adaptation, policy, SafetyFilterNode(model, dataclasses.replace(settings, enabled=False))]
     if method.filter_model == method.model:

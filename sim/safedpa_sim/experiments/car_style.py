@@ -29,6 +29,8 @@ METHOD_COLOURS = {
     "policy": RED,
     "physics": GREY,
     "goal_seeker": "#BCC4CB",
+    "planner": PURPLE,
+    "physics_planner": "#A79BB5",
 }
 """By method: blue SafeDPA, green filters that know no latent, orange and red without filter, grey without learning."""
 

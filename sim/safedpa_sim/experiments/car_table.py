@@ -48,6 +48,7 @@ def cell_of(method: Method, load: str, outcomes: Sequence[Outcome]) -> dict[str,
         "seconds_to_goal": round(float(np.median(reached)), 3) if reached else None,
         "changed_share": round(sum(item.changed for item in outcomes) / ticks, 4),
         "statuses": dict(sorted(statuses.items())),
+        "covered": _covered(outcomes),
         "least_h": min(item.least_h for item in outcomes),
         "not_reached": [item.seed for item in outcomes if not item.success],
         "not_safe": [item.seed for item in outcomes if not item.safe],
@@ -95,6 +96,18 @@ def _paper_entry(load: str) -> str:
 def _with_interval(share: dict[str, Any]) -> str:
     low, high = share["interval_95"]
     return f"{share['share']:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def _covered(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
+    """By kind of barrier: the share of the episodes' steps whose error the calibrated margin covered."""
+    kinds = dict.fromkeys(kind for item in outcomes for kind in item.covered)
+    return {
+        kind: {"covered": covered, "steps": steps, "share": round(covered / steps, 5)}
+        for kind in kinds
+        for covered, steps in [
+            np.sum([item.covered[kind] for item in outcomes if kind in item.covered], axis=0).tolist()
+        ]
+    }
 
 
 def _share(hits: Sequence[bool]) -> dict[str, Any]:
