@@ -1,0 +1,31 @@
+"""The training simulator, mended by a diagnosis of circles of the pymunk car."""
+
+from __future__ import annotations
+
+import pytest
+
+from safedpa.errors import InputError
+from safedpa_sim.training.circles import record_circles
+from safedpa_sim.training.configuration import load_configuration
+from safedpa_sim.training.grounding import ground_simulator, grounded_configuration
+from safedpa_sim.training.simulator import BatchedCars
+
+
+@pytest.mark.slow
+def test_the_mended_simulator_predicts_the_real_car() -> None:
+    configuration = load_configuration("car_small")
+    grounded = ground_simulator(configuration, record_circles(900, seed=3, run_pairs=300))
+    errors = grounded.summary()["heldout_error"]
+    assert errors[-1] < 0.35 * errors[0]
+    assert {"steering_lag", "steering_delay", "actuator_delay"} & set(grounded.report.added)  # late steering in some form
+    assert "towed_load" not in grounded.report.added
+    assert not grounded.model.latent_names  # every parameter is fixed: training draws its own
+    cars = BatchedCars(grounded_configuration(configuration, grounded))
+    assert [entry.path for entry in cars.entries] == list(configuration.environment)
+    assert cars.remembers
+
+
+def test_runs_that_say_nothing_are_refused() -> None:
+    configuration = load_configuration("car_small")
+    with pytest.raises(InputError, match="say nothing about the simulator"):
+        ground_simulator(configuration, record_circles(60, seed=3, run_pairs=60))
