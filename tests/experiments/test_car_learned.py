@@ -18,7 +18,7 @@ from safedpa_sim.experiments.car_drives import Drive, DriveOrder, recorded_drive
 from safedpa_sim.experiments.car_episodes import EpisodeGroup, run_group
 from safedpa_sim.experiments.car_errors import error_ratios, errors_of_model, increment_scale
 from safedpa_sim.experiments.car_latent import LinearDiscriminant, latent_result, principal_plane
-from safedpa_sim.experiments.car_margin import conformal_margin, coverage_of, h_errors, latents_along
+from safedpa_sim.experiments.car_margin import StepErrors, coverage_of, latents_along, margin_of, step_errors
 from safedpa_sim.experiments.car_methods import METHODS, FixedLatentNode, chosen_methods, named_model
 from safedpa_sim.experiments.car_predict import predictor_of
 
@@ -133,20 +133,22 @@ def test_the_number_is_the_mean_over_the_states_of_the_scaled_root_mean_square(l
 def test_a_margin_covers_what_it_was_calibrated_on(learned_folder):
     drives = [recorded_drive(DriveOrder(5000 + index, "none", 120, True, exploring=False)) for index in range(2)]
     model = named_model("car_learned", learned_folder)
-    errors = h_errors(model, drives, SETTINGS)
-    margin = conformal_margin(model, errors, "2026-11-21")
+    errors = step_errors(model, drives, SETTINGS, increment_scale([model], drives))
+    margin = margin_of(model, errors, "2026-11-21")
     covered = coverage_of(margin, errors)
     assert covered.keys() == {"obstacle", "field", "speed"}
-    assert all(row["share"] >= 0.99 and row["steps"] == 240 for row in covered.values())
+    assert all(row["conformal"]["share"] >= 0.99 and row["steps"] == 240 for row in covered.values())
     narrow = replace(margin, epsilon=dict.fromkeys(margin.epsilon, 0.0))
     for kind, row in coverage_of(narrow, errors).items():
-        assert row["covered"] == (errors[kind] <= 0.0).sum() < 240
+        assert row["conformal"]["covered"] == (errors.h[kind] <= 0.0).sum() < 240
         assert row["largest_error"] >= margin.epsilon[kind] > 0.0
+        assert (errors.bound[kind] >= errors.h[kind] - 1e-9).all()  # the theory's bound holds in every step
+        assert row["theorem"]["epsilon"] >= margin.epsilon[kind]
 
 
 def test_too_few_steps_give_no_margin(learned_folder):
     with pytest.raises(InputError, match="wanted at least 99"):
-        conformal_margin(load_model("car"), {"speed": np.zeros(98)}, "2026-11-21")
+        margin_of(load_model("car"), StepErrors({"speed": np.zeros(98)}, {"speed": np.zeros(98)}), "2026-11-21")
 
 
 def test_the_discriminant_tells_clouds_apart():

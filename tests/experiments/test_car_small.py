@@ -95,7 +95,7 @@ def test_another_margin_is_another_cell(out, monkeypatch, capsys):
         (["--part", "tables"], "did you mean 'table'"),
         (["--episodes", 0], "wanted at least 1"),
         (["--first-seed", 4950], "wanted seeds from 0"),
-        (["--margin", "wide"], "wanted 'conformal' or a number"),
+        (["--margin", "wide"], "wanted 'conformal', 'theorem' or a number"),
         (["--drive-ticks", 30], "at least 120"),
         (["--out", "/proc/no/where"], "choose another folder"),
     ],

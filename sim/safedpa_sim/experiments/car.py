@@ -11,6 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety import FilterSettings
@@ -20,7 +23,7 @@ from safedpa_sim.experiments.car_cells import Cell, run_cells
 from safedpa_sim.experiments.car_drives import Drive, DriveOrder, cut_at_contact, recorded_drive
 from safedpa_sim.experiments.car_errors import error_ratios, errors_of_model, increment_scale
 from safedpa_sim.experiments.car_latent import latent_result
-from safedpa_sim.experiments.car_margin import COVERAGE, conformal_margin, coverage_of, h_errors
+from safedpa_sim.experiments.car_margin import COVERAGE, coverage_of, margin_of, step_errors
 from safedpa_sim.experiments.car_methods import chosen_methods, model_path, named_model
 from safedpa_sim.experiments.car_orders import (
     FIRST_SEEDS,
@@ -43,6 +46,7 @@ PARTS = ("table", "errors", "latent")
 _PREDICTORS = ("car_learned", "car_simulated", "fix", "mix", "car")
 """Models whose predictions are measured, where they exist."""
 
+Values = NDArray[np.float64]
 Tell = Callable[[int, int], None]
 
 
@@ -60,8 +64,8 @@ class CarExperiment:
     """All that can be driven, when empty."""
     loads: tuple[str, ...] = tuple(CONFIGURATIONS)
     parts: tuple[str, ...] = PARTS
-    margin: float | None = None
-    """The same epsilon [unit of h] for all kinds and models; None: the conformal one of each model."""
+    margin: str | float = "conformal"
+    """Of every filter: each model's own ``conformal`` or ``theorem`` epsilon, or this number for all."""
     settings: str = "car"
     processes: int = 2
     drives: int = 6
@@ -80,8 +84,6 @@ class CarExperiment:
             )
         if self.drive_ticks < 120:
             raise InputError(f"drive ticks: got {self.drive_ticks}, wanted at least 120: a history and one second")
-        if self.margin is not None and not 0.0 <= self.margin <= 1.0:
-            raise InputError(f"margin: got {self.margin}, wanted 0 to 1 m")
         for names, known in ((self.loads, CONFIGURATIONS), (self.parts, PARTS)):
             for name in names:
                 if name not in known:
@@ -96,7 +98,7 @@ def car_experiment(experiment: CarExperiment, tell: Tell = lambda _done, _all: N
 class _Run:
     def __init__(self, experiment: CarExperiment, tell: Tell) -> None:
         self._experiment = experiment
-        self._settings: FilterSettings = settings_named(experiment.settings)
+        self._settings = replace(settings_named(experiment.settings), margin=experiment.margin)
         self._methods, self._missing = chosen_methods(experiment.methods, experiment.models)
         if not self._methods:
             raise InputError(f"{experiment.models}: none of the methods can be driven; {self._missing[0]}")
@@ -125,12 +127,12 @@ class _Run:
         each, ticks = experiment.drives, experiment.drive_ticks
         known = self._recorded(workers, margin_orders(experiment.loads, each, ticks))
         fresh = self._recorded(workers, fresh_orders(experiment.loads, each, ticks))
-        work = [_MarginWork(name, experiment, self._settings, known, fresh) for name in names]
+        scale = increment_scale([named_model(name, experiment.models) for name in names], known)
+        work = [_MarginWork(name, experiment, self._settings, scale, known, fresh) for name in names]
         margins, rows = {}, {}
         for name, (margin, coverage) in zip(names, workers.map(_margin, work), strict=True):
             margins[name], rows[name] = margin, coverage
-        rule = "split conformal" if experiment.margin is None else "the same number for all"
-        return margins, {"rule": rule, "coverage_wanted": COVERAGE, "models": rows}
+        return margins, {"used": experiment.margin, "coverage_wanted": COVERAGE, "models": rows}
 
     def _cells(self, workers: Workers, margins: dict[str, MarginCalibration]) -> Iterator[dict[str, Any]]:
         experiment = self._experiment
@@ -194,6 +196,7 @@ class _MarginWork:
     name: str
     experiment: CarExperiment
     settings: FilterSettings
+    scale: Values
     known: list[Drive]
     fresh: list[Drive]
 
@@ -201,10 +204,8 @@ class _MarginWork:
 def _margin(work: _MarginWork) -> tuple[MarginCalibration, dict[str, Any]]:
     """The margin of one model, and what it covers on fresh drives."""
     model: PhysicsModel = named_model(work.name, work.experiment.models)
-    margin = conformal_margin(model, h_errors(model, work.known, work.settings), work.experiment.date)
-    if work.experiment.margin is not None:
-        margin = replace(margin, epsilon=dict.fromkeys(margin.epsilon, work.experiment.margin))
-    return margin, coverage_of(margin, h_errors(model, work.fresh, work.settings))
+    margin = margin_of(model, step_errors(model, work.known, work.settings, work.scale), work.experiment.date)
+    return margin, coverage_of(margin, step_errors(model, work.fresh, work.settings, work.scale))
 
 
 def _ratios(errors: dict[str, Any]) -> dict[str, Any] | None:

@@ -37,7 +37,7 @@ class Cell:
     def key(self) -> str:
         """Changes with everything that the outcomes depend on but the program itself."""
         models = [fingerprint(named_model(name, self.folder)) for name in (self.method.model, self._filter_model)]
-        epsilon = {} if self.margin is None else self.margin.epsilon
+        epsilon = {} if self.margin is None else self.margin.chosen(self.settings.margin).epsilon
         told = [self.method.name, self.load, *models, write_settings(self.settings), sorted(epsilon.items())]
         return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
 

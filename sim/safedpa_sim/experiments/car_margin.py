@@ -1,12 +1,19 @@
 """Margins of the filters of the car experiment: one rule for all models, and their coverage on fresh drives.
 
 The rule: epsilon of each kind of barrier is the split conformal quantile of the model's own one-step error of h, at
-99 %, on the same recorded drives for every model. A model that predicts worse pays with a wider margin.
+99 %, on the same recorded drives for every model. A model that predicts worse pays with a wider margin. Beside it
+stands the bound by norms that the theory allows on a robot (the docs page on theory): the same quantile of
+
+    |p|_1 |v - v^|_sup >= |h(x + v) - h(x + v^)|,
+
+v, v^ the true and the predicted change in the car's own frame over the scale of the networks, |p|_1 the barrier's
+largest gradient.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
@@ -16,15 +23,26 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, LatentMessage, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
+from safedpa.networks import frame_of
 from safedpa.safety import FilterSettings
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin import smallest_sample, split_conformal_margin
 from safedpa.safety.scene import SceneBarriers
+from safedpa.safety.theory_gradient import largest_gradients
 from safedpa_sim.experiments.car_drives import Drive
 from safedpa_sim.experiments.statistics import wilson_interval
 
-__all__ = ["COVERAGE", "CoverageCount", "conformal_margin", "coverage_of", "h_errors", "latents_along", "worst_errors"]
+__all__ = [
+    "COVERAGE",
+    "CoverageCount",
+    "StepErrors",
+    "coverage_of",
+    "latents_along",
+    "margin_of",
+    "step_errors",
+    "worst_errors",
+]
 
 Values = NDArray[np.float64]
 
@@ -46,21 +64,49 @@ def latents_along(model: PhysicsModel, drive: Drive) -> Values:
     return np.array(rows)
 
 
-def h_errors(model: PhysicsModel, drives: Sequence[Drive], settings: FilterSettings) -> dict[str, Values]:
-    """By kind of barrier (steps,): the worst h(predicted next state) - h(measured next state) over its barriers.
+@dataclass(frozen=True)
+class StepErrors:
+    """Errors of a model's one-step predictions along recorded drives, by kind of barrier, each (steps,)."""
 
-    The latents are the adaptation's at each tick; what the actuators remember is carried along each drive.
+    h: dict[str, Values]
+    """The worst h(predicted next state) - h(measured next state) over the kind's barriers."""
+    bound: dict[str, Values]
+    """What the theory's bound makes of the error of the state in the same steps; never below ``h``."""
+
+
+def step_errors(model: PhysicsModel, drives: Sequence[Drive], settings: FilterSettings, scale: Values) -> StepErrors:
+    """Along the drives, with the adaptation's latent at each tick and the actuators' memory carried along.
+
+    ``scale`` (states,) of the state's change in the car's own frame.
     """
-    found: dict[str, list[float]] = {}
+    h: dict[str, list[float]] = {}
+    bound: dict[str, list[float]] = {}
     for drive in drives:
-        latents, scene = latents_along(model, drive), SceneBarriers(settings)
-        memory: Any = model.initial_memory(np.array(drive.messages[0].applied))
-        for before, after, latent in zip(drive.messages, drive.messages[1:], latents, strict=False):
-            state, action = np.array(before.values), np.array(after.applied)
-            expected, memory = model.advance(state, action, memory, latent, period=before.period)
-            for kind, error in worst_errors(_barriers(scene, before), expected, np.array(after.values)).items():
-                found.setdefault(kind, []).append(error)
-    return {kind: np.array(errors) for kind, errors in found.items()}
+        scene = SceneBarriers(settings)
+        gradients = largest_gradients(settings, drive.messages[0].footprint, scale)
+        for before, expected, measured in _steps(model, drive):
+            size = _largest_entry(np.array(before.values), expected, measured, scale)
+            for kind, error in worst_errors(_barriers(scene, before), expected, measured).items():
+                h.setdefault(kind, []).append(error)
+                bound.setdefault(kind, []).append(gradients[kind] * size)
+    return StepErrors(*({kind: np.array(values) for kind, values in found.items()} for found in (h, bound)))
+
+
+def _steps(model: PhysicsModel, drive: Drive) -> Iterator[tuple[StateMessage, Values, Values]]:
+    """State message, predicted and measured next state (states,) of every step."""
+    latents = latents_along(model, drive)
+    memory: Any = model.initial_memory(np.array(drive.messages[0].applied))
+    for before, after, latent in zip(drive.messages, drive.messages[1:], latents, strict=False):
+        state, action = np.array(before.values), np.array(after.applied)
+        expected, memory = model.advance(state, action, memory, latent, period=before.period)
+        yield before, expected, np.array(after.values)
+
+
+def _largest_entry(state: Values, expected: Values, measured: Values, scale: Values) -> float:
+    """|v - v^|_sup."""
+    frame = frame_of("car")
+    difference = frame.own_increment(state, measured) - frame.own_increment(state, expected)
+    return float(np.abs(difference / scale).max())
 
 
 def worst_errors(barriers: Sequence[AbstractBarrier], expected: Values, measured: Values) -> dict[str, float]:
@@ -72,37 +118,39 @@ def worst_errors(barriers: Sequence[AbstractBarrier], expected: Values, measured
     return {kind: error for kind, error in errors.items() if np.isfinite(error)}
 
 
-def conformal_margin(model: PhysicsModel, errors: dict[str, Values], date: str) -> MarginCalibration:
-    """The margin that covers 99 % of the steps. Raises InputError when there are too few of them."""
-    count = min((len(values) for values in errors.values()), default=0)
+def margin_of(model: PhysicsModel, errors: StepErrors, date: str) -> MarginCalibration:
+    """The margins that cover 99 % of the steps. Raises InputError when there are too few of them."""
+    count = min((len(values) for values in errors.h.values()), default=0)
     if count < smallest_sample(COVERAGE):
         raise InputError(f"margin: got {count} steps, wanted at least {smallest_sample(COVERAGE)}; drive longer")
-    epsilon = {kind: max(0.0, split_conformal_margin(values, COVERAGE)) for kind, values in errors.items()}
-    return MarginCalibration(epsilon, COVERAGE, count, date, fingerprint(model))
+    epsilon = {kind: max(0.0, split_conformal_margin(values, COVERAGE)) for kind, values in errors.h.items()}
+    theorem = {kind: split_conformal_margin(values, COVERAGE) for kind, values in errors.bound.items()}
+    return MarginCalibration(epsilon, COVERAGE, count, date, fingerprint(model), theorem)
 
 
-def coverage_of(margin: MarginCalibration, fresh: dict[str, Values]) -> dict[str, Any]:
-    """By kind: how many fresh errors the margin covers, with the 95 % Wilson interval, and the largest of them."""
-    rows = {}
-    for kind, errors in fresh.items():
-        covered = int((errors <= margin.epsilon[kind]).sum())
-        rows[kind] = {
-            "epsilon": margin.epsilon[kind],
-            "steps": len(errors),
-            "covered": covered,
-            "share": covered / len(errors),
-            "interval_95": list(wilson_interval(covered, len(errors))),
-            "largest_error": float(errors.max()),
-        }
+def coverage_of(margin: MarginCalibration, fresh: StepErrors) -> dict[str, Any]:
+    """By kind of barrier and of margin: epsilon, and how many fresh errors of h it covers, with a 95 % interval."""
+    rows: dict[str, Any] = {}
+    for kind, errors in fresh.h.items():
+        rows[kind] = {"steps": len(errors), "largest_error": float(errors.max())}
+        for name, epsilon in (("conformal", margin.epsilon[kind]), ("theorem", margin.theorem[kind])):
+            covered = int((errors <= epsilon).sum())
+            rows[kind][name] = {
+                "epsilon": epsilon,
+                "covered": covered,
+                "share": covered / len(errors),
+                "interval_95": list(wilson_interval(covered, len(errors))),
+            }
     return rows
 
 
 @final
 class CoverageCount:
-    """Counts along one episode how often the calibrated margin covered the error of what the filter predicted."""
+    """Counts along one episode how often the margin that the settings name covered what the filter predicted."""
 
     def __init__(self, settings: FilterSettings, margin: MarginCalibration | None) -> None:
-        self._scene, self._margin = SceneBarriers(settings), margin
+        self._scene = SceneBarriers(settings)
+        self._margin = None if margin is None else margin.chosen(settings.margin)
         self._expected: Values | None = None
         self._barriers: Sequence[AbstractBarrier] = ()
         self.counts: dict[str, list[int]] = {}

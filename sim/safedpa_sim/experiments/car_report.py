@@ -91,11 +91,15 @@ def _ticks(row: dict[str, Any]) -> str:
 
 def _margin_markdown(margin: dict[str, Any]) -> str:
     lines = [
-        f"| margin ({margin['rule']}) | epsilon obstacle [m] | field [m] | speed [m/s] | covered on fresh drives |",
+        "| margin: conformal, (theorem) | obstacle [m] | field [m] | speed [m/s] | steps covered on fresh drives |",
         "|---|---|---|---|---|",
     ]
     for name, kinds in margin["models"].items():
-        numbers = [f"{kinds[kind]['epsilon']:.4f}" if kind in kinds else "-" for kind in ("obstacle", "field", "speed")]
-        covered = ", ".join(f"{100 * row['share']:.1f} %" for row in kinds.values())
-        lines.append(f"| {MODEL_TITLES.get(name, name)} | {' | '.join(numbers)} | {covered} |")
-    return "\n".join(lines) + "\n"
+        cells = [_epsilons(kinds[kind]) if kind in kinds else "-" for kind in ("obstacle", "field", "speed")]
+        covered = ", ".join(f"{100 * row['conformal']['share']:.1f} %" for row in kinds.values())
+        lines.append(f"| {MODEL_TITLES.get(name, name)} | {' | '.join(cells)} | {covered} |")
+    return "\n".join([*lines, "", f"Used by every filter: {margin['used']}."]) + "\n"
+
+
+def _epsilons(row: dict[str, Any]) -> str:
+    return f"{row['conformal']['epsilon']:.3f} ({row['theorem']['epsilon']:.3f})"

@@ -31,7 +31,7 @@ __all__ = ["command"]
     "--margin",
     default="conformal",
     show_default=True,
-    help="of every filter: conformal (each model's own, 99 %), or one number in m for all",
+    help="of every filter: each model's own conformal or theorem (99 %), or one number in m for all",
 )
 @click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
 @click.option("--drives", type=int, default=6, show_default=True, help="recorded drives of each kind and load")
@@ -64,13 +64,13 @@ def command(**options: Any) -> None:
     click.echo(json.dumps(result) if options["as_json"] else markdown_of(result))
 
 
-def _margin(text: str) -> float | None:
-    if text == "conformal":
-        return None
+def _margin(text: str) -> str | float:
+    if text in ("conformal", "theorem"):
+        return text
     try:
         return float(text)
     except ValueError as error:
-        raise InputError(f"--margin: got '{text}', wanted 'conformal' or a number in m") from error
+        raise InputError(f"--margin: got '{text}', wanted 'conformal', 'theorem' or a number in m") from error
 
 
 def _check_out(out: Path | None) -> None:
