@@ -30,6 +30,7 @@ def margin_figure(result: dict[str, Any], path: Path) -> None:
             axes.set_xticks(range(len(_KINDS)), list(_KINDS.values()))
             axes.grid(axis="x", visible=False)
             bare(axes)
+        left.set_ylim(0, 1.3 * left.get_ylim()[1])  # room for the numbers above the bars
         left.set_title("epsilon: conformal (full), theorem (frame)", fontsize=10, fontweight="bold")
         right.set_title("fresh steps covered by the conformal one", fontsize=10, fontweight="bold")
         right.axhline(100 * result["margin"]["coverage_wanted"], color=GREY, linestyle=":", linewidth=1.2)
