@@ -23,6 +23,7 @@ __all__ = [
     "Phase1a",
     "Phase1b",
     "Phase2",
+    "Phase3",
     "Range",
     "configurations",
     "limited",
@@ -104,6 +105,33 @@ class Phase2:
 
 
 @dataclass(frozen=True)
+class Phase3:
+    """f, g and phi tuned on few data of the real robot, then on drives in imagination too."""
+
+    pairs: int = limited(20_000, 200)
+    """Transitions recorded on circles without load: 0.1 % of the simulated ones."""
+    run_pairs: int = limited(1000, 100)
+    """Transitions of each recorded run."""
+    updates: int = limited(1200, 1)
+    """Steps of Adam on the recorded data alone."""
+    imagined_updates: int = limited(2400, 0)
+    """Steps of Adam on recorded and imagined data."""
+    cars: int = limited(2000, 1)
+    """Drives in imagination."""
+    steps: int = limited(160, 80)
+    """Periods of each of them."""
+    batch: int = limited(1024, 1)
+    rollouts: int = limited(48, 0)
+    """Short rollouts in each batch, beside single steps."""
+    horizon: int = limited(10, 2, 50)
+    """Steps of each of them."""
+    learning_rate: float = limited(1.5e-3, 1e-8, 1.0)
+    last_learning_rate: float = limited(1e-5, 0.0, 1.0)
+    anchor: float = limited(0.01, 0.0)
+    """Weight of |phi - mu(e)|^2 on imagined drives: the policy goes on seeing the latent that it knows."""
+
+
+@dataclass(frozen=True)
 class Ablations:
     """f and g that know no environment: Fix, trained where nothing acts, and Mix, trained in all environments."""
 
@@ -138,6 +166,7 @@ class Configuration:
     phase_1a: Phase1a = Phase1a()
     phase_1b: Phase1b = Phase1b()
     phase_2: Phase2 = Phase2()
+    phase_3: Phase3 = Phase3()
     ablations: Ablations = Ablations()
 
     @property

@@ -1,0 +1,147 @@
+"""Recorded runs as what a learned model can be tuned on, or a clear word why they cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+from safedpa.networks import Description, Weights, frame_of
+from safedpa.records import Run, load_column_map, load_run
+from safedpa.systems import System
+
+__all__ = ["HORIZON", "Drive", "drives_of", "load_tuning_runs", "split"]
+
+HORIZON = 20
+"""Steps that predictions are judged over; a drive must be so much longer than the history."""
+_HELD_OUT = 0.2
+"""Share of the data that nothing is fitted to."""
+_OUTSIDE = 0.01
+"""Share of rows whose action may lie outside the range that the networks were trained on."""
+_BEYOND = 0.02
+"""Of the range, by which an action may exceed it: rounding of a log."""
+_STILL = 0.02
+"""A signal whose standard deviation is less than this share of its trained range's half counts as constant."""
+_PERIOD = 0.05
+"""Share by which a run's period may differ from the networks'."""
+
+Floats = NDArray[np.float64]
+
+
+class Drive(NamedTuple):
+    """States (n + 1, states) and actions (n, actions), one period apart, without a gap."""
+
+    states: Floats
+    actions: Floats
+
+
+def load_tuning_runs(paths: Sequence[Path], columns: Path | None, system: System, weights: Weights) -> list[Drive]:
+    """The drives in recorded files. Raises InputError naming the file and what is missing in it."""
+    mapping = load_column_map(columns) if columns is not None else None
+    return drives_of([load_run(path, system, mapping) for path in paths], weights)
+
+
+def drives_of(runs: Sequence[Run], weights: Weights) -> list[Drive]:
+    """The stretches of runs that are long enough for the history.
+
+    Raises InputError when a run has another period, when no stretch is longer than the history and a second to predict,
+    when actions lie outside the trained range, or when a signal is not excited.
+    """
+    described = weights.description
+    needed = described.history + HORIZON
+    drives = []
+    for run in runs:
+        _check_period(run, described)
+        parts = [Drive(states, actions[:-1]) for _, states, actions in run.parts() if len(states) > needed]
+        if not parts:
+            longest = max((len(part) for part in run.stretches), default=0)
+            raise InputError(
+                f"{run.name}: the longest stretch without a gap has {longest} rows, wanted more than {needed} (a "
+                f"history of {described.history} and {HORIZON} steps to predict); record longer, or tune on other runs"
+                + _findings(run)
+            )
+        for part in parts:
+            _check_range(run.name, part, weights)
+        drives += parts
+    if not drives:
+        raise InputError("runs: got none, wanted at least one to tune on")
+    _check_excitation(drives, weights)
+    return drives
+
+
+def split(drives: Sequence[Drive], history: int) -> tuple[list[Drive], list[Drive]]:
+    """Drives to fit, and drives to judge by: whole ones where there are several, else the end of the one.
+
+    Raises InputError when a single drive is too short to be divided.
+    """
+    if len(drives) > 1:
+        kept = max(1, min(len(drives) - 1, round((1.0 - _HELD_OUT) * len(drives))))
+        return list(drives[:kept]), list(drives[kept:])
+    states, actions = drives[0]
+    needed = history + HORIZON
+    last = max(needed, round(_HELD_OUT * len(actions)))
+    first = len(actions) - last
+    if first <= needed:
+        raise InputError(
+            f"runs: one stretch of {len(states)} rows, wanted more than {2 * needed}: one part to tune on and one to "
+            "judge by; record longer, or give a second run"
+        )
+    return [Drive(states[: first + 1], actions[:first])], [Drive(states[first:], actions[first:])]
+
+
+def _check_period(run: Run, described: Description) -> None:
+    wanted = described.period
+    if not abs(run.period - wanted) <= _PERIOD * wanted:
+        raise InputError(
+            f"{run.name}: a row every {run.period:.4g} s, wanted every {wanted:g} s as the networks were trained; "
+            "record at that rate, keep every n-th row with keep_period in a column map, or train for this period"
+        )
+    steps = np.concatenate([np.diff(run.t[part.start : part.stop]) for part in run.stretches])
+    uneven = float(np.mean(np.abs(steps - wanted) > 0.2 * wanted))
+    if uneven > _PERIOD:
+        raise InputError(
+            f"{run.name}: {100 * uneven:.0f} % of the rows do not follow after {wanted:g} s, wanted even sampling; "
+            "networks tell the change over one period and no other"
+        )
+
+
+def _check_range(name: str, drive: Drive, weights: Weights) -> None:
+    scaled = (drive.actions - weights["action_middle"]) / weights["action_scale"]
+    outside = np.abs(scaled) > 1.0 + 2.0 * _BEYOND
+    for index, action in enumerate(weights.description.actions):
+        share = float(outside[:, index].mean())
+        if share > _OUTSIDE:
+            middle, half = float(weights["action_middle"][index]), float(weights["action_scale"][index])
+            values = drive.actions[:, index]
+            raise InputError(
+                f"{name}: {action} from {values.min():.3g} to {values.max():.3g}, wanted within {middle - half:.3g} "
+                f"to {middle + half:.3g}, the range trained on ({100 * share:.0f} % of the rows lie "
+                "outside); check the units, or train with a wider [action]"
+            )
+
+
+def _check_excitation(drives: Sequence[Drive], weights: Weights) -> None:
+    """Every action and everything that the networks see of the state must vary over all drives together."""
+    frame = frame_of(weights.description.robot)
+    actions = np.concatenate([drive.actions for drive in drives])
+    features = frame.features(np.concatenate([drive.states for drive in drives]))
+    signals = (
+        (weights.description.actions, actions, weights["action_scale"]),
+        (frame.feature_names, features, weights["feature_scale"]),
+    )
+    for names, values, scale in signals:
+        for name, spread, half in zip(names, values.std(axis=0).tolist(), scale.tolist(), strict=True):
+            if spread < _STILL * half:
+                raise InputError(
+                    f"runs: {name} hardly changes (standard deviation {spread:.2g}), so nothing can be learned of its "
+                    "effect; wanted runs in which every action and the motion vary: circles of several radii and "
+                    "speeds, say"
+                )
+
+
+def _findings(run: Run) -> str:
+    return "; the data: " + "; ".join(item.message for item in run.findings) if run.findings else ""
