@@ -1,0 +1,77 @@
+"""The scenes of the car experiment are what its docs say."""
+
+from __future__ import annotations
+
+from math import hypot, pi
+
+import numpy as np
+import pytest
+
+from safedpa.errors import InputError
+from safedpa_sim.experiments.car_orders import FIRST_SEEDS, fresh_orders, hitching_orders, margin_orders, open_orders
+from safedpa_sim.experiments.car_scenes import CONFIGURATIONS, car_scene
+
+SEEDS = range(60)
+
+
+@pytest.mark.parametrize("load", CONFIGURATIONS)
+def test_start_goal_and_obstacles_are_as_declared(load):
+    for seed in SEEDS:
+        scene = car_scene(seed, load)
+        x, y, yaw = scene.start
+        assert abs(x) <= 0.2
+        assert y == -2.0
+        assert abs(yaw - pi / 2) <= 0.3
+        assert next(scene.goals()) == (0.0, 2.0)
+        assert scene.field == (-4.0, 4.0, -4.0, 4.0)
+        assert 3 <= len(scene.obstacles) <= 5
+        assert all(0.2 <= radius <= 0.35 and abs(ox) <= 2.2 and abs(oy) <= 1.2 for ox, oy, radius in scene.obstacles)
+
+
+@pytest.mark.parametrize("load", CONFIGURATIONS)
+def test_the_footprint_fits_through_every_passage_and_start_and_goal_are_free(load):
+    for seed in SEEDS:
+        scene = car_scene(seed, load)
+        _, front, radius = scene.footprint
+        gap = 2 * radius + 0.4
+        nose = scene.start[0] + front * np.cos(scene.start[2]), scene.start[1] + front * np.sin(scene.start[2])
+        for index, (x, y, size) in enumerate(scene.obstacles):
+            assert 4.0 - abs(x) - size >= gap
+            assert all(hypot(x - a, y - b) >= gap + size + other for a, b, other in scene.obstacles[:index])
+            assert all(hypot(x - a, y - b) >= size + radius + 0.35 for a, b in (scene.start[:2], nose, (0.0, 2.0)))
+
+
+@pytest.mark.parametrize("load", CONFIGURATIONS)
+def test_something_stands_in_the_straight_way(load):
+    for seed in SEEDS:
+        scene = car_scene(seed, load)
+        x, y, size = scene.obstacles[0]
+        way = scene.start[0] * (1.0 - (y + 2.0) / 4.0)
+        assert abs(x - way) <= size + scene.footprint[2]
+
+
+def test_a_seed_is_a_scene_and_seeds_differ():
+    assert car_scene(5, "box") == car_scene(5, "box")
+    assert len({car_scene(seed).obstacles for seed in SEEDS}) == len(SEEDS)
+
+
+def test_an_unknown_load_is_refused():
+    with pytest.raises(InputError, match="did you mean 'chair'"):
+        car_scene(0, "chiar")
+
+
+def test_no_seed_serves_two_ends():
+    loads = tuple(CONFIGURATIONS)
+    kinds = [margin_orders(loads, 20, 400), fresh_orders(loads, 20, 400), hitching_orders(loads, 20, 400),
+             open_orders(loads, 20, 400, "errors"), open_orders(loads, 20, 400, "latent")]  # fmt: skip
+    seeds = [{order.seed for order in orders} for orders in kinds]
+    assert sum(len(own) for own in seeds) == len(set().union(*seeds))
+    assert min(set().union(*seeds)) >= min(FIRST_SEEDS.values()) > 1000
+
+
+def test_a_hitching_drive_begins_and_ends_without_load():
+    for order in hitching_orders(tuple(CONFIGURATIONS), 2, 400):
+        (hitched, load), (released, nothing) = order.events
+        assert order.load == nothing == "none"
+        assert load != "none"
+        assert 50 < hitched < released < 400 - 50
