@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from safedpa.errors import InputError
-from safedpa.operations import Operations, operations_for
+from safedpa.operations import NUMPY, Operations, operations_for
 
 __all__ = ["Frame", "frame_of"]
 
@@ -35,6 +35,19 @@ class Frame:
     def features(self, state: Array) -> Array:
         """What the networks see of states (..., states): shape (..., features)."""
         return _stacked(self._features(state, operations_for(state)))
+
+    def features_of_one(self, state: Array) -> Array:
+        """``features`` of one state (states,), a numpy array, without what only batches need."""
+        return np.array(self._features(state, NUMPY))
+
+    def world_matrix(self, state: Array) -> Array:
+        """R (states, states) of one state (states,): ``world_increment`` as a matrix."""
+        matrix = np.eye(len(state))
+        if self._rotation is not None:
+            cosine, sine = self._rotation(state, NUMPY)
+            matrix[0, 0] = matrix[1, 1] = cosine
+            matrix[0, 1], matrix[1, 0] = -sine, sine
+        return matrix
 
     def own_increment(self, state: Array, following: Array) -> Array:
         """The change from ``state`` to ``following`` (..., states) in the frame of ``state``; angles the short way."""

@@ -35,6 +35,7 @@ class LearnedNetworks:
         self._action_middle = weights["action_middle"].astype(np.float64)
         self._action_scale = weights["action_scale"].astype(np.float64)
         self._increment_scale = weights["increment_scale"].astype(np.float64)
+        self._slope_scale = self._increment_scale[:, None] / self._action_scale
 
     def own_increment(self, state: Values, latent: Values) -> tuple[Values, Values]:
         """(f, g) of the own-frame increment f + g a: f (..., states), g (..., states, actions).
@@ -52,9 +53,20 @@ class LearnedNetworks:
 
     def increment(self, state: Values, latent: Values) -> tuple[Values, Values]:
         """(f, g) of the state's own entries' increment f + g a; shapes as in ``own_increment``."""
+        if state.ndim == latent.ndim == 1:
+            return self._increment_of_one(state, latent)
         f, g = self.own_increment(state, latent)
         turned = [self._frame.world_increment(state, g[..., index]) for index in range(g.shape[-1])]
         return self._frame.world_increment(state, f), np.stack(turned, axis=-1)
+
+    def _increment_of_one(self, state: Values, latent: Values) -> tuple[Values, Values]:
+        """``increment`` for one robot, in a third of the time: the filter asks for it a dozen times a tick."""
+        features = (self._frame.features_of_one(state) - self._feature_middle) / self._feature_scale
+        seen = np.concatenate((features, latent)).astype(np.float32)
+        f = self._increment_scale * dense_stack(seen, self._f, "relu")
+        g = self._slope_scale * dense_stack(seen, self._g, "relu").reshape(self._slope_scale.shape)
+        turn = self._frame.world_matrix(state)
+        return turn @ (f - g @ self._action_middle), turn @ g
 
     def encode(self, environment: Values) -> Values:
         """z = mu((e - middle) / scale), shape (..., latents), for environments e (..., entries) in SI units."""
