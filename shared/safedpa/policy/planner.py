@@ -1,0 +1,176 @@
+"""A sampling model predictive controller over any dynamics: draws drives, rolls them out, averages the best.
+
+In each period n sequences of actions are drawn about the last plan, u_i = u + noise, and rolled out with the model at
+the latent that is known. The new plan is the average of all, weighted by what they cost (S_i, least S_min):
+
+    u <- sum w_i u_i / sum w_i,    w_i = exp(-(S_i - S_min) / temperature)
+
+Source: Williams et al., Information theoretic MPC, ICRA 2017. Ours: actions as knots, some fixed drives among the drawn
+ones, and only drives that resemble the best one enter the average, since the mean of left and right is straight on.
+What the speed does beyond the prediction is taken to go on (offset-free MPC, Pannocchia and Rawlings, AIChE J. 2003):
+a load that the model misjudges does not keep it trying what fails. Nothing that it wishes is trusted: the safety filter
+stands behind it as behind every controller.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import StateMessage
+from safedpa.dynamics import AbstractDynamics
+from safedpa.errors import MessageError
+from safedpa.policy.planner_costs import DriveCosts, PlannerSettings
+
+__all__ = ["Planner", "PlannerSettings"]
+
+Values = NDArray[np.float64]
+
+_FIXED = (
+    (1.0, 0.0),
+    (1.0, 1.0),
+    (1.0, -1.0),
+    (0.5, 1.0),
+    (0.5, -1.0),
+    (-1.0, 0.0),
+    (-1.0, 1.0),
+    (-1.0, -1.0),
+    (0.0, 0.0),
+)
+"""Drives held over the whole horizon: share of the greatest speed (that way), share of the greatest steer."""
+_FORWARDS, _BACKWARDS = 0, 5
+"""Which of them are straight on, at full speed."""
+_KEPT = 0.75
+"""Share of full speed that a robot keeps on average, with corners and stops."""
+_SLOWEST = 0.02
+"""m/s; slower than this is as bad as this."""
+_SPEED_STEP = 1.25
+_SPEED = 3
+_SMOOTHING = 0.1
+"""Weight of the last period's surprise: half a second is remembered."""
+_MOST_PUSH = 3.0
+"""m/s2; what is more was a bump."""
+_ALIKE = 2.5
+"""Spreads, at every knot, within which a drive resembles the best one."""
+
+
+@final
+class Planner:
+    """The controller of one car; ``wish`` is called once per period. The same seed and states give the same wishes."""
+
+    def __init__(self, model: AbstractDynamics, settings: PlannerSettings | None = None, seed: int = 0) -> None:
+        self._model, self.settings = model, settings or PlannerSettings()
+        chosen = self.settings
+        self._low = np.array((chosen.slowest_target, -chosen.steer_limit))
+        self._high = np.array((chosen.fastest_target, chosen.steer_limit))
+        self._spread = np.array((chosen.speed_spread, chosen.steer_spread))
+        self._draw = np.random.default_rng(seed)
+        self._knot_times: Values = np.linspace(0.0, (chosen.steps - 1) * chosen.step_seconds, chosen.knots)
+        self._blend = self._blended(np.arange(chosen.steps, dtype=np.float64) * chosen.step_seconds)
+        self._plan = np.zeros((chosen.knots, 2))
+        self._fixed = np.array([self._held(*shares) for shares in _FIXED])
+        self._scene: tuple[object, ...] = ()
+        self._costs: DriveCosts | None = None
+        self._speeds: tuple[float, ...] = ()
+        self._push = 0.0
+        self._last: StateMessage | None = None
+
+    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """Target speed [m/s] and steer [rad] that the plan begins with. Raises MessageError for an odd state."""
+        costs = self._scene_costs(state)
+        costs.to_go.relax(self.settings.sweeps)
+        self._note_surprise(state, latent)
+        self._plan = np.tensordot(self._blended(self._knot_times + state.period), self._plan, axes=1)
+        before = np.array(state.applied)
+        knots = self._drawn()
+        states = self._rolled_out(np.array(state.values), before, knots, latent)
+        cost = costs.of(states, knots, before)
+        self._note_speeds(costs, states)
+        self._plan = self._averaged(knots, cost)
+        return tuple(self._plan[0].tolist()), "planner"
+
+    def _averaged(self, knots: Values, cost: Values) -> Values:
+        """The weighted average (knots, 2) of those drives that go the same way as the best."""
+        best = int(cost.argmin())
+        alike = (np.abs(knots - knots[best]) <= _ALIKE * self._spread).all(axis=(1, 2))
+        weight = np.exp(-(cost - cost[best]) / self.settings.temperature) * alike
+        average = np.tensordot(weight / weight.sum(), knots, axes=1)
+        return np.asarray(np.clip(average, self._low, self._high))  # shares that sum to 1 but for rounding
+
+    def _note_surprise(self, state: StateMessage, latent: Values | None) -> None:
+        """What the speed did beyond the model's prediction over the last period enters the push, smoothed [m/s2]."""
+        last, self._last = self._last, state
+        if last is None or (last.epoch, last.tick + 1) != (state.epoch, state.tick):
+            return
+        before, action = np.array(last.values), np.array(state.applied)
+        memory = self._model.initial_memory(np.array(last.applied), latent)
+        expected, _ = self._model.advance(before, action, memory, latent, period=last.period)
+        surprise = (state.values[_SPEED] - float(expected[_SPEED])) / last.period
+        if math.isfinite(surprise):
+            self._push += _SMOOTHING * (min(max(surprise, -_MOST_PUSH), _MOST_PUSH) - self._push)
+
+    def _note_speeds(self, costs: DriveCosts, states: Values) -> None:
+        """What full speed forwards and backwards come to at the horizon, for the time to go: in steps of a quarter."""
+        ends = (states[1 + _FORWARDS, -1, 3], -states[1 + _BACKWARDS, -1, 3])
+        speeds = tuple(_SPEED_STEP ** round(math.log(max(_KEPT * end, _SLOWEST), _SPEED_STEP)) for end in ends)
+        if speeds != self._speeds:
+            self._speeds = speeds
+            costs.to_go.drive_at(*speeds)
+
+    def _drawn(self) -> Values:
+        """Knots (n, knots, 2): the last plan, fixed drives, and plans drawn about the last one."""
+        chosen = self.settings
+        count = max(chosen.samples - len(self._fixed) - 1, 1)
+        noise = self._draw.normal(size=(count, chosen.knots, 2)) * self._spread
+        drawn = np.clip(self._plan + noise, self._low, self._high)
+        return np.concatenate([self._plan[None], self._fixed, drawn])
+
+    def _rolled_out(self, state: Values, before: Values, knots: Values, latent: Values | None) -> Values:
+        """States (n, steps, 4) after each step under the knots (n, knots, 2)."""
+        actions = np.einsum("tk,nka->tna", self._blend, knots)
+        current = np.broadcast_to(state, (len(knots), len(state)))
+        memory = self._model.initial_memory(np.broadcast_to(before, (len(knots), 2)), latent)
+        states = np.empty((len(actions), *current.shape))
+        push = self._push * self.settings.step_seconds
+        for index, action in enumerate(actions):
+            current, memory = self._model.advance(
+                current, action, memory, latent, period=self.settings.step_seconds, time=0.0
+            )
+            current[:, _SPEED] += push
+            states[index] = current
+        if not np.isfinite(states).all():
+            raise MessageError(
+                f"state: the model's drives from {state.tolist()} leave all bounds; wanted a plausible one"
+            )
+        return states.transpose(1, 0, 2)
+
+    def _scene_costs(self, state: StateMessage) -> DriveCosts:
+        """The costs of this scene and goal, kept while they stay the same."""
+        if len(state.values) != 4 or len(state.goal) != 2 or len(state.applied) != 2:
+            raise MessageError(
+                f"state: got {len(state.values)} values, {len(state.applied)} actions and a goal of "
+                f"{len(state.goal)}, wanted 4, 2 and 2"
+            )
+        scene = (state.goal, state.obstacles, state.field, state.footprint)
+        if self._costs is None or scene != self._scene:
+            if len(state.field) != 4 or len(state.footprint) != 3:
+                raise MessageError(
+                    f"state: got field {state.field}, footprint {state.footprint}, wanted 4 and 3 numbers"
+                )
+            obstacles = np.array(state.obstacles, dtype=np.float64).reshape(-1, 3)
+            self._costs = DriveCosts(self.settings, state.goal, obstacles, state.field, state.footprint)
+            self._scene, self._speeds = scene, ()
+        return self._costs
+
+    def _held(self, speed: float, steer: float) -> Values:
+        """Knots (knots, 2) of one action held: shares of the greatest speed forwards or backwards, and steer."""
+        chosen = self.settings
+        target = speed * chosen.fastest_target if speed >= 0.0 else -speed * chosen.slowest_target
+        return np.tile((target, steer * chosen.steer_limit), (chosen.knots, 1))
+
+    def _blended(self, times: Values) -> Values:
+        """(times, knots): shares of the knots in the action at each time, linear between knots, the last one held."""
+        return np.stack([np.interp(times, self._knot_times, row) for row in np.eye(len(self._knot_times))], axis=1)

@@ -1,0 +1,148 @@
+"""How long it still takes to the goal from any pose, turning circle and reversing included.
+
+A planner that looks one or two seconds ahead must know what comes after. T(x, y, yaw) solves Bellman's equation
+
+    T(pose) = min over manoeuvres m of  seconds(m) w(pose) + T(pose after m),     T = 0 at the goal,
+
+on a grid of poses, for arcs of one heading's width to the left, straight and to the right, forwards and backwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.policy.planner_field import Grid, disc_ways
+
+__all__ = ["TimeToGo", "clearance"]
+
+Values = NDArray[np.float64]
+
+_HEADINGS = 16
+_THROUGH = 8.0
+"""A second within something solid counts as so many: a planner that got too near still knows which way leads out."""
+_GRAZING = 1.0
+"""A second next to something solid counts as so many more, falling to none at ``_BERTH``."""
+_BERTH = 0.3
+"""m"""
+_SPEEDS = (1.5, 0.4)
+"""m/s forwards and backwards, until something else is known."""
+_SETTLED = 0.02
+"""s of change in a round below which T is as good as solved."""
+
+
+@final
+class TimeToGo:
+    """T [s], begun with the way of a disc and refined by ``relax``; multilinear between the grid's poses.
+
+    The capsule ``footprint`` (rear, front, radius) must keep ``room`` to obstacles (m, 3) and to the field's edges, all
+    in m; ``turning`` is the radius of the tightest arc [m]. How fast it goes is the model's business: ``drive_at``.
+    """
+
+    def __init__(
+        self,
+        goal: Sequence[float],
+        obstacles: Values,
+        field: Sequence[float],
+        footprint: Sequence[float],
+        room: float,
+        turning: float = 0.92,
+        cell: float = 0.2,
+    ) -> None:
+        self._grid = grid = Grid(field, cell)
+        angles = 2.0 * np.pi / _HEADINGS * np.arange(_HEADINGS)
+        yaw, x, y = np.meshgrid(angles, grid.x, grid.y, indexing="ij")
+        rear, front, radius = footprint
+        free = clearance((x, y, yaw), (np.array(-rear), np.array(front)), obstacles, field) - radius - room
+        weight = np.where(free < 0.0, _THROUGH, 1.0 + _GRAZING * np.clip(1.0 - free / _BERTH, 0.0, 1.0))
+        ways = disc_ways(grid, goal, weight.min(axis=0)) / _SPEEDS[0]
+        self._times = np.repeat(ways[None].astype(np.float32), _HEADINGS, axis=0)
+        self._arrived = ways < 1.5 * cell / _SPEEDS[0]
+        moves = _manoeuvres(turning)
+        self._turned = (np.arange(_HEADINGS) + [[turn] for _, _, turn, _ in moves]) % _HEADINGS
+        self._weight = weight.astype(np.float32)
+        self._lengths = np.array([length for *_, length in moves])
+        self.drive_at(*_SPEEDS)
+        along, across = (np.array([move[index] for move in moves])[:, None] for index in (0, 1))
+        self._across = _shifts(grid, 0, along * np.cos(angles) - across * np.sin(angles))
+        self._along = _shifts(grid, 1, along * np.sin(angles) + across * np.cos(angles)).swapaxes(-1, -2)
+
+    def drive_at(self, forwards: float, backwards: float) -> None:
+        """What the robot makes of its speeds from now on, > 0 [m/s]: a load may leave little of the reverse gear."""
+        speeds = np.where(self._lengths > 0.0, forwards, -backwards)
+        self._seconds = (self._lengths / speeds).astype(np.float32)[:, None, None, None] * self._weight
+        self.settled = False
+
+    def relax(self, sweeps: int) -> None:
+        """Some rounds of Bellman's equation for all poses at once; T goes towards the solution."""
+        for _ in range(0 if self.settled else sweeps):
+            after = self._across @ self._times[self._turned] @ self._along  # (manoeuvres, headings, nx, ny)
+            after += self._seconds
+            better = after.min(axis=0)
+            better[:, self._arrived] = self._times[:, self._arrived]
+            self.settled = bool(np.abs(better - self._times).max() < _SETTLED)
+            self._times = better
+
+    def __call__(self, x: Values, y: Values, yaw: Values) -> Values:
+        """T at poses of any one shape; outside of the field that of the nearest place inside."""
+        i, s = self._grid.shares(x, 0)
+        j, t = self._grid.shares(y, 1)
+        turn = np.mod(yaw * (_HEADINGS / (2.0 * np.pi)), _HEADINGS)
+        k = turn.astype(np.intp)
+        r = turn - k
+        found = np.zeros(np.shape(x))
+        for heading, share in ((k % _HEADINGS, 1.0 - r), ((k + 1) % _HEADINGS, r)):
+            low = self._times[heading, i, j] * (1.0 - s) + self._times[heading, i + 1, j] * s
+            high = self._times[heading, i, j + 1] * (1.0 - s) + self._times[heading, i + 1, j + 1] * s
+            found += share * (low * (1.0 - t) + high * t)
+        return found
+
+
+def clearance(
+    pose: tuple[Values, Values, Values],
+    ends: tuple[Values, Values],
+    obstacles: Values,
+    field: Sequence[float],
+) -> Values:
+    """From the segment p + t e, t between the two ends, to the nearest obstacle or wall [m], negative beyond it.
+
+    Pose (x, y, yaw) of any one shape, e = (cos yaw, sin yaw), obstacles (m, 3), field as everywhere.
+    """
+    x, y, yaw = pose
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    west, east, south, north = field
+    room = np.full(x.shape, np.inf)
+    for end in ends:
+        end_x, end_y = x + end * cosine, y + end * sine
+        for wall in (end_x - west, east - end_x, end_y - south, north - end_y):
+            np.minimum(room, wall, out=room)
+    for ox, oy, radius in obstacles.tolist():
+        along, across = (ox - x) * cosine + (oy - y) * sine, (oy - y) * cosine - (ox - x) * sine
+        beyond = along - np.clip(along, *ends)
+        np.minimum(room, np.hypot(beyond, across) - radius, out=room)
+    return room
+
+
+def _shifts(grid: Grid, axis: int, distance: Values) -> NDArray[np.float32]:
+    """Matrices (..., n, n) that read a table along an axis some distance (...) [m] further on, linear in between."""
+    lines = grid.x if axis == 0 else grid.y
+    low, share = grid.shares(lines + distance[..., None], axis)
+    matrix = np.zeros((*low.shape, len(lines)), np.float32)
+    np.put_along_axis(matrix, low[..., None], 1.0 - share[..., None], axis=-1)
+    np.put_along_axis(matrix, low[..., None] + 1, share[..., None], axis=-1)
+    return matrix
+
+
+def _manoeuvres(turning: float) -> list[tuple[float, float, int, float]]:
+    """(along [m], across [m], headings turned, signed length [m]) of six arcs, a heading wide where tightest."""
+    angle = 2.0 * np.pi / _HEADINGS
+    length = turning * angle
+    found: list[tuple[float, float, int, float]] = []
+    for side in (-1, 0, 1):
+        along = turning * float(np.sin(angle)) if side else length
+        across = side * turning * (1.0 - float(np.cos(angle)))
+        found += [(along, across, side, length), (-along, across, -side, -length)]
+    return found
