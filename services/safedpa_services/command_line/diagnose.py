@@ -126,7 +126,9 @@ def story_lines(report: Report) -> list[tuple[str, str]]:
         (f"  Cannot be told apart: {name} and {', '.join(others)}.", "yellow") for name, others in _groups(report)
     ]
     if report.unexplained is not None and report.unexplained.depends_on:
-        lines.append((f"{story.remains} A formula that fits: {report.unexplained.expression}", "yellow"))
+        lines.append((story.remains, "yellow"))
+        lines.append((f"  {story.formula_title}: {report.unexplained.expression}", "yellow"))
+        lines.append((f"  {story.formula_note}", "dim"))
     if report.next_experiment is not None:
         item = report.next_experiment
         lines.append((f"Next: {item.manoeuvre}; {item.why}.", "cyan"))

@@ -10,7 +10,7 @@ import numpy as np
 from safedpa.diagnosis.experiment_choice import chosen_experiment
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.heldout import HeldoutError, error_with, heldout_of
-from safedpa.diagnosis.remaining import remaining
+from safedpa.diagnosis.remaining import formula_instead, remaining
 from safedpa.diagnosis.report import Candidate, Report, Unexplained, Value, Verdict
 from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.diagnosis.search import Judged, Search, searched
@@ -62,7 +62,7 @@ def diagnose(
         quality.append(_row("all", Finding("no_verdict", why)))
     search = searched(model, library, shooting, heldout, tell)
     quality += _too_bad(search)
-    rest = remaining(search.current, search.shooting, search.patch) if enough else None
+    rest = (formula_instead(search) or remaining(search.current, search.shooting, search.patch)) if enough else None
     stages, models = stages_of(search, heldout)
     return Report(
         robot=model.system.name,

@@ -1,129 +1,239 @@
 """What remains: whether it depends on anything that was measured, and a formula for it that is no named effect.
 
-The windows' pushes are averaged in bins of one variable without the fold that is predicted; where that predicts the
-fold's own pushes, the rest has structure. The formula is the best single term of a small list, by the same rule.
+A place comes first, then the short formula that sparse regression finds, then the bare dependence on a variable. Each
+has to predict unseen blocks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from safedpa.diagnosis.dependence import Dependences, dependences_of, profile_of
+from safedpa.diagnosis.fitting import fit
+from safedpa.diagnosis.formula import Formula
 from safedpa.diagnosis.patch import Patch, best_patch
-from safedpa.diagnosis.pushes import pushes_of
-from safedpa.diagnosis.report import Unexplained
+from safedpa.diagnosis.remaining_rates import map_of, rate_states, rate_unit_of, remaining_rates
 from safedpa.diagnosis.shooting import Shooting
-from safedpa.diagnosis.trial import Trial
+from safedpa.diagnosis.trial import Trial, block_gain, trial_of, with_start
+from safedpa.diagnosis.unexplained import Dependence, FormulaTerm, Unexplained
+from safedpa.diagnosis.weak_form import Selected, selected_terms, sure_enough
 from safedpa.diagnosis.where import PLACE
-from safedpa.diagnosis.windows import Floats, Rows
+from safedpa.diagnosis.windows import Floats
+from safedpa.operations import NUMPY
 
-__all__ = ["remaining"]
+if TYPE_CHECKING:
+    from safedpa.diagnosis.search import Search
 
-_SURE = 5.0
-"""Standard errors on unseen blocks; several variables and states are looked at."""
-_SHARE = 0.06
-"""Of the pushes' squares."""
-_BINS = 7
+__all__ = ["formula_instead", "remaining"]
 
-_TERMS: tuple[tuple[str, Callable[[Floats], Floats]], ...] = (
-    ("1", np.ones_like),
-    ("{0}", lambda v: v),
-    ("{0}^2", lambda v: v**2),
-    ("{0} |{0}|", lambda v: v * np.abs(v)),
-    ("{0}^3", lambda v: v**3),
-    ("sign({0})", np.sign),
-    ("sin({0})", np.sin),
-    ("cos({0})", np.cos),
-)
-
-
-@dataclass(frozen=True)
-class _Dependence:
-    variable: str
-    state: str
-    share: float
-    sure: float
-    values: Floats
-    pushes: Floats
+_SHARE = 0.03
+"""Of the squares of the residual, noise included."""
+_LASTING = 4.0
+"""Standard deviations from 0 of a coefficient that stays."""
+_PLACE_SHARE = 0.02
+_FEWEST = 40
+"""Windows."""
+_AHEAD = 3.0
+"""Standard errors by which a formula has to be better than the effects that were found, to take their place."""
+_LITTLE = 0.03
+"""Fall of the logarithm of the held-out residual, mean over the states, that is worth it."""
+_LITTLE_WITH_FEWER = 0.01
+"""The same where the formula has fewer numbers."""
 
 
 def remaining(trial: Trial, shooting: Shooting, patch: Patch | None) -> Unexplained | None:
     """The structure of what remains, or None where unseen blocks confirm none."""
     place = patch or best_patch(trial, shooting)
-    if place is not None and place.share > 0.02:
-        return Unexplained(PLACE, place.expression, place.share)
+    if place is not None and place.share > _PLACE_SHARE:
+        return _of_place(place, trial, shooting)
+    if len(shooting.windows) < _FEWEST:
+        return None
+    dependences = dependences_of(trial, shooting)
+    fitted = _formula(trial, shooting)
+    if fitted is not None and not _better_as_function(dependences, fitted[1]):
+        return _of_formula(*fitted, trial, dependences, shooting)
+    return _of_dependence(trial, dependences, shooting)
+
+
+def formula_instead(search: Search) -> Unexplained | None:
+    """A formula of at most as many numbers that explains more than all effects that were found; None otherwise.
+
+    Effects that only resemble what acts (a drag that grows with the cube of the speed looks like quadratic drag) are
+    then taken back: they become suspected, and the search stands where it began.
+    """
+    shooting, found = search.shooting, search.current
+    if not search.added or len(shooting.windows) < _FEWEST:
+        return None
+    first = search.first.fit
+    null = trial_of(fit(first.model, first.paths, shooting, found.fit.scale, steps=2), shooting, (), None)
+    most = len(found.fit.paths) - len(first.paths)
+    formula = _formula(null, shooting, min(most, 4))
+    if formula is None:
+        return None
+    selected, trial = formula
+    little = _LITTLE if len(selected.terms) == most else _LITTLE_WITH_FEWER
+    if trial.loss > found.loss - little or block_gain(found, trial, shooting) < _AHEAD:
+        return None
+    names = ", ".join(search.added)
+    for index, item in enumerate(search.candidates):
+        if item.decision == "accepted":
+            reason = f"{item.reason}; but a formula of no more numbers explains more than {names}"
+            search.candidates[index] = replace(item, decision="suspected", reason=reason)
+    search.added, search.current, search.error = [], search.first, search.first_error
+    return _of_formula(selected, trial, null, dependences_of(null, shooting), shooting)
+
+
+def _of_place(place: Patch, trial: Trial, shooting: Shooting) -> Unexplained:
+    rates = remaining_rates(trial, shooting)
+    name = place.place
+    terms = (FormulaTerm("speed", f"-sign(speed) where {name.where(place.values)}", *_size(place, shooting), "m/s2"),)
+    return Unexplained(
+        depends_on=PLACE,
+        expression=place.expression,
+        share=place.share,
+        kind="place",
+        terms=terms,
+        dependence=dependences_of(trial, shooting).found,
+        map=map_of(*PLACE, "speed", rates, shooting),
+    )
+
+
+def _size(place: Patch, shooting: Shooting) -> tuple[float, float | None]:
+    path = f"{place.place.name}.deceleration"
+    index = place.trial.fit.paths.index(path)
+    std = float(place.trial.fit.deviations(shooting)[index])
+    return place.values["deceleration"], std if np.isfinite(std) else None
+
+
+def _formula(trial: Trial, shooting: Shooting, most: int = 4) -> tuple[Selected, Trial] | None:
+    """The terms that hold in the nonlinear rollouts too, and the model with them; None where none does."""
+    selected = selected_terms(trial, shooting, rate_states(shooting.windows.system), most)
+    while selected is not None:
+        fitted = _fitted(selected, trial, shooting)
+        count = len(selected.terms)
+        values, deviations = fitted.fit.values[-count:], fitted.fit.deviations(shooting)[-count:]
+        sure = np.abs(values) > _LASTING * np.nan_to_num(deviations, nan=np.inf)
+        if sure.all():
+            return (selected, fitted) if fitted.loss < trial.loss else None
+        if not sure.any():
+            return None
+        kept = tuple(item for item, keep in zip(selected.terms, sure, strict=True) if keep)
+        selected = Selected(kept, values[sure], selected.alternatives if sure[0] else ())
+    return None
+
+
+def _fitted(selected: Selected, trial: Trial, shooting: Shooting) -> Trial:
+    """The formula's coefficients refined in the nonlinear rollouts, beside everything that is fitted."""
+    item = Formula(selected.terms, selected.coefficients.tolist(), shooting.windows.system.name, "")
+    start = {p.name: float(value) for p, value in zip(item.parameters, selected.coefficients, strict=True)}
+    paths = [*trial.fit.paths, *(f"{item.name}.{name}" for name in start)]
+    found = fit(with_start(trial.fit.model, item, start), paths, shooting, trial.fit.scale)
+    return trial_of(found, shooting, (item.name,), trial)
+
+
+def _better_as_function(dependences: Dependences, formula: Trial) -> bool:
+    """Whether any function of the best variable takes clearly more off unseen blocks than the formula."""
+    best = dependences.found[0]
+    left = dependences.unseen[best.variable, best.state]
+    own = (formula.heldout / dependences.scale**2).sum(axis=1)
+    fewer = float(left.sum()) < (1.0 - _SHARE) * float(own.sum())
+    return fewer and dependences.problem.sure(own, left) > _AHEAD
+
+
+def _of_formula(
+    selected: Selected, fitted: Trial, trial: Trial, dependences: Dependences, shooting: Shooting
+) -> Unexplained:
     system = shooting.windows.system
-    states = tuple(name for name in system.state_names if name not in PLACE)[-2:]
-    if len(shooting.windows) < 40:
+    count = len(selected.terms)
+    values, deviations = fitted.fit.values[-count:], fitted.fit.deviations(shooting)[-count:]
+    terms = []
+    for (state, term), value, std in zip(selected.terms, values, deviations, strict=True):
+        unit = _unit(rate_unit_of(system, state), term.units)
+        terms.append(FormulaTerm(state, term.text, float(value), float(std), unit))
+    variables = tuple(dict.fromkeys(name for _, term in selected.terms for name in term.variables))
+    state = selected.terms[0][0]
+    first, second = _axes(variables, state, dependences.found)
+    return Unexplained(
+        depends_on=variables,
+        expression=_text(terms),
+        share=_share(trial, fitted),
+        kind="formula",
+        terms=tuple(terms),
+        alternatives=selected.alternatives,
+        dependence=dependences.found,
+        profile=profile_of(
+            dependences, first, state, _at(dependences.knots[first], first, state, selected, values), shooting
+        ),
+        map=map_of(first, second, state, remaining_rates(trial, shooting), shooting),
+    )
+
+
+def _at(knots: Floats, variable: str, state: str, selected: Selected, values: Floats) -> list[float] | None:
+    """The formula for one rate at the knots of a variable; None where it depends on others as well."""
+    own = [(term, value) for (name, term), value in zip(selected.terms, values, strict=True) if name == state]
+    if any(set(term.variables) - {variable} for term, _ in own):
         return None
-    pushes = pushes_of(trial, shooting, states)
-    spread = 6.0 * np.median(np.abs(pushes), axis=0) + 1e-12
-    pushes = np.clip(pushes, -spread, spread)
-    found = []
-    for name, values in _variables(shooting).items():
-        for index, state in enumerate(states):
-            share, sure = _explained(values, pushes[:, index], shooting)
-            if share > _SHARE and sure > _SURE:
-                found.append(_Dependence(name, state, share, sure, values, pushes[:, index]))
-    if not found:
+    sums = sum(value * term.value({variable: knots}, NUMPY) for term, value in own)
+    return [float(value) for value in np.broadcast_to(sums, knots.shape)]
+
+
+def _of_dependence(trial: Trial, dependences: Dependences, shooting: Shooting) -> Unexplained | None:
+    """A variable of which some function predicts unseen blocks, though no short formula does."""
+    sure = [item for item in dependences.found if item.share > _SHARE and sure_enough(item.standard_errors, item.share)]
+    if not sure:
         return None
-    best = max(found, key=lambda item: item.share)
-    close = [item.variable for item in sorted(found, key=lambda i: -i.share) if item.share > 0.7 * best.share]
-    return Unexplained(tuple(dict.fromkeys(close)), _formula(best, shooting), best.share)
+    best = sure[0]
+    close = tuple(dict.fromkeys(item.variable for item in sure if item.share > 0.7 * best.share))
+    first, second = _axes(close, best.state, dependences.found)
+    profile = profile_of(dependences, first, best.state, None, shooting)
+    peak = int(np.argmax(np.abs(profile.values)))
+    unit = "" if profile.unit == "1" else f" {profile.unit}"
+    return Unexplained(
+        depends_on=close,
+        expression=f"d({best.state})/dt += a function of {first} that no short formula gives; it is largest, "
+        f"{profile.values[peak]:.2g} {profile.rate_unit}, at {first} {profile.knots[peak]:.2g}{unit}",
+        share=best.share,
+        kind="dependence",
+        dependence=dependences.found,
+        profile=profile,
+        map=map_of(first, second, best.state, remaining_rates(trial, shooting), shooting),
+    )
 
 
-def _variables(shooting: Shooting) -> dict[str, Floats]:
-    """What a push may depend on, by name, each (windows,)."""
-    windows, middle = shooting.windows, shooting.measured.shape[1] // 2
-    found: dict[str, Floats] = {}
-    for index, variable in enumerate(windows.system.state):
-        if variable.name not in PLACE:
-            values = shooting.measured[:, middle, index]
-            found[variable.name] = (values + np.pi) % (2 * np.pi) - np.pi if variable.angle else values
-    for index, variable in enumerate(windows.system.action):
-        sums = np.concatenate([[0.0], np.cumsum(windows.actions[:, index])])
-        found[variable.name] = (sums[windows.end] - sums[windows.start]) / windows.steps
-    found["time"] = windows.time[windows.start]
-    return found
+def _axes(variables: Sequence[str], state: str, dependence: Sequence[Dependence]) -> tuple[str, str]:
+    """Two different variables for a profile and a map: the formula's first, then those that tell most."""
+    order = [item.variable for item in dependence if item.state == state]
+    ranked = sorted((name for name in variables if name in order), key=order.index)
+    first, second, *_ = dict.fromkeys([*ranked, *order])
+    return first, second
 
 
-def _explained(values: Floats, pushes: Floats, shooting: Shooting) -> tuple[float, float]:
-    """(share of the squares, standard errors over blocks) by bin means of the other folds."""
-    edges = np.unique(np.quantile(values, np.linspace(0, 1, _BINS + 1)[1:-1]))
-    if not np.ptp(values) > 1e-9:
-        return 0.0, 0.0
-    which = np.searchsorted(edges, values)
-    predicted = np.zeros_like(pushes)
-    for fold in np.unique(shooting.fold):
-        used = shooting.fold != fold
-        counts = np.bincount(which[used], minlength=_BINS)
-        means = np.bincount(which[used], pushes[used], minlength=_BINS) / (counts + 2.0)
-        predicted[~used] = means[which[~used]]
-    gain = pushes**2 - (pushes - predicted) ** 2
-    return float(gain.sum() / max((pushes**2).sum(), 1e-300)), _sure(gain, shooting.block)
+def _share(before: Trial, after: Trial) -> float:
+    ratio: Floats = after.heldout.sum(axis=0) / before.heldout.sum(axis=0)
+    return float(1.0 - ratio.mean())
 
 
-def _sure(gain: Floats, block: Rows) -> float:
-    sums = np.zeros(int(block.max()) + 1)
-    np.add.at(sums, block, gain)
-    sums = sums[np.unique(block)]
-    return float(sums.sum() / max(float(sums.std(ddof=1)) * np.sqrt(len(sums)), 1e-300)) if len(sums) > 7 else 0.0
+def _text(terms: Sequence[FormulaTerm]) -> str:
+    parts = []
+    for state in dict.fromkeys(item.state for item in terms):
+        own = [item for item in terms if item.state == state]
+        right = " ".join(
+            f"{'-' if item.coefficient < 0 else '+'} {abs(item.coefficient):.3g}"
+            + ("" if item.term == "1" else f" {item.term}")
+            for item in own
+        )
+        sign, right = ("-", right[2:]) if len(own) == 1 and right.startswith("- ") else ("+", right.removeprefix("+ "))
+        parts.append(f"d({state})/dt {sign}= {right}")
+    return "; ".join(parts)
 
 
-def _formula(found: _Dependence, shooting: Shooting) -> str:
-    """The term whose fit without a fold predicts that fold best."""
-    best, text = np.inf, ""
-    for label, term in _TERMS:
-        column = term(found.values)
-        error = 0.0
-        for fold in np.unique(shooting.fold):
-            used = shooting.fold != fold
-            slope = float(column[used] @ found.pushes[used]) / max(float(column[used] @ column[used]), 1e-300)
-            error += float(((found.pushes[~used] - slope * column[~used]) ** 2).sum())
-        if error < best:
-            slope = float(column @ found.pushes) / max(float(column @ column), 1e-300)
-            term_text = label.format(found.variable)
-            best, text = error, f"d({found.state})/dt += {slope:.3g}" + ("" if term_text == "1" else f" {term_text}")
-    return text
+def _unit(rate: str, over: Sequence[str]) -> str:
+    """The unit of a coefficient: that of the rate over those of the term."""
+    if not over:
+        return rate
+    powers = {unit: over.count(unit) for unit in dict.fromkeys(over)}
+    return f"{rate} / " + " / ".join(f"({unit})" + (f"^{n}" if n > 1 else "") for unit, n in powers.items())

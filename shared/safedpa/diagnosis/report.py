@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from safedpa.diagnosis.unexplained import Unexplained
 from safedpa.dynamics import PhysicsModel
 
 __all__ = ["Candidate", "Decision", "Experiment", "Report", "Stage", "Unexplained", "Value", "Verdict", "as_document"]
@@ -48,17 +49,6 @@ class Candidate:
     indistinguishable_from: tuple[str, ...]
     decision: Decision
     reason: str
-
-
-@dataclass(frozen=True)
-class Unexplained:
-    """Structure of what remains that no effect of the library has."""
-
-    depends_on: tuple[str, ...]
-    expression: str
-    """A formula that fits, not an effect."""
-    share: float
-    """Of the remaining squared error."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.diagnosis.report_figures import before_after_figure, falling_figure, map_figure
 from safedpa.diagnosis.report_story import number, story_of
 from safedpa.diagnosis.rollout import rollout
+from safedpa.diagnosis.unexplained_figure import unexplained_figure
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.atomic import atomic_path
 from safedpa.records.run import Run
@@ -59,6 +60,8 @@ def report_page(
     figures = [falling_figure(document), before_after_figure(before, after), residual_figure(after)]
     maps = map_figure(before, after)
     figures += [] if maps is None else [maps]
+    rest = unexplained_figure(document["unexplained"])
+    figures += [] if rest is None else [rest]
     overlays = _overlays(before, after)
     return rendered(
         "report_page.html",
@@ -69,6 +72,7 @@ def report_page(
         after=after,
         tiles=_tiles(document, before, seconds, len(runs)),
         has_maps=maps is not None,
+        has_rest=rest is not None,
         share=sum(run.duration for run in shown) / seconds,
         shown=_SHOWN,
         overlay_labels=[figure["label"] for figure in overlays],

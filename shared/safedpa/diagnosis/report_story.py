@@ -43,6 +43,12 @@ class Story:
     stages: list[Stage]
     improved: list[tuple[str, str]]
     """(what a stage changed, in how many runs the error fell)"""
+    formula_title: str
+    formula_note: str
+    formula_rows: list[tuple[str, str, str, str, str]]
+    """(state, term, coefficient, standard deviation, unit)"""
+    dependence: list[dict[str, Any]]
+    """How much of what remains each variable tells, those that tell anything."""
 
 
 def number(value: float | None) -> float:
@@ -59,6 +65,40 @@ def step_text(before: Mapping[str, Any] | None, stage: Mapping[str, Any]) -> str
     return " ".join(parts) or "refitted"
 
 
+_TELLS = 0.02
+"""Share that is worth a line."""
+
+_FORMULA = {
+    "place": (
+        "A place where the floor is different",
+        "Fitted like an effect, but it is none: it holds in this room. Look at the floor there.",
+    ),
+    "formula": (
+        "Best short formula for the remaining rate",
+        "Found by sparse regression. It is a formula that fits, not a physical effect with a name; do not trust it "
+        "outside the range of the data.",
+    ),
+    "dependence": (
+        "The remaining rate depends on this, but no short formula describes how",
+        "The profile below shows it; it is no physical effect with a name.",
+    ),
+}
+"""Title and note, by kind of what is unexplained."""
+
+
+def _formula_rows(rest: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
+    return [
+        (
+            item["state"],
+            item["term"],
+            f"{number(item['coefficient']):.4g}",
+            "" if item["std"] is None else f"{item['std']:.2g}",
+            "" if item["unit"] == "1" else item["unit"],
+        )
+        for item in rest.get("terms", ())
+    ]
+
+
 def story_of(document: Mapping[str, Any]) -> Story:
     """Everything that a page says in words."""
     found = [_found(document, stage, name) for stage, name in enumerate(document["added"])]
@@ -71,7 +111,23 @@ def story_of(document: Mapping[str, Any]) -> Story:
     stages = document["stages"]
     improved = [(step_text(before, stage), str(stage["runs_improved"])) for before, stage in pairwise(stages)]
     tables = [_stage(document, index) for index in order]
-    return Story(_lead(document), _remains(document), found, groups, tables, improved)
+    rest = document["unexplained"] or {}
+    title, note = _FORMULA.get(rest.get("kind", "formula"), _FORMULA["formula"])
+    if rest.get("alternatives"):
+        note += f" As good as its first term on unseen data: {', '.join(rest['alternatives'])}."
+    dependence = [item for item in rest.get("dependence", ()) if number(item["share"]) > _TELLS]
+    return Story(
+        _lead(document),
+        _remains(document),
+        found,
+        groups,
+        tables,
+        improved,
+        title,
+        note,
+        _formula_rows(rest),
+        dependence,
+    )
 
 
 def _lead(document: Mapping[str, Any]) -> str:
@@ -89,6 +145,8 @@ def _lead(document: Mapping[str, Any]) -> str:
             f"Nothing is missing: no effect of the library predicts unseen data better than chance would have it. "
             f"The error is {first:.3g}."
         )
+    if document["unexplained"] is not None and not document["unexplained"]["depends_on"]:
+        return f"No verdict: {document['unexplained']['expression']}."
     return f"Something is missing that no effect of the library describes. The error is {first:.3g}."
 
 
@@ -99,6 +157,10 @@ def _remains(document: Mapping[str, Any]) -> str:
     variables = _joined(unexplained["depends_on"]) or "no variable that was measured"
     share = unexplained.get("share")
     size = f"{100.0 * share:.0f} % of what remains" if isinstance(share, int | float) else "A part of what remains"
+    if unexplained.get("kind") == "place":
+        return (
+            f"{size} lies in one place of the plane: the floor is different there, which no effect of the library has."
+        )
     return f"{size} depends on {variables} in a way that no effect of the library has."
 
 
