@@ -68,5 +68,8 @@ def test_the_digest_tells_what_decides_a_phase_and_nothing_else() -> None:
     assert more.digest("phase_1a") == car.digest("phase_1a")
     assert more.digest("phase_1a", "ablations") != car.digest("phase_1a", "ablations")
     assert replace(car, seed=1).digest("phase_1a") != car.digest("phase_1a")
+    longer = replace(car, history=68)
+    assert longer.digest("phase_1a", "phase_1b") == car.digest("phase_1a", "phase_1b")
+    assert longer.digest("phase_1a", "phase_2") != car.digest("phase_1a", "phase_2")
     other = parse_configuration(TEXT.replace("[0.0, 1.6]", "[0.0, 1.5]"), PATH.parent)
     assert other.digest() != car.digest()

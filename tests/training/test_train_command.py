@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +122,7 @@ def adding(name: str, calls: list[str]) -> Any:
         )
         shapes: dict[str, dict[str, Any]] = {
             "policy": {"policy.0.weight": [[1.0]], "policy.0.bias": [0.0]},
-            "phi": dict(tensors_of(HistoryNetwork(9, 50, 4))),
+            "phi": dict(tensors_of(HistoryNetwork(9, weights.description.history, 4))),
         }
         return weights.with_tensors(shapes[name]), {"loss": 0.5}
 
@@ -143,6 +144,12 @@ def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypa
     assert [name for name, record in again.items() if "skipped" not in record] == ["fix", "mix", "rma_p"]
     assert load_weights(tmp_path / "rma_p.safetensors").has("policy")
     assert load_weights(tmp_path / "car_learned.safetensors").has("phi")
+    # phi is to look back further: what came before it stays
+    calls.clear()
+    longer = run_pipeline(replace(configuration, history=68), tmp_path, ("1a", "1b", "2"))
+    assert calls == ["phi mu policy"]
+    assert [name for name, record in longer.items() if "skipped" in record] == ["1a", "1b"]
+    assert load_weights(tmp_path / "car_simulated.safetensors").description.history == 68
     # a new policy: the history encoder was trained on the old one's drives
     monkeypatch.setattr(pipeline, "_is_there", lambda path, stage: stage.name != "1b")
     calls.clear()

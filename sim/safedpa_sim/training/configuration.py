@@ -68,10 +68,10 @@ class Phase1b:
     enough: float = limited(0.985, 0.0)
     """Share of the evaluation drives that reach their goal at which training ends; above 1: never before all steps."""
     cars: int = limited(512, 1, 100_000)
-    rollout: int = limited(64, 2)
+    rollout: int = limited(32, 2)
     """Ticks of every car between two updates."""
     batch: int = limited(8192, 2)
-    epochs: int = limited(8, 1, 100)
+    epochs: int = limited(5, 1, 100)
     """Times that each tick is learned from."""
     learning_rate: float = limited(1e-3, 1e-8, 1.0)
     """At the beginning; it falls in a straight line to a twentieth."""
@@ -80,7 +80,7 @@ class Phase1b:
     """Neurons in each of the two hidden layers."""
     noise: float = limited(0.6, 1e-3, 10.0)
     """Standard deviation of the actions at the beginning, as a share of half their range."""
-    evaluate_every: int = limited(10, 1)
+    evaluate_every: int = limited(12, 1)
     """Updates between two evaluations."""
 
 
@@ -106,29 +106,29 @@ class Phase2:
 
 @dataclass(frozen=True)
 class Phase3:
-    """f, g and phi tuned on few data of the real robot, then on drives in imagination too."""
+    """f, g and phi tuned on few data of the real robot, and on drives in the simulator that these data have mended."""
 
     pairs: int = limited(20_000, 200)
     """Transitions recorded on circles without load: 0.1 % of the simulated ones."""
     run_pairs: int = limited(1000, 100)
     """Transitions of each recorded run."""
-    updates: int = limited(1200, 1)
-    """Steps of Adam on the recorded data alone."""
-    imagined_updates: int = limited(2400, 0)
-    """Steps of Adam on recorded and imagined data."""
-    cars: int = limited(2000, 1)
-    """Drives in imagination."""
-    steps: int = limited(160, 80)
+    cars: int = limited(2000, 0)
+    """Drives in the mended simulator; 0: tuned on the recorded data alone, which forgets loads."""
+    steps: int = limited(240, 80)
     """Periods of each of them."""
-    batch: int = limited(1024, 1)
+    updates: int = limited(4000, 1)
+    """Steps of Adam."""
+    batch: int = limited(1024, 16)
+    recorded: float = limited(0.25, 0.0, 1.0)
+    """Share of each batch that is recorded data."""
     rollouts: int = limited(48, 0)
     """Short rollouts in each batch, beside single steps."""
     horizon: int = limited(10, 2, 50)
     """Steps of each of them."""
-    learning_rate: float = limited(1.5e-3, 1e-8, 1.0)
+    learning_rate: float = limited(2e-3, 1e-8, 1.0)
     last_learning_rate: float = limited(1e-5, 0.0, 1.0)
-    anchor: float = limited(0.01, 0.0)
-    """Weight of |phi - mu(e)|^2 on imagined drives: the policy goes on seeing the latent that it knows."""
+    anchor: float = limited(0.003, 0.0)
+    """Weight of |phi - mu(e)|^2 in the mended simulator: the policy goes on seeing the latent that it knows."""
 
 
 @dataclass(frozen=True)
@@ -175,9 +175,14 @@ class Configuration:
         return self.simulator.system.name
 
     def digest(self, *sections: str) -> str:
-        """Twelve hexadecimal digits over everything that is common to all phases, and the named sections."""
+        """Twelve hexadecimal digits over everything that is common to all phases, and the named sections.
+
+        How far phi looks back counts only where phi is trained.
+        """
         plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in _SECTIONS}
         plain["simulator"] = write_model(self.simulator)
+        if "phase_2" not in sections:
+            del plain["history"]
         chosen = {name: asdict(getattr(self, name)) for name in sections if name in _SECTIONS}
         text = json.dumps({**plain, **chosen}, sort_keys=True)
         return sha256(text.encode()).hexdigest()[:12]

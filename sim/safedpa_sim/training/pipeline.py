@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
@@ -126,7 +126,9 @@ def _given(stage: _Stage, configuration: Configuration, out: Path) -> Weights | 
             raise InputError(f"phase {stage.name}: {path} holds no {earlier}; run the phases before it first")
     dropped = _AFTER.get(stage.name, ())
     kept = {name: tensor for name, tensor in weights.tensors.items() if not name.startswith(dropped)}
-    return Weights(kept, weights.description)
+    if any(name.startswith("phi.") for name in kept):
+        return Weights(kept, weights.description)
+    return Weights(kept, replace(weights.description, history=configuration.history))  # how phi is about to look back
 
 
 def _is_there(model_file: Path, stage: _Stage) -> bool:
