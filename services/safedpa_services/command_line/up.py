@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from safedpa_services.supervisor.plan import Plan
 
 LOADS = ("none", "box", "chair", "large_chair")
+CONTROLLERS = ("goal_seeker", "learned", "planner")
 
 
 @click.command()
@@ -31,6 +32,11 @@ LOADS = ("none", "box", "chair", "large_chair")
 @click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
 @click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
 @click.option("--margin", default="", help="margin file; default: the shipped one of the model, if there is one")
+@click.option(
+    "--controller",
+    type=click.Choice(CONTROLLERS),
+    help="who wishes for actions; default: learned where the model's weights hold a policy, else goal_seeker",
+)
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
 @click.option("--listen", default="", help="endpoint for others to join, such as tcp/0.0.0.0:7447")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="for recordings")
@@ -81,10 +87,19 @@ def _plan(options: dict[str, Any]) -> Plan:
         model=options["model"],
         settings=options["settings"],
         margin=options["margin"],
+        controller=_controller(model, options["controller"]),
         fleet=options["fleet"],
         endpoint=options["listen"] or f"tcp/127.0.0.1:{free_port()}",
         folder=Plan.new_folder(options["out"], options["name"]),
     )
+
+
+def _controller(model: PhysicsModel, name: str | None) -> str:
+    """The name as given, empty without one; refuses one that the model cannot have, before any process starts."""
+    from safedpa.policy.controller import controller_for
+
+    controller_for(model, name)
+    return name or ""
 
 
 def _check_rate(model: PhysicsModel, rate: float) -> None:

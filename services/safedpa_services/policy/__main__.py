@@ -7,13 +7,17 @@ import argparse
 from safedpa.bus.process import Stop, run_process
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
+from safedpa.policy.controller import CONTROLLERS
 from safedpa_services.serving import serve, service_parser
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Serves until ``stop``; returns the exit code."""
-    return serve(PolicyNode(load_model(options.model)), options, stop)
+    node = PolicyNode(load_model(options.model), controller=options.controller or None)
+    return serve(node, options, stop)
 
 
 if __name__ == "__main__":
-    run_process(work, service_parser("safedpa-policy"))
+    parser = service_parser("safedpa-policy")
+    parser.add_argument("--controller", default="", choices=("", *CONTROLLERS), help="default: as the model allows")
+    run_process(work, parser)

@@ -29,6 +29,8 @@ class Plan:
     model: str
     settings: str
     margin: str
+    controller: str
+    """Name of the policy's controller; empty: the one that the model allows."""
     fleet: str
     endpoint: str
     """Where the supervisor's own session listens; every process connects to it and learns of the others there."""
@@ -52,11 +54,12 @@ class Plan:
     def services(self) -> list[Child]:
         """Every process but the robot."""
         model = ("--model", self.model)
+        controller = ("--controller", self.controller) if self.controller else ()
         unfiltered = () if self.filtered else ("--off",)
         margin = ("--settings", self.settings, *(("--margin", self.margin) if self.margin else ()))
         children = [
             self._child("adaptation", "safedpa_services.adaptation", *model, *self._scheduling),
-            self._child("policy", "safedpa_services.policy", *model, *self._scheduling),
+            self._child("policy", "safedpa_services.policy", *model, *controller, *self._scheduling),
             self._child(
                 "safety_filter", "safedpa_services.safety_filter", *model, *margin, *unfiltered, *self._scheduling
             ),
