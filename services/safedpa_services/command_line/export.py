@@ -1,4 +1,4 @@
-"""``safedpa export``: a recording of the bus as a table for other programs."""
+"""``safedpa export``: a recording of the bus as a table, or learned networks as ONNX, for other programs."""
 
 from __future__ import annotations
 
@@ -6,29 +6,52 @@ from pathlib import Path
 
 import click
 
+from safedpa.errors import InputError
+
 __all__ = ["command"]
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING.mcap")
+@click.argument("source", type=click.Path(path_type=Path), metavar="RECORDING.mcap|WEIGHTS.safetensors")
 @click.option(
     "--format",
     "kind",
     type=click.Choice(["csv", "parquet"]),
-    required=True,
-    help="csv: text, every digit kept; parquet: binary, smaller and faster.",
+    help="Of a recording. csv: text, every digit kept; parquet: binary, smaller and faster.",
 )
-@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="PATH", help="The file to write.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="PATH", help="The file to write a recording to.")
 @click.option("--robot", metavar="NAME", help="Which robot, when the recording holds several.")
-def command(recording: Path, kind: str, out: Path, robot: str | None) -> None:
-    """Write one robot's drive from a recording as CSV or Parquet.
+@click.option(
+    "--onnx",
+    "folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write the networks of a weights file there: mu, f, g, phi and policy, one .onnx each.",
+)
+def command(source: Path, kind: str | None, out: Path | None, robot: str | None, folder: Path | None) -> None:
+    """Write one robot's drive from a recording as CSV or Parquet, or learned networks as ONNX.
 
-    One row per tick: t [s], the states, the actions in force until the next row, and what the safety filter decided at
-    that tick: status, slack, h_now, h_next, margin.
+    A recording gives one row per tick: t [s], the states, the actions in force until the next row, and what the safety
+    filter decided at that tick: status, slack, h_now, h_next, margin. Of networks every graph takes and gives SI units.
     """
+    if folder is not None:
+        if kind or out or robot:
+            raise InputError("--onnx: got options of a recording too; leave --format, --out and --robot out")
+        _export_networks(source, folder)
+        return
+    if kind is None or out is None:
+        raise InputError("export: wanted --format and --out for a recording, or --onnx DIR for a weights file")
     from safedpa.records.export import export_recording
 
-    exported = export_recording(recording, out, kind, robot)
+    exported = export_recording(source, out, kind, robot)
     for finding in exported.findings:
         click.echo(f"{finding.kind}: {finding.message}", err=True)
     click.echo(f"{out}: {exported.rows} rows of robot '{exported.robot}'")
+
+
+def _export_networks(source: Path, folder: Path) -> None:
+    from safedpa.networks import load_weights
+    from safedpa_sim.training.onnx_export import export_onnx
+
+    for path in export_onnx(load_weights(source), folder):
+        click.echo(f"{path}: {path.stat().st_size} bytes")

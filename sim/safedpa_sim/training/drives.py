@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from safedpa.networks import Weights
+from safedpa_sim.training.drawbar import Drawbars
 from safedpa_sim.training.histories import Lived, history_rows, lived
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork
 from safedpa_sim.training.simulator import BatchedCars
@@ -15,6 +16,8 @@ from safedpa_sim.training.simulator import BatchedCars
 __all__ = ["RandomDriver", "policy_drives", "random_drives"]
 
 Tensor = torch.Tensor
+_SPEED = 3
+"""Index of the speed in the car's state."""
 
 
 @final
@@ -45,23 +48,40 @@ class RandomDriver:
 
 
 def random_drives(
-    cars: BatchedCars, networks: AffineNetworks, count: int, steps: int, change: float, generator: torch.Generator
+    cars: BatchedCars,
+    networks: AffineNetworks,
+    count: int,
+    steps: int,
+    change: float,
+    generator: torch.Generator,
+    *,
+    swinging: bool = False,
 ) -> Lived:
-    """``count`` drives from drawn states under ``RandomDriver``; environments change as ``change`` says."""
+    """``count`` drives under ``RandomDriver``; an environment becomes another with probability ``change`` a period.
+
+    ``swinging`` loads also pull to the side (see ``Drawbars``), and the cars start at rest; otherwise anyhow.
+    """
     environment = cars.draw_environments(count, generator)
-    state, memory = cars.draw_states(count, generator), None
+    state = cars.draw_states(count, generator)
+    bars = Drawbars(cars, count, generator) if swinging else None
+    if swinging:
+        state = state * (torch.arange(state.shape[1], device=cars.device) != _SPEED)
     driver = RandomDriver(cars, count, generator)
-    states, actions, environments = [state], [], []
+    memory, states, actions, environments = None, [state], [], []
     with torch.no_grad():
         for _ in range(steps):
             action = driver.action()
-            memory = cars.settled(action, environment) if memory is None else memory
-            state, memory = cars.advance(state, action, environment, memory)
+            felt = environment if bars is None else bars.environment(environment)
+            memory = cars.settled(action, felt) if memory is None else memory
+            following, memory = cars.advance(state, action, felt, memory)
+            state = following if bars is None else bars.pulled(state, following, environment)
             states.append(state)
             actions.append(action)
             environments.append(environment)
-            changes = torch.rand(count, 1, generator=generator, device=cars.device) < change
-            environment = torch.where(changes, cars.draw_environments(count, generator), environment)
+            changes = torch.rand(count, generator=generator, device=cars.device) < change
+            environment = torch.where(changes[:, None], cars.draw_environments(count, generator), environment)
+            if bars is not None:
+                bars.renew(changes)
         return lived(networks, torch.stack(states, 1), torch.stack(actions, 1), torch.stack(environments, 1))
 
 

@@ -11,6 +11,8 @@ from safedpa_sim.training.networks import AffineNetworks
 __all__ = ["Lived", "history_rows", "joined", "lived"]
 
 Tensor = torch.Tensor
+_TRIES = 3
+"""Indices drawn for each one wanted; nearly all drives are much longer than what is asked before and ahead."""
 
 
 class Lived(NamedTuple):
@@ -34,14 +36,25 @@ class Lived(NamedTuple):
     def draw(self, batch: int, generator: torch.Generator, *, before: int = 0, ahead: int = 1) -> Tensor:
         """Indices (batch,) of transitions with at least ``before`` others of their drive before them, and ``ahead``
         from them on, themselves included; the whole drive where it is shorter than that."""
-        index = torch.arange(len(self.rows), device=self.rows.device)
-        fits = torch.nonzero((index - self.first >= before) & (self.last - index >= ahead - 1)).squeeze(1)
-        fits = fits if len(fits) else index
-        return fits[torch.randint(len(fits), (batch,), generator=generator, device=index.device)]
+        index = torch.randint(len(self.rows), (_TRIES * batch,), generator=generator, device=self.rows.device)
+        fits = index[self._fits(index, before, ahead)]
+        if len(fits) < batch:
+            every = torch.arange(len(self.rows), device=self.rows.device)
+            fitting = every[self._fits(every, before, ahead)]
+            fitting = fitting if len(fitting) else every
+            drawn = torch.randint(len(fitting), (batch,), generator=generator, device=self.rows.device)
+            return fitting[drawn]
+        return fits[:batch]
 
-    def histories(self, index: Tensor, length: int) -> Tensor:
-        """The ``length`` rows before transitions (batch,), zeros before the drive: (batch, length, row)."""
-        wanted = index.unsqueeze(1) + torch.arange(-length, 0, device=index.device)
+    def _fits(self, index: Tensor, before: int, ahead: int) -> Tensor:
+        return (index - self.first[index] >= before) & (self.last[index] - index >= ahead - 1)
+
+    def histories(self, index: Tensor, length: int, ahead: int = 0) -> Tensor:
+        """The ``length`` rows before transitions (batch,), and ``ahead`` from them on: (batch, length + ahead, row).
+
+        Zeros stand for rows before the drive.
+        """
+        wanted = index.unsqueeze(1) + torch.arange(-length, ahead, device=index.device)
         there = wanted >= self.first[index].unsqueeze(1)
         return self.rows[wanted.clamp_min(0)] * there.unsqueeze(2)
 

@@ -1,14 +1,14 @@
 """Phase 3: f, g and phi tuned on few data of the real robot.
 
-First on the recorded data alone. Then the tuned robot drives in imagination under the loads and winds of the
-configuration (see ``imagined``), and everything is tuned on both, so that what phase 2 learned of loads is kept and
-fitted to this robot. Loss, with z = phi(history), so that z also tells where motor and steering stand:
+Tuned on drives without load alone, networks forget what loads do. So the same data first mend the simulator (see
+``grounding``); drives in it under the loads and winds of the configuration are mixed with the recorded ones. Loss, with
+z = phi(history), so that z also tells where motor and steering stand:
 
     one-step error + error of short rollouts in which phi looks at the predictions + anchor |phi - mu(e)|^2
 
 A part of the recorded runs is never fitted to. The best state by its error there is kept, and nothing is returned that
 does not predict it better than the untuned networks. Source: Xiao et al., Safe Deep Policy Adaptation, ICRA 2024, phase
-3; imagination, rollouts and anchor are ours.
+3; the mended simulator, rollouts and anchor are ours.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
@@ -26,10 +26,13 @@ from torch import nn
 
 from safedpa.errors import InputError
 from safedpa.networks import Weights
+from safedpa.networks.weights import STRIDE
+from safedpa.records import Run, Stretch
 from safedpa_sim.training.circles import record_circles
 from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.drives import random_drives
+from safedpa_sim.training.grounding import ground_simulator, grounded_configuration
 from safedpa_sim.training.histories import Lived, joined, lived
-from safedpa_sim.training.imagined import imagined_drives
 from safedpa_sim.training.networks import (
     AffineNetworks,
     HistoryNetwork,
@@ -38,7 +41,7 @@ from safedpa_sim.training.networks import (
     tensors_of,
 )
 from safedpa_sim.training.phase_1a import training_device
-from safedpa_sim.training.prediction import errors, one_step_loss, rollout_loss
+from safedpa_sim.training.prediction import errors, latents_along, one_step_loss, rollout_loss
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.tuning_data import HORIZON, Drive, drives_of, load_tuning_runs, split
@@ -52,13 +55,16 @@ WHAT: Final = ("all", "phi", "heads")
 _STREAM = 7
 """Seeds of this phase: seed * 10 + this."""
 _CHANGE = 0.005
-"""Probability per period that the environment changes in imagination."""
+"""Probability per period that the environment changes in the simulator."""
 _JUDGED = 10
-"""How often within each part the held-out error is taken."""
+"""How often the held-out error is taken."""
+_ALONG = 8
+"""Histories that are encoded together: the convolutions over what they share are computed once."""
+_SAMPLES = 5000
 _STARTS = 600
 """Rollouts that it is taken over."""
 _JUDGING = 10
-"""One imagined drive to judge by for so many to learn from."""
+"""One simulated drive to judge by for so many to learn from."""
 _BEYOND = 0.1
 """Share of the latent's range by which it may go beyond what was seen in tuning."""
 _WARM_UP = 0.05
@@ -111,19 +117,14 @@ def tune_on_drives(
     if not weights.has("phi"):
         raise InputError("weights: no history encoder (phi) in them, wanted one to tune; run phase 2 first")
     training = _Tuning.begin(configuration, weights, drives, what, training_device(device))
-    phase = configuration.phase_3
     before = training.held_out_errors()
-    training.learn([training.recorded], phase.updates, "3", tell)
-    if phase.imagined_updates and weights.has("mu"):
-        imagined = training.imagine(phase.cars)
-        training.judges.append(training.imagine(max(1, phase.cars // _JUDGING)))
-        training.learn([training.recorded, imagined], phase.imagined_updates, "3 imagined", tell)
-        training.spread([training.recorded, imagined])
-    else:
-        training.spread([training.recorded])
+    mended = training.add_simulated(tell)
+    training.learn(tell)
+    training.spread()
     after = training.held_out_errors()
     summary = {
         "what": what,
+        "mended_simulator": mended,
         "pairs": len(training.recorded.rows),
         "held_out_pairs": len(training.held_out.rows),
         "untuned": before,
@@ -147,13 +148,15 @@ class _Tuning:
     untuned: Weights
     networks: AffineNetworks
     encoder: HistoryNetwork
+    drives: Sequence[Drive]
+    """The recorded ones that are fitted to."""
     recorded: Lived
     held_out: Lived
     fitted: list[nn.Parameter]
     generator: torch.Generator
-    cars: BatchedCars
-    judges: list[Lived]
-    """What nothing is fitted to: the held-out part of the recorded data, then of the imagined too."""
+    simulated: Lived | None = None
+    judges: list[Lived] = field(default_factory=list)
+    """What nothing is fitted to: the held-out part of the recorded data, and of the simulated."""
 
     @staticmethod
     def begin(
@@ -167,65 +170,88 @@ class _Tuning:
             parameter.requires_grad_(True)
         parts = split(drives, weights.description.history)
         recorded, held_out = (joined([_lived(networks, drive, device) for drive in part]) for part in parts)
-        cars = BatchedCars(configuration, device)
-        generator = cars.generator(configuration.seed * 10 + _STREAM)
-        return _Tuning(
-            configuration, weights, networks, encoder, recorded, held_out, fitted, generator, cars, [held_out]
-        )
+        generator = torch.Generator(device).manual_seed(configuration.seed * 10 + _STREAM)
+        known = (networks, encoder, parts[0], recorded, held_out, fitted, generator)
+        return _Tuning(configuration, weights, *known, judges=[held_out])
 
     @property
     def history(self) -> int:
         return self.untuned.description.history
 
-    def learn(self, sets: Sequence[Lived], updates: int, name: str, tell: Tell) -> None:
-        """Adam on all sets alike; ends with the state whose held-out error was least."""
+    def add_simulated(self, tell: Tell) -> dict[str, Any]:
+        """Mends the simulator and drives in it; returns what was mended, or why that was not possible."""
+        phase = self.configuration.phase_3
+        if not phase.cars or not self.untuned.has("mu"):
+            return {"none": "tuned on recorded data alone"}
+        try:
+            grounded = ground_simulator(self.configuration, self._runs(), tell)
+        except InputError as error:
+            return {"none": str(error)}
+        cars = BatchedCars(grounded_configuration(self.configuration, grounded), self.generator.device)
+        self.simulated, judge = (
+            random_drives(cars, self.networks, count, phase.steps, _CHANGE, self.generator, swinging=True)
+            for count in (phase.cars, max(1, phase.cars // _JUDGING))
+        )
+        self.judges.append(judge)
+        return grounded.summary()
+
+    def _runs(self) -> list[Run]:
+        """The recorded drives that are fitted to, as the diagnosis takes them."""
+        period, system = self.untuned.description.period, self.configuration.simulator.system
+        runs = []
+        for number, (states, actions) in enumerate(self.drives):
+            rows = len(states)
+            t = period * np.arange(rows, dtype=np.float64)
+            held = np.concatenate((actions, actions[-1:]))
+            runs.append(Run(f"drive {number}", system, t, states, held, (Stretch(0, rows),)))
+        return runs
+
+    def learn(self, tell: Tell) -> None:
+        """Adam on recorded and simulated drives; ends with the state whose held-out error was least."""
         phase = self.configuration.phase_3
         optimiser = torch.optim.Adam(self.fitted, phase.learning_rate)
         best, kept = math.inf, self._state()
-        every = max(1, updates // _JUDGED)
-        for done in range(updates):
+        every = max(1, phase.updates // _JUDGED)
+        for done in range(phase.updates):
             for group in optimiser.param_groups:
-                group["lr"] = _rate(done / updates, phase.learning_rate, phase.last_learning_rate)
-            losses = [self._loss(part, 1.0 / len(sets)) for part in sets]
-            loss = torch.stack(losses).mean()
+                group["lr"] = _rate(done / phase.updates, phase.learning_rate, phase.last_learning_rate)
+            loss = self._loss(self.recorded, 1.0 if self.simulated is None else phase.recorded)
+            if self.simulated is not None:
+                loss = loss + self._loss(self.simulated, 1.0 - phase.recorded)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(self.fitted, 1.0)
             optimiser.step()
-            if (done + 1) % every == 0 or done + 1 == updates:
+            if (done + 1) % every == 0 or done + 1 == phase.updates:
                 judged = self._judged()
-                tell(name, done + 1, updates, f"held-out error {judged:.3f}")
+                tell("3", done + 1, phase.updates, f"held-out error {judged:.3f}")
                 if judged < best:
                     best, kept = judged, self._state()
         self._restore(kept)
 
     def _loss(self, part: Lived, share: float) -> Tensor:
+        """The loss over a part of the batch, weighed by its share of it."""
         phase, history = self.configuration.phase_3, self.history
-        index = part.draw(max(1, round(share * phase.batch)), self.generator)
-        latent = self.encoder(part.histories(index, history))
+        segments = max(1, round(share * phase.batch / _ALONG))
+        start = part.draw(segments, self.generator, ahead=_ALONG * STRIDE)
+        rows = part.histories(start, history, (_ALONG - 1) * STRIDE)
+        latent = latents_along(self.encoder, rows, _ALONG).flatten(0, 1)
+        index = (start.unsqueeze(1) + STRIDE * torch.arange(_ALONG, device=start.device)).flatten()
         loss = one_step_loss(self.networks, latent, part, index)
         if phase.rollouts:
-            count = max(1, round(share * phase.rollouts))
-            starts = part.draw(count, self.generator, ahead=phase.horizon)
+            starts = part.draw(max(1, round(share * phase.rollouts)), self.generator, ahead=phase.horizon)
             loss = loss + rollout_loss(self.networks, self.encoder, part, starts, phase.horizon, history)
         if part.latents.shape[1]:
             loss = loss + phase.anchor * (latent - part.latents[index]).square().mean()
-        return loss
+        return share * loss
 
-    def imagine(self, count: int) -> Lived:
-        """Drives of the robot as it is tuned now, under the configuration's environments."""
-        phase = self.configuration.phase_3
-        weights = self.untuned.with_tensors(self._tensors())
-        return imagined_drives(
-            self.cars, weights, self.networks, self.encoder, count, phase.steps, _CHANGE, self.generator
-        )
-
-    def spread(self, sets: Sequence[Lived]) -> None:
+    def spread(self) -> None:
         """Sets the latent's range to what phi says of all data and a tenth more, its rest to the recorded middle."""
+        sets = [self.recorded] if self.simulated is None else [self.recorded, self.simulated]
         seen = []
         with torch.no_grad():
             for part in sets:
-                index = part.draw(5000, self.generator)
+                index = part.draw(_SAMPLES, self.generator)
                 seen.append(self.encoder(part.histories(index, self.history)))
             everything = torch.cat(seen)
             low, high = everything.amin(0), everything.amax(0)
@@ -254,8 +280,6 @@ class _Tuning:
 
     def weights(self, summary: dict[str, Any]) -> Weights:
         """The tuned weights with what they were tuned on."""
-        from dataclasses import replace
-
         described = self.untuned.description
         trained_on = {**described.trained_on, "tuned": summary}
         return self.untuned.with_tensors(self._tensors(), replace(described, trained_on=trained_on))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 
+from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.histories import Lived, history_rows
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork
 
-__all__ = ["errors", "one_step_loss", "rollout_errors", "rollout_loss"]
+__all__ = ["errors", "latents_along", "one_step_loss", "rollout_errors", "rollout_loss"]
 
 Tensor = torch.Tensor
 
@@ -19,6 +22,25 @@ def one_step_loss(networks: AffineNetworks, latent: Tensor, lived: Lived, index:
     predicted: Tensor = networks(states, lived.actions[index], latent)
     loss: Tensor = (predicted - increment).square().mean()
     return loss
+
+
+def latents_along(encoder: HistoryNetwork, rows: Tensor, count: int) -> Tensor:
+    """z (batch, count, latents) of ``count`` histories that follow each other ``STRIDE`` rows apart.
+
+    Rows (batch, history + STRIDE (count - 1), row). The convolutions are computed once for all of them, so that it
+    costs a fraction of so many calls of the encoder, and gives the same numbers.
+    """
+    phi: Any = encoder.phi
+    for layer in phi.dense:
+        rows = torch.relu(layer(rows))
+    first, second = phi.conv
+    seen = torch.relu(first(rows.transpose(-1, -2)))
+    seen = torch.relu(torch.nn.functional.conv1d(seen, second.weight, second.bias))
+    steps = phi.out.in_features // second.out_channels
+    shifted = [seen[..., STRIDE * step : STRIDE * step + count] for step in range(steps)]
+    flat = torch.stack(shifted, dim=2).permute(0, 3, 1, 2).flatten(2)
+    latents: Tensor = phi.out(flat)
+    return latents
 
 
 def rollout_errors(
