@@ -1,11 +1,18 @@
-"""``safedpa calibrate``: the filter's margin from recorded drives."""
+"""``safedpa calibrate``: the filter's margins from recorded drives."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
+
+from safedpa.errors import InputError
+
+if TYPE_CHECKING:
+    from safedpa.dynamics import PhysicsModel
+    from safedpa.safety import MarginCalibration
 
 
 @click.command()
@@ -13,18 +20,59 @@ import click
 @click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
 @click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
 @click.option("--coverage", type=float, default=0.99, show_default=True, help="share of steps that the margin covers")
+@click.option("--simulator", default="", help="training configuration: also measure the theory's constants there")
+@click.option("--states", type=int, default=4000, show_default=True, help="of the simulator, for the constants")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="margin file, for the filter's --margin")
-def command(recordings: tuple[Path, ...], model: str, settings: str, coverage: float, out: Path) -> None:
-    """Calibrate the margin: how much worse h turned out than predicted, on RECORDINGS (MCAP) not used for fitting."""
+def command(
+    recordings: tuple[Path, ...], model: str, settings: str, coverage: float, simulator: str, states: int, out: Path
+) -> None:
+    """Calibrate the margins: how much worse h turned out than predicted, on RECORDINGS (MCAP) not used for fitting.
+
+    Four fifths of the transitions make the conformal margin and the theorem's; on the last fifth both are counted. The
+    setting ``margin`` says which of them a filter uses.
+    """
     from safedpa.dynamics import load_model
     from safedpa.safety.recorded import calibration_from_recordings
     from safedpa.safety.shipped import settings_named
 
+    loaded = load_model(model)
+    constants = _simulated(loaded, simulator, states, coverage) if simulator else {}
     calibration = calibration_from_recordings(
-        load_model(model), settings_named(settings), recordings, coverage, time.strftime("%Y-%m-%d")
+        loaded, settings_named(settings), recordings, coverage, time.strftime("%Y-%m-%d"), constants
     )
     calibration.save(out)
-    click.echo(f"{calibration.transitions} transitions, coverage {coverage:g}")
+    _tell(calibration, constants, out)
+
+
+def _simulated(model: PhysicsModel, simulator: str, states: int, coverage: float) -> dict[str, float]:
+    """The theory's constants from the training simulator, by name. Raises InputError for a model without networks."""
+    from safedpa.dynamics import LearnedBase
+    from safedpa_sim.experiments.theory import theory_experiment
+    from safedpa_sim.training.configuration import load_configuration
+
+    if not isinstance(model.base, LearnedBase):
+        raise InputError("--simulator: the model has no networks, wanted a learned one; leave the option out")
+    found = theory_experiment(model.base.weights, load_configuration(simulator), states, coverage, seed=0)
+    named: dict[str, Any] = {f"epsilon_{name}": pair["at_coverage"] for name, pair in found["constants"].items()}
+    for name, pair in found["lipschitz"].items():
+        named |= {f"lipschitz_{name}": pair["bound"], f"lipschitz_{name}_seen": pair["largest_slope"]}
+    named |= {"bound": found["bound"]["at_coverage"], "conformal": found["conformal"]}
+    named |= {f"covered_{name}": share for name, share in found["covered"].items()}
+    return {f"simulator.{name}": float(value) for name, value in named.items()}
+
+
+def _tell(calibration: MarginCalibration, simulated: dict[str, float], out: Path) -> None:
+    click.echo(f"{calibration.transitions} transitions, coverage {calibration.coverage:g}; epsilon, and share of fresh")
     for kind, epsilon in calibration.epsilon.items():
-        click.echo(f"  {kind:<10} epsilon {epsilon:.4f}")
+        line = f"  {kind:<10} conformal {epsilon:.4f}{_share(calibration, 'conformal', kind)}"
+        if kind in calibration.theorem:
+            line += f"   theorem {calibration.theorem[kind]:.4f}{_share(calibration, 'theorem', kind)}"
+        click.echo(line)
+    for name, value in simulated.items():
+        click.echo(f"  {name:<32} {value:.4f}")
     click.echo(f"margin: {out}")
+
+
+def _share(calibration: MarginCalibration, name: str, kind: str) -> str:
+    share = calibration.covered.get(f"{name}.{kind}")
+    return "" if share is None else f" ({100 * share:.2f} %)"

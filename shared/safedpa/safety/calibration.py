@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any, final
@@ -18,13 +18,14 @@ from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.margin import smallest_sample, split_conformal_margin
 from safedpa.safety.prediction import Prediction
 
-__all__ = ["MarginCalibration", "calibrate_margin", "one_step_errors"]
+__all__ = ["MarginCalibration", "calibrate_margin", "calibration_from_errors", "one_step_errors"]
 
 Values = NDArray[np.float64]
 Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
 """The barriers, the same for all transitions or one scene for each transition's index."""
 
 _KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
+_OPTIONAL = ("theorem", "constants", "covered")
 
 
 @final
@@ -43,11 +44,21 @@ class MarginCalibration:
     fingerprint: str
     """Of the model whose errors these are."""
 
+    theorem: dict[str, float] = field(default_factory=dict)
+    """By kind, the margin by the theory's bound, in the unit of h; empty when it was not measured."""
+    constants: dict[str, float] = field(default_factory=dict)
+    """What the bound was made of, scaled; for people."""
+    covered: dict[str, float] = field(default_factory=dict)
+    """Share of fresh transitions that each margin covered: ``conformal.obstacle``, ``theorem.obstacle``, ..."""
+
     def __post_init__(self) -> None:
         if not isinstance(self.epsilon, dict) or not self.epsilon:
             raise InputError(f"epsilon: got {self.epsilon!r}, wanted a table with a number for each kind of barrier")
-        for kind, value in self.epsilon.items():
-            _check_number(f"epsilon.{kind}", value, 0.0)
+        for name in ("epsilon", *_OPTIONAL):
+            if not isinstance(table := getattr(self, name), dict):
+                raise InputError(f"{name}: got {table!r}, wanted a table of numbers")
+            for kind, value in table.items():
+                _check_number(f"{name}.{kind}", value, 0.0)
         _check_number("coverage", self.coverage, 0.0)
         if not 0.0 < self.coverage < 1.0:
             raise InputError(f"coverage: got {self.coverage}, wanted more than 0 and less than 1")
@@ -55,6 +66,22 @@ class MarginCalibration:
         for name in ("date", "fingerprint"):
             if not isinstance(getattr(self, name), str):
                 raise InputError(f"{name}: got {getattr(self, name)!r}, wanted a string")
+
+    def chosen(self, margin: str | float) -> MarginCalibration:
+        """The calibration whose ``epsilon`` is what the settings' ``margin`` names: a table, or one number for all.
+
+        Raises InputError for ``theorem`` when that margin is not in the calibration.
+        """
+        if margin == "conformal":
+            return self
+        if margin != "theorem":
+            return replace(self, epsilon=dict.fromkeys(self.epsilon, float(margin)))
+        if set(self.theorem) != set(self.epsilon):
+            raise InputError(
+                f"margin 'theorem': the calibration has it for {', '.join(self.theorem) or 'no kind'}, wanted "
+                f"{', '.join(self.epsilon)}; write it with 'safedpa calibrate'"
+            )
+        return replace(self, epsilon=dict(self.theorem))
 
     def write(self) -> str:
         """The TOML text that ``parse`` reads back."""
@@ -64,10 +91,10 @@ class MarginCalibration:
             f"transitions = {self.transitions}",
             f'date = "{self.date}"',
             f'fingerprint = "{self.fingerprint}"',
-            "",
-            "[epsilon]",
-            *(f'"{kind}" = {value!r}' for kind, value in self.epsilon.items()),
         ]
+        for name in ("epsilon", *_OPTIONAL):
+            if table := getattr(self, name):
+                lines += ["", f"[{name}]", *(f'"{kind}" = {float(value)!r}' for kind, value in table.items())]
         return "\n".join(lines) + "\n"
 
     @staticmethod
@@ -78,8 +105,8 @@ class MarginCalibration:
         except tomllib.TOMLDecodeError as error:
             raise InputError(f"not TOML: {error}") from error
         for key in table:
-            if key not in _KEYS:
-                raise InputError(f"{key}: unknown key; {did_you_mean(key, _KEYS)}")
+            if key not in (*_KEYS, *_OPTIONAL):
+                raise InputError(f"{key}: unknown key; {did_you_mean(key, (*_KEYS, *_OPTIONAL))}")
         for key in _KEYS:
             if key not in table:
                 raise InputError(f"{key}: missing; wanted the keys {', '.join(_KEYS)}")
@@ -118,6 +145,14 @@ def calibrate_margin(
     them at once. Raises InputError when n is too small for the coverage, or shapes do not fit.
     """
     errors = one_step_errors(model, barriers, states, actions, next_states, latents)
+    own = fingerprint(model) if isinstance(model, PhysicsModel) and not model_fingerprint else model_fingerprint
+    return calibration_from_errors(errors, coverage, date, own)
+
+
+def calibration_from_errors(
+    errors: Mapping[str, Values], coverage: float, date: str, model_fingerprint: str
+) -> MarginCalibration:
+    """Margins from errors by kind (n,), as ``one_step_errors`` has them; raises InputError when n is too small."""
     count = len(next(iter(errors.values())))
     if count < smallest_sample(coverage):
         raise InputError(
@@ -125,8 +160,7 @@ def calibrate_margin(
             "record more or ask for less"
         )
     epsilon = {kind: max(0.0, split_conformal_margin(values, coverage)) for kind, values in errors.items()}
-    own = fingerprint(model) if isinstance(model, PhysicsModel) and not model_fingerprint else model_fingerprint
-    return MarginCalibration(epsilon, coverage, count, date, own)
+    return MarginCalibration(epsilon, coverage, count, date, model_fingerprint)
 
 
 def one_step_errors(

@@ -100,7 +100,7 @@ class SafetyFilterNode(AbstractNode):
         self._model = model
         self._settings = settings or FilterSettings()
         self._fingerprint = fingerprint(model)
-        self._calibration = calibration or self._uncalibrated()
+        self._calibration = (calibration or self._uncalibrated()).chosen(self._settings.margin)
         if self._calibration.fingerprint != self._fingerprint:
             raise InputError(
                 f"margin: calibrated for model {self._calibration.fingerprint}, the filter has {self._fingerprint}; "

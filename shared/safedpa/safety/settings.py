@@ -18,6 +18,8 @@ from safedpa.safety.braking import Braking
 __all__ = ["FilterSettings", "load_settings", "parse_settings", "save_settings", "write_settings"]
 
 FORMAT = 1
+MARGINS = ("conformal", "theorem")
+"""Names of margins in a calibration."""
 
 
 @final
@@ -33,6 +35,8 @@ class FilterSettings:
     """1 per step, in (0, 1]: the share of h that one step may use up; h falls with a time constant of period / eta."""
     epsilon: Mapping[str, float] = field(default_factory=lambda: {"obstacle": 0.01, "field": 0.01, "speed": 0.01})
     """Margin by kind of barrier, in the unit of h, >= 0; ``default`` for kinds not named, else 0."""
+    margin: str | float = "conformal"
+    """Which epsilon a filter with a calibration uses: its ``conformal`` or ``theorem`` table, or this number."""
     action_low: tuple[float, ...] = (-0.6, -0.34)
     """(actions,) hard actuator bounds; car: m/s, rad."""
     action_high: tuple[float, ...] = (2.0, 0.34)
@@ -64,6 +68,7 @@ class FilterSettings:
         for name in ("action_low", "action_high", "weights", "backup_action"):
             object.__setattr__(self, name, _numbers(name, getattr(self, name)))
         object.__setattr__(self, "epsilon", _margins(self.epsilon))
+        _check_margin(self.margin)
         if not isinstance(self.enabled, bool):
             raise InputError(f"enabled: got {self.enabled!r}, wanted true or false")
         self._check_actions()
@@ -177,6 +182,14 @@ def write_settings(settings: FilterSettings) -> str:
         else:
             lines.append(f"{item.name} = {str(value).lower() if isinstance(value, bool) else repr(value)}")
     return "\n".join(lines) + "\n"
+
+
+def _check_margin(value: Any) -> None:
+    if isinstance(value, str):
+        if value not in MARGINS:
+            raise InputError(f"margin: got '{value}', wanted a number >= 0, or {did_you_mean(value, MARGINS)}")
+    else:
+        _number("margin", value, 0.0, math.inf)
 
 
 def _margins(value: Any) -> dict[str, float]:
