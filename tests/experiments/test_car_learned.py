@@ -125,8 +125,8 @@ def test_the_number_is_the_mean_over_the_states_of_the_scaled_root_mean_square(l
     model = named_model("car_simulated", learned_folder)
     scale = increment_scale([model], [drive_with_box])
     found = errors_of_model(model, [drive_with_box], scale)["box"]["one_step"]
-    predicted = predictor_of(model, drive_with_box).one_step()[50:]
-    own = frame_of("car").own_increment(drive_with_box.states[51:], predicted)
+    predicted = predictor_of(model, drive_with_box).one_step()[60:]
+    own = frame_of("car").own_increment(drive_with_box.states[61:], predicted)
     assert found["number"] == pytest.approx(np.sqrt((own**2).mean(axis=0) / scale**2).mean())
 
 

@@ -21,7 +21,7 @@ STEPS = 20
 """One second at 20 Hz."""
 OWN_STATES = ("along", "across", "yaw", "speed")
 """Errors are told in the car's own frame: m, m, rad, m/s."""
-_FIRST = 50
+_FIRST = 60
 """Tick from which predictions count: the history encoder has seen as much as it ever will."""
 _EVERY = 5
 """Ticks from one start of an open-loop prediction to the next."""

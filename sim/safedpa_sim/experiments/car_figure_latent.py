@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from safedpa_sim.experiments.car_latent import WITHIN
 from safedpa_sim.experiments.car_report import MODEL_TITLES
 from safedpa_sim.experiments.car_scenes import CONFIGURATIONS
 from safedpa_sim.experiments.car_style import BLACK, GREY, LOADS, MODELS, bare, figure, heading
@@ -59,8 +60,8 @@ def _noticed(axes: Axes, latent: dict[str, Any]) -> None:
         share = [(counted <= tick).mean() for tick in ticks]
         colour, line, _ = MODELS[name]
         axes.step(ticks, share, where="post", color=colour, linestyle=line, linewidth=2, label=MODEL_TITLES[name])
-    axes.axvline(50, color=GREY, linewidth=1, linestyle=":")
-    axes.text(51.5, 0.03, "k = 50", color=GREY, fontsize=8)
+    axes.axvline(WITHIN, color=GREY, linewidth=1, linestyle=":")
+    axes.text(WITHIN + 1.5, 0.03, f"k = {WITHIN}", color=GREY, fontsize=8)
     axes.set_ylim(0, 1.03)
     axes.set_xlabel("ticks after a load is hitched or let go", fontsize=8)
     axes.set_title("share noticed by the latent", fontsize=10, fontweight="bold", color=BLACK)

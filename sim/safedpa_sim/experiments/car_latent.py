@@ -16,12 +16,14 @@ from safedpa_sim.experiments.car_margin import latents_along
 from safedpa_sim.experiments.car_predict import predictor_of
 from safedpa_sim.experiments.statistics import wilson_interval
 
-__all__ = ["LinearDiscriminant", "latent_result", "principal_plane"]
+__all__ = ["WITHIN", "LinearDiscriminant", "latent_result", "principal_plane"]
 
 Values = NDArray[np.float64]
 
-_FULL = 50
+_FULL = 60
 """Tick from which a history is as long as it ever will be."""
+WITHIN = 50
+"""Ticks within which a change of load shall be noticed: the k of the paper's history."""
 _LASTING = (8, 10)
 """Of the ten ticks from one on so many must be classified as the new load for the latent to have arrived there."""
 _BAND = 0.9
@@ -148,15 +150,15 @@ def _first_lasting(fine: NDArray[np.bool_]) -> int | None:
 
 
 def _adaptation(changes: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Median and share within 50 ticks, over all changes; one that never arrived counts as not within."""
+    """Median and share within WITHIN ticks, over all changes; one that never arrived counts as not within."""
     summary = {}
     for key in ("latent_ticks", "error_ticks"):
         values = [float("inf") if change[key] is None else float(change[key]) for change in changes]
-        within = sum(value <= _FULL for value in values)
+        within = sum(value <= WITHIN for value in values)
         median = float(np.median(values)) if values else float("inf")
         summary[key] = {
             "median": median if np.isfinite(median) else None,
-            "within_50": within,
+            "within": within,
             "of": len(values),
             "interval_95": list(wilson_interval(within, len(values))) if values else None,
         }

@@ -86,7 +86,7 @@ def _latent_markdown(latent: dict[str, Any]) -> str:
 
 def _ticks(row: dict[str, Any]) -> str:
     median = "never" if row["median"] is None else f"{row['median']:.0f}"
-    return f"{median}, {row['within_50']}/{row['of']}"
+    return f"{median}, {row['within']}/{row['of']}"
 
 
 def _margin_markdown(margin: dict[str, Any]) -> str:
