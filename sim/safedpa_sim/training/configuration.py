@@ -82,6 +82,8 @@ class Phase1b:
     """Standard deviation of the actions at the beginning, as a share of half their range."""
     evaluate_every: int = limited(12, 1)
     """Updates between two evaluations."""
+    evaluation_cars: int = limited(512, 1, 100_000)
+    """Drives of an evaluation; the last one has four times as many."""
 
 
 @dataclass(frozen=True)

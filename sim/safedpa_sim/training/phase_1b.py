@@ -1,0 +1,242 @@
+"""Phase 1b: the policy pi(x, mu(e)), by proximal policy optimisation with mu frozen, on thousands of driving cars."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+
+from safedpa.errors import InputError
+from safedpa.networks import Weights
+from safedpa.policy.learned import LearnedPolicy
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.driving import EPISODE_TICKS, Driving, Rewards
+from safedpa_sim.training.phase_1a import training_device
+from safedpa_sim.training.policy_checkpoint import PolicyCheckpoint
+from safedpa_sim.training.progress import Tell, silent
+from safedpa_sim.training.scenes import FOOTPRINTS
+from safedpa_sim.training.vector_environment import DrivingEnvironment
+
+__all__ = ["evaluate_policy", "train_policy"]
+
+Floats = NDArray[np.float32]
+
+_EVALUATION_SEED = 1_000_003
+"""Added to the configuration's seed: no scene of the evaluation is trained on."""
+_SCALING_TICKS = 60
+_LEAST_SCALE = 0.05
+"""An entry of the observation that hardly changes is not blown up."""
+
+
+def train_policy(
+    configuration: Configuration,
+    weights: Weights,
+    out: Path,
+    tell: Tell = silent,
+    device: str = "cpu",
+    penalty: float = 0.0,
+) -> tuple[Weights, dict[str, Any]]:
+    """Trains until the share of evaluation drives that reach their goal is ``enough``, or the steps are used up.
+
+    ``penalty`` is taken off the reward when a contact begins; with one, no stand-in for the filter holds the car back:
+    it has to learn not to touch anything by itself (RMA-P). Returns the weights with the policy, and the learning curve
+    with what was reached. An interrupted training goes on from the checkpoint in ``out``. Raises InputError for weights
+    without mu.
+    """
+    if weights.description.latents and not weights.has("mu"):
+        raise InputError("phase 1b: got weights without mu, wanted those of phase 1a; run it first")
+    training = _Training(configuration, weights, out, tell, device, penalty)
+    training.run()
+    return training.result()
+
+
+def evaluate_policy(
+    configuration: Configuration, weights: Weights, *, cars: int = 512, seed: int = 0, sheltered: bool = True
+) -> dict[str, Any]:
+    """One drive of each car under the policy without noise: the share that reach the goal within 15 s, and contacts.
+
+    ``success_by_radius`` tells the same for the footprint of the car alone and of each load, by the nearest radius [m].
+    """
+    driving = Driving(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
+    policy = LearnedPolicy(weights)
+    middle, scale = weights["action_middle"], weights["action_scale"]
+    reached, contacts = np.zeros(cars, dtype=bool), np.zeros(cars, dtype=np.int64)
+    ticks, gained = np.full(cars, EPISODE_TICKS), np.zeros(cars)
+    nearest = driving.distance.copy()
+    for tick in range(EPISODE_TICKS):
+        chosen = (policy.act(driving.observation()) - middle) / scale
+        moved = driving.advance(chosen.astype(np.float32))
+        ticks[moved.reached & ~reached] = tick + 1
+        contacts += moved.began & ~reached
+        gained += np.where(reached, 0.0, moved.reward)
+        nearest = np.minimum(nearest, driving.distance)
+        reached |= moved.reached
+    radii = np.array([item[2] for item in FOOTPRINTS])
+    group = np.abs(driving.scene.footprint[:, 2, np.newaxis] - radii).argmin(axis=1)
+    return {
+        "success": float(reached.mean()),
+        "contacts": float(contacts.mean()),
+        "nearest": float(nearest.mean()),
+        "reward": float(gained.mean()),
+        "mean_seconds": float(ticks.mean() * driving.period),
+        "success_by_radius": {
+            f"{radius:.2f}": float(reached[group == index].mean())
+            for index, radius in enumerate(radii)
+            if (group == index).any()
+        },
+    }
+
+
+@final
+class _Training:
+    """One training: environment, PPO, and what is written down along the way."""
+
+    def __init__(
+        self, configuration: Configuration, weights: Weights, out: Path, tell: Tell, device: str, penalty: float
+    ) -> None:
+        self.configuration, self.weights, self.tell = configuration, weights, tell
+        self.phase = configuration.phase_1b
+        self.name = "rma_p" if penalty else "1b"
+        self.penalty, self.best = penalty, -1.0
+        self.curve: list[dict[str, Any]] = []
+        digest = f"{self.name} {penalty} {weights.digest} {configuration.digest('phase_1a', 'phase_1b')}"
+        self.checkpoint = PolicyCheckpoint(out / f"checkpoint_{self.name}.pt", digest)
+        self.middle, self.scale = _scales(self._driving(0))
+        known = self.checkpoint.read()
+        self.environment = DrivingEnvironment(self._driving(known["steps"] if known else 0), self.middle, self.scale)
+        self.algorithm = self._algorithm(training_device(device))
+        self.chosen = self.trained()
+        if known:
+            self._go_on(known)
+
+    def _driving(self, done: int) -> Driving:
+        """The cars to train on; after an interruption they drive elsewhere."""
+        return Driving(
+            self.configuration,
+            self.weights,
+            self.phase.cars,
+            self.configuration.seed + done,
+            rewards=Rewards(penalty=self.penalty),
+            sheltered=not self.penalty,
+        )
+
+    def _go_on(self, known: dict[str, Any]) -> None:
+        policy: Any = self.algorithm.policy
+        policy.load_state_dict(known["policy"])
+        policy.optimizer.load_state_dict(known["optimiser"])
+        self.algorithm.num_timesteps = known["steps"]
+        self.curve = known["curve"]
+        self.chosen, self.best = self.trained(), self.curve[-1]["success"]
+
+    def _algorithm(self, device: torch.device) -> PPO:
+        phase = self.phase
+        rows = phase.cars * phase.rollout
+        return PPO(
+            "MlpPolicy",
+            self.environment,
+            learning_rate=lambda left: phase.learning_rate * max(left, 0.05),
+            n_steps=phase.rollout,
+            batch_size=min(phase.batch, rows),
+            n_epochs=phase.epochs,
+            gamma=phase.discount,
+            gae_lambda=0.95,
+            ent_coef=0.0,
+            max_grad_norm=0.5,
+            policy_kwargs={
+                "net_arch": {"pi": [phase.hidden] * 2, "vf": [phase.hidden] * 2},
+                "activation_fn": torch.nn.Tanh,
+                "log_std_init": math.log(phase.noise),
+            },
+            seed=self.configuration.seed,
+            device=device,
+        )
+
+    def run(self) -> None:
+        """Trains until it is good enough or at the end."""
+        left = self.phase.steps - self.algorithm.num_timesteps
+        if left > 0 and self.best < self.phase.enough:
+            self.algorithm.learn(left, _Watch(self), reset_num_timesteps=False)
+
+    def evaluated(self, weights: Weights, cars: int) -> dict[str, Any]:
+        """Drives on scenes that are never trained on."""
+        configuration = self.configuration
+        return evaluate_policy(configuration, weights, cars=cars, seed=configuration.seed, sheltered=not self.penalty)
+
+    def look(self) -> bool:
+        """Evaluates the policy as it is, keeps the best so far, tells and saves; returns whether it is good enough."""
+        environment, now = self.environment, self.trained()
+        figures = self.evaluated(now, self.phase.evaluation_cars)
+        rate = environment.reached / max(environment.ended, 1)
+        contacts = environment.contacts / max(environment.ended, 1)
+        environment.reached = environment.ended = environment.contacts = 0
+        steps = self.algorithm.num_timesteps
+        training = {"training_success": rate, "training_contacts": contacts, "noise": self.noise()}
+        self.curve.append({"steps": steps, **training, **figures})
+        if figures["success"] >= self.best:
+            self.best, self.chosen = figures["success"], now
+        self.checkpoint.write(self.algorithm, self.curve)
+        note = f"reached {figures['success']:.3f}, contacts {figures['contacts']:.2f}"
+        self.tell(self.name, steps, self.phase.steps, note)
+        return bool(figures["success"] >= self.phase.enough)
+
+    def noise(self) -> float:
+        """Standard deviation of the actions that are tried now, as a share of half their range."""
+        policy: Any = self.algorithm.policy
+        return float(policy.log_std.detach().exp().mean())
+
+    def trained(self) -> Weights:
+        """The weights with the policy as it is now."""
+        policy: Any = self.algorithm.policy
+        layers = [policy.mlp_extractor.policy_net[0], policy.mlp_extractor.policy_net[2], policy.action_net]
+        tensors = {"observation_middle": self.middle, "observation_scale": self.scale}
+        for index, layer in enumerate(layers):
+            tensors[f"policy.{index}.weight"] = layer.weight.detach().cpu().numpy()
+            tensors[f"policy.{index}.bias"] = layer.bias.detach().cpu().numpy()
+        return self.weights.with_tensors(tensors)
+
+    def result(self) -> tuple[Weights, dict[str, Any]]:
+        """The best weights of the evaluations, and what is worth recording."""
+        figures = self.evaluated(self.chosen, 4 * self.phase.evaluation_cars)
+        summary = {"steps": self.algorithm.num_timesteps, **figures, "learning_curve": self.curve}
+        self.checkpoint.path.unlink(missing_ok=True)
+        return self.chosen, summary
+
+
+@final
+class _Watch(BaseCallback):
+    """Has a look at the policy every few updates, and ends the training when it is good enough."""
+
+    def __init__(self, training: _Training) -> None:
+        super().__init__()
+        self._training = training
+        self._updates = 0
+        self._good = False
+
+    def _on_step(self) -> bool:
+        return not self._good
+
+    def _on_rollout_end(self) -> None:
+        self._updates += 1
+        if self._updates % self._training.phase.evaluate_every == 0:
+            self._good = self._training.look()
+
+
+def _scales(driving: Driving) -> tuple[Floats, Floats]:
+    """Middle and scale of each entry of the observation over drives at random."""
+    random = np.random.default_rng(0)
+    seen = []
+    for tick in range(_SCALING_TICKS):
+        if tick % 10 == 0:
+            chosen = random.uniform(-1.0, 1.0, (driving.count, 2)).astype(np.float32)
+            chosen[:, 0] = np.abs(chosen[:, 0])
+        driving.advance(chosen)
+        seen.append(driving.observation())
+    everything = np.concatenate(seen)
+    driving.restart(np.arange(driving.count))
+    return everything.mean(axis=0), np.maximum(everything.std(axis=0), _LEAST_SCALE)

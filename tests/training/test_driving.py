@@ -1,0 +1,179 @@
+"""Many driving cars: scenes that can be driven, solid things that stop, rewards that lead to the goal."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from safedpa.networks import Weights
+from safedpa.safety.braking import Braking
+from safedpa_sim.training.configuration import Configuration, load_configuration
+from safedpa_sim.training.driving import EPISODE_TICKS, Driving, Rewards, allowed_speed
+from safedpa_sim.training.networks import AffineNetworks, AffineSizes
+from safedpa_sim.training.scenes import MOST_OBSTACLES, draw_scenes
+from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.transitions import scales
+from safedpa_sim.training.vector_environment import DrivingEnvironment
+from safedpa_sim.training.weights_export import export_weights
+
+CARS = 64
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration("car_small")
+
+
+@pytest.fixture(scope="module")
+def weights(configuration: Configuration) -> Weights:
+    """Networks that nobody trained: mu gives some z for every environment."""
+    cars = BatchedCars(configuration)
+    zeros = torch.zeros(configuration.latents)
+    vectors = scales(cars, 0) | {"latent_low": zeros - 1, "latent_high": zeros + 1, "latent_nominal": zeros}
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        sizes = AffineSizes(3, 4, 2, len(cars.entries), configuration.latents, 8, 8)
+        return export_weights(AffineNetworks("car", sizes, vectors), cars, configuration, {})
+
+
+def straight(driving: Driving, speed: float) -> np.ndarray:
+    """Chosen actions that ask for a speed [m/s] straight ahead."""
+    chosen = np.zeros((driving.count, 2), dtype=np.float32)
+    chosen[:, 0] = (speed - 0.7) / 1.3
+    return chosen
+
+
+def test_scenes_leave_passages_and_free_starts_and_goals() -> None:
+    pool = draw_scenes(np.random.default_rng(3), 400)
+    there = pool.obstacles[..., 2] > 0.0
+    assert pool.obstacles.shape == (400, MOST_OBSTACLES, 3)
+    assert set(there.sum(axis=1).tolist()) >= {0, 1, 2, 3, 4, 5}
+    for index in range(400):
+        radius, placed = pool.footprint[index, 2], pool.obstacles[index][there[index]]
+        for number, (x, y, size) in enumerate(placed):
+            for other_x, other_y, other in placed[:number]:
+                assert np.hypot(x - other_x, y - other_y) - size - other >= 2 * radius + 0.4 - 1e-4
+            for place in (pool.start[index, :2], pool.goal[index]):
+                assert np.hypot(*(place - (x, y))) >= size + radius + 0.35 - 1e-4
+        assert (np.abs(pool.goal[index]) < pool.field[index, 1] - radius - 0.5).all()
+        assert np.hypot(*(pool.goal[index] - pool.start[index, :2])) >= 2.0 - 1e-4
+
+
+def test_many_ways_are_obstructed_and_every_footprint_occurs() -> None:
+    pool = draw_scenes(np.random.default_rng(4), 400)
+    way = pool.goal - pool.start[:, :2]
+    length = np.hypot(way[:, 0], way[:, 1])[:, np.newaxis]
+    offset = pool.obstacles[..., :2] - pool.start[:, np.newaxis, :2]
+    across = np.abs(offset[..., 0] * way[:, 1:] - offset[..., 1] * way[:, :1]) / length
+    along = (offset * way[:, np.newaxis]).sum(axis=-1) / length
+    hit = (across < pool.obstacles[..., 2] + pool.footprint[:, 2:]) & (along > 0.0) & (along < length)
+    assert hit.any(axis=1).mean() > 0.6
+    assert pool.footprint[:, 2].min() == pytest.approx(0.12)
+    assert pool.footprint[:, 2].max() == pytest.approx(0.45)
+
+
+def test_the_same_seed_drives_the_same(configuration: Configuration, weights: Weights) -> None:
+    ends = []
+    for _ in range(2):
+        driving = Driving(configuration, weights, 8, 5)
+        for _ in range(20):
+            driving.advance(straight(driving, 1.0))
+        ends.append(driving.state.copy())
+    np.testing.assert_array_equal(*ends)
+    assert not np.array_equal(ends[0], Driving(configuration, weights, 8, 6).state)
+
+
+def test_nothing_solid_is_driven_through(configuration: Configuration, weights: Weights) -> None:
+    driving = Driving(configuration, weights, CARS, 1, sheltered=False)
+    touched = np.zeros(CARS, dtype=bool)
+    random = np.random.default_rng(2)
+    for _ in range(150):
+        chosen = straight(driving, 2.0)
+        chosen[:, 1] = random.uniform(-1.0, 1.0)
+        touched |= driving.advance(chosen).contact
+        deepest = driving._meet_solids().min()
+        assert deepest > -0.08, "after each tick nothing lies deeper in anything than a corner between two can push it"
+    assert touched.mean() > 0.8
+
+
+def test_the_stand_in_for_the_filter_keeps_straight_drives_from_contact(
+    configuration: Configuration, weights: Weights
+) -> None:
+    contacts = {}
+    for sheltered in (True, False):
+        driving = Driving(configuration, weights, CARS, 3, sheltered=sheltered, calm=True)
+        contacts[sheltered] = sum(int(driving.advance(straight(driving, 2.0)).began.sum()) for _ in range(100))
+    assert contacts[False] > CARS / 2
+    assert contacts[True] <= 0.4 * contacts[False], (
+        "what is left: heavy loads that brake worse than the filter reckons with"
+    )
+
+
+def test_the_allowed_speed_is_what_stopping_distance_and_condition_leave() -> None:
+    braking = Braking(2.0, 2.5)
+    for speed in (0.1, 0.5, 0.8, 1.2, 2.0):
+        way = np.float32(braking.distance(speed) + 0.25 * speed)
+        assert allowed_speed(way) == pytest.approx(speed, abs=1e-3)
+    assert allowed_speed(np.array([-0.2, 0.0], dtype=np.float32)).tolist() == [0.0, 0.0]
+
+
+def test_progress_is_rewarded_and_contact_costs_what_it_is_told_to(
+    configuration: Configuration, weights: Weights
+) -> None:
+    rewards = {}
+    for penalty in (0.0, 7.0):
+        driving = Driving(configuration, weights, CARS, 1, rewards=Rewards(penalty=penalty), sheltered=False, calm=True)
+        moves = [driving.advance(straight(driving, 2.0)) for _ in range(60)]
+        rewards[penalty] = sum(move.reward for move in moves), sum(move.began for move in moves)
+    (plain, began), (punished, same) = rewards[0.0], rewards[7.0]
+    np.testing.assert_array_equal(began, same)
+    np.testing.assert_allclose(plain - punished, 7.0 * began, rtol=1e-4, atol=1e-4)
+
+    driving = Driving(configuration, weights, CARS, 9, calm=True)
+    before = np.hypot(*(driving.scene.goal - driving.state[:, :2]).T)
+    total = sum(driving.advance(straight(driving, 1.0)).reward for _ in range(10))
+    gained = before - np.hypot(*(driving.scene.goal - driving.state[:, :2]).T)
+    assert np.corrcoef(total, gained)[0, 1] > 0.95
+
+
+def test_whoever_comes_within_the_goals_radius_has_reached_it(configuration: Configuration, weights: Weights) -> None:
+    driving = Driving(configuration, weights, 4, 2, calm=True)
+    driving.scene.goal[:2] = driving.state[:2, :2] + 0.1
+    moved = driving.advance(straight(driving, 0.0))
+    assert moved.reached.tolist() == [True, True, False, False]
+    assert (moved.reward[:2] > 4.0).all()
+    assert (moved.reward[2:] < 1.0).all()
+
+
+def test_environments_change_on_the_way_unless_it_is_calm(configuration: Configuration, weights: Weights) -> None:
+    changed = {}
+    for calm in (True, False):
+        driving = Driving(configuration, weights, CARS, 4, calm=calm)
+        first, latent = driving.environment.copy(), driving.latent.copy()
+        for _ in range(60):
+            driving.advance(straight(driving, 0.5))
+        others = (driving.environment != first).any(axis=1)
+        np.testing.assert_array_equal((driving.latent != latent).any(axis=1), others)
+        changed[calm] = int(others.sum())
+    assert changed[True] == 0
+    assert 2 <= changed[False] <= 30
+
+
+def test_as_an_environment_it_begins_anew_and_tells_what_was_seen_last(
+    configuration: Configuration, weights: Weights
+) -> None:
+    driving = Driving(configuration, weights, 4, 2)
+    length = driving.observation().shape[1]
+    environment = DrivingEnvironment(driving, np.zeros(length, np.float32), np.full(length, 2.0, np.float32))
+    np.testing.assert_allclose(environment.reset(), driving.observation() / 2.0)
+    driving.scene.goal[0] = driving.state[0, :2] + 0.05
+    driving.tick[1] = EPISODE_TICKS - 1
+    observation, reward, ended, notes = environment.step(straight(driving, 0.0))
+    assert ended.tolist() == [True, True, False, False]
+    assert reward[0] > 4.0
+    assert [note.get("TimeLimit.truncated") for note in notes] == [False, True, None, None]
+    assert driving.tick.tolist() == [0, 0, 1, 1]
+    assert not np.array_equal(notes[0]["terminal_observation"], observation[0])
+    np.testing.assert_allclose(observation, driving.observation() / 2.0)
+    assert (environment.reached, environment.ended) == (1, 2)

@@ -1,0 +1,129 @@
+"""Phase 1b in small: the policy gets better, goes on where it was interrupted, and needs mu."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from safedpa.errors import InputError
+from safedpa.networks import Weights
+from safedpa.policy import LearnedPolicy
+from safedpa_sim.training.configuration import Configuration, load_configuration
+from safedpa_sim.training.networks import AffineNetworks, AffineSizes
+from safedpa_sim.training.phase_1b import evaluate_policy, train_policy
+from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.transitions import scales
+from safedpa_sim.training.weights_export import export_weights
+
+SMALL = load_configuration("car_small")
+SHORT = replace(
+    SMALL, phase_1b=replace(SMALL.phase_1b, cars=16, batch=128, steps=1024, evaluate_every=2, evaluation_cars=8)
+)
+
+
+@pytest.fixture(scope="module")
+def weights() -> Weights:
+    """Networks that nobody trained: mu gives some z for every environment."""
+    torch.set_num_threads(1)
+    cars = BatchedCars(SMALL)
+    zeros = torch.zeros(SMALL.latents)
+    vectors = scales(cars, 0) | {"latent_low": zeros - 1, "latent_high": zeros + 1, "latent_nominal": zeros}
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        sizes = AffineSizes(3, 4, 2, len(cars.entries), SMALL.latents, 8, 8)
+        return export_weights(AffineNetworks("car", sizes, vectors), cars, SMALL, {})
+
+
+def trained(
+    configuration: Configuration, weights: Weights, out: Path, **options: Any
+) -> tuple[Weights, dict[str, Any]]:
+    told: list[tuple[str, int, int, str]] = []
+    made, summary = train_policy(configuration, weights, out, lambda *told_now: told.append(told_now), **options)
+    return made, {**summary, "told": told}
+
+
+def test_in_half_a_minute_it_learns_to_go_where_the_goal_is(weights: Weights, tmp_path: Path) -> None:
+    made, summary = trained(SMALL, weights, tmp_path)
+    first, last = summary["learning_curve"][0], summary
+    assert first["steps"] < 0.5 * summary["steps"]
+    assert last["reward"] > first["reward"] + 1.0, (first, last)
+    assert last["nearest"] < 0.8 * first["nearest"], (first, last)
+    assert LearnedPolicy(made).act(np.zeros((3, made["policy.0.weight"].shape[1]))).shape == (3, 2)
+    assert list(tmp_path.iterdir()) == [], "the checkpoint goes when the training is done"
+
+
+def test_it_tells_how_far_it_is_and_leaves_everything_else_as_it_was(weights: Weights, tmp_path: Path) -> None:
+    made, summary = trained(SHORT, weights, tmp_path)
+    assert [step for _, step, _, _ in summary["told"]] == [512, 1024]
+    assert all(name == "1b" and most == 1024 and "reached" in note for name, _, most, note in summary["told"])
+    for name, tensor in weights.tensors.items():
+        np.testing.assert_array_equal(made[name], tensor)
+    assert set(made.tensors) - set(weights.tensors) == {
+        *(f"policy.{index}.{part}" for index in range(3) for part in ("weight", "bias")),
+        "observation_middle",
+        "observation_scale",
+    }
+
+
+def test_the_same_seed_gives_the_same_policy(weights: Weights, tmp_path: Path) -> None:
+    first, second = (trained(SHORT, weights, tmp_path)[0] for _ in range(2))
+    assert first.digest == second.digest
+    assert trained(replace(SHORT, seed=1), weights, tmp_path)[0].digest != first.digest
+
+
+def test_interrupted_it_goes_on_from_the_last_evaluation(weights: Weights, tmp_path: Path) -> None:
+    def interrupt(_name: str, done: int, _all: int, _note: str) -> None:
+        if done >= 512:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_policy(SHORT, weights, tmp_path, interrupt)
+    _, summary = trained(SHORT, weights, tmp_path)
+    assert [step for _, step, _, _ in summary["told"]] == [1024]
+    assert [entry["steps"] for entry in summary["learning_curve"]] == [512, 1024]
+
+
+def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_refused(
+    weights: Weights, tmp_path: Path
+) -> None:
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_policy(SHORT, weights, tmp_path, interrupt)
+    _, summary = trained(replace(SHORT, seed=1), weights, tmp_path)
+    assert summary["told"][0][1] == 512
+    (tmp_path / "checkpoint_1b.pt").write_bytes(b"nothing of use")
+    with pytest.raises(InputError, match="remove it to train from the beginning"):
+        train_policy(SHORT, weights, tmp_path)
+
+
+def test_with_a_penalty_it_learns_without_the_stand_in_for_the_filter(weights: Weights, tmp_path: Path) -> None:
+    made, summary = trained(SHORT, weights, tmp_path, penalty=10.0)
+    assert summary["told"][0][0] == "rma_p"
+    assert made.digest != trained(SHORT, weights, tmp_path)[0].digest
+
+
+def test_good_enough_ends_it(weights: Weights, tmp_path: Path) -> None:
+    easy = replace(SHORT, phase_1b=replace(SHORT.phase_1b, enough=0.0))
+    _, summary = trained(easy, weights, tmp_path)
+    assert len(summary["learning_curve"]) == 1
+
+
+def test_evaluation_repeats_and_counts_by_footprint(weights: Weights, tmp_path: Path) -> None:
+    made, _ = trained(SHORT, weights, tmp_path)
+    figures = evaluate_policy(SHORT, made, cars=32, seed=3)
+    assert figures == evaluate_policy(SHORT, made, cars=32, seed=3)
+    assert set(figures["success_by_radius"]) <= {"0.12", "0.25", "0.35", "0.45"}
+    assert 0.0 <= figures["success"] <= 1.0
+
+
+def test_weights_without_mu_are_refused(weights: Weights, tmp_path: Path) -> None:
+    without = Weights({k: v for k, v in weights.tensors.items() if not k.startswith("mu")}, weights.description)
+    with pytest.raises(InputError, match="without mu"):
+        train_policy(SHORT, without, tmp_path)
