@@ -47,9 +47,8 @@ def _bars(axes: Axes, name: str, rows: dict[str, Any], offset: float, width: flo
     bounds, values = ([row[margin]["epsilon"] for row in found] for margin in ("theorem", "conformal"))
     axes.bar(at, bounds, width=0.86 * width, color="white", edgecolor=colour, linewidth=1.2)
     axes.bar(at, values, width=0.86 * width, color=colour, label=MODEL_TITLES[name])
-    for place, bound, value in zip(at, bounds, values, strict=True):
-        axes.text(place, max(bound, value), f" {value:.3f}", ha="center", va="bottom", fontsize=7, color=BLACK,
-                  rotation=90)  # fmt: skip
+    for place, number in [*zip(at, bounds, strict=True), *zip(at, values, strict=True)]:
+        axes.text(place, number, f" {number:.3f}", ha="center", va="bottom", fontsize=7, color=BLACK, rotation=90)
 
 
 def _coverage(axes: Axes, name: str, rows: dict[str, Any], offset: float) -> None:

@@ -127,13 +127,15 @@ def _changes(
     for start, end in zip(ticks, [*ticks[1:], len(drive.loads)], strict=True):
         load = drive.loads[start]
         right = np.array([name == load for name in said[start:end]])
+        before = [name == load for name in said[max(0, start - _LASTING[1]) : start]]
+        noticed = None if 2 * sum(before) > len(before) else _first_lasting(right)  # it said so before it was true
         calm = sizes[start : end - 1] <= band[load]
         rows.append(
             {
                 "from": drive.loads[start - 1],
                 "to": load,
                 "watched": end - start,
-                "latent_ticks": _first_lasting(right),
+                "latent_ticks": noticed,
                 "error_ticks": _first_lasting(calm),
             }
         )
