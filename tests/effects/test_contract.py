@@ -46,16 +46,25 @@ PENDULUM: dict[str, dict[str, str]] = {
     "backlash": {"width": "N m"},
     "spring": {"stiffness": "N m/rad", "rest_angle": "rad"},
 }
+POINT: dict[str, dict[str, str]] = {
+    "constant_force": {"ax": "m/s2", "ay": "m/s2"},
+    "viscous_drag": {"coefficient": "1/s"},
+    "quadratic_drag": {"coefficient": "1/m"},
+    "payload": {"mass_ratio": "1"},
+    "actuator_gain": {"gain": "1"},
+    "actuator_delay": {"seconds": "s"},
+}
+ROBOTS = {"car": CAR, "pendulum": PENDULUM, "point": POINT}
 
 
 @pytest.mark.parametrize(
     ("robot", "name", "units"),
-    [("car", n, u) for n, u in CAR.items()] + [("pendulum", n, u) for n, u in PENDULUM.items()],
+    [(robot, name, units) for robot, effects in ROBOTS.items() for name, units in effects.items()],
 )
 def test_effect_has_these_parameters(robot: str, name: str, units: dict[str, str]) -> None:
     assert {p.name: p.unit for p in effects_of(robot)[name].parameters} == units
 
 
 def test_library_holds_nothing_that_is_not_listed_here() -> None:
-    assert set(effects_of("car")) == set(CAR)
-    assert set(effects_of("pendulum")) == set(PENDULUM)
+    for robot, effects in ROBOTS.items():
+        assert set(effects_of(robot)) == set(effects)

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import AbstractBase, KinematicBicycle, PhysicsModel, RigidPendulum, Setting
+from safedpa.dynamics import AbstractBase, KinematicBicycle, PhysicsModel, PointMass, RigidPendulum, Setting
 from safedpa.effects import AbstractEffect, effects_of
 
-ALL = [*effects_of("car").values(), *effects_of("pendulum").values()]
+ALL = [*effects_of("car").values(), *effects_of("pendulum").values(), *effects_of("point").values()]
 EVERY = pytest.mark.parametrize("item", ALL, ids=lambda item: f"{item.robot}-{item.name}")
 FEW = settings(max_examples=8, deadline=None)
 TICKS = 4
@@ -22,12 +22,16 @@ BASES: dict[str, tuple[AbstractBase, dict[str, float]]] = {
     "target_speed": (KinematicBicycle(), {"wheelbase": 0.32, "speed_gain": 4.0, "acceleration_limit": 5.0}),
     "throttle": (KinematicBicycle("throttle"), {"wheelbase": 0.32, "drive_gain": 8.0}),
     "torque": (RigidPendulum(), {"length": 0.5, "mass": 0.6, "gravity": 9.81}),
+    "thrust": (PointMass(), {"mass": 0.5}),
 }
-PERIODS = {"target_speed": 0.05, "throttle": 0.05, "torque": 0.01}
-STATE_SCALE = {"car": np.array([5.0, 5.0, 3.0, 4.0]), "pendulum": np.array([4.0, 8.0])}
+PERIODS = {"target_speed": 0.05, "throttle": 0.05, "torque": 0.01, "thrust": 0.02}
+STATE_SCALE = {"car": np.array([5.0, 5.0, 3.0, 4.0]), "pendulum": np.array([4.0, 8.0]), "point": np.array([5.0, 5.0, 3.0, 2.0, 2.0])}
 ACTION_SCALE = {"target_speed": np.array([4.0, 0.5]), "throttle": np.array([1.0, 0.5]), "torque": np.array([5.0])}
+ACTION_SCALE["thrust"] = np.array([2.0, 3.0])
 MIRROR_STATE = {"car": np.array([1.0, -1.0, -1.0, 1.0]), "pendulum": np.array([-1.0, -1.0])}
+MIRROR_STATE["point"] = np.array([1.0, -1.0, -1.0, 1.0, -1.0])
 MIRROR_ACTION = {"car": np.array([1.0, -1.0]), "pendulum": np.array([-1.0])}
+MIRROR_ACTION["point"] = np.array([1.0, -1.0])
 
 # thousandths: zeros and coincidences are met, but no width of 1e-290 that lies below every tolerance
 shares = st.integers(-1000, 1000).map(lambda thousandths: thousandths / 1000)
@@ -35,7 +39,7 @@ shares = st.integers(-1000, 1000).map(lambda thousandths: thousandths / 1000)
 
 def drives_of(*items: AbstractEffect) -> list[str]:
     """The drives for which all these effects have a meaning."""
-    drives = ["torque"] if items[0].robot == "pendulum" else ["target_speed", "throttle"]
+    drives = {"pendulum": ["torque"], "point": ["thrust"], "car": ["target_speed", "throttle"]}[items[0].robot]
     needs = {name for item in items for name in item.needs}
     return [drive for drive in drives if needs <= {drive}]
 

@@ -17,7 +17,7 @@ __all__ = ["command"]
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="MODEL2.toml", help="The new model.")
 @click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
 @click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects of your own.")
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 def command(
     model: str,
@@ -35,12 +35,11 @@ def command(
     """
     from safedpa.diagnosis.diagnose import add_effect
     from safedpa.diagnosis.output import writable
-    from safedpa.dynamics import load_model, save_model
-    from safedpa.effects import load_effects
+    from safedpa.dynamics import load_model, load_own, save_model
     from safedpa_services.command_line.diagnose import loaded_runs, value_text
 
     if effects is not None:
-        load_effects(effects)
+        load_own(effects)
     loaded = load_model(model)
     writable(out.absolute().parent)
     found = add_effect(loaded, effect, loaded_runs(loaded, runs, columns), horizon)

@@ -35,7 +35,7 @@ NAME = 20
     metavar="DIR",
     help="Folder for compare.html and compare.json; by default the current one.",
 )
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects of your own.")
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
 @click.option("--json", "as_document", is_flag=True, help="Print one JSON document and nothing else.")
 def command(
     model: str,
@@ -54,12 +54,11 @@ def command(
     from safedpa.diagnosis.output import writable
     from safedpa.diagnosis.page import write_comparison
     from safedpa.diagnosis.summary import as_json
-    from safedpa.dynamics import load_model
-    from safedpa.effects import load_effects
+    from safedpa.dynamics import load_model, load_own
     from safedpa_services.progress import progress
 
     if effects is not None:
-        load_effects(effects)
+        load_own(effects)
     loaded = load_model(model)
     writable(out, create=True)
     with progress("comparing") as tell:

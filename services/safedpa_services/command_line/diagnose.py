@@ -35,7 +35,7 @@ FINDINGS = 6
     metavar="DIR",
     help="Folder for report.json, report.html, diagnosis.rrd and model.toml; by default the current one.",
 )
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects of your own.")
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
 @click.option("--json", "as_json", is_flag=True, help="Print report.json and nothing else.")
 def command(
     model: str,
@@ -54,12 +54,11 @@ def command(
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.output import writable
     from safedpa.diagnosis.report import as_document
-    from safedpa.dynamics import load_model
-    from safedpa.effects import load_effects
+    from safedpa.dynamics import load_model, load_own
     from safedpa_services.progress import progress
 
     if effects is not None:
-        load_effects(effects)
+        load_own(effects)
     loaded = load_model(model)
     writable(out, create=True)
     recorded = loaded_runs(loaded, runs, columns)

@@ -30,6 +30,7 @@ CONTROLLERS = ("goal_seeker", "learned", "planner")
 @click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
 @click.option("--headless", is_flag=True, help="no dashboard")
 @click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="effects of your own in the model")
 @click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
 @click.option("--margin", default="", help="margin file; default: the shipped one of the model, if there is one")
 @click.option(
@@ -44,7 +45,10 @@ CONTROLLERS = ("goal_seeker", "learned", "planner")
 def command(**options: Any) -> None:
     """Drive: robot, adaptation, policy, safety filter, recorder and dashboard, each its own process."""
     from safedpa.bus.process import Stop
+    from safedpa.dynamics import load_own_everywhere
 
+    if options["effects"] is not None:
+        load_own_everywhere(options["effects"])
     plan = _plan(options)
     stop = Stop()
     stop.listen_to_signals()

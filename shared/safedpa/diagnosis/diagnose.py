@@ -27,8 +27,8 @@ __all__ = ["Addition", "add_effect", "diagnose", "library_for"]
 
 _MOST_ROWS = 40_000
 """Of longer logs evenly spread pieces are used."""
-_FEWEST_WINDOWS = 12
-_FEWEST_SECONDS = 10.0
+_FEWEST_WINDOWS = 10
+_FEWEST_SECONDS = 5.0
 _SEVERE = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent")
 """Findings with which no verdict about physics is possible."""
 _LONGEST_WINDOW = 2.0
@@ -115,10 +115,10 @@ def _enough(shooting: Shooting, runs: Sequence[Run]) -> tuple[bool, str]:
     if len(shooting.windows) < _FEWEST_WINDOWS or seconds < _FEWEST_SECONDS:
         return False, (
             f"{seconds:.1f} s in {len(shooting.windows)} independent windows are too little to judge an effect; "
-            f"record at least {_FEWEST_SECONDS:g} s, better a minute"
+            f"record at least {_FEWEST_SECONDS:g} s and {_FEWEST_WINDOWS} times the horizon, better a minute"
         )
     actions = np.concatenate([part for run in runs for _, _, part in run.parts()])
-    if (np.ptp(actions, axis=0) < 1e-9).all():
+    if actions.shape[1] and (np.ptp(actions, axis=0) < 1e-9).all():
         return False, "no input ever changes: nothing can be told from a constant; record a drive with steps in it"
     return True, ""
 

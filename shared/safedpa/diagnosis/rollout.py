@@ -19,7 +19,7 @@ from safedpa.effects import CommandEffect
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, NUMPY
 
-__all__ = ["felt_actions", "rollout", "rollout_at", "rollout_steps"]
+__all__ = ["felt_actions", "mechanics_of", "rollout", "rollout_at", "rollout_steps"]
 
 Columns = dict[str, Floats]
 """One action's value in every row, by the action's name."""
@@ -85,6 +85,8 @@ def felt_actions(model: PhysicsModel, windows: Windows) -> Floats:
     """
     commands, _ = _split(model)
     names = windows.system.action_names
+    if not names:  # nothing acts on a ball that falls
+        return windows.actions
     columns = {name: windows.actions[:, index] for index, name in enumerate(names)}
     key: tuple[Any, ...] = ()
     for command in commands:
@@ -134,6 +136,11 @@ def _split(model: PhysicsModel) -> tuple[list[CommandEffect], PhysicsModel]:
     gone = {item.name for item in commands}
     settings = {path: setting for path, setting in model.settings.items() if path.split(".")[0] not in gone}
     return commands, PhysicsModel(model.base, others, settings, model.period)
+
+
+def mechanics_of(model: PhysicsModel) -> PhysicsModel:
+    """The model without the effects on its commands: it takes felt actions."""
+    return _split(model)[1]
 
 
 def _common_period(windows: Windows) -> float | None:

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.bases import bases_of, robots_with_bases
 from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.dynamics.learned_base import LearnedBase
+from safedpa.dynamics.own import load_own_of_environment
 from safedpa.dynamics.physics import PhysicsModel
-from safedpa.dynamics.rigid_pendulum import RigidPendulum
 from safedpa.dynamics.settings import LATENT_PREFIX, Setting, base_default, wanted
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.library import effect
@@ -61,6 +62,7 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
 
     Raises ModelFileError naming the key.
     """
+    load_own_of_environment()
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -142,16 +144,22 @@ def _goes_without_saying(parameter: Parameter, setting: Setting) -> bool:
 
 
 def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
-    kinds = {"car": KinematicBicycle.kind, "pendulum": RigidPendulum.kind}
-    if robot not in kinds:
-        raise ModelFileError(f"robot: got {robot!r}, wanted one of {', '.join(kinds)}")
-    if table.get("kind") != kinds[robot]:
-        raise ModelFileError(f"base.kind: got {table.get('kind')!r}, wanted '{kinds[robot]}' for robot '{robot}'")
+    if robot not in robots_with_bases():
+        raise ModelFileError(
+            f"robot: got {robot!r}, wanted one of {', '.join(robots_with_bases())}; a robot of your own is loaded with "
+            "--effects FILE.py"
+        )
+    kinds = bases_of(robot)
+    if table.get("kind") not in kinds:
+        wanted_kinds = " or ".join(f"'{kind}'" for kind in kinds)
+        raise ModelFileError(f"base.kind: got {table.get('kind')!r}, wanted {wanted_kinds} for robot '{robot}'")
     drive = table.get("drive")
     if robot != "car":
         if drive is not None:
             raise ModelFileError(f"base.drive: got {drive!r}, a {robot} has none; remove the key")
-        return RigidPendulum()
+        return kinds[table["kind"]]()
+    if table["kind"] != KinematicBicycle.kind:
+        return kinds[table["kind"]]()
     if drive not in ("speed_servo", "throttle"):
         raise ModelFileError(f"base.drive: got {drive!r}, wanted 'speed_servo' or 'throttle'")
     return KinematicBicycle(drive)

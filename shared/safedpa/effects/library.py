@@ -16,8 +16,9 @@ from types import ModuleType
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
+from safedpa.systems import systems
 
-__all__ = ["effect", "effects_of", "load_effects", "robots"]
+__all__ = ["add_effects", "effect", "effects_of", "load_effects", "module_from", "robots"]
 
 _own: dict[tuple[str, str], AbstractEffect] = {}
 """Effects that were loaded from files outside the project, in this process."""
@@ -56,12 +57,17 @@ def load_effects(path: Path) -> list[AbstractEffect]:
     Loading a file again replaces the effects that it defined before. Raises InputError when the file cannot be read as
     Python, defines no effect or an incomplete one, or reuses a name of the library.
     """
-    module = _module_from(path)
-    found = list(_effects_in(module))
+    found = add_effects(module_from(path), path)
     if not found:
         raise InputError(
             f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect or SensorEffect"
         )
+    return found
+
+
+def add_effects(module: ModuleType, path: Path) -> list[AbstractEffect]:
+    """Adds the effects that a module defines, none or several; raises InputError as ``load_effects`` does."""
+    found = list(_effects_in(module))
     for item in found:
         _check_declaration(item, path)
         if (item.robot, item.name) in _shipped():
@@ -79,8 +85,8 @@ def _check_declaration(item: AbstractEffect, path: Path) -> None:
             raise InputError(f"{label}: attribute '{attribute}' is missing; give it in the class")
     if not item.name.isidentifier():
         raise InputError(f"{label}: name: got {item.name!r}, wanted letters, digits and underscores")
-    if item.robot not in robots():
-        raise InputError(f"{label}: robot: got {item.robot!r}; {did_you_mean(item.robot, robots())}")
+    if item.robot not in systems():
+        raise InputError(f"{label}: robot: got {item.robot!r}; {did_you_mean(item.robot, systems())}")
     if not item.parameters or not all(isinstance(parameter, Parameter) for parameter in item.parameters):
         raise InputError(f"{label}: parameters: got {item.parameters!r}, wanted a tuple of Parameter(...)")
 
@@ -88,7 +94,7 @@ def _check_declaration(item: AbstractEffect, path: Path) -> None:
 @cache
 def _shipped() -> dict[tuple[str, str], AbstractEffect]:
     found: dict[tuple[str, str], AbstractEffect] = {}
-    for folder in ("car", "pendulum"):
+    for folder in ("car", "pendulum", "point"):
         package = importlib.import_module(f"safedpa.effects.{folder}")
         for info in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
             for item in _effects_in(importlib.import_module(info.name)):
@@ -106,7 +112,8 @@ def _effects_in(module: ModuleType) -> Iterator[AbstractEffect]:
             yield member()
 
 
-def _module_from(path: Path) -> ModuleType:
+def module_from(path: Path) -> ModuleType:
+    """A user's Python file, run; raises InputError when it cannot be."""
     name = f"safedpa_own_effects_{path.stem}"
     specification = importlib.util.spec_from_file_location(name, path)
     if not path.is_file() or specification is None or specification.loader is None:

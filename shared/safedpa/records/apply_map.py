@@ -60,7 +60,7 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
     values = {name: _values(table, columns, system, name)[keep] for name in columns.columns}
     count = int(keep.sum())
     states = np.stack([values[name] for name in system.state_names], axis=1) if count else np.empty((0, 0))
-    actions = np.stack([values[name] for name in system.action_names], axis=1) if count else np.empty((0, 0))
+    actions = np.array([values[name] for name in system.action_names]).reshape(len(system.action), count).T
     if columns.tracked_point is not None and count:
         states[~np.isfinite(states)] = np.nan  # judged later; infinity has no cosine
         point, at = columns.tracked_point, [system.state_names.index(name) for name in ("x", "y", "yaw")]

@@ -12,7 +12,7 @@ from safedpa.errors import RunError
 from safedpa.records.mcap_run import Recording, VerdictRow, read_recording
 from safedpa.records.run import Finding
 from safedpa.records.write import write_columns
-from safedpa.systems import CAR, PENDULUM, System
+from safedpa.systems import System, systems
 
 __all__ = ["Exported", "export_recording"]
 
@@ -50,7 +50,7 @@ def export_recording(recording: Path, out: Path, kind: str, robot: str | None = 
 
 def _system_of(path: Path, ticks: Recording) -> System:
     shape = (ticks.states.shape[1], ticks.actions.shape[1])
-    for system in (CAR, PENDULUM):
+    for system in systems().values():
         if shape == (len(system.state), len(system.action)):
             return system
     raise RunError(

@@ -1,0 +1,123 @@
+"""A user's own systems, base models and effects, from one Python file outside the project.
+
+Files are named by an option, by the environment variable SAFEDPA_EFFECTS (several with the path separator between
+them, so that every process of a loop knows them), or by an entry point ``safedpa.effects`` that names a module.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+import safedpa.systems
+from safedpa.dynamics.base import AbstractBase
+from safedpa.dynamics.bases import add_base
+from safedpa.effects.library import add_effects, module_from
+from safedpa.errors import InputError
+from safedpa.operations import FLOATS
+from safedpa.systems import System, add_system, systems
+
+__all__ = ["EFFECTS_VARIABLE", "load_own", "load_own_everywhere", "load_own_of_environment"]
+
+EFFECTS_VARIABLE = "SAFEDPA_EFFECTS"
+"""Name of the environment variable."""
+
+
+def load_own(path: Path) -> list[str]:
+    """Loads a file; returns the names of what it added, systems first.
+
+    Raises InputError when it cannot be run as Python, defines nothing, or what it defines is incomplete.
+    """
+    found = _added(module_from(path), path)
+    if not found:
+        raise InputError(
+            f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect or SensorEffect, a System, "
+            "or a base model"
+        )
+    return found
+
+
+def load_own_everywhere(path: Path) -> list[str]:
+    """The same, and every process that this one starts knows it too."""
+    found = load_own(path)
+    known = [item for item in os.environ.get(EFFECTS_VARIABLE, "").split(os.pathsep) if item]
+    os.environ[EFFECTS_VARIABLE] = os.pathsep.join(dict.fromkeys([*known, str(path.resolve())]))
+    return found
+
+
+def load_own_of_environment() -> None:
+    """Loads what the environment variable and the entry points name, each once in this process."""
+    for name in os.environ.get(EFFECTS_VARIABLE, "").split(os.pathsep):
+        if name:
+            _loaded_once(name)
+    _entry_points_once()
+
+
+@cache
+def _loaded_once(name: str) -> tuple[str, ...]:
+    return tuple(load_own(Path(name)))
+
+
+@cache
+def _entry_points_once() -> None:
+    """Systems and bases of installed modules; their effects are in the library already."""
+    for entry in entry_points(group="safedpa.effects"):
+        module = entry.load()
+        for item in _systems_in(module):
+            add_system(item)
+        for base in _bases_in(module):
+            add_base(base)
+
+
+def _added(module: ModuleType, path: Path) -> list[str]:
+    own = _systems_in(module)
+    for system in own:
+        try:
+            add_system(system)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+    bases = _bases_in(module)
+    for base in bases:
+        _check_base(base, path)
+        add_base(base)
+    return [*(item.name for item in own), *(item.kind for item in bases), *(e.name for e in add_effects(module, path))]
+
+
+def _systems_in(module: ModuleType) -> list[System]:
+    """Systems that a module makes; those that it imports are known already."""
+    known = [*vars(safedpa.systems).values(), *systems().values()]
+    found = [item for _, item in inspect.getmembers(module) if isinstance(item, System)]
+    return [item for item in found if not any(item is other for other in known)]
+
+
+def _bases_in(module: ModuleType) -> list[type[AbstractBase]]:
+    return [
+        item
+        for _, item in inspect.getmembers(module, inspect.isclass)
+        if item.__module__ == module.__name__ and issubclass(item, AbstractBase) and not inspect.isabstract(item)
+    ]
+
+
+def _check_base(base: type[AbstractBase], path: Path) -> None:
+    """Tries the base once, at parameters' starts in the middle of the state: a mistake is told now, not mid-fit."""
+    label = f"{path}: class {base.__name__}"
+    try:
+        made = base()
+        kind, system, parameters = made.kind, made.system, made.parameters
+    except Exception as error:  # a user's class may fail in any way
+        raise InputError(f"{label}: could not be made: {type(error).__name__}: {error}") from error
+    state = dict.fromkeys(system.state_names, 0.1)
+    action = dict.fromkeys(system.action_names, 0.1)
+    try:
+        rates = made.rates(state, action, {item.name: item.start for item in parameters}, FLOATS)
+    except Exception as error:  # a user's equation may fail in any way
+        raise InputError(f"{label}: rates: failed with {type(error).__name__}: {error}") from error
+    if set(rates) != set(system.state_names):
+        raise InputError(
+            f"{label}: rates: got {', '.join(rates)}, wanted one rate for each state: {', '.join(system.state_names)} "
+            f"(kind '{kind}')"
+        )

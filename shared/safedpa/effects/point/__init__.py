@@ -1,0 +1,1 @@
+"""Effects of the point robot, one a file."""

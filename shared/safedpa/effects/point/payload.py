@@ -1,0 +1,28 @@
+"""Mass on board."""
+
+from __future__ import annotations
+
+from typing import final
+
+from safedpa.effects.effect import Context, Named, RateEffect, Stage
+from safedpa.effects.parameter import Parameter
+
+__all__ = ["Payload"]
+
+
+@final
+class Payload(RateEffect):
+    """(1 + mass_ratio) d(v)/dt = acceleration of the empty robot, v the velocity (vx, vy)."""
+
+    name = "payload"
+    robot = "point"
+    stage = Stage.OWN_MASS
+    equation = "(1 + mass_ratio) d(v)/dt = acceleration of the empty robot"
+    parameters = (Parameter("mass_ratio", "1", 0.0, 5.0, 0.3, meaning="mass of the load over mass of the robot"),)
+    signature = "all accelerations too small by one factor, thrust and resistance alike"
+    source = "Newton's second law"
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        del context
+        share = 1.0 / (1.0 + parameters["mass_ratio"])
+        return {**rates, "vx": rates["vx"] * share, "vy": rates["vy"] * share}

@@ -1,0 +1,37 @@
+"""Every kind of robot that is known in this process: those that ship, and a user's own."""
+
+from __future__ import annotations
+
+from safedpa.errors import InputError
+from safedpa.systems.car import CAR
+from safedpa.systems.pendulum import PENDULUM
+from safedpa.systems.point import POINT
+from safedpa.systems.system import System
+
+__all__ = ["add_system", "systems"]
+
+_SHIPPED = {item.name: item for item in (CAR, PENDULUM, POINT)}
+_own: dict[str, System] = {}
+
+
+def systems() -> dict[str, System]:
+    """By name; of a kind with several sets of actions, the first."""
+    return {**_SHIPPED, **_own}
+
+
+def add_system(system: System) -> None:
+    """Makes a user's own kind of robot known; the same name again replaces it.
+
+    Raises InputError when it has no state, repeats a name, or bears the name of one that ships.
+    """
+    if system.name in _SHIPPED:
+        raise InputError(f"system '{system.name}' ships with the project; choose another name")
+    names = ["t", *system.state_names, *system.action_names]
+    if not system.name.isidentifier() or not all(name.isidentifier() for name in names):
+        raise InputError(f"system '{system.name}': names: got {names[1:]}, wanted letters, digits and underscores")
+    if not system.state:
+        raise InputError(f"system '{system.name}': state: got none, wanted at least one Variable")
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InputError(f"system '{system.name}': '{min(twice)}' stands twice (t is the time); choose other names")
+    _own[system.name] = system
