@@ -35,7 +35,7 @@ __all__ = ["train_history_encoder"]
 Tensor = torch.Tensor
 _STREAM = 6
 """Seeds of this phase: seed * 10 + this."""
-_SAMPLES = 20_000
+_SAMPLES = 8000
 _HELD_OUT_CARS = 500
 _TOLD = 20
 """Updates between two words about the progress."""

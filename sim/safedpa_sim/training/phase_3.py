@@ -61,7 +61,7 @@ _JUDGED = 10
 _ALONG = 8
 """Histories that are encoded together: the convolutions over what they share are computed once."""
 _SAMPLES = 5000
-_STARTS = 600
+_STARTS = 256
 """Rollouts that it is taken over."""
 _JUDGING = 10
 """One simulated drive to judge by for so many to learn from."""
@@ -79,8 +79,7 @@ def tune(
     phase = configuration.phase_3
     runs = record_circles(phase.pairs, configuration.seed * 10 + _STREAM, phase.run_pairs)
     drives = drives_of(runs, weights)
-    tuned, summary = tune_on_drives(configuration, weights, drives, "all", tell, device)
-    return tuned, {"runs": "circles without load", **summary}
+    return tune_on_drives(configuration, weights, drives, "all", tell, device, runs="circles without load")
 
 
 def tune_on_runs(
@@ -97,8 +96,8 @@ def tune_on_runs(
     if what not in WHAT:
         raise InputError(f"--what: got '{what}', wanted one of {', '.join(WHAT)}")
     drives = load_tuning_runs(runs, columns, configuration.simulator.system, weights)
-    tuned, summary = tune_on_drives(configuration, weights, drives, what, tell)  # type: ignore[arg-type]
-    return tuned, {"runs": ", ".join(path.name for path in runs), **summary}
+    names = ", ".join(path.name for path in runs)
+    return tune_on_drives(configuration, weights, drives, what, tell, runs=names)  # type: ignore[arg-type]
 
 
 def tune_on_drives(
@@ -108,8 +107,10 @@ def tune_on_drives(
     what: What = "all",
     tell: Tell = silent,
     device: str = "cpu",
+    *,
+    runs: str = "drives",
 ) -> tuple[Weights, dict[str, Any]]:
-    """The weights tuned on drives, and the held-out errors before and after.
+    """The weights tuned on drives, and the held-out errors before and after; ``runs`` says which drives, for people.
 
     Raises InputError when the weights hold no history encoder, when there is too little to hold out, or when the tuned
     networks predict the held-out part no better than the untuned ones.
@@ -123,6 +124,7 @@ def tune_on_drives(
     training.spread()
     after = training.held_out_errors()
     summary = {
+        "runs": runs,
         "what": what,
         "mended_simulator": mended,
         "pairs": len(training.recorded.rows),

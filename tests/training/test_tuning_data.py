@@ -1,0 +1,128 @@
+"""Runs that cannot tune a model are refused, with the reason and what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from safedpa.errors import InputError
+from safedpa.records import Run, Stretch, write_csv
+from safedpa.systems import CAR
+from safedpa_sim.training.circles import record_circles
+from safedpa_sim.training.tuning_data import HORIZON, drives_of, load_tuning_runs, split
+
+HISTORY = 36
+
+
+@pytest.fixture(scope="module")
+def weights(random_car_weights):
+    return random_car_weights(1, history=HISTORY)
+
+
+@pytest.fixture(scope="module")
+def circles():
+    return record_circles(600, 1, 300)
+
+
+def changed(run, **columns):
+    """The run with columns replaced by functions of themselves."""
+    values = {
+        **dict(zip(CAR.state_names, run.states.T, strict=True)),
+        **dict(zip(CAR.action_names, run.actions.T, strict=True)),
+        "t": run.t,
+    }
+    values |= {name: change(values[name]) for name, change in columns.items()}
+    states, actions = (np.stack([values[name] for name in names], 1) for names in (CAR.state_names, CAR.action_names))
+    return Run(run.name, CAR, values["t"], states, actions, run.stretches)
+
+
+def shortened(run, rows):
+    return Run(run.name, CAR, run.t[:rows], run.states[:rows], run.actions[:rows], (Stretch(0, rows),))
+
+
+def test_good_runs_become_drives(circles, weights):
+    drives = drives_of(circles, weights)
+    assert [len(drive.actions) for drive in drives] == [300, 300]
+    np.testing.assert_array_equal(drives[1].states, circles[1].states)
+    np.testing.assert_array_equal(drives[1].actions, circles[1].actions[:-1])
+
+
+@pytest.mark.parametrize("rows", [2, HISTORY, HISTORY + HORIZON])
+def test_a_run_shorter_than_the_history_and_a_second(circles, weights, rows):
+    with pytest.raises(InputError, match=f"{rows} rows, wanted more than {HISTORY + HORIZON}"):
+        drives_of([shortened(circles[0], rows)], weights)
+
+
+def test_one_row_more_will_do(circles, weights):
+    assert len(drives_of([shortened(circles[0], HISTORY + HORIZON + 1), circles[1]], weights)) == 2
+
+
+def test_a_gap_in_the_middle_leaves_two_short_ones(circles, weights):
+    run = shortened(circles[0], 100)
+    broken = Run(run.name, CAR, run.t, run.states, run.actions, (Stretch(0, 50), Stretch(50, 100)))
+    with pytest.raises(InputError, match="longest stretch without a gap has 50 rows"):
+        drives_of([broken], weights)
+
+
+@pytest.mark.parametrize("signal", CAR.action_names)
+def test_a_constant_action_is_named(circles, weights, signal):
+    with pytest.raises(InputError, match=f"{signal} hardly changes"):
+        drives_of([changed(run, **{signal: lambda values: 0.0 * values + 0.1}) for run in circles], weights)
+
+
+def test_a_speed_that_never_changes_is_named(circles, weights):
+    with pytest.raises(InputError, match="speed hardly changes"):
+        drives_of([changed(run, speed=lambda values: 0.0 * values + 1.0) for run in circles], weights)
+
+
+def test_another_period_is_refused(circles, weights):
+    with pytest.raises(InputError, match=r"a row every 0\.1 s, wanted every 0\.05 s"):
+        drives_of([changed(circles[0], t=lambda values: 2.0 * values)], weights)
+
+
+def test_uneven_sampling_is_refused(circles, weights):
+    shaken = changed(circles[0], t=lambda values: values + 0.02 * (np.arange(len(values)) % 2))
+    with pytest.raises(InputError, match="wanted e"):
+        drives_of([shaken], weights)
+
+
+def test_actions_outside_the_trained_range_are_refused(circles, weights):
+    middle, half = weights["action_middle"][1], weights["action_scale"][1]
+    with pytest.raises(InputError, match=r"steer from .* the range trained on \(\d+ % of the rows"):
+        drives_of([changed(circles[0], steer=lambda values: middle + 3.0 * half * np.sign(values))], weights)
+
+
+def test_no_runs_are_refused(weights):
+    with pytest.raises(InputError, match="got none"):
+        drives_of([], weights)
+
+
+def test_a_file_with_values_that_are_no_numbers_is_cut_there(circles, weights, tmp_path):
+    values = circles[0].states.copy()
+    write_csv(circles[0], tmp_path / "run.csv")
+    lines = (tmp_path / "run.csv").read_text().splitlines()
+    for row in range(101, 104):
+        lines[row] = ",".join(["nan" if index == 4 else cell for index, cell in enumerate(lines[row].split(","))])
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    drives = load_tuning_runs([tmp_path / "run.csv"], None, CAR, weights)
+    assert [len(drive.states) for drive in drives] == [100, len(values) - 103]
+
+
+def test_whole_runs_are_held_out_where_there_are_several(circles, weights):
+    drives = drives_of([*circles, *circles, *circles], weights)
+    fitted, held_out = split(drives, HISTORY)
+    assert (len(fitted), len(held_out)) == (5, 1)
+
+
+def test_the_end_of_a_single_run_is_held_out(circles, weights):
+    drives = drives_of(circles[:1], weights)
+    (fitted,), (held_out,) = split(drives, HISTORY)
+    assert len(held_out.actions) == 60
+    np.testing.assert_array_equal(fitted.states[-1], held_out.states[0])
+    assert len(fitted.actions) + len(held_out.actions) == 300
+
+
+def test_a_single_run_too_short_to_be_divided_is_refused(circles, weights):
+    drives = drives_of([shortened(circles[0], 2 * (HISTORY + HORIZON))], weights)
+    with pytest.raises(InputError, match="one part to tune on and one to judge by"):
+        split(drives, HISTORY)
