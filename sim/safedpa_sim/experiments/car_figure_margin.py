@@ -47,8 +47,15 @@ def _bars(axes: Axes, name: str, rows: dict[str, Any], offset: float, width: flo
     bounds, values = ([row[margin]["epsilon"] for row in found] for margin in ("theorem", "conformal"))
     axes.bar(at, bounds, width=0.86 * width, color="white", edgecolor=colour, linewidth=1.2)
     axes.bar(at, values, width=0.86 * width, color=colour, label=MODEL_TITLES[name])
-    for place, number in [*zip(at, bounds, strict=True), *zip(at, values, strict=True)]:
-        axes.text(place, number, f" {number:.3f}", ha="center", va="bottom", fontsize=7, color=BLACK, rotation=90)
+    top = max(bounds)
+    for place, bound, value in zip(at, bounds, values, strict=True):
+        _number(axes, place, max(bound, value))
+        if bound - value > 0.2 * top:  # room for it within the frame
+            _number(axes, place, value)
+
+
+def _number(axes: Axes, place: float, number: float) -> None:
+    axes.text(place, number, f" {number:.3f}", ha="center", va="bottom", fontsize=7, color=BLACK, rotation=90)
 
 
 def _coverage(axes: Axes, name: str, rows: dict[str, Any], offset: float) -> None:
