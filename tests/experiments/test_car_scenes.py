@@ -11,7 +11,7 @@ from safedpa.errors import InputError
 from safedpa_sim.experiments.car_orders import FIRST_SEEDS, fresh_orders, hitching_orders, margin_orders, open_orders
 from safedpa_sim.experiments.car_scenes import CONFIGURATIONS, car_scene
 
-SEEDS = range(60)
+SEEDS = range(25)
 
 
 @pytest.mark.parametrize("load", CONFIGURATIONS)
