@@ -34,7 +34,7 @@ def weights(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(weights, tmp_path_factory):
-    phase = replace(SMALL.phase_2, rounds=3, updates=100, cars=200)
+    phase = replace(SMALL.phase_2, rounds=3, updates=250, cars=300, batch=512)
     return train_history_encoder(replace(SMALL, phase_2=phase), weights, tmp_path_factory.mktemp("phase_2"))
 
 

@@ -118,13 +118,15 @@ class Phase3:
     """Drives in the mended simulator; 0: tuned on the recorded data alone, which forgets loads."""
     steps: int = limited(240, 80)
     """Periods of each of them."""
-    updates: int = limited(4000, 1)
+    updates: int = limited(6000, 1)
     """Steps of Adam."""
     batch: int = limited(1024, 16)
     recorded: float = limited(0.25, 0.0, 1.0)
     """Share of each batch that is recorded data."""
-    rollouts: int = limited(48, 0)
-    """Short rollouts in each batch, beside single steps."""
+    rollouts: int = limited(64, 0)
+    """Short rollouts beside the single steps of a batch."""
+    rollout_every: int = limited(5, 1)
+    """One update in so many has them."""
     horizon: int = limited(10, 2, 50)
     """Steps of each of them."""
     learning_rate: float = limited(2e-3, 1e-8, 1.0)

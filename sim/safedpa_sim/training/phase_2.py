@@ -13,13 +13,14 @@ Source: Kumar et al., RMA: Rapid Motor Adaptation, RSS 2021, section III.B; Ross
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, final
 
 import torch
 
 from safedpa.networks import Weights
+from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import policy_drives, random_drives
 from safedpa_sim.training.driving import Driving
@@ -27,6 +28,7 @@ from safedpa_sim.training.explained import explained
 from safedpa_sim.training.histories import Lived, joined
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
 from safedpa_sim.training.phase_1a import training_device
+from safedpa_sim.training.prediction import ALONG, along, latents_along
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
 
@@ -54,7 +56,8 @@ def train_history_encoder(
     for index in range(configuration.phase_2.rounds):
         training.add_drives()
         training.learn(index, tell)
-    return weights.with_tensors(tensors_of(training.encoder)), training.summary()
+    described = replace(weights.description, history=configuration.history)
+    return weights.with_tensors(tensors_of(training.encoder), described), training.summary()
 
 
 @final
@@ -130,12 +133,14 @@ class _Training:
         """One step of Adam on histories drawn from all rounds; its loss."""
         which = torch.randint(len(self.known), (1,), generator=self.generator, device=self.cars.device)
         lived = self.known[int(which)]
-        index = lived.draw(batch, self.generator)
-        histories, latent = lived.histories(index, self.configuration.history), lived.latents[index]
-        histories = _disturbed(histories, self.configuration.phase_2.noise, self.generator)
-        loss = ((self.encoder(histories) - latent) / self.spread).square().mean()
+        start = lived.draw(max(1, round(batch / ALONG)), self.generator, ahead=(ALONG - 1) * STRIDE + 1)
+        index = along(start)
+        rows = lived.histories(start, self.configuration.history, (ALONG - 1) * STRIDE)
+        rows = _disturbed(rows, self.configuration.phase_2.noise, self.generator)
+        latents = latents_along(self.encoder, rows, ALONG).flatten(0, 1)
+        loss = ((latents - lived.latents[index]) / self.spread).square().mean()
         self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         self.optimiser.step()
         return float(loss.detach())
 

@@ -41,7 +41,7 @@ from safedpa_sim.training.networks import (
     tensors_of,
 )
 from safedpa_sim.training.phase_1a import training_device
-from safedpa_sim.training.prediction import errors, latents_along, one_step_loss, rollout_loss
+from safedpa_sim.training.prediction import ALONG, along, errors, latents_along, one_step_loss, rollout_loss
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.tuning_data import HORIZON, Drive, drives_of, load_tuning_runs, split
@@ -58,8 +58,8 @@ _CHANGE = 0.005
 """Probability per period that the environment changes in the simulator."""
 _JUDGED = 10
 """How often the held-out error is taken."""
-_ALONG = 8
-"""Histories that are encoded together: the convolutions over what they share are computed once."""
+_ROLLOUT_WEIGHT = 2.0
+"""Of rollouts beside single steps; they come in few updates, because they cost four times as much as all the rest."""
 _SAMPLES = 5000
 _STARTS = 256
 """Rollouts that it is taken over."""
@@ -217,9 +217,10 @@ class _Tuning:
         for done in range(phase.updates):
             for group in optimiser.param_groups:
                 group["lr"] = _rate(done / phase.updates, phase.learning_rate, phase.last_learning_rate)
-            loss = self._loss(self.recorded, 1.0 if self.simulated is None else phase.recorded)
+            rollouts = done % phase.rollout_every == 0
+            loss = self._loss(self.recorded, 1.0 if self.simulated is None else phase.recorded, rollouts)
             if self.simulated is not None:
-                loss = loss + self._loss(self.simulated, 1.0 - phase.recorded)
+                loss = loss + self._loss(self.simulated, 1.0 - phase.recorded, rollouts)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(self.fitted, 1.0)
@@ -231,18 +232,18 @@ class _Tuning:
                     best, kept = judged, self._state()
         self._restore(kept)
 
-    def _loss(self, part: Lived, share: float) -> Tensor:
+    def _loss(self, part: Lived, share: float, rollouts: bool) -> Tensor:
         """The loss over a part of the batch, weighed by its share of it."""
         phase, history = self.configuration.phase_3, self.history
-        segments = max(1, round(share * phase.batch / _ALONG))
-        start = part.draw(segments, self.generator, ahead=_ALONG * STRIDE)
-        rows = part.histories(start, history, (_ALONG - 1) * STRIDE)
-        latent = latents_along(self.encoder, rows, _ALONG).flatten(0, 1)
-        index = (start.unsqueeze(1) + STRIDE * torch.arange(_ALONG, device=start.device)).flatten()
+        segments = max(1, round(share * phase.batch / ALONG))
+        start = part.draw(segments, self.generator, ahead=(ALONG - 1) * STRIDE + 1)
+        rows = part.histories(start, history, (ALONG - 1) * STRIDE)
+        latent, index = latents_along(self.encoder, rows, ALONG).flatten(0, 1), along(start)
         loss = one_step_loss(self.networks, latent, part, index)
-        if phase.rollouts:
+        if rollouts and phase.rollouts:
             starts = part.draw(max(1, round(share * phase.rollouts)), self.generator, ahead=phase.horizon)
-            loss = loss + rollout_loss(self.networks, self.encoder, part, starts, phase.horizon, history)
+            far = rollout_loss(self.networks, self.encoder, part, starts, phase.horizon, history)
+            loss = loss + _ROLLOUT_WEIGHT * far
         if part.latents.shape[1]:
             loss = loss + phase.anchor * (latent - part.latents[index]).square().mean()
         return share * loss

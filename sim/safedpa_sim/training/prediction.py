@@ -10,9 +10,11 @@ from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.histories import Lived, history_rows
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork
 
-__all__ = ["errors", "latents_along", "one_step_loss", "rollout_errors", "rollout_loss"]
+__all__ = ["ALONG", "along", "errors", "latents_along", "one_step_loss", "rollout_errors", "rollout_loss"]
 
 Tensor = torch.Tensor
+ALONG = 8
+"""Histories that training encodes together, ``STRIDE`` transitions apart: see ``latents_along``."""
 
 
 def one_step_loss(networks: AffineNetworks, latent: Tensor, lived: Lived, index: Tensor) -> Tensor:
@@ -22,6 +24,11 @@ def one_step_loss(networks: AffineNetworks, latent: Tensor, lived: Lived, index:
     predicted: Tensor = networks(states, lived.actions[index], latent)
     loss: Tensor = (predicted - increment).square().mean()
     return loss
+
+
+def along(start: Tensor) -> Tensor:
+    """The ``ALONG`` transitions that follow each other ``STRIDE`` apart from each start (batch,) on, in one row."""
+    return (start.unsqueeze(1) + STRIDE * torch.arange(ALONG, device=start.device)).flatten()
 
 
 def latents_along(encoder: HistoryNetwork, rows: Tensor, count: int) -> Tensor:
