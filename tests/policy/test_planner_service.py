@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -67,7 +68,7 @@ def test_the_node_sends_the_planners_wish() -> None:
 
 
 def test_a_small_comparison_counts_every_drive() -> None:
-    told: list[tuple[int, int]] = []
+    told: list[tuple[int, int, dict[str, Any]]] = []
     result = controllers_experiment(
         load_model("car"), settings_named("car"), ("goal_seeker", "planner"), (201,), 3.0, lambda *at: told.append(at)
     )
@@ -75,7 +76,7 @@ def test_a_small_comparison_counts_every_drive() -> None:
         ("none", "goal_seeker"),
         ("none", "planner"),
     ]
-    assert told[-1] == (8, 8)
+    assert told == [(1, 1, result)]
     assert all(row["drives"] == 1 and row["collisions"] == 0 for row in result["rows"])
     assert all(row["milliseconds_p99"] >= row["milliseconds_p50"] > 0.0 for row in result["rows"])
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage
-from safedpa.dynamics import AbstractDynamics
+from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.errors import MessageError
 from safedpa.policy.planner_costs import DriveCosts, PlannerSettings
 
@@ -62,7 +62,7 @@ class Planner:
     """The controller of one car; ``wish`` is called once per period. The same seed and states give the same wishes."""
 
     def __init__(self, model: AbstractDynamics, settings: PlannerSettings | None = None, seed: int = 0) -> None:
-        self._model, self.settings = model, settings or PlannerSettings()
+        self._model, self.settings = model, settings or _settings_for(model)
         chosen = self.settings
         self._low = np.array((chosen.slowest_target, -chosen.steer_limit))
         self._high = np.array((chosen.fastest_target, chosen.steer_limit))
@@ -174,3 +174,9 @@ class Planner:
     def _blended(self, times: Values) -> Values:
         """(times, knots): shares of the knots in the action at each time, linear between knots, the last one held."""
         return np.stack([np.interp(times, self._knot_times, row) for row in np.eye(len(self._knot_times))], axis=1)
+
+
+def _settings_for(model: AbstractDynamics) -> PlannerSettings:
+    """Networks cost five times what physics costs: fewer and shorter drives keep the wish in time."""
+    learned = isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase)
+    return PlannerSettings(samples=48, steps=12) if learned else PlannerSettings()

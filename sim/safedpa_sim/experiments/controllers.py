@@ -37,7 +37,7 @@ class _Drive:
     changed: int
     """Wishes that the filter did not pass on."""
     milliseconds: tuple[float, ...]
-    """That the controller took for each wish."""
+    """Of one core's time that the controller took for each wish, whatever else the machine was doing."""
 
 
 def controllers_experiment(
@@ -46,19 +46,19 @@ def controllers_experiment(
     controllers: Sequence[str],
     seeds: Iterable[int],
     seconds: float,
-    on_drive: Callable[[int, int], None] = lambda _done, _all: None,
+    on_scene: Callable[[int, int, dict[str, Any]], None] = lambda _done, _all, _result: None,
 ) -> dict[str, Any]:
-    """One row for each load and controller; collisions as drives without one, with their 95 % Wilson interval."""
-    chosen, rows, done = tuple(seeds), [], 0
-    for load in LOADS:
-        for controller in controllers:
-            drives = []
-            for seed in chosen:
-                drives.append(timed_drive(model, settings, controller, load, seed, seconds))
-                done += 1
-                on_drive(done, len(LOADS) * len(controllers) * len(chosen))
-            rows.append({"load": load, "controller": controller, **_summary(drives)})
-    return {"experiment": "controllers", "seeds": list(chosen), "seconds": seconds, "rows": rows}
+    """One row for each load and controller; scenes without a collision as a share with its 95 % Wilson interval.
+
+    ``on_scene`` gets how many seeds are done, how many there are, and the result so far: a long run can be ended early.
+    """
+    chosen = tuple(seeds)
+    drives: dict[tuple[str, str], list[_Drive]] = {(load, name): [] for load in LOADS for name in controllers}
+    for done, seed in enumerate(chosen, start=1):
+        for (load, name), kept in drives.items():
+            kept.append(timed_drive(model, settings, name, load, seed, seconds))
+        on_scene(done, len(chosen), _result(drives, chosen[:done], seconds))
+    return _result(drives, chosen, seconds)
 
 
 def timed_drive(
@@ -83,10 +83,15 @@ class _Stopwatch:
         self.node.step = self._timed  # type: ignore[method-assign]
 
     def _timed(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
-        start = time.perf_counter()
+        start = time.thread_time()
         found = self._step(robot, state, inputs)
-        self.milliseconds.append(1e3 * (time.perf_counter() - start))
+        self.milliseconds.append(1e3 * (time.thread_time() - start))
         return found
+
+
+def _result(drives: dict[tuple[str, str], list[_Drive]], seeds: Sequence[int], seconds: float) -> dict[str, Any]:
+    rows = [{"load": load, "controller": name, **_summary(kept)} for (load, name), kept in drives.items()]
+    return {"experiment": "controllers", "seeds": list(seeds), "seconds": seconds, "rows": rows}
 
 
 def _summary(drives: Sequence[_Drive]) -> dict[str, Any]:

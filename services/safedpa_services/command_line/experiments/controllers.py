@@ -20,7 +20,7 @@ __all__ = ["command"]
 @click.option("--seconds", type=float, default=20.0, show_default=True, help="of driving in each scene")
 @click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
 @click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
-@click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
+@click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well, after each scene")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def command(**options: Any) -> None:
     """Goals reached, collisions and milliseconds a wish.
@@ -38,11 +38,15 @@ def command(**options: Any) -> None:
     learned = isinstance(model.base, LearnedBase) and model.base.weights.has("policy")
     controllers = options["controllers"] or ("goal_seeker", "planner", *(("learned",) if learned else ()))
     with progress("experiment controllers") as tell:
+
+        def keep(done: int, count: int, so_far: dict[str, Any]) -> None:
+            tell(done, count)
+            if options["out"]:
+                options["out"].write_text(json.dumps(so_far, indent=1) + "\n", encoding="utf-8")
+
         result = controllers_experiment(
-            model, settings_named(options["settings"]), controllers, seeds, options["seconds"], tell
+            model, settings_named(options["settings"]), controllers, seeds, options["seconds"], keep
         )
-    if options["out"]:
-        options["out"].write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:
