@@ -143,5 +143,7 @@ def _loss(record: dict[str, Any]) -> str:
 
 
 def _explained(record: dict[str, Any]) -> str:
-    shares = zip(record.get("states", ()), record.get("explained", ()), strict=True)
+    explained = record.get("explained", ())
+    names = record.get("states") or [f"latent_{index}" for index in range(len(explained))]
+    shares = zip(names, explained, strict=True)
     return ", ".join(f"{name} {100 * share:.2f} %" for name, share in shares)
