@@ -38,8 +38,10 @@ _STEER_HOLD = 0.5
 """Largest share of its last angle that a car's steering keeps in one tick; drawn for each car. Real steering lags."""
 _BRAKING, _GAIN, _USED = 2.0, 2.5, 0.25
 """m/s2, 1/s and s: the filter's guaranteed braking, and period over the share of room that it uses up in a tick."""
-_KEPT = 0.1
-"""m that the filter keeps: clearance and margin."""
+_KEPT = (0.05, 0.19)
+"""m that the filter keeps, clearance and margin; drawn for each car: the policy does not see it."""
+_WIDE = 0.2
+"""m of clearance below which being near costs something."""
 _BEHIND = 0.15
 """m by which a load reaches further back than the footprint: it counts when reversing."""
 _OWN_RADIUS = 0.13
@@ -55,7 +57,7 @@ class Rewards:
     steering: float = 0.02
     """Per square of the change of steer, in full steers."""
     near: float = 0.05
-    """At contact, falling to 0 at a clearance of 0.1 m."""
+    """At contact, falling to 0 at a clearance of 0.2 m: nearer, the filter would hold the car back."""
     reversing: float = 0.01
     contact: float = 0.05
     """At every tick of contact."""
@@ -114,7 +116,8 @@ class Driving:
         self._touching = np.zeros(count, dtype=bool)
         self.distance: Floats = np.zeros(count, dtype=np.float32)
         """m to the goal."""
-        self._hold = np.zeros(count, dtype=np.float32)
+        self._hold: Floats = np.zeros(count, dtype=np.float32)
+        self._kept: Floats = np.zeros(count, dtype=np.float32)
         self._angle = np.zeros(count, dtype=np.float32)
         self.restart(np.arange(count))
 
@@ -130,6 +133,7 @@ class Driving:
         self.applied[which, 0] = self.state[which, 3]
         self._angle[which] = 0.0
         self._hold[which] = self._random.uniform(0.0, _STEER_HOLD, count)
+        self._kept[which] = self._random.uniform(*_KEPT, count)
         self.tick[which] = 0
         self._touching[which] = False
         self.distance[which] = np.hypot(*(drawn.goal - drawn.start[:, :2]).T)
@@ -170,7 +174,7 @@ class Driving:
     def _reward(self, before: Floats, distance: Floats, room: Floats, reached: Flags, began: Flags) -> Floats:
         worth = self.rewards
         turned = (self.applied[:, 1] - before[:, 1]) / self._scale[1]
-        near = np.clip(1.0 - room / 0.1, 0.0, 1.0)
+        near = np.clip(1.0 - room / _WIDE, 0.0, 1.0)
         reward = self.distance - distance - worth.tick + worth.reached * reached
         reward -= worth.steering * turned * turned + worth.near * near + worth.reversing * (self.state[:, 3] < -0.05)
         reward -= worth.contact * self._touching + worth.penalty * began
@@ -189,7 +193,7 @@ class Driving:
         scene = self.scene
         rear, front, radius = scene.footprint.T
         own = self._own_obstacles()
-        reach = scene.obstacles[..., 2] + (radius + _KEPT)[:, np.newaxis]
+        reach = scene.obstacles[..., 2] + (radius + self._kept)[:, np.newaxis]
         inside = reach * reach - own[..., 1] ** 2
         half = np.sqrt(np.maximum(inside, 0.0))
         middle = 0.5 * (front - rear)[:, np.newaxis]
@@ -197,7 +201,7 @@ class Driving:
         ahead = np.where(met & ahead_of, own[..., 0] - half, 1e3).min(axis=1) - front
         behind = np.where(met & ~ahead_of, -own[..., 0] - half, 1e3).min(axis=1) - rear
         walls = self._to_walls(front, 1.0), self._to_walls(rear, -1.0)
-        return np.minimum(ahead, walls[0] - _KEPT), np.minimum(behind, walls[1] - _KEPT)
+        return np.minimum(ahead, walls[0] - self._kept), np.minimum(behind, walls[1] - self._kept)
 
     def _to_walls(self, reach: Floats, sign: float) -> Floats:
         """Along the heading (sign 1) or against it (-1), from the footprint's end to the first wall [m]."""

@@ -30,8 +30,8 @@ _ANY_RADIUS = 0.3
 """Share of the scenes whose footprint has any radius between the smallest and the largest."""
 _HALF_FIELD = (3.6, 4.4)
 _OBSTACLE_RADII = (0.2, 0.35)
-_PASSAGE = 0.4
-"""m of room beyond twice the footprint's radius between any two solid things."""
+_PASSAGE = (0.4, 0.8)
+"""m of room beyond twice the footprint's radius between any two solid things; drawn for each scene."""
 _CLEARANCE = 0.35
 _WALL_CLEARANCE = 0.8
 """m beyond the footprint's radius that start and goal keep to walls."""
@@ -40,6 +40,8 @@ _CROSSING = 0.5
 """Share of the scenes in which the way leads across the field's middle, with all obstacles in between."""
 _BEHIND = 0.8
 """Share of the scenes with an obstacle in the straight way."""
+_ANY_HEADING = 0.25
+"""Share of the starts with any heading; the others look inwards. Facing a wall, some loads cannot back off."""
 _TRIES = 40
 _FAR_AWAY = 1e4
 
@@ -103,8 +105,10 @@ def _ends(random: np.random.Generator, radius: Values, half: Values, crossing: F
     start = np.where(crossing[:, np.newaxis], south, first)
     goal = np.where(crossing[:, np.newaxis], north, anywhere)
     towards = np.arctan2(goal[:, 1] - start[:, 1], goal[:, 0] - start[:, 0])
-    spread = np.where(crossing, 0.5, np.pi)
-    yaw = towards + spread * random.uniform(-1.0, 1.0, count)
+    inwards = np.arctan2(-start[:, 1], -start[:, 0])
+    outwards = random.random(count) < _ANY_HEADING
+    middle, spread = np.where(crossing, towards, inwards), np.where(crossing, 0.5, np.where(outwards, np.pi, 1.2))
+    yaw = middle + spread * random.uniform(-1.0, 1.0, count)
     return np.concatenate((start, yaw[:, np.newaxis]), axis=1), goal
 
 
@@ -117,7 +121,7 @@ def _obstacles(
     behind = random.random(count) < _BEHIND
     placed = np.full((count, MOST_OBSTACLES, 3), _FAR_AWAY)
     placed[..., 2] = 0.0
-    gap = (2.0 * radius + _PASSAGE)[:, np.newaxis]
+    gap = (2.0 * radius + random.uniform(*_PASSAGE, count))[:, np.newaxis]
     for slot in range(MOST_OBSTACLES):
         drawn = _candidates(random, radius, half, crossing, start, goal, behind & (slot == 0))
         size = drawn[..., 2]
