@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from safedpa.dynamics import Setting
+from safedpa.dynamics import Setting, load_model
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks
 from safedpa.records import write_csv
@@ -23,6 +23,7 @@ from safedpa_sim.training.phase_2 import train_history_encoder
 from safedpa_sim.training.phase_3 import tune, tune_on_drives, tune_on_runs
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.tuning_data import drives_of
+from safedpa_sim.training.weights_export import export_model
 
 SMALL = load_configuration("car_small")
 
@@ -72,10 +73,12 @@ def test_the_summary_tells_before_and_after_on_runs_that_were_not_fitted(tuned):
     assert weights.description.trained_on["tuned"]["runs"] == "circles without load"
 
 
-def test_the_range_of_the_latent_is_that_of_the_tuned_encoder(tuned):
+def test_the_tuned_weights_make_a_model_whose_latent_rests_within_its_range(tuned, tmp_path):
     weights = tuned[0]
     assert (weights["latent_low"] < weights["latent_nominal"]).all()
     assert (weights["latent_nominal"] < weights["latent_high"]).all()
+    export_model(weights, SMALL.simulator, tmp_path / "car_learned.toml")
+    assert load_model(tmp_path / "car_learned.toml").latent_names == tuple(f"base.latent_{index}" for index in range(4))
 
 
 @pytest.mark.parametrize(

@@ -95,9 +95,9 @@ class Phase2:
     """That drive in each round."""
     steps: int = limited(200, 60)
     """Periods that each of them drives; more than the history, so that full ones occur."""
-    updates: int = limited(300, 1)
+    updates: int = limited(400, 1)
     """Steps of Adam in each round."""
-    batch: int = limited(1024, 1)
+    batch: int = limited(2048, 1)
     learning_rate: float = limited(1e-3, 1e-8, 1.0)
     last_learning_rate: float = limited(1e-5, 0.0, 1.0)
     change: float = limited(0.005, 0.0, 1.0)

@@ -249,7 +249,10 @@ class _Tuning:
         return share * loss
 
     def spread(self) -> None:
-        """Sets the latent's range to what phi says of all data and a tenth more, its rest to the recorded middle."""
+        """Sets the latent's range to what phi says of all data and a tenth more, its rest to the recorded middle.
+
+        0 stays within: the model's parameters begin there, and their fits take a quarter of the range as a first step.
+        """
         sets = [self.recorded] if self.simulated is None else [self.recorded, self.simulated]
         seen = []
         with torch.no_grad():
@@ -259,9 +262,10 @@ class _Tuning:
             everything = torch.cat(seen)
             low, high = everything.amin(0), everything.amax(0)
             beyond = _BEYOND * (high - low)
+            lowest = (low - beyond).clamp_max(0.0)
             networks: Any = self.networks
-            networks.latent_low.copy_(low - beyond)
-            networks.latent_high.copy_(high + beyond)
+            networks.latent_low.copy_(lowest)
+            networks.latent_high.copy_(torch.maximum(high + beyond, -lowest / 3.0))  # a quarter of the range, as step
             networks.latent_nominal.copy_(seen[0].mean(0))
 
     def held_out_errors(self) -> dict[str, dict[str, Any]]:
