@@ -62,7 +62,7 @@ def test_an_unknown_load_is_refused():
 
 def test_no_seed_serves_two_ends():
     loads = tuple(CONFIGURATIONS)
-    kinds = [margin_orders(loads, 20, 400), fresh_orders(loads, 20, 400), hitching_orders(loads, 20, 400),
+    kinds = [margin_orders(loads, 20, ""), fresh_orders(loads, 20, ""), hitching_orders(loads, 20, 400),
              open_orders(loads, 20, 400, "errors"), open_orders(loads, 20, 400, "latent")]  # fmt: skip
     seeds = [{order.seed for order in orders} for orders in kinds]
     assert sum(len(own) for own in seeds) == len(set().union(*seeds))

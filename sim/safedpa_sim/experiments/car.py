@@ -26,6 +26,7 @@ from safedpa_sim.experiments.car_latent import latent_result
 from safedpa_sim.experiments.car_margin import COVERAGE, coverage_of, margin_of, step_errors
 from safedpa_sim.experiments.car_methods import chosen_methods, model_path, named_model
 from safedpa_sim.experiments.car_orders import (
+    EARNEST,
     FIRST_SEEDS,
     fresh_orders,
     hitching_orders,
@@ -123,16 +124,36 @@ class _Run:
 
     def _margins(self, workers: Workers) -> tuple[dict[str, MarginCalibration], dict[str, Any]]:
         experiment = self._experiment
-        names = list(dict.fromkeys(item.filter_model for item in self._methods if item.filter_model))
-        each, ticks = experiment.drives, experiment.drive_ticks
-        known = self._recorded(workers, margin_orders(experiment.loads, each, ticks))
-        fresh = self._recorded(workers, fresh_orders(experiment.loads, each, ticks))
-        scale = increment_scale([named_model(name, experiment.models) for name in names], known)
-        work = [_MarginWork(name, experiment, self._settings, scale, known, fresh) for name in names]
+        drivers = self._drivers()
+        recorded = {
+            policy: [
+                self._recorded(workers, orders(experiment.loads, experiment.drives, policy))
+                for orders in (margin_orders, fresh_orders)
+            ]
+            for policy in dict.fromkeys(drivers.values())
+        }
+        models = [named_model(name, experiment.models) for name in drivers]
+        scale = increment_scale(models, next(iter(recorded.values()))[0])
+        work = [
+            _MarginWork(name, experiment, self._settings, scale, *recorded[policy]) for name, policy in drivers.items()
+        ]
         margins, rows = {}, {}
-        for name, (margin, coverage) in zip(names, workers.map(_margin, work), strict=True):
+        for name, (margin, coverage) in zip(drivers, workers.map(_margin, work), strict=True):
             margins[name], rows[name] = margin, coverage
         return margins, {"used": experiment.margin, "coverage_wanted": COVERAGE, "models": rows}
+
+    def _drivers(self) -> dict[str, str]:
+        """By filter model: the model file whose policy drives for its margin, empty for the goal seeker.
+
+        For all models that serve a learned policy it is the same, so that they see the same drives.
+        """
+        learned = [item.model for item in self._methods if item.controller == "learned"]
+        path = model_path(learned[0], self._experiment.models) if learned else None
+        drivers: dict[str, str] = {}
+        for method in self._methods:
+            if method.filter_model:
+                drivers.setdefault(method.filter_model, path or "" if method.controller == "learned" else "")
+        return drivers
 
     def _cells(self, workers: Workers, margins: dict[str, MarginCalibration]) -> Iterator[dict[str, Any]]:
         experiment = self._experiment
@@ -186,7 +207,11 @@ class _Run:
         a_kind = experiment.drives * len(experiment.loads)
         towing = experiment.drives * sum(load != "none" for load in experiment.loads)
         episodes = len(self._methods) * len(experiment.loads) * experiment.episodes
-        parts = {"table": 2 * a_kind + episodes, "errors": a_kind + len(experiment.loads), "latent": a_kind + towing}
+        parts = {
+            "table": 2 * EARNEST * len(set(self._drivers().values())) * a_kind + episodes,
+            "errors": a_kind + len(experiment.loads),
+            "latent": a_kind + towing,
+        }
         both = a_kind if set(experiment.parts) == {"latent"} else 0
         return sum(parts[part] for part in experiment.parts) + both
 

@@ -1,13 +1,12 @@
 """Recorded drives of the pymunk car for the car experiment: to calibrate margins, to measure predictions and latents.
 
-They are driven by the goal seeker with exploration on top, whatever model is measured on them later, so that every
-model sees the same data.
+Whatever model is measured on them later, they are driven in the same way, so that every model sees the same data.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from math import pi
@@ -23,6 +22,7 @@ from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.closed_loop import drive
+from safedpa_sim.experiments.car_scenes import car_scene
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import load_named
@@ -69,23 +69,24 @@ class DriveOrder:
     seed: int
     load: str
     ticks: int
-    among_obstacles: bool = False
-    """In one of the robot's random scenes with endless goals, behind the physics model's filter; else on an open field
-    without filter."""
+    in_earnest: bool = False
+    """In a scene of the experiment, up to its goal, behind the physics model's filter; else on an open field."""
+    policy: str = ""
+    """Model file whose learned policy drives, its latent where nothing acts; empty: the goal seeker."""
     events: tuple[tuple[int, str], ...] = ()
     exploring: bool = True
-    """Whether the goal seeker's wishes are changed at random."""
+    """Whether the wishes are changed at random."""
 
 
 def recorded_drive(order: DriveOrder) -> Drive:
     """Drives and records; the same order gives the same drive, bit for bit."""
     model = load_model("car")
-    settings = dataclasses.replace(settings_named("car"), enabled=order.among_obstacles)
-    seeker = PolicyNode(model)
-    policy = ExploringPolicyNode(seeker, order.seed) if order.exploring else seeker
+    settings = dataclasses.replace(settings_named("car"), enabled=order.in_earnest)
+    driver = PolicyNode(load_model(order.policy)) if order.policy else PolicyNode(model)
+    policy = ExploringPolicyNode(driver, order.seed) if order.exploring else driver
     nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings, margin_for(model))]
-    scene = Scene.random(order.seed, order.load) if order.among_obstacles else open_scene(order.seed, order.load)
-    return _recorded(CarRobot(scene), nodes, order.load, order.ticks, dict(order.events))
+    scene = car_scene(order.seed, order.load) if order.in_earnest else open_scene(order.seed, order.load)
+    return _recorded(CarRobot(scene), nodes, order)
 
 
 def cut_at_contact(drive_: Drive) -> Drive:
@@ -146,14 +147,14 @@ def _bounds() -> tuple[Values, Values]:
     return np.array((car.speed_low, -car.steer_limit)), np.array((car.speed_high, car.steer_limit))
 
 
-def _recorded(
-    robot: CarRobot, nodes: Sequence[AbstractNode], load: str, ticks: int, events: Mapping[int, str]
-) -> Drive:
-    messages, loads = [], []
-    with closing(drive(robot, nodes, ticks)) as periods:
+def _recorded(robot: CarRobot, nodes: Sequence[AbstractNode], order: DriveOrder) -> Drive:
+    messages, loads, load, events = [], [], order.load, dict(order.events)
+    with closing(drive(robot, nodes, order.ticks)) as periods:
         for period in periods:
             messages.append(period.state)
             loads.append(load)
+            if order.in_earnest and robot.goals_reached:
+                break
             if period.state.tick + 1 in events:
                 load = events[period.state.tick + 1]
                 _change_load(robot, load)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from safedpa_sim.experiments.car_drives import DriveOrder
+from safedpa_sim.experiments.car_scenes import TICKS
 
-__all__ = ["FIRST_SEEDS", "fresh_orders", "hitching_orders", "margin_orders", "open_orders", "path_orders"]
+__all__ = ["EARNEST", "FIRST_SEEDS", "fresh_orders", "hitching_orders", "margin_orders", "open_orders", "path_orders"]
 
 FIRST_SEEDS = {"margin": 5000, "fresh": 6000, "errors": 7000, "latent": 8000, "hitching": 9000, "paths": 9500}
 """First seed of the drives that calibrate margins, check their coverage, measure errors (and test the classifier of
@@ -17,14 +18,21 @@ HITCHED, LET_GO = 3, 5
 """Eighths of a hitching drive after which the load is hitched, and let go again."""
 
 
-def margin_orders(loads: Sequence[str], each: int, ticks: int) -> list[DriveOrder]:
-    """Random scenes behind the filter, as the robot drives in earnest: calibration."""
-    return _among_obstacles(loads, each, ticks, FIRST_SEEDS["margin"])
+EARNEST = 4
+"""Drives in earnest for every other recorded drive: they end at the goal, after a fifth of the time or so."""
 
 
-def fresh_orders(loads: Sequence[str], each: int, ticks: int) -> list[DriveOrder]:
+def margin_orders(loads: Sequence[str], each: int, policy: str) -> list[DriveOrder]:
+    """Scenes of the experiment behind the filter, as the robot drives in earnest: calibration.
+
+    ``policy`` names the model whose policy drives; empty: the goal seeker.
+    """
+    return _in_earnest(loads, each, policy, FIRST_SEEDS["margin"])
+
+
+def fresh_orders(loads: Sequence[str], each: int, policy: str) -> list[DriveOrder]:
     """The same with other seeds: to count what the margins cover."""
-    return _among_obstacles(loads, each, ticks, FIRST_SEEDS["fresh"])
+    return _in_earnest(loads, each, policy, FIRST_SEEDS["fresh"])
 
 
 def open_orders(loads: Sequence[str], each: int, ticks: int, purpose: str) -> list[DriveOrder]:
@@ -50,9 +58,9 @@ def hitching_orders(loads: Sequence[str], each: int, ticks: int) -> list[DriveOr
     ]
 
 
-def _among_obstacles(loads: Sequence[str], each: int, ticks: int, first: int) -> list[DriveOrder]:
+def _in_earnest(loads: Sequence[str], each: int, policy: str, first: int) -> list[DriveOrder]:
     return [
-        DriveOrder(first + index, load, ticks, among_obstacles=True, exploring=False)
+        DriveOrder(first + index, load, TICKS, in_earnest=True, policy=policy, exploring=False)
         for load in loads
-        for index in range(each)
+        for index in range(EARNEST * each)
     ]

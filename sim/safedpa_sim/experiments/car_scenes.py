@@ -43,6 +43,7 @@ _PASSAGE = 0.4
 _CLEARANCE = 0.35
 """m beyond the footprint's radius that start and goal keep to obstacles."""
 _TRIES = 5000
+_ROUNDS = 20
 
 Circle = tuple[float, float, float]
 
@@ -60,10 +61,11 @@ def car_scene(seed: int, load: str = "none") -> Scene:
     start = (_START[0] + x, _START[1], yaw)
     goal = (_START[0], _START[1] + _AHEAD)
     wanted = int(draw.integers(_COUNT[0], _COUNT[1] + 1))
-    for count in range(wanted, _COUNT[0] - 1, -1):
-        obstacles = _obstacles(draw, count, start, goal, towed)
-        if obstacles is not None:
-            return Scene(seed, towed, FIELD, obstacles, start, (goal,))
+    for _ in range(_ROUNDS):  # where the first ones stand, there may be no room for the others
+        for count in range(wanted, _COUNT[0] - 1, -1):
+            obstacles = _obstacles(draw, count, start, goal, towed)
+            if obstacles is not None:
+                return Scene(seed, towed, FIELD, obstacles, start, (goal,))
     raise InputError(f"seed {seed}, load '{load}': {_COUNT[0]} obstacles found no place; choose another seed")
 
 
