@@ -131,7 +131,7 @@ def test_the_number_is_the_mean_over_the_states_of_the_scaled_root_mean_square(l
 
 
 def test_a_margin_covers_what_it_was_calibrated_on(learned_folder):
-    drives = [recorded_drive(DriveOrder(5000 + i, "none", 120, in_earnest=True, exploring=False)) for i in range(4)]
+    drives = [recorded_drive(DriveOrder(5000 + i, "none", 120, "physics")) for i in range(4)]
     model = named_model("car_learned", learned_folder)
     errors = step_errors(model, drives, SETTINGS, increment_scale([model], drives))
     margin = margin_of(model, errors, "2026-11-21")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from math import hypot, pi
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_sim.experiments.car_orders import FIRST_SEEDS, fresh_orders, hitching_orders, margin_orders, open_orders
+from safedpa.safety import FilterSettings
+from safedpa_sim.experiments.car_orders import FIRST_SEEDS, earnest_orders, hitching_orders, open_orders
 from safedpa_sim.experiments.car_scenes import CONFIGURATIONS, car_scene
 
 SEEDS = range(25)
@@ -62,8 +64,9 @@ def test_an_unknown_load_is_refused():
 
 def test_no_seed_serves_two_ends():
     loads = tuple(CONFIGURATIONS)
-    kinds = [margin_orders(loads, 20, ""), fresh_orders(loads, 20, ""), hitching_orders(loads, 20, 400),
-             open_orders(loads, 20, 400, "errors"), open_orders(loads, 20, 400, "latent")]  # fmt: skip
+    earnest = [earnest_orders(loads, 20, kind, "physics", Path(), FilterSettings()) for kind in ("margin", "fresh")]
+    opened = [open_orders(loads, 20, 400, kind) for kind in ("errors", "latent")]
+    kinds = [*earnest, *opened, hitching_orders(loads, 20, 400)]
     seeds = [{order.seed for order in orders} for orders in kinds]
     assert sum(len(own) for own in seeds) == len(set().union(*seeds))
     assert min(set().union(*seeds)) >= min(FIRST_SEEDS.values()) > 1000

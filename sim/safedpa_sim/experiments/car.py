@@ -28,9 +28,8 @@ from safedpa_sim.experiments.car_methods import chosen_methods, model_path, name
 from safedpa_sim.experiments.car_orders import (
     EARNEST,
     FIRST_SEEDS,
-    fresh_orders,
+    earnest_orders,
     hitching_orders,
-    margin_orders,
     open_orders,
     path_orders,
 )
@@ -125,34 +124,32 @@ class _Run:
     def _margins(self, workers: Workers) -> tuple[dict[str, MarginCalibration], dict[str, Any]]:
         experiment = self._experiment
         drivers = self._drivers()
-        recorded = {
-            policy: [
-                self._recorded(workers, orders(experiment.loads, experiment.drives, policy))
-                for orders in (margin_orders, fresh_orders)
-            ]
-            for policy in dict.fromkeys(drivers.values())
-        }
         models = [named_model(name, experiment.models) for name in drivers]
-        scale = increment_scale(models, next(iter(recorded.values()))[0])
-        work = [
-            _MarginWork(name, experiment, self._settings, scale, *recorded[policy]) for name, policy in drivers.items()
-        ]
+        uncalibrated = replace(self._settings, margin="conformal")
+        work = []
+        for name, method in drivers.items():
+            known, fresh = (
+                self._recorded(
+                    workers,
+                    earnest_orders(
+                        experiment.loads, experiment.drives, purpose, method, experiment.models, uncalibrated
+                    ),
+                )
+                for purpose in ("margin", "fresh")
+            )
+            scale = increment_scale(models, known)
+            work.append(_MarginWork(name, experiment, self._settings, scale, known, fresh))
         margins, rows = {}, {}
         for name, (margin, coverage) in zip(drivers, workers.map(_margin, work), strict=True):
             margins[name], rows[name] = margin, coverage
         return margins, {"used": experiment.margin, "coverage_wanted": COVERAGE, "models": rows}
 
     def _drivers(self) -> dict[str, str]:
-        """By filter model: the model file whose policy drives for its margin, empty for the goal seeker.
-
-        For all models that serve a learned policy it is the same, so that they see the same drives.
-        """
-        learned = [item.model for item in self._methods if item.controller == "learned"]
-        path = model_path(learned[0], self._experiment.models) if learned else None
+        """By filter model: the method that drives for its margin, the first one that has it."""
         drivers: dict[str, str] = {}
         for method in self._methods:
             if method.filter_model:
-                drivers.setdefault(method.filter_model, path or "" if method.controller == "learned" else "")
+                drivers.setdefault(method.filter_model, method.name)
         return drivers
 
     def _cells(self, workers: Workers, margins: dict[str, MarginCalibration]) -> Iterator[dict[str, Any]]:
@@ -208,7 +205,7 @@ class _Run:
         towing = experiment.drives * sum(load != "none" for load in experiment.loads)
         episodes = len(self._methods) * len(experiment.loads) * experiment.episodes
         parts = {
-            "table": 2 * EARNEST * len(set(self._drivers().values())) * a_kind + episodes,
+            "table": 2 * EARNEST * len(self._drivers()) * a_kind + episodes,
             "errors": a_kind + len(experiment.loads),
             "latent": a_kind + towing,
         }

@@ -8,8 +8,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import pi
+from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -20,8 +21,10 @@ from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishM
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
-from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.shipped import settings_named
 from safedpa_sim.closed_loop import drive
+from safedpa_sim.experiments.car_methods import METHODS, nodes_of
 from safedpa_sim.experiments.car_scenes import car_scene
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 from safedpa_sim.robots.core import CarRobot
@@ -69,10 +72,12 @@ class DriveOrder:
     seed: int
     load: str
     ticks: int
-    in_earnest: bool = False
-    """In a scene of the experiment, up to its goal, behind the physics model's filter; else on an open field."""
-    policy: str = ""
-    """Model file whose learned policy drives, its latent where nothing acts; empty: the goal seeker."""
+    method: str = ""
+    """Who drives in earnest: in a scene of the experiment, up to its goal, behind the method's own filter with the
+    settings' margin. Empty: the goal seeker on an open field, without a filter."""
+    folder: Path = Path()
+    """Of the method's models."""
+    settings: FilterSettings = field(default_factory=lambda: settings_named("car"))
     events: tuple[tuple[int, str], ...] = ()
     exploring: bool = True
     """Whether the wishes are changed at random."""
@@ -80,13 +85,15 @@ class DriveOrder:
 
 def recorded_drive(order: DriveOrder) -> Drive:
     """Drives and records; the same order gives the same drive, bit for bit."""
+    if order.method:
+        nodes = nodes_of(METHODS[order.method], order.folder, order.settings, None)
+        return _recorded(CarRobot(car_scene(order.seed, order.load)), nodes, order)
     model = load_model("car")
-    settings = dataclasses.replace(settings_named("car"), enabled=order.in_earnest)
-    driver = PolicyNode(load_model(order.policy)) if order.policy else PolicyNode(model)
-    policy = ExploringPolicyNode(driver, order.seed) if order.exploring else driver
-    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings, margin_for(model))]
-    scene = car_scene(order.seed, order.load) if order.in_earnest else open_scene(order.seed, order.load)
-    return _recorded(CarRobot(scene), nodes, order)
+    seeker = PolicyNode(model)
+    policy = ExploringPolicyNode(seeker, order.seed) if order.exploring else seeker
+    filtering = SafetyFilterNode(model, dataclasses.replace(order.settings, enabled=False))
+    robot = CarRobot(open_scene(order.seed, order.load))
+    return _recorded(robot, [AdaptationNode(model), policy, filtering], order)
 
 
 def cut_at_contact(drive_: Drive) -> Drive:
@@ -153,7 +160,7 @@ def _recorded(robot: CarRobot, nodes: Sequence[AbstractNode], order: DriveOrder)
         for period in periods:
             messages.append(period.state)
             loads.append(load)
-            if order.in_earnest and robot.goals_reached:
+            if order.method and robot.goals_reached:
                 break
             if period.state.tick + 1 in events:
                 load = events[period.state.tick + 1]

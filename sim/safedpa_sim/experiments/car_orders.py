@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
+from safedpa.safety import FilterSettings
 from safedpa_sim.experiments.car_drives import DriveOrder
 from safedpa_sim.experiments.car_scenes import TICKS
 
-__all__ = ["EARNEST", "FIRST_SEEDS", "fresh_orders", "hitching_orders", "margin_orders", "open_orders", "path_orders"]
+__all__ = ["EARNEST", "FIRST_SEEDS", "earnest_orders", "hitching_orders", "open_orders", "path_orders"]
 
 FIRST_SEEDS = {"margin": 5000, "fresh": 6000, "errors": 7000, "latent": 8000, "hitching": 9000, "paths": 9500}
 """First seed of the drives that calibrate margins, check their coverage, measure errors (and test the classifier of
@@ -22,17 +24,16 @@ EARNEST = 4
 """Drives in earnest for every other recorded drive: they end at the goal, after a fifth of the time or so."""
 
 
-def margin_orders(loads: Sequence[str], each: int, policy: str) -> list[DriveOrder]:
-    """Scenes of the experiment behind the filter, as the robot drives in earnest: calibration.
-
-    ``policy`` names the model whose policy drives; empty: the goal seeker.
-    """
-    return _in_earnest(loads, each, policy, FIRST_SEEDS["margin"])
-
-
-def fresh_orders(loads: Sequence[str], each: int, policy: str) -> list[DriveOrder]:
-    """The same with other seeds: to count what the margins cover."""
-    return _in_earnest(loads, each, policy, FIRST_SEEDS["fresh"])
+def earnest_orders(
+    loads: Sequence[str], each: int, purpose: str, method: str, folder: Path, settings: FilterSettings
+) -> list[DriveOrder]:
+    """A method in scenes of the experiment; ``purpose`` is a key of FIRST_SEEDS."""
+    first = FIRST_SEEDS[purpose]
+    return [
+        DriveOrder(first + index, load, TICKS, method, folder, settings)
+        for load in loads
+        for index in range(EARNEST * each)
+    ]
 
 
 def open_orders(loads: Sequence[str], each: int, ticks: int, purpose: str) -> list[DriveOrder]:
@@ -55,12 +56,4 @@ def hitching_orders(loads: Sequence[str], each: int, ticks: int) -> list[DriveOr
         for load in loads
         if load != "none"
         for index in range(each)
-    ]
-
-
-def _in_earnest(loads: Sequence[str], each: int, policy: str, first: int) -> list[DriveOrder]:
-    return [
-        DriveOrder(first + index, load, TICKS, in_earnest=True, policy=policy, exploring=False)
-        for load in loads
-        for index in range(EARNEST * each)
     ]
