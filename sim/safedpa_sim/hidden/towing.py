@@ -11,7 +11,7 @@ from safedpa_sim.hidden.lanes import Floats
 from safedpa_sim.robots.loads import load_named
 from safedpa_sim.robots.world import CarWorld
 
-__all__ = ["drive_towing"]
+__all__ = ["drive_in", "drive_towing"]
 
 _FIELD = (-200.0, 200.0, -200.0, 200.0)
 _LATERAL = 2.5
@@ -22,7 +22,13 @@ _STEER = 0.3
 
 def drive_towing(load: str, random: np.random.Generator, rows: int, period: float) -> tuple[Floats, Floats]:
     """States (rows, 4) and actions (rows, 2) of one run, forwards only: a load that is pushed back folds up."""
-    world = CarWorld((0.0, 0.0, float(random.uniform(-3.0, 3.0))), _FIELD, (), load_named(load))
+    return drive_in(
+        CarWorld((0.0, 0.0, float(random.uniform(-3.0, 3.0))), _FIELD, (), load_named(load)), random, rows, period
+    )
+
+
+def drive_in(world: CarWorld, random: np.random.Generator, rows: int, period: float) -> tuple[Floats, Floats]:
+    """The same in a world that there is: states (rows, 4) and actions (rows, 2)."""
     speeds = reference(random, rows, period, (0.0, 2.0), 1.5, (0.8, 3.0))
     steers = reference(random, rows, period, (-_STEER, _STEER), 2 * _STEER, (0.6, 2.0))
     states, actions = np.empty((rows, 4)), np.empty((rows, 2))

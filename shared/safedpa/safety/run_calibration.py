@@ -1,0 +1,102 @@
+"""Margin calibration from runs of any car: what the model predicted one period ahead, and what became of it.
+
+Recordings of the bus tell which scene the car was in; a run of a log does not. So every transition is placed among
+obstacles drawn around the car, near enough to matter: the error of h depends on where they stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.errors import InputError
+from safedpa.records.run import Run
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
+from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.settings import FilterSettings
+
+__all__ = ["SMALL_CAR", "calibration_from_runs"]
+
+Values = NDArray[np.float64]
+
+SMALL_CAR = (0.08, 0.40, 0.12)
+"""m; how far the body of the 1:10 car reaches behind and ahead of its rear axle, and the radius around that line."""
+
+_MOST = 3000
+"""Transitions; more narrow the quantile by less than its own spread."""
+_AROUND = (0.5, 2.5)
+"""m from the car at which obstacles are drawn."""
+_RADII = (0.2, 0.35)
+"""m"""
+_OBSTACLES = 3
+_ROOM = 4.0
+"""m from the car to the farthest walls."""
+_SAME_PERIOD = 0.1
+"""Relative difference of a row's period from the model's beyond which its transition is left out."""
+
+
+def calibration_from_runs(
+    model: PhysicsModel,
+    settings: FilterSettings,
+    runs: Sequence[Run],
+    coverage: float,
+    date: str,
+    body: tuple[float, float, float] = SMALL_CAR,
+) -> MarginCalibration:
+    """Margins by kind of barrier: the quantile of h(predicted) - h(measured) over the runs' transitions.
+
+    Actuators remember what was commanded before, as they do in the filter. ``body`` as in a robot's footprint. Raises
+    InputError for a model that is no car with a speed servo, or too few transitions at the model's own period.
+    """
+    if model.system.action_names != ("target_speed", "steer"):
+        raise InputError(
+            f"margin: got a model with the actions {', '.join(model.system.action_names) or 'none'}, wanted those of a "
+            "car's speed servo, target_speed and steer: the filter's barriers are such a car's"
+        )
+    draw = np.random.default_rng(0)
+    errors: dict[str, list[float]] = {}
+    for before, predicted, after in _predictions(model, runs):
+        for barrier in _around(before, settings, body, draw):
+            worst = float((barrier.values(predicted) - barrier.values(after)).max(initial=-np.inf))
+            errors.setdefault(barrier.kind, []).append(worst if np.isfinite(worst) else 0.0)
+    if not errors:
+        raise InputError(f"margin: got no transition of {model.period:g} s, wanted runs at the model's period")
+    found = {kind: np.array(values) for kind, values in errors.items()}
+    return calibration_from_errors(found, coverage, date, fingerprint(model))
+
+
+def _predictions(model: PhysicsModel, runs: Sequence[Run]) -> Iterator[tuple[Values, Values, Values]]:
+    """(state, predicted next, measured next), evenly spread over all runs."""
+    every = max(1, sum(len(part) for run in runs for part in run.stretches) // _MOST)
+    latent = model.latent if model.latent_names else None
+    number = 0
+    for run in runs:
+        for t, states, actions in run.parts():
+            if not len(t):
+                continue
+            memory = model.initial_memory(actions[0], latent)
+            for row in range(len(t) - 1):
+                period = float(t[row + 1] - t[row])
+                near = abs(period / model.period - 1.0) < _SAME_PERIOD
+                wanted = near and number % every == 0
+                number += 1
+                if wanted or memory:
+                    predicted, memory = model.advance(states[row], actions[row], memory, latent, period=period)
+                if wanted:
+                    yield states[row], predicted, states[row + 1]
+
+
+def _around(
+    state: Values, settings: FilterSettings, body: tuple[float, float, float], draw: np.random.Generator
+) -> list[AbstractBarrier]:
+    """Barriers of a scene around the car: some obstacles, four walls."""
+    distance, angle = draw.uniform(*_AROUND, _OBSTACLES), draw.uniform(-np.pi, np.pi, _OBSTACLES)
+    x, y = state[0] + distance * np.cos(angle), state[1] + distance * np.sin(angle)
+    obstacles = np.column_stack([x, y, draw.uniform(*_RADII, _OBSTACLES)])
+    low, high = draw.uniform(0.5, _ROOM, 2), draw.uniform(0.5, _ROOM, 2)
+    field = (state[0] - low[0], state[0] + high[0], state[1] - low[1], state[1] + high[1])
+    return car_barriers(settings, body, obstacles, field)
