@@ -15,7 +15,7 @@ __all__ = ["felt_at_once"]
 _DELAYED = {
     "steering_delay": ("steer",),
     "drive_delay": ("throttle", "target_speed"),
-    "actuator_delay": ("throttle", "target_speed", "steer"),
+    "actuator_delay": ("throttle", "target_speed", "steer", "thrust", "turn"),
     "torque_delay": ("torque",),
 }
 _LAGGED = {"steering_lag": ("steer",), "drive_lag": ("throttle", "target_speed"), "torque_lag": ("torque",)}
