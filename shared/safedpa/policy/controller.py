@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from safedpa.bus import StateMessage
 from safedpa.dynamics import LearnedBase, PhysicsModel
 from safedpa.errors import InputError, MessageError, did_you_mean
+from safedpa.policy.backing_off import BackingOff
 from safedpa.policy.compensation import SpeedCompensation
 from safedpa.policy.goal_seeker import GoalSeeker, GoalSeekerSettings
 from safedpa.policy.learned import LearnedPolicy
@@ -71,7 +72,7 @@ def controller_for(
                 "controller 'learned': the model has no networks, wanted one with a policy; choose another"
             )
         policy = LearnedPolicy(base.weights)
-        return lambda: policy
+        return lambda: BackingOff(policy)
     if name == "planner":
         from safedpa.policy.planner import Planner
 

@@ -45,8 +45,10 @@ class OnlineMargin:
 
     With target alpha = 1 - coverage, alpha[t+1] = alpha[t] + rate (alpha - miss[t]), where miss[t] says that the error
     exceeded the margin; the margin is the (1 - alpha[t])-quantile of the last ``window`` errors, never below the
-    calibrated margin. Where alpha[t] <= 0 the paper takes infinity, which would stop a robot for good: here it is twice
-    the largest error of the window. The share of misses over T steps then stays near alpha whatever the errors do.
+    calibrated margin. A window that is not full yet is taken as filled up by the calibration, with errors within its
+    margin: one miss in the first second says no more than one miss later. Where alpha[t] <= 0 the paper takes infinity,
+    which would stop a robot for good: here it is twice the largest error of the window. The share of misses over T
+    steps then stays near alpha whatever the errors do.
     Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, 2021. Raises InputError for numbers
     out of range.
     """
@@ -78,8 +80,11 @@ class OnlineMargin:
         largest = max(self._errors)
         if self._level <= 0.0:
             return 2.0 * largest
-        rank = _rank(len(self._errors), 1.0 - self._level)
-        return largest if rank > len(self._errors) else sorted(self._errors)[max(rank, 1) - 1]
+        window = self._errors.maxlen or 1
+        from_above = window - _rank(window, 1.0 - self._level)
+        if from_above >= len(self._errors):
+            return self.calibrated
+        return sorted(self._errors, reverse=True)[max(from_above, 0)]
 
 
 def _rank(count: int, coverage: float) -> int:

@@ -1,0 +1,90 @@
+"""A controller that is held back, by the filter or by a wall, backs off and tries again.
+
+A learned policy does not know what the filter will refuse it: it may ask for the same step for ever, and stand. So
+whoever makes no headway drives backwards for a moment with the wheels turned, to the other side each time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import StateMessage
+from safedpa.errors import InputError
+
+if TYPE_CHECKING:
+    from safedpa.policy.controller import Controller
+
+__all__ = ["BackingOff", "BackingOffSettings"]
+
+
+@dataclass(frozen=True)
+class BackingOffSettings:
+    """When and how a car backs off: SI units, radians."""
+
+    patience_seconds: float = 1.0
+    """Without headway for so long, it backs off."""
+    headway: float = 0.1
+    """m within the patience that count as headway."""
+    back_off_seconds: float = 1.4
+    reverse_speed: float = -0.6
+    steer: float = 0.34
+
+    def __post_init__(self) -> None:
+        positive = (self.patience_seconds, self.headway, self.back_off_seconds, self.steer)
+        if not (min(positive) > 0.0 > self.reverse_speed):
+            raise InputError(f"backing off: got {self}, wanted positive times, headway and steer, and a speed below 0")
+
+
+@final
+class BackingOff:
+    """Hands on the wishes of another controller of a car, and interrupts it where the car makes no headway.
+
+    The first time the heading turns towards the goal while the car reverses, then away from it, and so on in turn; a
+    new goal begins anew.
+    """
+
+    def __init__(self, controller: Controller, settings: BackingOffSettings | None = None) -> None:
+        self._controller = controller
+        self._settings = settings or BackingOffSettings()
+        self._trail: deque[tuple[float, float, float]] = deque()
+        self._until = -math.inf
+        self._steer = 0.0
+        self._attempts = 0
+        self._goal: tuple[float, ...] = ()
+
+    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """The wish, and whose it is: the controller's name, with ``:back_off`` while it is interrupted."""
+        wish, name = self._controller.wish(state, latent)  # it may remember, so it is asked in every tick
+        now = state.robot_time
+        if state.goal != self._goal:
+            self._goal, self._attempts, self._until = state.goal, 0, -math.inf
+            self._trail.clear()
+        if now >= self._until and self._is_held(now, *state.values[:2]):
+            self._begin(now, state)
+        if now >= self._until:
+            return wish, name
+        return (self._settings.reverse_speed, self._steer), f"{name}:back_off"
+
+    def _begin(self, now: float, state: StateMessage) -> None:
+        x, y, yaw = state.values[:3]
+        aside = math.sin(math.atan2(state.goal[1] - y, state.goal[0] - x) - yaw)
+        towards = -1.0 if aside >= 0.0 else 1.0  # reversing turns the heading against the wheels
+        self._steer = towards * self._settings.steer * (1.0 if self._attempts % 2 == 0 else -1.0)
+        self._attempts += 1
+        self._until = now + self._settings.back_off_seconds
+        self._trail.clear()
+
+    def _is_held(self, now: float, x: float, y: float) -> bool:
+        """Whether the car has gone less than the headway for as long as the patience."""
+        self._trail.append((now, x, y))
+        while now - self._trail[0][0] > self._settings.patience_seconds:
+            self._trail.popleft()
+        oldest, past_x, past_y = self._trail[0]
+        watched = now - oldest >= 0.9 * self._settings.patience_seconds
+        return watched and math.hypot(x - past_x, y - past_y) < self._settings.headway
