@@ -21,7 +21,9 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects.parameter import Parameter
 
-__all__ = ["Fit", "fit", "moved", "objective", "scale_of"]
+__all__ = [
+    "Fit", "bounds_of", "difference_of", "fit", "inverse_of", "moved", "objective", "scale_of", "size_of",
+]  # fmt: skip
 
 _STEPS = 8
 _DONE = 2e-4
@@ -44,6 +46,8 @@ class Fit:
     columns: Floats
     free: NDArray[np.bool_]
     """Parameters that do not stand at a bound that holds them, (paths,)."""
+    stated: Floats | None = None
+    """Standard deviations (paths,) where another way of fitting gave them."""
 
     @property
     def values(self) -> Floats:
@@ -56,6 +60,8 @@ class Fit:
         (B - 1) / B sum over the blocks of (parameters without the block - parameters)^2, to first order; at least what
         white residuals would give.
         """
+        if self.stated is not None:
+            return self.stated
         found = np.full(len(self.paths), np.nan)
         if not self.free.any():
             return found
@@ -66,9 +72,11 @@ class Fit:
         np.add.at(curvature, shooting.block, np.einsum("wip,wiq->wpq", columns, columns))
         np.add.at(slope, shooting.block, np.einsum("wip,wi->wp", columns, self.residual))
         whole, total = curvature.sum(axis=0), slope.sum(axis=0)
-        shifts = np.array([_inverse(whole - own) @ (total - part) for own, part in zip(curvature, slope, strict=True)])
+        shifts = np.array(
+            [inverse_of(whole - own) @ (total - part) for own, part in zip(curvature, slope, strict=True)]
+        )
         spread = ((shifts - shifts.mean(axis=0)) ** 2).sum(axis=0) * (count - 1) / max(count, 1)
-        white = np.diag(_inverse(whole)) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
+        white = np.diag(inverse_of(whole)) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
         found[self.free] = np.sqrt(np.maximum(np.maximum(spread, white), 0.0))
         return found
 
@@ -83,8 +91,8 @@ class Fit:
             if self.free.any() and used.any():
                 part = curvature[used].sum(axis=0) + np.diag(_prior(self.model, self.paths))
                 part = part[np.ix_(self.free, self.free)]
-                values[self.free] -= _inverse(part, _SETTLED) @ slope[used].sum(axis=0)[self.free]
-            found[fold] = np.clip(values, *_bounds(self.model, self.paths))
+                values[self.free] -= inverse_of(part, _SETTLED) @ slope[used].sum(axis=0)[self.free]
+            found[fold] = np.clip(values, *bounds_of(self.model, self.paths))
         return found
 
     def heldout_squares(self, shooting: Shooting) -> Floats:
@@ -136,7 +144,7 @@ def scale_of(shooting: Shooting, reduced: Floats, scale: Floats) -> Floats:
 
 
 def _linearised(model: PhysicsModel, paths: tuple[str, ...], shooting: Shooting, scale: Floats) -> Fit:
-    steps = [_difference(model.parameters[path], model.settings[path].value) for path in paths]
+    steps = [difference_of(model.parameters[path], model.settings[path].value) for path in paths]
     variants = [model]
     for path, step in zip(paths, steps, strict=True):
         variants.append(moved(model, {path: model.settings[path].value + step}))
@@ -149,9 +157,9 @@ def _linearised(model: PhysicsModel, paths: tuple[str, ...], shooting: Shooting,
     value, found = objective(residuals[0], shooting, found)
     reduced = shooting.eliminated(np.concatenate([residuals[0][..., None], columns], axis=-1), found)
     slope = np.einsum("wip,wi->p", reduced[..., 1:], reduced[..., 0])
-    low, high = _bounds(model, paths)
+    low, high = bounds_of(model, paths)
     now = np.array([model.settings[path].value for path in paths])
-    size = np.array([_scale(model.parameters[path]) for path in paths])
+    size = np.array([size_of(model.parameters[path]) for path in paths])
     held = ((now <= low + 1e-9 * size) & (slope > 0)) | ((now >= high - 1e-9 * size) & (slope < 0))
     dead = (reduced[..., 1:] ** 2).sum(axis=(0, 1)) * size**2 < 1e-8 * shooting.size.sum()
     return Fit(model, paths, value, found, reduced[..., 0], reduced[..., 1:], ~(held | dead))
@@ -167,8 +175,8 @@ def _stepped(at: Fit, damping: float) -> PhysicsModel | None:
     curvature = curvature + np.diag(damping * np.diag(curvature) + prior)
     slope = np.einsum("wip,wi->p", columns, at.residual)
     values = at.values
-    values[at.free] -= _inverse(curvature) @ slope
-    low, high = _bounds(at.model, at.paths)
+    values[at.free] -= inverse_of(curvature) @ slope
+    low, high = bounds_of(at.model, at.paths)
     return moved(at.model, dict(zip(at.paths, np.clip(values, low, high).tolist(), strict=True)))
 
 
@@ -177,7 +185,7 @@ def moved(model: PhysicsModel, values: dict[str, float]) -> PhysicsModel:
     return model.with_settings({path: Setting(value, model.settings[path].free) for path, value in values.items()})
 
 
-def _inverse(matrix: Floats, smallest: float = 1e-7) -> Floats:
+def inverse_of(matrix: Floats, smallest: float = 1e-7) -> Floats:
     """Inverse of a symmetric matrix after scaling its diagonal to 1; directions without any curvature do not move."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.asarray(
@@ -185,17 +193,18 @@ def _inverse(matrix: Floats, smallest: float = 1e-7) -> Floats:
     )
 
 
-def _bounds(model: PhysicsModel, paths: Iterable[str]) -> tuple[Floats, Floats]:
+def bounds_of(model: PhysicsModel, paths: Iterable[str]) -> tuple[Floats, Floats]:
+    """Lowest and highest values, (paths,) each."""
     found = [model.parameters[path] for path in paths]
     return np.array([item.low for item in found]), np.array([item.high for item in found])
 
 
 def _prior(model: PhysicsModel, paths: Iterable[str]) -> Floats:
     """Curvature that keeps a direction without any of its own from moving by more than some ordinary changes."""
-    return np.array([(5.0 * _scale(model.parameters[path])) ** -2 for path in paths])
+    return np.array([(5.0 * size_of(model.parameters[path])) ** -2 for path in paths])
 
 
-def _scale(parameter: Parameter) -> float:
+def size_of(parameter: Parameter) -> float:
     """The size of a change that is ordinary."""
     neutral = parameter.neutral
     if parameter.typical == 0.0 and not neutral:  # an angle, say, of which no size is ordinary
@@ -204,6 +213,7 @@ def _scale(parameter: Parameter) -> float:
     return max(min(change, 10 * abs(parameter.typical) + 1e-12), 0.05 * abs(parameter.typical), 1e-4)
 
 
-def _difference(parameter: Parameter, value: float) -> float:
-    step = min(0.01 * _scale(parameter), 0.05 * (parameter.high - parameter.low))
+def difference_of(parameter: Parameter, value: float) -> float:
+    """The step of a difference quotient that stays within the bounds."""
+    step = min(0.01 * size_of(parameter), 0.05 * (parameter.high - parameter.low))
     return step if value + step <= parameter.high else -step

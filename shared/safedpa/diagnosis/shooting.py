@@ -31,6 +31,8 @@ _STEP = 1e-4
 _BLOCKS = 40
 """Independent stretches of time that are wanted, of at least and at most so many seconds each:"""
 _BLOCK = (3.0, 10.0)
+_FEWEST_BLOCKS = 10
+"""Of logs that are shorter than so many of the shortest: a ball falls for three seconds only."""
 _GLITCH = 8.0
 """Median deviations from the neighbouring rows beyond which a row is a glitch."""
 _PUSH = 5.0
@@ -93,16 +95,34 @@ class Shooting:
     def around(self, model: PhysicsModel, scale: Floats | None = None) -> Shooting:
         """The same with starts, derivatives and weights as they are best for one model."""
         found = replace(self, tangent=_tangent(self, model))
+        residual = found.residuals([model])[0]
+        found = replace(found, counts=_counts(found, residual))
         for _ in range(2):
-            residual = found.residuals([model])[0]
-            found = replace(found, counts=_counts(found, residual))
-            weight = found.counts / _robust(residual, found.counts) ** 2 if scale is None else found.counts / scale**2
-            normal = np.einsum("wnsi,wns,wnsj->wij", found.tangent, weight, found.tangent)
-            normal += (1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-9) * np.eye(normal.shape[1])
-            slope = np.einsum("wnsi,wns,wns->wi", found.tangent, weight, residual)
-            shift = np.linalg.solve(normal, slope[..., None])[..., 0]
-            found = replace(found, starts=found.starts - shift)
-        return replace(found, tangent=_tangent(found, model))
+            found, residual = _better_starts(found, model, residual, scale)
+            found = replace(found, counts=_counts(found, residual), tangent=_tangent(found, model))
+        return found
+
+
+def _better_starts(
+    shooting: Shooting, model: PhysicsModel, residual: Floats, scale: Floats | None
+) -> tuple[Shooting, Floats]:
+    """A Gauss-Newton step of every window's start, a quarter of it or none where the whole one does not help."""
+    counts, tangent = shooting.counts, shooting.tangent
+    weight = counts / (_robust(residual, counts) if scale is None else scale) ** 2
+    normal = np.einsum("wnsi,wns,wnsj->wij", tangent, weight, tangent)
+    normal += (1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-9) * np.eye(normal.shape[1])
+    slope = np.einsum("wnsi,wns,wns->wi", tangent, weight, residual)
+    shift = np.linalg.solve(normal, slope[..., None])[..., 0]
+    best, now, rest = (residual**2 * weight).sum(axis=(1, 2)), residual.copy(), np.zeros(len(shift))
+    for part in (1.0, 0.25):
+        left = rest == 0.0
+        if not left.any():
+            break
+        own = shooting.residual(simulate([model], shooting.windows, shooting.rows, shooting.starts - part * shift)[0])
+        cost = (own**2 * weight).sum(axis=(1, 2))
+        helps = left & (cost <= best)
+        now[helps], best[helps], rest[helps] = own[helps], cost[helps], part
+    return replace(shooting, starts=shooting.starts - rest[:, None] * shift), now
 
 
 def shooting_of(runs: Sequence[Run], seconds: float, folds: int = 6) -> Shooting:
@@ -118,7 +138,8 @@ def shooting_of(runs: Sequence[Run], seconds: float, folds: int = 6) -> Shooting
     size = states.shape[-1]
     identity = np.broadcast_to(np.eye(size), (*states.shape, size)).copy()
     clock = windows.clock[windows.start]
-    block = float(np.clip(sum(run.duration for run in runs) / _BLOCKS, *_BLOCK))
+    whole = sum(run.duration for run in runs)
+    block = float(np.clip(whole / _BLOCKS, min(_BLOCK[0], whole / _FEWEST_BLOCKS), _BLOCK[1]))
     return Shooting(
         windows=windows,
         rows=rows,

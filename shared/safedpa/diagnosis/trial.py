@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -16,9 +16,23 @@ from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect
 from safedpa.effects.parameter import Parameter
 
-__all__ = ["Trial", "block_gain", "likeness", "paths_of", "starts_of", "trial_of", "tried", "with_start"]
+__all__ = [
+    "Trial",
+    "block_gain",
+    "likeness",
+    "paths_of",
+    "starts_of",
+    "trial_of",
+    "tried",
+    "tried_in_turn",
+    "with_start",
+]
 
 _MOST_STARTS = 9
+_ROUGH = 2
+"""Steps of a fit that only has to show which effects promise anything."""
+_PROMISING = 8
+"""Effects that are fitted to the end."""
 
 
 @dataclass(frozen=True)
@@ -75,16 +89,52 @@ def with_start(model: PhysicsModel, item: AbstractEffect, values: dict[str, floa
     return model.with_effect(item, {name: Setting(value) for name, value in values.items()})
 
 
+def tried_in_turn(
+    null: Trial,
+    items: Sequence[AbstractEffect],
+    shooting: Shooting,
+    before: Mapping[str, Trial],
+    tell: Callable[[int], None] = lambda _done: None,
+) -> list[Trial]:
+    """Every effect by itself, best first: all of them fitted roughly, then those that promise most to the end.
+
+    ``before`` holds trials of an earlier stage by effect: their numbers are starts beside a thinned grid.
+    """
+    found = []
+    for number, item in enumerate(items):
+        starts = _start_models(null.fit.model, [item])
+        if item.name in before and before[item.name].fit.free[-len(item.parameters) :].all():
+            settings = before[item.name].fit.model.settings
+            known = {p.name: settings[f"{item.name}.{p.name}"].value for p in item.parameters}
+            starts = [with_start(null.fit.model, item, known), *starts[::3]]
+        found.append(tried(null, [item], shooting, starts, _ROUGH))
+        tell(number)
+    found.sort(key=lambda trial: trial.loss)
+    by_name = {item.name: item for item in items}
+    for index, rough in enumerate(found[:_PROMISING]):
+        found[index] = tried(null, [by_name[rough.effects[0]]], shooting, [rough.fit.model])
+    return sorted(found, key=lambda trial: trial.loss)
+
+
 def tried(
-    null: Trial, items: Sequence[AbstractEffect], shooting: Shooting, starts: Sequence[PhysicsModel] | None = None
+    null: Trial,
+    items: Sequence[AbstractEffect],
+    shooting: Shooting,
+    starts: Sequence[PhysicsModel] | None = None,
+    steps: int | None = None,
 ) -> Trial:
     """The effects fitted on top of the null's, together with everything that the null fitted."""
     models = list(starts) if starts is not None else _start_models(null.fit.model, items)
-    residuals = shooting.residuals(models)
-    values = [objective(residual, shooting, null.fit.scale)[0] for residual in residuals]
+    chosen = models[0] if len(models) == 1 else _lowest(models, shooting, null.fit.scale)
     paths = [*null.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
-    found = fit(models[int(np.argmin(values))], paths, shooting, null.fit.scale)
+    found = fit(chosen, paths, shooting, null.fit.scale, **({} if steps is None else {"steps": steps}))
     return trial_of(found, shooting, tuple(item.name for item in items), null)
+
+
+def _lowest(models: Sequence[PhysicsModel], shooting: Shooting, scale: Floats) -> PhysicsModel:
+    """Of several models the one with the lowest objective."""
+    values = [objective(residual, shooting, scale)[0] for residual in shooting.residuals(models)]
+    return models[int(np.argmin(values))]
 
 
 def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Trial | None) -> Trial:

@@ -92,7 +92,9 @@ class Regression:
         """Coefficients of the always-in and the chosen columns by least squares."""
         index = self._index(chosen)
         square = gram[np.ix_(index, index)]
-        size = np.sqrt(np.maximum(np.diag(square), 1e-300))
+        # a column that only the fold left out has is rounding here, and counts nothing
+        least = 1e-9 * np.diag(self.grams.sum(axis=0))[index] + 1e-300
+        size = np.sqrt(np.maximum(np.diag(square), least))
         scaled = square / np.outer(size, size)
         return np.asarray(-np.linalg.pinv(scaled, rcond=1e-7, hermitian=True) @ (gram[index, -1] / size) / size)
 

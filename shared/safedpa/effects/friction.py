@@ -10,17 +10,20 @@ from safedpa.operations import Scalar
 __all__ = ["REST_RATE", "REST_SPEED", "direction_of"]
 
 REST_SPEED: Final = 0.03
-"""m/s; below it a car counts as nearly at rest: a hundredth of its usual speed, the noise of a good speed sensor."""
-REST_RATE: Final = 0.05
-"""rad/s; the same for a pendulum: 3 degrees per second."""
+"""m/s; below it a car counts as nearly at rest in steps of 0.05 s: a hundredth of its usual speed, the noise of a good
+speed sensor."""
+REST_RATE: Final = 0.02
+"""rad/s; the same for a pendulum: one degree per second."""
+_STEP: Final = 0.05
+"""s; shorter steps round off less, in proportion: what is at rest on a slope shall not creep more than it must."""
 
 
 def direction_of(speed: Scalar, deceleration: Scalar, rest: float, context: Context) -> Scalar:
-    """tanh(speed / width), width = max(rest, deceleration period): sign(speed), rounded off near rest.
+    """tanh(speed / width), width = period max(rest / 0.05 s, deceleration): sign(speed), rounded off near rest.
 
     A friction of constant size ``deceleration`` would reverse a slow motion within one period instead of stopping it.
     With this width its rate of decay at rest, deceleration / width, is at most 1 / period, for which Runge-Kutta's
     method neither overshoots nor oscillates (it would be unstable from 2.78 / period).
     """
-    width = context.operations.maximum(deceleration * context.period, rest)
+    width = context.operations.maximum(deceleration, rest / _STEP) * context.period
     return context.operations.tanh(speed / width)

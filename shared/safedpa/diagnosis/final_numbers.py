@@ -1,0 +1,37 @@
+"""The numbers that a report states: fitted windows give the effects, whole recordings give their sizes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from safedpa.diagnosis.fitting import Fit
+from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.refinement import refined
+from safedpa.diagnosis.shooting import Shooting
+
+__all__ = ["with_final_numbers"]
+
+_WORSE = 0.02
+"""Share by which the held-out error may grow: rollouts from a measured start reward what a lasting push makes of it."""
+
+
+def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tuple[Fit, HeldoutError]:
+    """The fit with the filter's parameters and deviations, where these predict held-out data as well.
+
+    Elsewhere the windows' numbers stay, and half of what both ways differ by counts as uncertain: the model's form is
+    then wrong in something that the two weigh differently.
+    """
+    before = error_with(found, shooting, heldout)
+    if not found.free.any():
+        return found, before
+    final = refined(found.model, found.paths, found.free, shooting.windows)
+    if final is None:
+        return found, before
+    moved = replace(found, model=final.model, stated=final.deviations)
+    after = error_with(moved, shooting, heldout)
+    if after.value <= (1.0 + _WORSE) * before.value:
+        return moved, after
+    apart = 0.5 * (moved.values - found.values)
+    return replace(found, stated=np.hypot(found.deviations(shooting), apart)), before

@@ -1,0 +1,47 @@
+"""What a search knows: its windows, its present model, what it tried and what it decided."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from safedpa.diagnosis.heldout import HeldoutError
+from safedpa.diagnosis.patch import Patch
+from safedpa.diagnosis.shooting import Shooting
+from safedpa.diagnosis.trial import Trial
+
+__all__ = ["Judged", "Search", "given_names"]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A trial with its verdict."""
+
+    stage: int
+    trial: Trial
+    gain: float
+    """Standard errors on unseen blocks."""
+    error: HeldoutError | None
+    decision: str
+    reason: str
+    equals: tuple[str, ...]
+
+
+@dataclass
+class Search:
+    """What was found, and everything that was tried on the way."""
+
+    shooting: Shooting
+    current: Trial
+    error: HeldoutError
+    first: Trial
+    first_error: HeldoutError
+    candidates: list[Judged] = field(default_factory=list)
+    added: list[str] = field(default_factory=list)
+    patch: Patch | None = None
+    rivals: dict[str, list[str]] = field(default_factory=dict)
+    """For each accepted effect the others of its stage, the best first."""
+
+
+def given_names(search: Search) -> set[str]:
+    """Effects that the given model has."""
+    return {item.name for item in search.first.fit.model.effects}

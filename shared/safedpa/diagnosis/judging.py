@@ -1,0 +1,170 @@
+"""When a trial is accepted, which others the data cannot tell from it, and the sentences that say why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from safedpa.diagnosis.found import Judged, Search
+from safedpa.diagnosis.heldout import HeldoutError
+from safedpa.diagnosis.refinement import refined
+from safedpa.diagnosis.shooting import Shooting
+from safedpa.diagnosis.trial import Trial, block_gain, likeness
+
+__all__ = ["SIMPLER", "Stage", "confirmed", "inside", "judged", "passes", "preferred", "with_reason"]
+
+SURE = 3.0
+"""Standard errors of gain on unseen blocks that an addition needs, together with FALL."""
+VERY_SURE = 4.5
+"""Standard errors that do with LITTLE_FALL."""
+FALL = 0.03
+"""Share by which the held-out rollout error has to fall."""
+LITTLE_FALL = 0.004
+LIKELY = 1.5
+"""Standard errors that do with FALL where CERTAIN holds."""
+CERTAIN = 6.0
+"""Standard deviations by which the filter along whole recordings has to put a number away from doing nothing: it knows
+lasting disturbances, so it sees what grows over a run, where blocks are too unlike each other to agree."""
+SAME = 1.0
+"""Standard errors within which two candidates cannot be told apart."""
+SIMPLER = 2.0
+"""Standard errors within which the candidate with fewer parameters is preferred."""
+ALIKE = 0.9
+"""Correlation of what two candidates explain from which they count as alike, within SIMPLER."""
+SAME_SHAPE = 0.985
+"""Correlation from which they count as alike within SURE."""
+ONE = 0.002
+"""Share of the squares of what one explains up to which two candidates differ in nothing."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """All trials of one stage, best first, with their gains and held-out errors by effects."""
+
+    number: int
+    trials: list[Trial]
+    gains: dict[tuple[str, ...], float]
+    errors: dict[tuple[str, ...], HeldoutError]
+
+    def passes(self, trial: Trial, before: HeldoutError) -> bool:
+        """Whether a trial is to be added by unseen blocks alone."""
+        return passes(self.gains[trial.effects], self.errors.get(trial.effects), before)
+
+
+def passes(gain: float, error: HeldoutError | None, before: HeldoutError) -> bool:
+    """Enough standard errors on unseen blocks, and enough off the held-out rollout error."""
+    if error is None or not before.value > 0:
+        return False
+    fall = 1.0 - error.value / before.value
+    return (gain > SURE and fall > FALL) or (gain > VERY_SURE and fall > LITTLE_FALL)
+
+
+def confirmed(trial: Trial, stage: Stage, search: Search) -> bool:
+    """Whether a trial that unseen blocks find likely is certain by the filter along whole recordings.
+
+    Every parameter that has a value at which it does nothing is CERTAIN standard deviations from there, one parameter
+    at least.
+    """
+    gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
+    if error is None or not gain > LIKELY or not error.value < (1.0 - FALL) * search.error.value:
+        return False
+    found = refined(trial.fit.model, trial.fit.paths, trial.fit.free, search.shooting.windows)
+    if found is None:
+        return False
+    away = []
+    for path, deviation in zip(found.paths, found.deviations.tolist(), strict=True):
+        neutral = found.model.parameters[path].neutral
+        if path.split(".")[0] in trial.effects and neutral is not None:
+            away.append(abs(found.model.settings[path].value - neutral) > CERTAIN * deviation)
+    return bool(away) and all(away)
+
+
+def preferred(trials: Sequence[Trial], shooting: Shooting, null: Trial) -> Trial | None:
+    """The best trial, or the simplest of those that cannot be told from it with certainty."""
+    better = [trial for trial in trials if trial.loss < null.loss and inside(trial, null)]
+    if not better:
+        return None
+    close = [trial for trial in better[:8] if block_gain(trial, better[0], shooting) < SIMPLER]
+    close = close or better[:1]
+    fewest = min(len(trial.fit.paths) for trial in close)
+    return next(trial for trial in close if len(trial.fit.paths) == fewest)
+
+
+def inside(trial: Trial, null: Trial) -> bool:
+    """Whether none of its own parameters was pushed to a bound: what fits only there is something else."""
+    return bool(trial.fit.free[len(null.fit.paths) :].all())
+
+
+def judged(search: Search, stage: Stage, trial: Trial, best: Trial | None, passed: bool) -> Judged:
+    """The verdict on one trial of a stage, ``best`` being what is added if it ``passed``."""
+    gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
+    taken = _taken_up(trial, search.current)
+    if taken:
+        return Judged(stage.number, trial, gain, error, "rejected", f"the free {taken} does the same", (taken,))
+    equals = _equals(trial, stage.trials[:10], search.shooting, search.current) if gain > 1.5 else ()
+    decision, reason = _decision(search, stage, trial, best, passed, equals)
+    return Judged(stage.number, trial, gain, error, decision, reason, equals)
+
+
+def _decision(
+    search: Search, stage: Stage, trial: Trial, best: Trial | None, passed: bool, equals: tuple[str, ...]
+) -> tuple[str, str]:
+    gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
+    change = "" if error is None else 100 * (error.value / search.error.value - 1)
+    fall = "" if error is None else f"; the held-out error changes by {change:+.1f} %"
+    sentence = f"gain on unseen blocks {gain:.1f} standard errors{fall}"
+    if trial is best and passed:
+        return "accepted", sentence
+    if trial is best and search.patch is not None:
+        return "suspected", f"{sentence}; but a place explains more"
+    if passed and best is not None:
+        behind = block_gain(trial, best, search.shooting)
+        suspected = best.name in equals or (gain > SURE and behind < SIMPLER)
+        reason = f"{sentence}; {behind:.1f} standard errors behind {best.name}"
+        return ("suspected" if suspected else "rejected"), reason
+    if gain > SURE:
+        return "suspected", f"{sentence}: too little to be worth it"
+    return "rejected", sentence
+
+
+def with_reason(item: Judged, decision: str, reason: str) -> Judged:
+    """The same trial, decided anew."""
+    return replace(item, decision=decision, reason=f"{item.reason}; {reason}")
+
+
+def _equals(trial: Trial, trials: Sequence[Trial], shooting: Shooting, null: Trial) -> tuple[str, ...]:
+    """Names of the other trials that unseen blocks cannot tell from this one."""
+    found = []
+    for other in trials:
+        if other is trial or other.loss >= null.loss or set(other.effects) & set(trial.effects):
+            continue
+        apart = abs(block_gain(other, trial, shooting))
+        alike = likeness(other, trial)
+        equal = (apart < SAME and alike > 0.5) or (apart < SIMPLER and alike > ALIKE) or _one(trial, other)
+        if equal or (apart < SURE and alike > SAME_SHAPE):
+            found.append(other.name)
+    return tuple(found)
+
+
+def _one(trial: Trial, other: Trial) -> bool:
+    """Whether both explain the very same, size and all: then one has a number that nothing here shows."""
+    size = float(min((trial.explained**2).sum(), (other.explained**2).sum()))
+    return float(((trial.explained - other.explained) ** 2).sum()) < ONE * size
+
+
+def _taken_up(trial: Trial, null: Trial) -> str:
+    """The free parameter that already does what the effect would, empty where there is none."""
+    count = len(null.fit.paths)
+    if not count or len(trial.effects) > 1:
+        return ""
+    flat = trial.fit.columns.reshape(-1, trial.fit.columns.shape[-1])
+    known, new = flat[:, :count], flat[:, count:]
+    size = float((new**2).sum())
+    if not size > 0:
+        return ""
+    alike = np.abs(known.T @ new) / np.sqrt((known**2).sum(axis=0)[:, None] * (new**2).sum(axis=0) + 1e-30)
+    solved = np.linalg.lstsq(known, new, rcond=1e-9)[0]
+    left = float(((new - known @ solved) ** 2).sum()) / size
+    return null.fit.paths[int(alike.max(axis=1).argmax())] if left < 0.002 else ""

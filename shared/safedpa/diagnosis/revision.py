@@ -1,0 +1,121 @@
+"""Second thoughts: accepted effects give way to better rivals, and go where the others do without them.
+
+Source: Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3 (exchange and backward steps).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from safedpa.diagnosis.fitting import fit, inverse_of, objective
+from safedpa.diagnosis.found import Judged, Search, given_names
+from safedpa.diagnosis.heldout import Heldout, error_with
+from safedpa.diagnosis.judging import SIMPLER, with_reason
+from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
+from safedpa.effects import AbstractEffect
+
+__all__ = ["exchange", "removals"]
+
+_EXCHANGED = 4
+"""Rivals that each accepted effect is exchanged for."""
+_TOGETHER = 0.7
+"""Correlation of their fitted numbers from which effects are also taken out together."""
+
+
+def _refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
+    """The given effects on top of the first model, from the numbers that the present model has, or from starts."""
+    now = search.current.fit.model
+    known = {item.name for item in now.effects}
+    model = search.first.fit.model
+    for path in search.first.fit.paths:
+        model = model.with_settings({path: now.settings[path]})
+    fresh = []
+    for item in items:
+        if item.name in known:
+            own = {p.name: now.settings[f"{item.name}.{p.name}"] for p in item.parameters}
+            model = model.with_effect(item, own)
+        else:
+            fresh.append(item)
+    starts = [model]
+    for item in fresh:
+        starts = [with_start(made, item, values) for made in starts for values in starts_of(item)]
+    residual = search.shooting.residuals(starts)
+    values = [objective(part, search.shooting, search.current.fit.scale)[0] for part in residual]
+    paths = [*search.first.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
+    found = fit(starts[int(np.argmin(values))], paths, search.shooting, search.current.fit.scale)
+    return trial_of(found, search.shooting, (), None)
+
+
+def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Each accepted effect gives way to a rival that predicts unseen blocks better beside the others."""
+    by_name = {item.name: item for item in library}
+    if len(search.added) < 2:
+        return
+    for name in list(search.added):
+        others = [by_name[other] for other in search.added if other != name]
+        rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_EXCHANGED]
+        best = min((_refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
+        if best is None or best.loss >= search.current.loss:
+            continue
+        if block_gain(search.current, best, search.shooting) > SIMPLER:
+            new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
+            _replace(search, name, new, best, heldout)
+
+
+def _replace(search: Search, name: str, new: str, best: Trial, heldout: Heldout) -> None:
+    search.added[search.added.index(name)] = new
+    search.current = best
+    search.error = error_with(best.fit, search.shooting, heldout)
+    gone = [item for item in search.candidates if item.decision == "accepted" and name in item.trial.effects]
+    for item in gone:
+        index = search.candidates.index(item)
+        search.candidates[index] = with_reason(item, "rejected", f"gave way to {new} once the others were known")
+        again = Trial((new,), best.fit, best.heldout, best.explained, best.loss)
+        search.candidates.insert(
+            index, Judged(item.stage, again, item.gain, search.error, "accepted", f"took the place of {name}", ())
+        )
+
+
+def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Accepted effects, and groups of effects with numbers that go together, without which unseen blocks are predicted
+    as well are taken out again: the least needed first, until all are needed."""
+    by_name = {item.name: item for item in library}
+    while len(search.added) > 1:
+        without = {}
+        for group in _groups(search):
+            less = _refit(search, [by_name[name] for name in search.added if name not in group])
+            without[group] = less, block_gain(less, search.current, search.shooting)
+        group = min(without, key=lambda names: without[names][1])
+        less, gain = without[group]
+        if gain >= SIMPLER:
+            return
+        search.added = [name for name in search.added if name not in group]
+        search.current, search.error = less, error_with(less.fit, search.shooting, heldout)
+        _take_back(search, group)
+
+
+def _groups(search: Search) -> list[tuple[str, ...]]:
+    """Each accepted effect by itself, and pairs whose fitted numbers are correlated, but never all of them."""
+    singles = [(name,) for name in search.added]
+    fitted = search.current.fit
+    covariance = inverse_of(np.einsum("wip,wiq->pq", fitted.columns, fitted.columns))
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    owner = np.array([path.split(".")[0] for path in fitted.paths])
+    found = []
+    for one, other in combinations(search.added, 2):
+        part = (covariance / np.outer(size, size))[np.ix_(owner == one, owner == other)]
+        if len(search.added) > 2 and np.abs(part).max(initial=0.0) > _TOGETHER:
+            found.append((one, other))
+    return [*singles, *found]
+
+
+def _take_back(search: Search, group: Sequence[str]) -> None:
+    for index, item in enumerate(search.candidates):
+        gone = set(group) & set(item.trial.effects)
+        if item.decision == "accepted" and gone:
+            decision = "rejected" if gone == set(item.trial.effects) else "accepted"
+            reason = f"{' and '.join(sorted(gone))} no longer needed beside the others"
+            search.candidates[index] = with_reason(item, decision, reason)
