@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ __all__ = ["command", "loaded_runs", "story_lines", "value_text"]
 
 BAR = 40
 """Characters of the longest bar."""
+COVERAGE = 0.99
+"""Share of steps that the margin beside the diagnosed model covers."""
 FINDINGS = 6
 """Findings about the data that are printed; all stand in the report."""
 
@@ -33,7 +36,7 @@ FINDINGS = 6
     type=click.Path(path_type=Path),
     default=Path(),
     metavar="DIR",
-    help="Folder for report.json, report.html, diagnosis.rrd and model.toml; by default the current one.",
+    help="Folder for report.json, report.html, diagnosis.rrd, model.toml and margin.toml; by default the current one.",
 )
 @click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
 @click.option("--json", "as_json", is_flag=True, help="Print report.json and nothing else.")
@@ -66,10 +69,36 @@ def command(
         report = diagnose(loaded, recorded, horizon, tell)
     document = as_document(report)
     _write(document, report, recorded, out, Path(model).stem)
+    margin = _margin(report, recorded, out)
     if as_json:
         click.echo(json.dumps(document, allow_nan=False))
     else:
-        _show(report, out)
+        _show(report, out, margin)
+
+
+def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
+    """Calibrates the filter's margin for the diagnosed model and writes it beside it; None where there is none to tell.
+
+    Only for cars that the filter can drive, and only when the data allowed a verdict.
+    """
+    from safedpa.dynamics import LearnedBase
+    from safedpa.errors import InputError
+    from safedpa.safety.run_calibration import calibration_from_runs
+    from safedpa.safety.shipped import settings_named
+
+    path, model = out / "margin.toml", report.models[-1]
+    path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
+    judged = report.verdict != "unexplained" or (report.unexplained is not None and report.unexplained.depends_on)
+    if not judged or isinstance(model.base, LearnedBase) or model.system.action_names != ("target_speed", "steer"):
+        return None
+    try:
+        calibration = calibration_from_runs(
+            model, settings_named("car"), runs, COVERAGE, datetime.date.today().isoformat()
+        )
+    except InputError:  # too few transitions at the model's period: the filter's settings stand in for it
+        return None
+    calibration.save(path)
+    return path
 
 
 def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
@@ -84,20 +113,22 @@ def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) 
 def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:
     from safedpa.diagnosis.report_page import write_report
     from safedpa.diagnosis.report_recording import write_recording
-    from safedpa.dynamics import write_model
+    from safedpa.dynamics import LearnedBase, save_model, write_model
     from safedpa.records.atomic import atomic_path
 
-    for name, text in (
-        ("report.json", json.dumps(document, allow_nan=False, indent=1) + "\n"),
-        ("model.toml", write_model(report.models[-1])),
-    ):
+    texts = {"report.json": json.dumps(document, allow_nan=False, indent=1) + "\n"}
+    if isinstance(report.models[-1].base, LearnedBase):
+        save_model(report.models[-1], out / "model.toml")  # with its weights beside it
+    else:
+        texts["model.toml"] = write_model(report.models[-1])
+    for name, text in texts.items():
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     write_report(document, runs, report.models, out, title)
     write_recording(document, runs, report.models, out)
 
 
-def _show(report: Report, out: Path) -> None:
+def _show(report: Report, out: Path, margin: Path | None) -> None:
     from rich.console import Console
 
     console = Console(highlight=False, soft_wrap=True)
@@ -105,6 +136,8 @@ def _show(report: Report, out: Path) -> None:
     for line, style in story_lines(report):
         console.print(line, style=style, markup=False)
     console.print(f"Report: {out / 'report.html'}  model: {out / 'model.toml'}", markup=False)
+    if margin is not None:
+        console.print(f"Drive with it: safedpa up --model {out / 'model.toml'} --margin {margin}", markup=False)
 
 
 def story_lines(report: Report) -> list[tuple[str, str]]:

@@ -127,6 +127,7 @@ def _pairs(comparison: Comparison) -> list[tuple[str, str]]:
         for item in comparison.factors
         if item.kind in ("state", "action") and (item.variable not in angles or item.explained > _SOME)
     ]
+    names = [name for name in names if np.ptp(_values(comparison, name)) > 1e-9]
     pairs = []
     for i, later in enumerate(names):
         for earlier in names[:i]:

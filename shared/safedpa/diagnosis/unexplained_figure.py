@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.diagnosis.figures import COLOURS
+from safedpa.diagnosis.figures import COLOURS, LEGEND
 from safedpa.diagnosis.panels import Panels, rounded
 from safedpa.diagnosis.where import PLACE
 
@@ -25,7 +25,7 @@ def unexplained_figure(unexplained: Mapping[str, Any] | None) -> dict[str, Any] 
         _map(panels, unexplained["map"])
     if unexplained.get("profile"):
         _profile(panels, unexplained["profile"])
-    return panels.figure("unexplained", margin={"l": 62, "r": 24, "t": 40, "b": 52})
+    return panels.figure("unexplained", legend=LEGEND, margin={"l": 62, "r": 24, "t": 76, "b": 52})
 
 
 def _map(panels: Panels, table: Mapping[str, Any]) -> None:
@@ -33,16 +33,16 @@ def _map(panels: Panels, table: Mapping[str, Any]) -> None:
     middles = [_middles(table[f"{side}_edges"]) for side in ("across", "up")]
     means = np.array([[np.nan if value is None else value for value in row] for row in table["means"]], dtype=float)
     most = float(np.nanmax(np.abs(means), initial=0.0)) or 1.0
-    title = f"mean remaining d({table['state']})/dt"
+    title = f"d({table['state']})/dt over {table['across']} and {table['up']}"
     x_title, y_title = (f"{table[side]} [{table[f'{side}_unit']}]" for side in ("across", "up"))
-    at = panels.add(f"{title} over {table['across']} and {table['up']}", x_title, y_title)
+    at = panels.place(title, x_title, y_title, (0.0, 0.40 if panels.columns == 2 else 0.85), (0.0, 1.0))
     text = [[f"{count} windows" for count in row] for row in table["windows"]]
     z = [rounded(row) for row in means]
     panels.heat(at, rounded(middles[0]), rounded(middles[1]), z, text, table["rate_unit"])
     hover = f"{table['across']} %{{x:.3g}}, {table['up']} %{{y:.3g}}<br>%{{z:.3g}} {table['rate_unit']}<br>%{{text}}"
     scale = [[0.0, "#0072B2"], [0.5, "#F7F7F7"], [1.0, "#D55E00"]]
     bar = {"title": {"text": table["rate_unit"], "side": "top"}, "thickness": 14, "outlinewidth": 0}
-    bar |= {"x": 0.462, "len": 0.9} if panels.columns == 2 else {}
+    bar |= {"x": 0.41, "len": 0.9} if panels.columns == 2 else {}
     panels.data[-1].update(
         zmin=-most,
         zmax=most,
@@ -58,7 +58,8 @@ def _map(panels: Panels, table: Mapping[str, Any]) -> None:
 
 def _profile(panels: Panels, table: Mapping[str, Any]) -> None:
     x_title, y_title = f"{table['variable']} [{table['unit']}]", f"d({table['state']})/dt [{table['rate_unit']}]"
-    at = panels.add(f"over {table['variable']}", x_title, y_title)
+    left = 0.58 if panels.columns == 2 else 0.0
+    at = panels.place(f"to first order, over {table['variable']}", x_title, y_title, (left, 1.0), (0.0, 1.0))
     x = [float(value) for value in table["knots"]]
     bars = {"type": "data", "array": rounded(table["errors"]), "color": COLOURS["measured"], "thickness": 1.2}
     panels.draw(

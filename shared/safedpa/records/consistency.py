@@ -17,6 +17,16 @@ _WINDOW = 0.2
 """s over which slopes are taken; long enough for noise, short against a robot's motion."""
 _FEWEST_ROWS = 30
 _SCALE_TOLERANCE = 0.2
+_FEWEST_STEERED = 100
+"""Rows from which the steering is judged."""
+_STEERED = 0.03
+"""rad or rad/s of standard deviation without which nothing can be told."""
+_LATEST = 0.5
+"""s by which the heading may follow the steering."""
+_TURNS = 0.5
+"""Correlation from which the heading certainly depends on the steering."""
+_UNRELATED = 0.2
+"""Correlation below which it certainly does not."""
 _MISTAKES = (
     (1.0 / 3.6, "km/h"),
     (3.6, "t or speed scaled the other way (m/s divided by 3.6)"),
@@ -38,7 +48,8 @@ def consistency_findings(rows: Rows, stretches: list[Stretch], system: System, m
     """What does not fit together; nothing is cut for it."""
     names = system.state_names
     if {"x", "y", "yaw", "speed"} <= set(names):
-        return _car(rows, stretches, names, measured[names.index("speed")])
+        found = _car(rows, stretches, names, measured[names.index("speed")])
+        return found + (_steering(rows, stretches, system) if not found else [])
     if {"angle", "rate"} <= set(names):
         angle, rate = (rows.states[:, names.index(name)] for name in ("angle", "rate"))
         moved = _slopes(rows.t, angle, stretches)
@@ -60,6 +71,40 @@ def _upright(angle: Vector, rate: Vector, acceleration: Vector, actions: Vector)
         return []
     text = f"gravity pulls towards angle 0 (acceleration = {solution[0]:.3g} sin(angle) + ...): 0 must be upright"
     return [finding("angle_zero", f"{text}; offset the angle by half a turn in a column map")]
+
+
+def _steering(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
+    """Does the heading turn as it is steered? Correlation of d(yaw)/dt with speed tan(steer) up to half a second later.
+
+    Lags, delays and offsets leave it well above 0.5; the other sign, another column or shuffled rows do not.
+    """
+    if "steer" not in system.action_names:
+        return []
+    speed, yaw = (rows.states[:, system.state_names.index(name)] for name in ("speed", "yaw"))
+    steer = rows.actions[:, system.action_names.index("steer")]
+    turning, asked = _slopes(rows.t, yaw, stretches), speed * np.tan(np.clip(steer, -1.5, 1.5))
+    good = np.isfinite(turning) & np.isfinite(asked)
+    moved = [float(np.std(values[good])) if good.any() else 0.0 for values in (steer, asked, turning)]
+    if int(good.sum()) < _FEWEST_STEERED or min(moved) < _STEERED:
+        return []
+    period = float(np.median(np.diff(rows.t[good])))
+    shifts = range(0, max(1, round(_LATEST / max(period, 1e-6))) + 1, max(1, round(0.05 / max(period, 1e-6))))
+    found = [_correlation(asked[: len(asked) - shift], turning[shift:]) for shift in shifts]
+    best = max(found, key=abs)
+    if best < -_TURNS:
+        text = f"the heading turns against steer (correlation {best:.2f}); flip steer or yaw in a column map"
+        return [finding("opposite_sign", text)]
+    if abs(best) < _UNRELATED:
+        text = f"the heading does not turn as it is steered (correlation {best:.2f}, up to {_LATEST:g} s later)"
+        return [finding("steer_inconsistent", f"{text}; check the column steer and that the rows belong together")]
+    return []
+
+
+def _correlation(one: Vector, other: Vector) -> float:
+    good = np.isfinite(one) & np.isfinite(other)
+    if int(good.sum()) < _FEWEST_ROWS or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
+        return 0.0
+    return float(np.corrcoef(one[good], other[good])[0, 1])
 
 
 def _slopes(t: Vector, values: Vector, stretches: list[Stretch]) -> Vector:
