@@ -43,7 +43,7 @@ __all__ = ["PARTS", "CarExperiment", "car_experiment"]
 PARTS = ("table", "errors", "latent")
 """What can be asked for by itself."""
 
-_PREDICTORS = ("car_learned", "car_simulated", "fix", "mix", "car")
+_PREDICTORS = ("car_learned", "car_simulated", "car_fix", "car_mix", "car")
 """Models whose predictions are measured, where they exist."""
 
 Values = NDArray[np.float64]

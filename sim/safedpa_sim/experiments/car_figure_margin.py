@@ -22,9 +22,10 @@ def margin_figure(result: dict[str, Any], path: Path) -> None:
     with figure(path, 3.7) as drawn:
         left, right = drawn.subplots(1, 2)
         width = 0.84 / len(models)
+        tallest = max(row["theorem"]["epsilon"] for rows in models.values() for row in rows.values())
         for place, (name, rows) in enumerate(models.items()):
             offset = (place - (len(models) - 1) / 2) * width
-            _bars(left, name, rows, offset, width)
+            _bars(left, name, rows, (offset, width), 0.2 * tallest)
             _coverage(right, name, rows, offset)
         for axes in (left, right):
             axes.set_xticks(range(len(_KINDS)), list(_KINDS.values()))
@@ -40,17 +41,18 @@ def margin_figure(result: dict[str, Any], path: Path) -> None:
         heading(drawn, "The margin of every filter, and its coverage")
 
 
-def _bars(axes: Axes, name: str, rows: dict[str, Any], offset: float, width: float) -> None:
+def _bars(axes: Axes, name: str, rows: dict[str, Any], where: tuple[float, float], room: float) -> None:
+    """Bars at an offset, so wide; a number takes ``room`` within a frame, else it is left to the table."""
+    offset, width = where
     colour = MODELS[name][0]
     at = [index + offset for index, kind in enumerate(_KINDS) if kind in rows]
     found = [rows[kind] for kind in _KINDS if kind in rows]
     bounds, values = ([row[margin]["epsilon"] for row in found] for margin in ("theorem", "conformal"))
     axes.bar(at, bounds, width=0.86 * width, color="white", edgecolor=colour, linewidth=1.2)
     axes.bar(at, values, width=0.86 * width, color=colour, label=MODEL_TITLES[name])
-    top = max(bounds)
     for place, bound, value in zip(at, bounds, values, strict=True):
         _number(axes, place, max(bound, value))
-        if bound - value > 0.2 * top:  # room for it within the frame
+        if bound - value > room:
             _number(axes, place, value)
 
 

@@ -53,9 +53,9 @@ METHODS: dict[str, Method] = {
             meaning="the same as trained in the simulator",
         ),
         Method("rma", "RMA", "car_simulated", None, meaning="policy and history encoder, no filter"),
-        Method("rma_p", "RMA-P", "rma_p", None, meaning="policy trained with a penalty on contact, no filter"),
-        Method("fix", "Fix", "car_learned", "fix", meaning="filter with f, g of one fixed environment"),
-        Method("mix", "Mix", "car_learned", "mix", meaning="filter with f, g of all environments, without z"),
+        Method("rma_p", "RMA-P", "car_rma_p", None, meaning="policy trained with a penalty on contact, no filter"),
+        Method("fix", "Fix", "car_learned", "car_fix", meaning="filter with f, g of one fixed environment"),
+        Method("mix", "Mix", "car_learned", "car_mix", meaning="filter with f, g of all environments, without z"),
         Method(
             "policy", "Policy alone", "car_simulated", None, adaptive=False, meaning="neither adaptation nor filter"
         ),

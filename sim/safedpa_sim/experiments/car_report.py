@@ -14,8 +14,8 @@ __all__ = ["MODEL_TITLES", "markdown_of", "write_report"]
 MODEL_TITLES = {
     "car_learned": "tuned",
     "car_simulated": "untuned",
-    "fix": "Fix",
-    "mix": "Mix",
+    "car_fix": "Fix",
+    "car_mix": "Mix",
     "car": "physics model",
 }
 """Models whose predictions are measured, in words."""

@@ -37,8 +37,8 @@ METHOD_COLOURS = {
 MODELS = {
     "car_learned": (BLUE, "-", "o"),
     "car_simulated": (SKY, (0, (5, 1.5)), "s"),
-    "fix": (GREEN, (0, (1, 1)), "^"),
-    "mix": (PURPLE, (0, (4, 1, 1, 1)), "v"),
+    "car_fix": (GREEN, (0, (1, 1)), "^"),
+    "car_mix": (PURPLE, (0, (4, 1, 1, 1)), "v"),
     "car": (ORANGE, (0, (8, 2)), "D"),
 }
 """Colour, line and marker of each model's predictions: told apart without colour as well."""
