@@ -177,9 +177,9 @@ _STAGES: Final = {
     "2": (_Stage("2", _TO_HISTORY, _SIMULATED, _SIMULATED, ("phi",), _later("phase_2", "train_history_encoder")),),
     "3": (_Stage("3", (*_TO_HISTORY, "phase_3"), _SIMULATED, _LEARNED, ("phi",), _later("phase_3", "tune")),),
     "ablations": (
-        _Stage("fix", ("phase_1a", "ablations"), "", "fix", ("f", "g"), _affine("fix")),
-        _Stage("mix", ("phase_1a", "ablations"), "", "mix", ("f", "g"), _affine("mix")),
-        _Stage("rma_p", (*_TO_HISTORY, "ablations"), _SIMULATED, "rma_p", ("policy", "phi"), _penalised),
+        _Stage("fix", ("phase_1a", "ablations"), "", "{robot}_fix", ("f", "g"), _affine("fix")),
+        _Stage("mix", ("phase_1a", "ablations"), "", "{robot}_mix", ("f", "g"), _affine("mix")),
+        _Stage("rma_p", (*_TO_HISTORY, "ablations"), _SIMULATED, "{robot}_rma_p", ("policy", "phi"), _penalised),
     ),
 }
 _BEFORE: Final = {"2": ("policy",), "3": ("policy", "phi"), "rma_p": ("policy", "phi")}
