@@ -99,7 +99,7 @@ def _addition(
     for name in best.effects:
         singles = [trial.effects[0] for trial in stage.trials if len(trial.effects) == 1]
         search.rivals[name] = [other for other in singles if other not in best.effects][:12]
-    _accept(search, best, stage.errors[best.effects])
+    _accept(search, best, heldout)
     return True
 
 
@@ -126,11 +126,13 @@ def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool]:
     return best, False
 
 
-def _accept(search: Search, best: Trial, error: HeldoutError) -> None:
+def _accept(search: Search, best: Trial, heldout: Heldout) -> None:
+    """Adds the best trial and fits it to the end: the next stage's trials begin there, so its error counts for them."""
     search.added += [name for name in best.effects if name not in search.added]
     shooting = search.shooting.around(best.fit.model)
     again = fit(best.fit.model, best.fit.paths, shooting, best.fit.scale)
-    search.shooting, search.current, search.error = shooting, trial_of(again, shooting, (), None), error
+    search.shooting, search.current = shooting, trial_of(again, shooting, (), None)
+    search.error = error_with(again, shooting, heldout)
 
 
 def _place_instead(null: Trial, best: Trial, shooting: Shooting) -> Patch | None:
