@@ -16,7 +16,7 @@ run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends
 	@$(BIN)/safedpa up --robot car --load chair --seed 4
 
 test: environment  ## runs all tests
-	@$(BIN)/pytest
+	@$(BIN)/pytest --numprocesses 2 --dist loadfile
 
 lint: environment  ## ruff: rules and format
 	@$(BIN)/ruff check .

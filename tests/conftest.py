@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from safedpa.dynamics import bases
 from safedpa.effects import library
 from safedpa.networks import Description, EnvironmentEntry, Weights
+from safedpa.systems import registry
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -48,11 +50,13 @@ def free_port() -> int:
 
 @pytest.fixture(autouse=True)
 def _effects_of_one_test_alone() -> Iterator[None]:
-    """Effects that a test loads from a file of its own are gone after it."""
-    before = dict(library._own)
+    """Robots, bases and effects that a test loads from a file of its own are gone after it."""
+    tables: tuple[dict[Any, Any], ...] = (library._own, registry._own, bases._own)
+    before = [dict(table) for table in tables]
     yield
-    library._own.clear()
-    library._own.update(before)
+    for table, kept in zip(tables, before, strict=True):
+        table.clear()
+        table.update(kept)
 
 
 @pytest.fixture(scope="session")

@@ -87,7 +87,7 @@ def test_compare_prints_one_document(files, tmp_path, capsys):
     } == set(document)  # fmt: skip
     assert document["robot"] == "car"
     assert document["horizon"] == 0.8
-    assert document["parameters"] == {"base.wheelbase": 0.3, "base.drive_gain": 3.0}
+    assert document["parameters"] == {"base.wheelbase": 0.3, "base.drive_gain": 3.0, "base.tracked_point": 0.0}
     assert document["per_state"].keys() == {"x", "y", "yaw", "speed"}
     assert document["error"] == pytest.approx(np.mean(list(document["per_state"].values())))
     assert document["naive"].keys() == {"no_change", "constant_velocity"}

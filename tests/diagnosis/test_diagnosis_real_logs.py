@@ -15,7 +15,8 @@ def test_coulomb_friction_takes_almost_half_of_the_error_off_the_pendulum(data):
     runs = with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
     found = add_effect(model, "coulomb_friction", runs, 0.4)
     assert found.after.value < 0.56 * found.before.value
-    assert found.values["coulomb_friction.torque"].std < 0.05
+    friction = found.values["coulomb_friction.torque"]
+    assert friction.value > 2.0 * friction.std  # two ways of fitting differ by 0.07 N m, which the deviation tells
 
 
 def test_friction_of_the_car_takes_error_off_logs_that_it_was_not_fitted_to(data):

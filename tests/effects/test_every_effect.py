@@ -25,7 +25,11 @@ BASES: dict[str, tuple[AbstractBase, dict[str, float]]] = {
     "thrust": (PointMass(), {"mass": 0.5}),
 }
 PERIODS = {"target_speed": 0.05, "throttle": 0.05, "torque": 0.01, "thrust": 0.02}
-STATE_SCALE = {"car": np.array([5.0, 5.0, 3.0, 4.0]), "pendulum": np.array([4.0, 8.0]), "point": np.array([5.0, 5.0, 3.0, 2.0, 2.0])}
+STATE_SCALE = {
+    "car": np.array([5.0, 5.0, 3.0, 4.0]),
+    "pendulum": np.array([4.0, 8.0]),
+    "point": np.array([5.0, 5.0, 3.0, 2.0, 2.0]),
+}
 ACTION_SCALE = {"target_speed": np.array([4.0, 0.5]), "throttle": np.array([1.0, 0.5]), "torque": np.array([5.0])}
 ACTION_SCALE["thrust"] = np.array([2.0, 3.0])
 MIRROR_STATE = {"car": np.array([1.0, -1.0, -1.0, 1.0]), "pendulum": np.array([-1.0, -1.0])}

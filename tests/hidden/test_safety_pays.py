@@ -14,7 +14,7 @@ def test_the_diagnosed_model_needs_less_margin(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "steering_offset")])
     out = tmp_path / "found.json"
     arguments = ["--hidden", "steering_offset", "--seeds", "1", "--seconds", "2", "--drives", "2"]
-    arguments += ["--drive-seconds", "12", "--processes", "1", "--out", str(out), "--json"]
+    arguments += ["--drive-seconds", "20", "--processes", "1", "--out", str(out), "--json"]
     assert safedpa.run(["experiment", "safety-pays", *arguments]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result == json.loads(out.read_text(encoding="utf-8"))

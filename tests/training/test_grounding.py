@@ -17,7 +17,8 @@ def test_the_mended_simulator_predicts_the_real_car() -> None:
     grounded = ground_simulator(configuration, record_circles(900, seed=3, run_pairs=300))
     errors = grounded.summary()["heldout_error"]
     assert errors[-1] < 0.35 * errors[0]
-    assert {"steering_lag", "steering_delay", "actuator_delay"} & set(grounded.report.added)  # late steering in some form
+    late_steering = {"steering_lag", "steering_delay", "actuator_delay"}
+    assert late_steering & set(grounded.report.added)
     assert "towed_load" not in grounded.report.added
     assert not grounded.model.latent_names  # every parameter is fixed: training draws its own
     cars = BatchedCars(grounded_configuration(configuration, grounded))
