@@ -142,7 +142,7 @@ def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypa
     again = run_pipeline(configuration, tmp_path)
     assert calls == ["policy mu phi penalty"], "RMA-P alone is new, and does not see the other policy"
     assert [name for name, record in again.items() if "skipped" not in record] == ["fix", "mix", "rma_p"]
-    assert load_weights(tmp_path / "rma_p.safetensors").has("policy")
+    assert load_weights(tmp_path / "car_rma_p.safetensors").has("policy")
     assert load_weights(tmp_path / "car_learned.safetensors").has("phi")
     # phi is to look back further: what came before it stays
     calls.clear()

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -129,7 +129,8 @@ def _tell(records: dict[str, Any], out: Path) -> None:
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("phase", "seconds", "loss", "explained"):
-        table.add_column(name, justify="right" if name in ("seconds", "loss") else "left", no_wrap=True)
+        justify: Literal["left", "right"] = "right" if name in ("seconds", "loss") else "left"
+        table.add_column(name, justify=justify, no_wrap=name != "explained")
     for phase, record in records.items():
         seconds = "there" if record.get("skipped") else f"{record['seconds']:.1f}"
         table.add_row(phase, seconds, _loss(record), _explained(record))
