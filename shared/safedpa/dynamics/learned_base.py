@@ -109,7 +109,7 @@ def _latent_parameters(weights: Weights) -> tuple[Parameter, ...]:
             "1",
             low[index],
             high[index],
-            max(0.25 * (high[index] - low[index]), 1e-6),
+            min(max(0.25 * (high[index] - low[index]), 1e-6), high[index]) if high[index] > 0.0 else high[index],
             neutral=min(max(nominal[index], low[index]), high[index]),
             meaning="learned: what the environment does to the motion",
         )
