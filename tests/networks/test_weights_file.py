@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa.networks import Weights, load_weights, save_weights
+from safedpa.networks import Description, Weights, load_weights, save_weights
 
 
 def test_what_is_written_is_read(random_car_weights, tmp_path):
@@ -74,3 +75,24 @@ def test_files_that_are_no_weights_are_refused(random_car_weights, tmp_path):
     ):
         with pytest.raises(InputError, match=message):
             load_weights(tmp_path / f"{name}.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("latents", "4", "description.latents: got '4'"),
+        ("history", -1, "description.history: got -1"),
+        ("period", float("nan"), "description.period: got nan"),
+        ("states", 3, "description: "),
+    ],
+)
+def test_a_description_with_wrong_numbers_is_refused(random_car_weights, key, value, message):
+    table = json.loads(random_car_weights(0).description.to_json())
+    with pytest.raises(InputError, match=message):
+        Description.from_json(json.dumps({**table, key: value}))
+
+
+def test_an_empty_file_is_refused(tmp_path):
+    (tmp_path / "empty.safetensors").touch()
+    with pytest.raises(InputError, match=r"empty\.safetensors"):
+        load_weights(tmp_path / "empty.safetensors")

@@ -49,12 +49,22 @@ def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool,
     configuration = _configuration(robot, options)
     with _progress() as tell:
         result = _result(configuration, runs, out, options, tell)
+    for warning in _warnings(result):
+        click.echo(f"warning: {warning}", err=True)
     if as_json:
         click.echo(json.dumps(result))
     elif not options["tune"]:
         _tell(result, out)
     else:
-        click.echo(f"{out}: tuned on {len(runs)} runs")
+        times = ", ".join(f"{name} {value:.1f} times" for name, value in result.get("times_better", {}).items())
+        click.echo(f"{out}: tuned on {len(runs)} runs; held-out error lower: {times}")
+
+
+def _warnings(result: dict[str, Any]) -> list[str]:
+    """What a phase could not do although it ended well: of a tuning, or of any phase of a pipeline."""
+    records = [result, *(record for record in result.values() if isinstance(record, dict))]
+    mended = [record["mended_simulator"] for record in records if isinstance(record.get("mended_simulator"), dict)]
+    return [item["warning"] for item in mended if "warning" in item]
 
 
 def _check(runs: tuple[Path, ...], options: dict[str, Any]) -> None:

@@ -27,7 +27,9 @@ LIKELY = 1.5
 CERTAIN = 9.0
 """Standard deviations by which the filter along whole recordings has to put a number away from doing nothing: it knows
 lasting disturbances, so it sees what grows over a run, where blocks are too unlike each other to agree. In hard logs
-it puts a dead zone that is not there at 6, a sagging battery that is there at 13."""
+it puts a sagging battery that is there at 13."""
+CORNERED = frozenset({"drive_dead_zone", "steering_saturation", "steering_asymmetry", "backlash"})
+"""Effects with a corner: the filter linearises and states too small a deviation for them, so it cannot confirm them."""
 SAME = 1.0
 """Standard errors within which two candidates cannot be told apart."""
 SIMPLER = 2.0
@@ -66,8 +68,10 @@ def confirmed(trial: Trial, stage: Stage, search: Search) -> bool:
     """Whether a trial that unseen blocks find likely is certain by the filter along whole recordings.
 
     Every parameter that has a value at which it does nothing is CERTAIN standard deviations from there, one parameter
-    at least.
+    at least. Effects with a corner need unseen blocks.
     """
+    if not CORNERED.isdisjoint(trial.effects):
+        return False
     gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
     if error is None or not gain > LIKELY or not error.value < (1.0 - FALL) * search.error.value:
         return False

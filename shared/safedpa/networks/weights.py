@@ -67,9 +67,11 @@ class Description:
         try:
             entries = tuple(EnvironmentEntry(**entry) for entry in table.pop("environment", ()))
             states, actions = (tuple(table.pop(name)) for name in ("states", "actions"))
-            return Description(**table, states=states, actions=actions, environment=entries)
+            found = Description(**table, states=states, actions=actions, environment=entries)
         except (KeyError, TypeError) as error:
             raise InputError(f"description: {error}; wanted the keys {', '.join(known)}") from error
+        _check_numbers(found)
+        return found
 
 
 @final
@@ -166,6 +168,16 @@ class Weights:
                 f"weights: '{name}' has shape {shape}, wanted {text} for robot '{self.description.robot}' with "
                 f"{self.description.latents} latents; do the weights belong to this model?"
             )
+
+
+def _check_numbers(described: Description) -> None:
+    """Raises InputError when a number of a description is none: a foreign file must not fail in a service."""
+    for name in ("latents", "history"):
+        value = getattr(described, name)
+        if type(value) is not int or value < 0:
+            raise InputError(f"description.{name}: got {value!r}, wanted a whole number, 0 or more")
+    if type(described.period) is not float or not 0.0 < described.period < 1e3:
+        raise InputError(f"description.period: got {described.period!r}, wanted a positive number of seconds")
 
 
 def save_weights(weights: Weights, path: str | Path) -> None:

@@ -188,7 +188,7 @@ class _Tuning:
         try:
             grounded = ground_simulator(self.configuration, self._runs(), tell)
         except InputError as error:
-            return {"none": str(error)}
+            return {"none": str(error), "warning": f"loads may be forgotten: the simulator was not mended ({error})"}
         cars = BatchedCars(grounded_configuration(self.configuration, grounded), self.generator.device)
         self.simulated, judge = (
             random_drives(cars, self.networks, count, phase.steps, _CHANGE, self.generator, swinging=True)
