@@ -41,7 +41,7 @@ PENDULUM: dict[str, dict[str, str]] = {
     "torque_gain": {"gain": "1"},
     "torque_lag": {"time_constant": "s"},
     "torque_delay": {"seconds": "s"},
-    "wind": {"speed": "m/s", "drag": "N s2/m2"},
+    "wind": {"speed": "m/s", "drag": "N s2/m2", "upward": "m/s"},
     "angle_offset": {"offset": "rad"},
     "backlash": {"width": "N m"},
     "spring": {"stiffness": "N m/rad", "rest_angle": "rad"},

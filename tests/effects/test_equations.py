@@ -127,7 +127,7 @@ def test_energy_never_grows_under_friction(name: str, angle: float, rate: float,
     item = effect("pendulum", name)
     values = {p.name: share * p.high for p in item.parameters}
     if name == "wind":
-        values["speed"] = 0.0  # still air only brakes
+        values["speed"] = values["upward"] = 0.0  # still air only brakes
     model = added(pendulum(), name, **values)
     state, torque = np.array([angle, rate]), np.zeros(1)
     before = energy(state)
@@ -239,6 +239,14 @@ def test_wind_pushes_as_much_as_its_source_says() -> None:
     model = PhysicsModel(model.base, model.effects, model.settings, 1e-4)
     rate = model.step(np.zeros(2), np.zeros(1))[1]
     assert rate / 1e-4 * 1.0 * 0.25 == pytest.approx(0.5 * 0.5 * 16.0, rel=1e-3)  # length C_d w^2 = 4.0 N m
+
+
+def test_wind_of_any_direction_pushes_across_the_rod() -> None:
+    for angle in (0.3, 2.0, 4.0):
+        model = added(pendulum(gravity=0.0, mass=1.0), "wind", speed=0.0, upward=4.0, drag=0.5)
+        model = PhysicsModel(model.base, model.effects, model.settings, 1e-4)
+        rate = model.step(np.array([angle, 0.0]), np.zeros(1))[1]
+        assert rate / 1e-4 * 0.25 == pytest.approx(-0.5 * 0.5 * 16.0 * math.sin(angle), rel=1e-3)
 
 
 def test_backlash_is_a_loop() -> None:

@@ -17,8 +17,8 @@ _CALM = 1e-12
 class Wind(RateEffect):
     """torque = length (cos(angle) F_x + sin(angle) F_y), F = drag |R| R, R = wind - velocity of the tip.
 
-    The wind is horizontal; x points to where positive angles lean, y down, so the tip moves with length rate
-    (cos(angle), sin(angle)).
+    x points to where positive angles lean, y down, so the tip moves with length rate (cos(angle), sin(angle)), and the
+    wind is (speed, -upward).
 
     The original's further term, a friction in proportion to the rate, is viscous_friction here.
     """
@@ -32,6 +32,7 @@ class Wind(RateEffect):
     parameters = (
         Parameter("speed", "m/s", -15.0, 15.0, 3.0, neutral=None, meaning="towards positive angles"),
         Parameter("drag", "N s2/m2", 0.0, 2.0, 0.5),
+        Parameter("upward", "m/s", -15.0, 15.0, 0.0, neutral=None, meaning="against gravity"),
     )
     signature = "rate residual of one direction in space, largest at top and bottom, none when level"
     source = "Shi et al., Meta-Adaptive Nonlinear Control, NeurIPS 2021, inverted pendulum in wind"
@@ -41,7 +42,7 @@ class Wind(RateEffect):
         operations, base = context.operations, context.base
         cosine, sine = operations.cos(context.state["angle"]), operations.sin(context.state["angle"])
         tip = base["length"] * context.state["rate"]
-        across, down = parameters["speed"] - tip * cosine, -tip * sine
+        across, down = parameters["speed"] - tip * cosine, -parameters["upward"] - tip * sine
         size = operations.sqrt(across * across + down * down + _CALM)
         torque = base["length"] * parameters["drag"] * size * (cosine * across + sine * down)
         return {**rates, "rate": rates["rate"] + torque / (base["mass"] * base["length"] * base["length"])}
