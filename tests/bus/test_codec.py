@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from safedpa.bus import TOPICS, Message, decode, encode
-from safedpa.bus.codec import LARGEST_MESSAGE_BYTES, LARGEST_NUMBER
+from safedpa.bus import TOPICS, Answer, Message, Request, decode, encode
+from safedpa.bus.codec import LARGEST_BYTES, LARGEST_NUMBER
 from safedpa.errors import MessageError
 
 SAMPLES = Path(__file__).parent / "samples"
@@ -109,12 +109,28 @@ def test_a_missing_field_is_refused_unless_it_has_a_default(
         (msgpack.packb({1: 2}), "no msgpack"),
         (b"\x81\xa1\xff\x01", "no msgpack"),
         (b"\x91" * 5000, "no msgpack"),
-        (b"\0" * (LARGEST_MESSAGE_BYTES + 1), "wanted at most"),
     ],
 )
 def test_what_is_no_map_of_fields_is_refused(kind: type[Message], payload: bytes, reason: str) -> None:
     with pytest.raises(MessageError, match=reason):
         decode(kind, payload)
+
+
+@pytest.mark.parametrize("kind", LARGEST_BYTES)
+def test_what_is_too_large_is_refused_unread(kind: type[Message]) -> None:
+    with pytest.raises(MessageError, match=rf"{kind.__name__}: got \d+ bytes, wanted at most"):
+        decode(kind, b"\xc1" * (LARGEST_BYTES[kind] + 1))
+    with pytest.raises(MessageError, match="no msgpack"):
+        decode(kind, b"\xc1")
+
+
+def test_requests_and_answers_come_back_as_they_were_sent() -> None:
+    request = Request(do="accept", effect="towed_load", model="0123456789ab", finding=2, who="engineer")
+    answer = Answer(ok=True, sentence="change 3 is offered", change=3, fingerprint="0123456789ab", from_tick=7)
+    assert decode(Request, encode(request)) == request
+    assert decode(Answer, encode(answer)) == answer
+    with pytest.raises(MessageError, match=r"Request\.finding: got -1, wanted a whole number"):
+        decode(Request, msgpack.packb({"do": "accept", "finding": -1}))
 
 
 def test_fields_that_a_newer_program_added_are_ignored(samples: dict[str, Message]) -> None:

@@ -10,9 +10,20 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import STATE, AbstractTransport, Bus, MemoryBroker, MemoryTransport, Message, ZenohSettings
+from safedpa.bus import (
+    STATE,
+    AbstractTransport,
+    Answer,
+    Bus,
+    MemoryBroker,
+    MemoryTransport,
+    Message,
+    Request,
+    ZenohSettings,
+    request_key,
+)
 from safedpa.bus import ZenohTransport as Zenoh
-from safedpa.errors import BusError
+from safedpa.errors import BusError, InputError
 
 PATIENCE = 10.0
 
@@ -155,6 +166,36 @@ class TransportContract(ABC):
 
         Both(pair[0], "f").claim("r", "robot", "a", settle_seconds=PATIENCE)
         assert until(lambda: lower.instances("r", "robot") == ["a"])
+
+    def test_a_question_is_answered(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+        one, other = pair
+        assert one.ask("safedpa/f/r/request", b"anybody", PATIENCE) is None, "nobody answers, and that is known at once"
+        other.answer("safedpa/f/*/request", lambda key, payload: key.encode() + payload)
+        assert until(lambda: one.ask("safedpa/f/r/request", b"?", PATIENCE) == b"safedpa/f/r/request?")
+        assert one.ask("safedpa/f/r/state", b"?", 0.2) is None
+        other.close()
+        assert until(lambda: one.ask("safedpa/f/r/request", b"?", 0.2) is None)
+        one.close()
+        with pytest.raises(BusError, match="closed"):
+            one.ask("safedpa/f/r/request", b"?", 0.2)
+
+    def test_requests_are_answered_or_refused(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
+        asker, answerer = Bus(pair[0], "f"), Bus(pair[1], "f")
+
+        def answered(robot: str, request: Request) -> Answer:
+            if request.effect == "none":
+                raise InputError("effect 'none': no candidate of that name")
+            return Answer(ok=True, sentence=f"{request.do} {robot}", change=request.finding)
+
+        answerer.answer_requests(answered)
+        assert until(lambda: asker.request("r", Request(do="status"), 0.2) is not None)
+        accepted = asker.request("r", Request(do="accept", finding=7), PATIENCE)
+        assert accepted == Answer(ok=True, sentence="accept r", change=7)
+        refused = asker.request("r", Request(do="accept", effect="none"), PATIENCE)
+        assert refused == Answer(ok=False, sentence="refused: effect 'none': no candidate of that name")
+        malformed = pair[0].ask(request_key("f", "r"), b"\xc1", PATIENCE)
+        assert malformed is not None
+        assert b"Request: no msgpack" in malformed
 
     def test_messages_travel(
         self, pair: tuple[AbstractTransport, AbstractTransport], samples: dict[str, Message]

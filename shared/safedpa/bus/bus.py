@@ -11,6 +11,7 @@ from types import TracebackType
 
 from safedpa.bus.codec import decode, encode
 from safedpa.bus.messages import Message
+from safedpa.bus.requests import Answer, Request, request_key, robot_of_request
 from safedpa.bus.topics import Topic, key_of, topic_of
 from safedpa.bus.transport import AbstractTransport
 from safedpa.errors import BusError, InputError, MessageError
@@ -100,7 +101,7 @@ class Bus:
         self._transport = transport
 
     def publish(self, topic: Topic, robot: str, message: Message, service: str = "") -> None:
-        """Sends one message; ``service`` names the sender of a health message."""
+        """Sends one message; ``service`` names the sender where every service writes under its own name."""
         if type(message) is not topic.message:
             raise MessageError(f"{topic.name}: got {type(message).__name__}, wanted {topic.message.__name__}")
         key = key_of(self.fleet, robot, topic, service)
@@ -120,6 +121,28 @@ class Bus:
             accept = inbox.keep_all if keep_all or topic.delivery == "all" else inbox.keep_latest
             self._transport.subscribe(key_of(self.fleet, robot, topic, "*"), accept)
         return inbox
+
+    def request(self, robot: str, request: Request, timeout: float = 1.0) -> Answer | None:
+        """Asks the diagnosis about one robot; None when nobody answers within ``timeout`` [s].
+
+        Raises MessageError when the answer is none.
+        """
+        payload = self._transport.ask(request_key(self.fleet, robot), encode(request), timeout)
+        return None if payload is None else decode(Answer, payload)
+
+    def answer_requests(self, answer: Callable[[str, Request], Answer], robot: str = "*") -> None:
+        """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.
+
+        What is no request, and what ``answer`` refuses by InputError, is answered with the reason.
+        """
+
+        def on_question(key: str, payload: bytes) -> bytes:
+            try:
+                return encode(answer(robot_of_request(key), decode(Request, payload)))
+            except InputError as error:
+                return encode(Answer(ok=False, sentence=f"refused: {error}"))
+
+        self._transport.answer(request_key(self.fleet, robot), on_question)
 
     def announce(self, robot: str, service: str, instance: str) -> None:
         """Shows that ``service`` lives; for services of the whole fleet the robot is ``-``."""

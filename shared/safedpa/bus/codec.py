@@ -10,22 +10,27 @@ from typing import Any, TypeVar
 import msgpack
 
 from safedpa.bus.messages import Message
+from safedpa.bus.requests import Answer, Request
 from safedpa.bus.topics import TOPICS
 from safedpa.errors import MessageError
 
-__all__ = ["LARGEST_MESSAGE_BYTES", "LARGEST_NUMBER", "decode", "encode"]
+__all__ = ["LARGEST_BYTES", "LARGEST_NUMBER", "decode", "encode"]
 
-LARGEST_MESSAGE_BYTES = 65536
-"""A message is a few hundred bytes; anything beyond this is refused before it is parsed."""
+LARGEST_BYTES: dict[type[Any], int] = {
+    **{topic.message: topic.largest_bytes for topic in TOPICS.values()},
+    Request: 4096,
+    Answer: 8 * 1024 * 1024,  # two model files and their margins
+}
+"""What is larger is refused before it is parsed, by kind of message."""
 
 LARGEST_NUMBER = 1e12
 """No quantity of these robots comes near it, and with numbers below it no equation of a model overflows."""
 
-_M = TypeVar("_M", bound=Message)
+_M = TypeVar("_M", bound="Message | Request | Answer")
 _Check = Callable[[str, Any], Any]
 
 
-def encode(message: Message) -> bytes:
+def encode(message: Message | Request | Answer) -> bytes:
     """The message as a msgpack map from field names to values."""
     packed: bytes = msgpack.packb({name: getattr(message, name) for name in _NAMES[type(message)]})
     return packed
@@ -37,8 +42,8 @@ def decode(kind: type[_M], payload: bytes) -> _M:
     Raises MessageError naming the field when the payload is too large, no msgpack map, lacks a field, has one of the
     wrong type, or holds NaN, infinity or a number that nothing measures. Unknown fields are ignored.
     """
-    if len(payload) > LARGEST_MESSAGE_BYTES:
-        raise MessageError(f"{kind.__name__}: got {len(payload)} bytes, wanted at most {LARGEST_MESSAGE_BYTES}")
+    if len(payload) > LARGEST_BYTES[kind]:
+        raise MessageError(f"{kind.__name__}: got {len(payload)} bytes, wanted at most {LARGEST_BYTES[kind]}")
     try:
         table = msgpack.unpackb(payload, use_list=False, strict_map_key=True)
     except (ValueError, msgpack.exceptions.UnpackException, UnicodeDecodeError) as error:
@@ -124,18 +129,11 @@ _CHECKS: dict[str, _Check] = {
     "tuple[str, ...]": _tuple_of(_string),
 }
 
-_NAMES: dict[type[Message], tuple[str, ...]] = {
-    topic.message: tuple(field.name for field in fields(topic.message)) for topic in TOPICS.values()
-}
-_FIELDS: dict[type[Message], tuple[tuple[str, str, _Check, bool], ...]] = {
-    topic.message: tuple(
-        (
-            field.name,
-            f"{topic.message.__name__}.{field.name}",
-            _CHECKS[str(field.type)],
-            field.default is not MISSING,
-        )
-        for field in fields(topic.message)
+_NAMES: dict[type[Any], tuple[str, ...]] = {kind: tuple(field.name for field in fields(kind)) for kind in LARGEST_BYTES}
+_FIELDS: dict[type[Any], tuple[tuple[str, str, _Check, bool], ...]] = {
+    kind: tuple(
+        (field.name, f"{kind.__name__}.{field.name}", _CHECKS[str(field.type)], field.default is not MISSING)
+        for field in fields(kind)
     )
-    for topic in TOPICS.values()
+    for kind in LARGEST_BYTES
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from safedpa.bus.transport import AbstractTransport, OnSample
+from safedpa.bus.transport import AbstractTransport, OnQuestion, OnSample
 from safedpa.errors import BusError
 
 __all__ = ["MemoryBroker", "MemoryTransport"]
@@ -16,6 +16,7 @@ class MemoryBroker:
     def __init__(self) -> None:
         self.subscribers: list[tuple[MemoryTransport, str, OnSample]] = []
         self.tokens: list[tuple[MemoryTransport, str]] = []
+        self.answerers: list[tuple[MemoryTransport, str, OnQuestion]] = []
 
 
 @final
@@ -43,8 +44,20 @@ class MemoryTransport(AbstractTransport):
     def alive(self, key_expression: str) -> list[str]:  # noqa: D102
         return sorted(key for _, key in self._broker.tokens if _matches(key_expression, key))
 
+    def answer(self, key_expression: str, on_question: OnQuestion) -> None:  # noqa: D102
+        self._broker.answerers.append((self, key_expression, on_question))
+
+    def ask(self, key: str, payload: bytes, timeout: float) -> bytes | None:  # noqa: D102
+        del timeout
+        if self._closed:
+            raise BusError(f"{key}: the bus was closed; open another one to ask")
+        answers = (on_question for _, expression, on_question in self._broker.answerers if _matches(expression, key))
+        on_question = next(answers, None)
+        return None if on_question is None else on_question(key, payload)
+
     def close(self) -> None:  # noqa: D102
         self._closed = True
+        self._broker.answerers = [entry for entry in self._broker.answerers if entry[0] is not self]
         self._broker.subscribers = [entry for entry in self._broker.subscribers if entry[0] is not self]
         self._broker.tokens = [entry for entry in self._broker.tokens if entry[0] is not self]
 

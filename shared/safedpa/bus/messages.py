@@ -11,10 +11,13 @@ from dataclasses import dataclass
 
 __all__ = [
     "ActionMessage",
+    "FindingMessage",
     "HealthMessage",
     "LatentMessage",
     "Message",
+    "ModelMessage",
     "StateMessage",
+    "TakeoverMessage",
     "VerdictMessage",
     "WishMessage",
 ]
@@ -143,3 +146,75 @@ class HealthMessage(Message):
     """Messages that were refused as malformed, foreign or out of order."""
     step_microseconds: float = 0.0
     """Time of the last step."""
+    model: str = ""
+    """Fingerprint of the model in force for this robot; empty of a service without one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FindingMessage(Message):
+    """What the watch over the model says: once a second of robot time, and whenever something changes."""
+
+    model: str
+    """Fingerprint of the model in force."""
+    stage: str
+    """``learning`` (what the error usually is), ``watching``, ``raised`` (the error left its band), ``searching``,
+    ``candidates`` (effects to accept or reject) or ``nothing`` (the search found no effect that explains it)."""
+    sentence: str
+    """The stage in words."""
+    number: int
+    """Findings since the start; 0 while there was none."""
+    error: float
+    """Open-loop error over one second of the last stretch, scaled like a report's ``heldout_error``."""
+    band: float
+    """Upper edge of the error's calibrated band; 0 while learning."""
+    evidence: float
+    """Natural logarithm of the sequential test's e-value."""
+    threshold: float
+    """log(1 / alpha): the finding is raised where the evidence reaches it."""
+    coverage: float
+    """Share of the last steps whose error stayed within the margin."""
+    where: str
+    """Where the model fails, in words; empty while it does not."""
+    report: str = ""
+    """report.json of the search as text; empty unless the stage is ``candidates`` or ``nothing``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelMessage(Message):
+    """One step of a change of the model that a robot's services use; stamped with the newest state's tick."""
+
+    step: str
+    """``offer`` (load and check it, keep the old one), ``take`` (use it from ``from_tick`` on) or ``drop`` (forget
+    the offer)."""
+    change: int
+    """Counts up with every change that is offered."""
+    fingerprint: str
+    """Of the model offered."""
+    replaces: str
+    """Fingerprint of the model in force when it was offered."""
+    document: str = ""
+    """With ``offer``: the model file's text."""
+    margin: str = ""
+    """With ``offer``: the filter's margin for it, as JSON text; empty: the shipped one of this model, or none."""
+    from_tick: int = 0
+    """With ``take``: the first tick, of this message's epoch, at which everyone uses it."""
+    who: str = ""
+    """Who asked for it."""
+    why: str = ""
+    """What was asked for; with ``drop``: why nothing came of it."""
+    data: str = ""
+    """Which stretch of which run it was learned from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TakeoverMessage(Message):
+    """A service's answer to an offered model, stamped with the tick at which it came about."""
+
+    service: str
+    change: int
+    fingerprint: str
+    """Of the model that the answer is about."""
+    state: str
+    """``ready`` (loaded and checked), ``taken`` (in use from the stamp's tick on) or ``refused``."""
+    reason: str = ""
+    """Why it was refused."""

@@ -10,18 +10,38 @@ from typing import Literal
 
 from safedpa.bus.messages import (
     ActionMessage,
+    FindingMessage,
     HealthMessage,
     LatentMessage,
     Message,
+    ModelMessage,
     StateMessage,
+    TakeoverMessage,
     VerdictMessage,
     WishMessage,
 )
 from safedpa.errors import InputError, did_you_mean
 
-__all__ = ["ACTION", "HEALTH", "LATENT", "STATE", "TOPICS", "VERDICT", "WISH", "Topic", "key_of", "topic_of"]
+__all__ = [
+    "ACTION",
+    "FINDING",
+    "HEALTH",
+    "LATENT",
+    "MODEL",
+    "STATE",
+    "TAKEOVER",
+    "TOPICS",
+    "VERDICT",
+    "WISH",
+    "Topic",
+    "key_of",
+    "topic_of",
+]
 
 Delivery = Literal["latest", "all"]
+
+_DOCUMENT_BYTES = 4 * 1024 * 1024
+"""Reports of a search and model files travel in messages, a few times in an hour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +56,13 @@ class Topic:
     """``latest``: a newer one replaces an unread one (commands); ``all``: nothing is dropped (audit)."""
     largest_age_ticks: int
     """A consumer treats it as stale when it is older than this many ticks of the robot."""
+    largest_bytes: int = 65536
+    """A message of a few hundred bytes that is larger than this is refused before it is parsed."""
+
+    @property
+    def per_service(self) -> bool:
+        """Whether every service writes it under its own name, which then stands at the end of the key."""
+        return self.writer == "*"
 
 
 STATE = Topic("state", StateMessage, "robot", "latest", 0)
@@ -44,22 +71,27 @@ WISH = Topic("wish", WishMessage, "policy", "latest", 0)
 ACTION = Topic("action", ActionMessage, "safety_filter", "latest", 0)
 VERDICT = Topic("verdict", VerdictMessage, "safety_filter", "all", 0)
 HEALTH = Topic("health", HealthMessage, "*", "latest", 40)
+FINDING = Topic("finding", FindingMessage, "diagnosis", "all", 40, _DOCUMENT_BYTES)
+MODEL = Topic("model", ModelMessage, "diagnosis", "all", 0, _DOCUMENT_BYTES)
+TAKEOVER = Topic("takeover", TakeoverMessage, "*", "all", 0)
 
-TOPICS: dict[str, Topic] = {topic.name: topic for topic in (STATE, LATENT, WISH, ACTION, VERDICT, HEALTH)}
+TOPICS: dict[str, Topic] = {
+    topic.name: topic for topic in (STATE, LATENT, WISH, ACTION, VERDICT, HEALTH, FINDING, MODEL, TAKEOVER)
+}
 """Every topic, by name."""
 
 
 def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
-    """The key expression ``safedpa/{fleet}/{robot}/{topic}``, with ``/{service}`` behind health.
+    """The key expression ``safedpa/{fleet}/{robot}/{topic}``, with ``/{service}`` behind health and takeover.
 
     ``*`` as robot or service means every one. Raises InputError for names that the bus cannot carry.
     """
-    names = (fleet, robot, service) if topic is HEALTH else (fleet, robot)
+    names = (fleet, robot, service) if topic.per_service else (fleet, robot)
     for name in names:
         if name != "*":
             _check_name(name)
     key = f"safedpa/{fleet}/{robot}/{topic.name}"
-    return f"{key}/{service}" if topic is HEALTH else key
+    return f"{key}/{service}" if topic.per_service else key
 
 
 def _check_name(name: str) -> None:
@@ -79,8 +111,8 @@ def topic_of(key: str) -> tuple[str, str, Topic]:
     if parts[3] not in TOPICS:
         raise InputError(f"key '{key}': {did_you_mean(parts[3], TOPICS)}")
     topic = TOPICS[parts[3]]
-    if (len(parts) == 5) is not (topic is HEALTH):
-        raise InputError(f"key '{key}': wanted a service behind 'health', and behind nothing else")
+    if (len(parts) == 5) is not topic.per_service:
+        raise InputError(f"key '{key}': wanted {'a service' if topic.per_service else 'nothing'} behind '{parts[3]}'")
     for name in (parts[1], parts[2], *parts[4:]):
         _check_name(name)
     return parts[1], parts[2], topic

@@ -5,10 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-__all__ = ["AbstractTransport", "OnSample"]
+__all__ = ["AbstractTransport", "OnQuestion", "OnSample"]
 
 OnSample = Callable[[str, bytes], None]
 """Called with key and payload, on any thread; must return at once and raise nothing."""
+
+OnQuestion = Callable[[str, bytes], bytes]
+"""Called with key and payload of a question, on any thread; returns the answer soon and raises nothing."""
 
 
 class AbstractTransport(ABC):
@@ -32,6 +35,17 @@ class AbstractTransport(ABC):
     @abstractmethod
     def alive(self, key_expression: str) -> list[str]:
         """Keys now declared alive that match, sorted."""
+
+    @abstractmethod
+    def answer(self, key_expression: str, on_question: OnQuestion) -> None:
+        """Answers every question under matching keys with what ``on_question`` returns, until ``close``."""
+
+    @abstractmethod
+    def ask(self, key: str, payload: bytes, timeout: float) -> bytes | None:
+        """The first answer to a question, or None: nobody answers such keys, or not within ``timeout`` [s].
+
+        Raises BusError after ``close``.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
-from safedpa.bus.transport import AbstractTransport, OnSample
+from safedpa.bus.transport import AbstractTransport, OnQuestion, OnSample
 from safedpa.errors import BusError
 
 if TYPE_CHECKING:
@@ -121,6 +121,36 @@ class ZenohTransport(AbstractTransport):
     def alive(self, key_expression: str) -> list[str]:  # noqa: D102
         replies = self._session.liveliness().get(key_expression, timeout=_ALIVE_TIMEOUT_SECONDS)
         return sorted({str(reply.ok.key_expr) for reply in replies if reply.ok is not None})
+
+    def answer(self, key_expression: str, on_question: OnQuestion) -> None:  # noqa: D102
+        import zenoh
+
+        def asked(query: zenoh.Query) -> None:
+            with query:  # ends the answer, whatever happens
+                try:
+                    payload = b"" if query.payload is None else query.payload.to_bytes()
+                    query.reply(query.key_expr, on_question(str(query.key_expr), payload))
+                except zenoh.ZError:
+                    return  # the asker is gone, or this session is being closed
+                except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, mute
+                    sys.excepthook(type(error), error, error.__traceback__)
+
+        self._declared.append(self._session.declare_queryable(key_expression, zenoh.handlers.Callback(asked)))
+
+    def ask(self, key: str, payload: bytes, timeout: float) -> bytes | None:  # noqa: D102
+        import zenoh
+
+        try:
+            replies = self._session.get(
+                key,
+                payload=payload,
+                timeout=timeout,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,  # the first answer at once, not when all have answered
+            )
+            return next((reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None), None)
+        except zenoh.ZError as error:
+            raise BusError(f"{key}: could not be asked ({_first_clause(error)}); was the bus closed?") from error
 
     def close(self) -> None:  # noqa: D102
         if not self._session.is_closed():

@@ -1,0 +1,69 @@
+"""What a person, a page or a service asks of the diagnosis, and what it answers; carried by queries, not by topics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from safedpa.bus.topics import STATE, key_of
+from safedpa.errors import InputError
+
+__all__ = ["Answer", "Request", "request_key", "robot_of_request"]
+
+_NAME = "request"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A question to the diagnosis about one robot."""
+
+    do: str
+    """``accept``, ``reject``, ``roll_back`` or ``status``."""
+    effect: str = ""
+    """Name of the candidate to accept or reject."""
+    model: str = ""
+    """Fingerprint of the model that the asker saw in force; a change is refused when it is not that one any more."""
+    finding: int = 0
+    """Number of the finding whose candidate it is."""
+    who: str = ""
+    """Who asks, for the recording."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What came of a request, and which model is in force."""
+
+    ok: bool
+    sentence: str
+    """What is done, or why it is refused."""
+    change: int = 0
+    """Number of the change that this is about, or of the last one."""
+    fingerprint: str = ""
+    """Of the model in force; empty when the robot is not known."""
+    document: str = ""
+    """To ``status``: file of the model in force."""
+    margin: str = ""
+    """To ``status``: the filter's margin for it, as JSON text; empty: the shipped one of this model, or none."""
+    pending: str = ""
+    """``preparing``, ``offer`` or ``take`` while a change is under way, else empty."""
+    pending_fingerprint: str = ""
+    pending_document: str = ""
+    pending_margin: str = ""
+    epoch: int = 0
+    """With a pending ``take``: the robot's epoch and the tick from which the pending model is in force."""
+    from_tick: int = 0
+
+
+def request_key(fleet: str, robot: str) -> str:
+    """The key expression ``safedpa/{fleet}/{robot}/request``; ``*`` as robot: every one.
+
+    Raises InputError for names that the bus cannot carry.
+    """
+    return key_of(fleet, robot, STATE).removesuffix(STATE.name) + _NAME
+
+
+def robot_of_request(key: str) -> str:
+    """The robot that a request is about. Raises InputError when the key names none, or more than one."""
+    parts = key.split("/")
+    if len(parts) != 4 or parts[3] != _NAME or "*" in key:
+        raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{_NAME}")
+    return parts[2]
