@@ -7,18 +7,16 @@ from pathlib import Path
 
 import click
 
+from safedpa_services.command_line.options import given_model, loaded_runs, run_options
+
 __all__ = ["command"]
 
 
 @click.command(name="add")
 @click.argument("model")
 @click.argument("effect")
-@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@run_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="MODEL2.toml", help="The new model.")
-@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
-@click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 def command(
     model: str,
     effect: str,
@@ -35,12 +33,10 @@ def command(
     """
     from safedpa.diagnosis.diagnose import add_effect
     from safedpa.diagnosis.output import writable
-    from safedpa.dynamics import load_model, load_own, save_model
-    from safedpa_services.command_line.diagnose import loaded_runs, value_text
+    from safedpa.dynamics import save_model
+    from safedpa_services.command_line.diagnose import value_text
 
-    if effects is not None:
-        load_own(effects)
-    loaded = load_model(model)
+    loaded = given_model(model, effects)
     writable(out.absolute().parent)
     found = add_effect(loaded, effect, loaded_runs(loaded, runs, columns), horizon)
     save_model(found.model, out)

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from safedpa_services.command_line.options import folder_option, given_model, loaded_runs, run_options
 
+if TYPE_CHECKING:
     from safedpa.diagnosis.comparison import Comparison
-    from safedpa.dynamics import PhysicsModel
 
 __all__ = ["command"]
 
@@ -25,18 +24,8 @@ NAME = 20
 
 @click.command(name="compare")
 @click.argument("model")
-@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
-@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
-@click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path(),
-    metavar="DIR",
-    help="Folder for compare.html and compare.json; by default the current one.",
-)
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
-@click.option("--json", "as_document", is_flag=True, help="Print one JSON document and nothing else.")
+@run_options
+@folder_option("compare.html and compare.json")
 def command(
     model: str,
     runs: tuple[str, ...],
@@ -44,45 +33,31 @@ def command(
     horizon: float,
     out: Path,
     effects: Path | None,
-    as_document: bool,
+    as_json: bool,
 ) -> None:
     """Hold MODEL against recorded RUNs: how large its error is, and where.
 
     Predicts open loop from a start every 0.1 s, prints the errors beside predictors that know no physics, and writes
     compare.html (readable offline) with compare.json beside it.
     """
+    from safedpa.diagnosis.comparison import compare_model
     from safedpa.diagnosis.output import writable
     from safedpa.diagnosis.page import write_comparison
-    from safedpa.diagnosis.summary import as_json
-    from safedpa.dynamics import load_model, load_own
+    from safedpa.diagnosis.summary import as_json as document_of
     from safedpa_services.progress import progress
 
-    if effects is not None:
-        load_own(effects)
-    loaded = load_model(model)
+    loaded = given_model(model, effects)
     writable(out, create=True)
+    recorded = loaded_runs(loaded, runs, columns)
     with progress("comparing") as tell:
-        comparison = _compared(loaded, runs, columns, horizon, tell)
+        tell(0, 2)
+        comparison = compare_model(loaded, recorded, horizon)
+        tell(1, 2)
         page, _ = write_comparison(comparison, out, Path(model).stem)
-    if as_document:
-        click.echo(json.dumps(as_json(comparison), allow_nan=False))
+    if as_json:
+        click.echo(json.dumps(document_of(comparison), allow_nan=False))
     else:
         _show(comparison, page)
-
-
-def _compared(
-    model: PhysicsModel, runs: tuple[str, ...], columns: str | None, horizon: float, tell: Callable[[int, int], None]
-) -> Comparison:
-    from safedpa.diagnosis.comparison import compare_model, with_distinct_names
-    from safedpa.records import load_column_map, load_run
-
-    mapping = load_column_map(columns) if columns else None
-    recorded = []
-    for number, path in enumerate(runs):
-        tell(number, len(runs) + 1)
-        recorded.append(load_run(path, model.system, mapping))
-    tell(len(runs), len(runs) + 1)
-    return compare_model(model, with_distinct_names(recorded, runs), horizon)
 
 
 def _show(comparison: Comparison, page: Path) -> None:

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from safedpa_services.command_line.options import folder_option, given_model, loaded_runs, run_options
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from safedpa.diagnosis.report import Report, Value
-    from safedpa.dynamics import PhysicsModel
     from safedpa.records.run import Run
 
-__all__ = ["command", "loaded_runs", "story_lines", "value_text"]
+__all__ = ["command", "story_lines", "value_text"]
 
 BAR = 40
 """Characters of the longest bar."""
@@ -28,18 +29,8 @@ FINDINGS = 6
 
 @click.command(name="diagnose")
 @click.argument("model")
-@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
-@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
-@click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path(),
-    metavar="DIR",
-    help="Folder for report.json, report.html, diagnosis.rrd, model.toml and margin.toml; by default the current one.",
-)
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
-@click.option("--json", "as_json", is_flag=True, help="Print report.json and nothing else.")
+@run_options
+@folder_option("report.json, report.html, diagnosis.rrd, model.toml and margin.toml")
 def command(
     model: str,
     runs: tuple[str, ...],
@@ -57,19 +48,19 @@ def command(
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.output import writable
     from safedpa.diagnosis.report import as_document
-    from safedpa.dynamics import load_model, load_own
     from safedpa_services.progress import progress
 
-    if effects is not None:
-        load_own(effects)
-    loaded = load_model(model)
+    loaded = given_model(model, effects)
     writable(out, create=True)
     recorded = loaded_runs(loaded, runs, columns)
     with progress("diagnosing") as tell:
         report = diagnose(loaded, recorded, horizon, tell)
     document = as_document(report)
-    _write(document, report, recorded, out, Path(model).stem)
-    margin = _margin(report, recorded, out)
+    with progress("writing") as tell:
+        tell(0, 2)
+        _write(document, report, recorded, out, Path(model).stem)
+        tell(1, 2)
+        margin = _margin(report, recorded, out)
     if as_json:
         click.echo(json.dumps(document, allow_nan=False))
     else:
@@ -99,15 +90,6 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
         return None
     calibration.save(path)
     return path
-
-
-def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
-    """The recordings, named so that they can be told apart."""
-    from safedpa.diagnosis.comparison import with_distinct_names
-    from safedpa.records import load_column_map, load_run
-
-    mapping = load_column_map(columns) if columns else None
-    return with_distinct_names([load_run(path, model.system, mapping) for path in paths], paths)
 
 
 def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from safedpa_services.command_line.options import as_json_option, effects_option
+
 if TYPE_CHECKING:
     from rich.text import Text
 
@@ -18,17 +20,17 @@ __all__ = ["command"]
 
 @click.command()
 @click.option("--robot", help="Only the effects of this robot (car, pendulum, point).")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output.")
+@as_json_option
 @click.option("--markdown", is_flag=True, help="Tables in Markdown: those of docs/effects.md.")
-@click.option("--effects", "own", type=click.Path(path_type=Path), help="A Python file with effects of your own.")
-def command(robot: str | None, as_json: bool, markdown: bool, own: Path | None) -> None:
+@effects_option
+def command(robot: str | None, as_json: bool, markdown: bool, effects: Path | None) -> None:
     """List the physical effects that can be added to a model: equations, parameters, units, what they look like."""
     from safedpa.dynamics import load_own
     from safedpa.effects import effects_of, robots
     from safedpa.errors import InputError, did_you_mean
 
-    if own is not None:
-        load_own(own)
+    if effects is not None:
+        load_own(effects)
     if robot is not None and robot not in robots():
         raise InputError(f"--robot: got '{robot}'; {did_you_mean(robot, robots())}")
     listed = {owner: _ordered(effects_of(owner)) for owner in robots() if robot in (None, owner)}

@@ -6,16 +6,18 @@ from pathlib import Path
 
 import click
 
+from safedpa_services.command_line.options import columns_option, effects_option, given_model, horizon_option
+
 __all__ = ["command"]
 
 
 @click.command(name="predict")
 @click.argument("model")
 @click.argument("run")
-@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
-@click.option("--horizon", type=float, required=True, metavar="SECONDS", help="How far to predict.")
+@columns_option
+@horizon_option(None)
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="FILE.csv", help="Where to write.")
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
+@effects_option
 def command(model: str, run: str, columns: str | None, horizon: float, out: Path, effects: Path | None) -> None:
     """Predict RUN with MODEL, open loop, from every tenth row of it.
 
@@ -24,13 +26,10 @@ def command(model: str, run: str, columns: str | None, horizon: float, out: Path
     """
     from safedpa.diagnosis.output import writable
     from safedpa.diagnosis.predict import predict_run
-    from safedpa.dynamics import load_model, load_own
     from safedpa.records import load_column_map, load_run
     from safedpa.records.write import write_columns
 
-    if effects is not None:
-        load_own(effects)
-    loaded = load_model(model)
+    loaded = given_model(model, effects)
     recorded = load_run(run, loaded.system, load_column_map(columns) if columns else None)
     writable(out.parent)
     table = predict_run(loaded, recorded, horizon)

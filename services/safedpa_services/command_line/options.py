@@ -1,0 +1,78 @@
+"""Arguments, options and reading that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from safedpa.dynamics import PhysicsModel
+    from safedpa.records.run import Run
+
+__all__ = [
+    "as_json_option", "columns_option", "effects_option", "folder_option", "given_model", "horizon_option",
+    "loaded_runs", "run_options", "runs_argument",
+]  # fmt: skip
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+runs_argument = click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+columns_option = click.option(
+    "--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say."
+)
+effects_option = click.option(
+    "--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own."
+)
+as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
+
+
+def horizon_option(default: float | None = 1.0) -> Callable[[Command], Command]:
+    """``--horizon`` in seconds, which has to be named where there is no default."""
+    shown: dict[str, Any] = {"required": True} if default is None else {"default": default, "show_default": True}
+    return click.option("--horizon", type=float, metavar="SECONDS", help="How far to predict.", **shown)
+
+
+def folder_option(what: str) -> Callable[[Command], Command]:
+    """``--out``: the folder for ``what``."""
+    return click.option(
+        "--out",
+        type=click.Path(path_type=Path),
+        default=Path(),
+        metavar="DIR",
+        help=f"Folder for {what}; by default the current one.",
+    )
+
+
+def run_options(command: Command) -> Command:
+    """RUN..., --columns, --horizon, --effects and --json, in this order on the help page."""
+    for option in (as_json_option, effects_option, horizon_option(), columns_option, runs_argument):
+        command = option(command)
+    return command
+
+
+def given_model(name: str, effects: Path | None) -> PhysicsModel:
+    """The model, once the user's own effects and systems are known."""
+    from safedpa.dynamics import load_model, load_own
+
+    if effects is not None:
+        load_own(effects)
+    return load_model(name)
+
+
+def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
+    """The recordings, named so that they can be told apart; with a progress bar of its own."""
+    from safedpa.diagnosis.comparison import with_distinct_names
+    from safedpa.records import load_column_map, load_run
+    from safedpa_services.progress import progress
+
+    mapping = load_column_map(columns) if columns else None
+    found = []
+    with progress("reading") as tell:
+        for number, path in enumerate(paths):
+            tell(number, len(paths))
+            found.append(load_run(path, model.system, mapping))
+        tell(len(paths), len(paths))
+    return with_distinct_names(found, paths)
