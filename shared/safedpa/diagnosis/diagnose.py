@@ -11,7 +11,7 @@ from safedpa.diagnosis.experiment_choice import chosen_experiment
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.heldout import HeldoutError, error_with, heldout_of
 from safedpa.diagnosis.remaining import formula_instead, remaining
-from safedpa.diagnosis.report import Candidate, Report, Unexplained, Value, Verdict
+from safedpa.diagnosis.report import Candidate, Experiment, Report, Unexplained, Value, Verdict
 from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.diagnosis.search import Judged, Search, searched
 from safedpa.diagnosis.shooting import Shooting, shooting_of
@@ -23,7 +23,17 @@ from safedpa.effects import AbstractEffect, effect, effects_of
 from safedpa.errors import InputError, RunError
 from safedpa.records.run import Finding, Run
 
-__all__ = ["Addition", "add_effect", "diagnose", "library_for"]
+__all__ = [
+    "Addition",
+    "add_effect",
+    "candidate_of",
+    "diagnose",
+    "experiment_for",
+    "judgeable",
+    "library_for",
+    "prepared",
+    "values_of",
+]
 
 _MOST_ROWS = 40_000
 """Of longer logs evenly spread pieces are used."""
@@ -52,11 +62,10 @@ def diagnose(
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
-    used, quality = _prepared(model, runs)
+    used, quality = prepared(model, runs)
     heldout = heldout_of(used, horizon)
     shooting = shooting_of(used, min(horizon, _LONGEST_WINDOW))
-    enough, why = _enough(shooting, used)
-    enough, why = (enough, why) if not (wrong := _wrong(runs)) else (False, wrong)
+    enough, why = judgeable(shooting, used, runs)
     library = library_for(model) if enough else []
     if not enough:
         quality.append(_row("all", Finding("no_verdict", why)))
@@ -70,17 +79,17 @@ def diagnose(
         verdict=_verdict(search, rest, enough),
         added=tuple(search.added),
         stages=tuple(stages),
-        candidates=tuple(_candidate(item, search) for item in search.candidates),
+        candidates=tuple(candidate_of(item, search) for item in search.candidates),
         where=_where(model, used, horizon),
         unexplained=rest if enough else Unexplained((), why, 0.0),
-        next_experiment=_experiment(search, library),
+        next_experiment=experiment_for(search),
         data_quality=tuple(quality),
-        parameters=_values(search.current, search.shooting),
+        parameters=values_of(search.current, search.shooting),
         models=tuple(models),
     )
 
 
-def _prepared(model: PhysicsModel, runs: Sequence[Run]) -> tuple[list[Run], list[dict[str, Any]]]:
+def prepared(model: PhysicsModel, runs: Sequence[Run]) -> tuple[list[Run], list[dict[str, Any]]]:
     """Runs that can be used, thinned to what fits in memory, and what is to be said about them."""
     quality = [_row(run.name, finding) for run in runs for finding in run.findings]
     rows = sum(len(part) for run in runs for part in run.stretches)
@@ -107,6 +116,12 @@ def _inputs(run: Run) -> list[Finding]:
 
 def _row(run: str, finding: Finding) -> dict[str, Any]:
     return {"run": run, **vars(finding)}
+
+
+def judgeable(shooting: Shooting, used: Sequence[Run], runs: Sequence[Run]) -> tuple[bool, str]:
+    """Whether the data allow a verdict about physics, and why not: ``used`` is what was taken of ``runs``."""
+    wrong = _wrong(runs)
+    return (False, wrong) if wrong else _enough(shooting, used)
 
 
 def _enough(shooting: Shooting, runs: Sequence[Run]) -> tuple[bool, str]:
@@ -148,10 +163,11 @@ def _verdict(search: Search, rest: Unexplained | None, enough: bool) -> Verdict:
     return "nothing_missing" if rest is None else "unexplained"
 
 
-def _candidate(item: Judged, search: Search) -> Candidate:
+def candidate_of(item: Judged, search: Search) -> Candidate:
+    """A trial with its verdict as the report states it."""
     own = set(item.trial.effects)
     paths = [path for path in item.trial.fit.paths if path.split(".")[0] in own]
-    every = _values(item.trial, search.shooting)
+    every = values_of(item.trial, search.shooting)
     return Candidate(
         stage=item.stage,
         effect=item.trial.name,
@@ -164,7 +180,8 @@ def _candidate(item: Judged, search: Search) -> Candidate:
     )
 
 
-def _values(trial: Trial, shooting: Shooting) -> dict[str, Value]:
+def values_of(trial: Trial, shooting: Shooting) -> dict[str, Value]:
+    """The fitted numbers of a trial by path."""
     model, deviations = trial.fit.model, trial.fit.deviations(shooting)
     found = {}
     for path, value, std in zip(trial.fit.paths, trial.fit.values, deviations, strict=True):
@@ -182,7 +199,7 @@ def _where(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> tuple[di
     return tuple({key: getattr(item, key) for key in keys} for item in worst_bins(comparison))
 
 
-def _experiment(search: Search, library: Sequence[AbstractEffect]) -> Any:
+def experiment_for(search: Search) -> Experiment | None:
     """Between an accepted effect and what this data cannot tell from it; else between the best two candidates."""
     noise = np.maximum(search.current.fit.scale, 1e-9)
     for item in search.candidates:
@@ -221,7 +238,7 @@ def add_effect(model: PhysicsModel, name: str, runs: Sequence[Run], horizon: flo
     item = effect(model.system.name, name)
     if name in {own.name for own in model.effects}:
         raise InputError(f"effect '{name}': the model has it already; mark its parameters free to refit them")
-    used, _ = _prepared(model, runs)
+    used, _ = prepared(model, runs)
     heldout = heldout_of(used, horizon)
     shooting = shooting_of(used, min(horizon, _LONGEST_WINDOW))
     if len(shooting.windows) < 3:
@@ -230,4 +247,4 @@ def add_effect(model: PhysicsModel, name: str, runs: Sequence[Run], horizon: flo
     trial = tried(search.current, [item], search.shooting)
     again = search.shooting.around(trial.fit.model)
     final = trial_of(fit(trial.fit.model, trial.fit.paths, again, trial.fit.scale), again, (name,), None)
-    return Addition(final.fit.model, _values(final, again), search.error, error_with(final.fit, again, heldout))
+    return Addition(final.fit.model, values_of(final, again), search.error, error_with(final.fit, again, heldout))

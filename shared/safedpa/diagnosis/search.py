@@ -24,7 +24,7 @@ from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
-__all__ = ["Judged", "Search", "searched"]
+__all__ = ["Judged", "Search", "accept", "addition", "begun", "searched"]
 
 MOST = 8
 """Additions."""
@@ -40,13 +40,13 @@ def searched(
     tell: Tell = lambda _done, _all: None,
 ) -> Search:
     """Free parameters refitted, then additions until nothing passes, second thoughts, and the final numbers."""
-    search = _begun(model, shooting, heldout)
+    search = begun(model, shooting, heldout)
     before: dict[str, Trial] = {}
     for stage in range(MOST if library else 0):
         rest = [item for item in library if item.name not in {own.name for own in search.current.fit.model.effects}]
         trials = tried_in_turn(search.current, rest, search.shooting, before, _later(tell, stage, len(library)))
         before = {trial.effects[0]: trial for trial in trials}
-        if not _addition(search, stage, trials, rest, heldout):
+        if not addition(search, stage, trials, rest, heldout):
             break
     exchange(search, library, heldout)
     removals(search, library, heldout)
@@ -61,7 +61,7 @@ def _later(tell: Tell, stage: int, size: int) -> Callable[[int], None]:
     return lambda done: tell(stage * size + done, (stage + 2) * size)
 
 
-def _begun(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
+def begun(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
     """The search with the given model, its free parameters refitted."""
     free = list(model.latent_names)
     scale = np.maximum(shooting.residuals([model])[0].std(axis=(0, 1)), 1e-6)
@@ -73,7 +73,7 @@ def _begun(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
     return Search(shooting, first, error, first, error)
 
 
-def _addition(
+def addition(
     search: Search, number: int, trials: list[Trial], rest: Sequence[AbstractEffect], heldout: Heldout
 ) -> bool:
     """Judges the trials of a stage; adds the best that passes and says whether there was one."""
@@ -99,7 +99,7 @@ def _addition(
     for name in best.effects:
         singles = [trial.effects[0] for trial in stage.trials if len(trial.effects) == 1]
         search.rivals[name] = [other for other in singles if other not in best.effects][:12]
-    _accept(search, best, heldout)
+    accept(search, best, heldout)
     return True
 
 
@@ -126,7 +126,7 @@ def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool]:
     return best, False
 
 
-def _accept(search: Search, best: Trial, heldout: Heldout) -> None:
+def accept(search: Search, best: Trial, heldout: Heldout) -> None:
     """Adds the best trial and fits it to the end: the next stage's trials begin there, so its error counts for them."""
     search.added += [name for name in best.effects if name not in search.added]
     shooting = search.shooting.around(best.fit.model)

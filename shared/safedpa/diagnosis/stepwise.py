@@ -1,0 +1,146 @@
+"""The diagnosis one effect at a time, by a person's choice: what is proposed, what is taken, the final numbers.
+
+The very steps of ``diagnose``, with a person between them, who may take another effect than the best. Second thoughts
+(exchanges and removals) are left to that person.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from safedpa.diagnosis.diagnose import candidate_of, experiment_for, judgeable, library_for, prepared, values_of
+from safedpa.diagnosis.final_numbers import with_final_numbers
+from safedpa.diagnosis.heldout import Heldout, HeldoutError, heldout_of
+from safedpa.diagnosis.remaining import remaining
+from safedpa.diagnosis.report import Candidate, Experiment, Unexplained, Value
+from safedpa.diagnosis.rollout_error import rollout_error
+from safedpa.diagnosis.search import Search, accept, addition, begun
+from safedpa.diagnosis.shooting import shooting_of
+from safedpa.diagnosis.trial import tried_in_turn
+from safedpa.dynamics import PhysicsModel
+from safedpa.errors import InputError, did_you_mean
+from safedpa.records.run import Run
+
+__all__ = [
+    "LONGEST_WINDOW",
+    "Proposal",
+    "Step",
+    "first_step",
+    "given_error",
+    "proposal",
+    "with_candidate",
+    "with_final",
+]
+
+LONGEST_WINDOW = 2.0
+"""s; disturbances add up over longer ones."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A model on the way, fitted, with all that the next step needs."""
+
+    search: Search
+    heldout: Heldout
+    why_not: str
+    """Why the data allow no verdict about physics; empty where they do."""
+    improved: str = ""
+    """In how many runs the held-out error fell against the step before: ``4/4``."""
+
+    @property
+    def model(self) -> PhysicsModel:
+        """The fitted model."""
+        return self.search.current.fit.model
+
+    @property
+    def error(self) -> HeldoutError:
+        """On data that the fit did not see."""
+        return self.search.error
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """The fitted numbers by path."""
+        return values_of(self.search.current, self.search.shooting)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What may be missing, best first, and what would be the search's own choice."""
+
+    candidates: tuple[Candidate, ...]
+    choice: str | None
+    """Name of the candidate that unseen blocks confirm; None where they confirm none."""
+    unexplained: Unexplained | None
+    """What no effect explains; looked for where there is no choice."""
+    next_experiment: Experiment | None
+    search: Search
+    """The step's search with all that was tried."""
+
+
+def first_step(model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0) -> Step:
+    """The given model with its free parameters refitted.
+
+    Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
+    """
+    used, _ = prepared(model, runs)
+    heldout, shooting = heldout_of(used, horizon), shooting_of(used, min(horizon, LONGEST_WINDOW))
+    enough, why = judgeable(shooting, used, runs)
+    return Step(begun(model, shooting, heldout), heldout, "" if enough else why)
+
+
+def given_error(model: PhysicsModel, step: Step) -> float:
+    """The error of the model as its file stands, on the windows of the held-out error."""
+    return rollout_error(model, step.heldout.windows).value
+
+
+def proposal(step: Step, tell: Callable[[int, int], None] = lambda _done, _all: None) -> Proposal:
+    """Every effect of the library that the model lacks on trial, alone and where none passes in pairs."""
+    if step.why_not:
+        return Proposal((), None, Unexplained((), step.why_not, 0.0), None, _copied(step.search))
+    search = _copied(step.search)
+    before = {t.trial.effects[0]: t.trial for t in search.candidates if len(t.trial.effects) == 1}
+    search.candidates = []
+    library = library_for(step.model)
+    trials = tried_in_turn(search.current, library, search.shooting, before, lambda done: tell(done, len(library) + 4))
+    tell(len(library), len(library) + 4)
+    null = search.current
+    passed = bool(library) and addition(search, len(search.added), trials, library, step.heldout)
+    candidates = tuple(candidate_of(item, search) for item in search.candidates)
+    chosen = next((item.effect for item in candidates if item.decision == "accepted"), None)
+    rest = None if passed else remaining(null, step.search.shooting, search.patch)
+    return Proposal(candidates, chosen, rest, experiment_for(search), search)
+
+
+def with_candidate(step: Step, proposed: Proposal, name: str) -> Step:
+    """The model with one of the candidates, all fitted anew; the choice is the person's, whatever the ranking says.
+
+    Raises InputError for a name that is none of the candidates.
+    """
+    tried = {item.trial.name: item.trial for item in proposed.search.candidates}
+    if name not in tried:
+        raise InputError(f"effect '{name}': not among the candidates; {did_you_mean(name, tried)}")
+    search = replace(_copied(step.search), candidates=list(proposed.search.candidates))
+    accept(search, tried[name], step.heldout)
+    return replace(step, search=search, improved=_improved(step.error, search.error))
+
+
+def with_final(step: Step) -> Step:
+    """The same model with its final numbers, which a filter along whole recordings gives."""
+    found, error = with_final_numbers(step.search.current.fit, step.search.shooting, step.heldout)
+    search = _copied(step.search)
+    search.current, search.error = replace(search.current, fit=found), error
+    return replace(step, search=search)
+
+
+def _copied(search: Search) -> Search:
+    return replace(
+        search, candidates=list(search.candidates), added=list(search.added), rivals=dict(search.rivals), patch=None
+    )
+
+
+def _improved(before: HeldoutError, after: HeldoutError) -> str:
+    there = np.isfinite(before.by_run) & np.isfinite(after.by_run)
+    return f"{int((after.by_run[there] < before.by_run[there]).sum())}/{int(there.sum())}"
