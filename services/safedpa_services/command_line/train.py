@@ -24,6 +24,7 @@ _ALL = "1a,1b,2,3,ablations"
 @click.argument("robot", type=click.Choice(["car"]))
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
 @click.option("--configuration", "source", metavar="FILE", help="what to train on; 'car' when left out")
+@click.option("--model", metavar="MODEL.toml", help="simulate this one, of `safedpa diagnose` say; its effects join e")
 @click.option("--small", is_flag=True, help="every phase in seconds, to see it work: nothing to drive with")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="folder; learned/ROBOT when left out")
 @click.option("--phases", default=_ALL, show_default=True, help="which ones, in this order whatever the order given")
@@ -87,6 +88,11 @@ def _configuration(robot: str, options: dict[str, Any]) -> Configuration:
     configuration = load_configuration(source)
     if configuration.robot != robot:
         raise InputError(f"{source}: got a simulator of robot '{configuration.robot}', wanted '{robot}'")
+    if options["model"] is not None:
+        from safedpa.dynamics import load_model
+        from safedpa_sim.training.diagnosed import with_diagnosed
+
+        configuration = with_diagnosed(configuration, load_model(options["model"]))
     if options["pairs"] is not None:
         phase = replace(configuration.phase_1a, pairs=options["pairs"])
         configuration = replace(configuration, phase_1a=phase)
