@@ -9,11 +9,10 @@ import numpy as np
 
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import HeldoutError
-from safedpa.diagnosis.refinement import refined
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, likeness
 
-__all__ = ["SIMPLER", "Stage", "confirmed", "inside", "judged", "passes", "preferred", "with_reason"]
+__all__ = ["SIMPLER", "Stage", "inside", "judged", "likely", "passes", "preferred", "with_reason"]
 
 SURE = 3.0
 """Standard errors of gain on unseen blocks that an addition needs, together with FALL."""
@@ -23,13 +22,8 @@ FALL = 0.03
 """Share by which the held-out rollout error has to fall."""
 LITTLE_FALL = 0.004
 LIKELY = 1.5
-"""Standard errors that do with FALL where CERTAIN holds."""
-CERTAIN = 9.0
-"""Standard deviations by which the filter along whole recordings has to put a number away from doing nothing: it knows
-lasting disturbances, so it sees what grows over a run, where blocks are too unlike each other to agree. In hard logs
-it puts a sagging battery that is there at 13."""
-CORNERED = frozenset({"drive_dead_zone", "steering_saturation", "steering_asymmetry", "backlash"})
-"""Effects with a corner: the filter linearises and states too small a deviation for them, so it cannot confirm them."""
+"""Standard errors that do with FALL where the filter along whole recordings is certain: it knows lasting disturbances,
+so it sees what grows over a run, where blocks are too unlike each other to agree."""
 SAME = 1.0
 """Standard errors within which two candidates cannot be told apart."""
 SIMPLER = 2.0
@@ -50,6 +44,8 @@ class Stage:
     trials: list[Trial]
     gains: dict[tuple[str, ...], float]
     errors: dict[tuple[str, ...], HeldoutError]
+    doubted: frozenset[tuple[str, ...]] = frozenset()
+    """Trials that passed, but that the filter along whole recordings does not confirm."""
 
     def passes(self, trial: Trial, before: HeldoutError) -> bool:
         """Whether a trial is to be added by unseen blocks alone."""
@@ -64,26 +60,10 @@ def passes(gain: float, error: HeldoutError | None, before: HeldoutError) -> boo
     return (gain > SURE and fall > FALL) or (gain > VERY_SURE and fall > LITTLE_FALL)
 
 
-def confirmed(trial: Trial, stage: Stage, search: Search) -> bool:
-    """Whether a trial that unseen blocks find likely is certain by the filter along whole recordings.
-
-    Every parameter that has a value at which it does nothing is CERTAIN standard deviations from there, one parameter
-    at least. Effects with a corner need unseen blocks.
-    """
-    if not CORNERED.isdisjoint(trial.effects):
-        return False
+def likely(trial: Trial, stage: Stage, before: HeldoutError) -> bool:
+    """Whether unseen blocks favour a trial enough to ask the filter along whole recordings, which may be certain."""
     gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
-    if error is None or not gain > LIKELY or not error.value < (1.0 - FALL) * search.error.value:
-        return False
-    found = refined(trial.fit.model, trial.fit.paths, trial.fit.free, search.shooting.windows)
-    if found is None:
-        return False
-    away = []
-    for path, deviation in zip(found.paths, found.deviations.tolist(), strict=True):
-        neutral = found.model.parameters[path].neutral
-        if path.split(".")[0] in trial.effects and neutral is not None:
-            away.append(abs(found.model.settings[path].value - neutral) > CERTAIN * deviation)
-    return bool(away) and all(away)
+    return error is not None and gain > LIKELY and error.value < (1.0 - FALL) * before.value
 
 
 def preferred(trials: Sequence[Trial], shooting: Shooting, null: Trial) -> Trial | None:
@@ -124,6 +104,8 @@ def _decision(
         return "accepted", sentence
     if trial is best and search.patch is not None:
         return "suspected", f"{sentence}; but a place explains more"
+    if trial.effects in stage.doubted:
+        return "suspected", f"{sentence}; but most of it is how the commands answered lasting pushes"
     if passed and best is not None:
         behind = block_gain(trial, best, search.shooting)
         suspected = best.name in equals or (gain > SURE and behind < SIMPLER)

@@ -15,10 +15,11 @@ from safedpa.diagnosis.final_numbers import with_final_numbers
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.judging import Stage, confirmed, inside, judged, preferred
+from safedpa.diagnosis.judging import Stage, inside, judged, likely, preferred
 from safedpa.diagnosis.pairs import pairs_of
 from safedpa.diagnosis.patch import Patch, best_patch
 from safedpa.diagnosis.revision import exchange, removals
+from safedpa.diagnosis.second_opinion import agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
 from safedpa.dynamics import PhysicsModel
@@ -28,6 +29,8 @@ __all__ = ["Judged", "Search", "accept", "addition", "begun", "searched"]
 
 MOST = 8
 """Additions."""
+_ASKED = 3
+"""Trials of one stage that the filter along whole recordings is asked about at most."""
 
 Tell = Callable[[int, int], None]
 
@@ -79,17 +82,18 @@ def addition(
     """Judges the trials of a stage; adds the best that passes and says whether there was one."""
     null, shooting = search.current, search.shooting
     stage = _stage(search, number, trials, heldout)
-    best, passed = _best(search, stage)
+    best, passed, doubted = _best(search, stage)
     if not passed:
         pairs = pairs_of(null, trials, rest, shooting)
         two = _stage(search, number, pairs, heldout, at_most=len(pairs))
         good = [t for t in pairs if inside(t, null) and two.passes(t, search.error)]
-        if good:
-            best, passed = min(good, key=lambda trial: trial.loss), True
+        chosen, refused = _agreed(search, two, sorted(good, key=lambda trial: trial.loss))
+        best, passed, doubted = chosen or best, chosen is not None, doubted | refused
         every = sorted([*trials, *pairs], key=lambda trial: trial.loss)
         stage = Stage(number, every, stage.gains | two.gains, stage.errors | two.errors)
-    if not passed and best is not None:
-        passed = confirmed(best, stage, search)
+    stage = replace(stage, doubted=doubted)
+    if not passed and best is not None and best.effects not in doubted and likely(best, stage, search.error):
+        passed = certain(best, search)
     if passed and best is not None:
         search.patch = _place_instead(null, best, shooting)
         passed = search.patch is None
@@ -113,17 +117,25 @@ def _stage(search: Search, number: int, trials: list[Trial], heldout: Heldout, a
     return Stage(number, trials, gains, errors)
 
 
-def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool]:
-    """The single effect that is to be added, or the best one, and whether it passed."""
-    null = search.current
-    best = preferred(stage.trials, search.shooting, null)
-    if best is not None and stage.passes(best, search.error):
-        return best, True
+def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool, frozenset[tuple[str, ...]]]:
+    """The single effect that is to be added, or the best one; whether it passed; and what passed but is doubted."""
+    best = preferred(stage.trials, search.shooting, search.current)
     # the one that takes most off the windows may not help over the horizon: then another that does
-    for trial in stage.trials:
-        if trial.effects in stage.errors and inside(trial, null) and stage.passes(trial, search.error):
-            return trial, True
-    return best, False
+    others = [t for t in stage.trials if t is not best and t.effects in stage.errors and inside(t, search.current)]
+    passing = [trial for trial in ([best] if best else []) + others if stage.passes(trial, search.error)]
+    chosen, doubted = _agreed(search, stage, passing)
+    return chosen or best, chosen is not None, doubted
+
+
+def _agreed(search: Search, stage: Stage, passing: Sequence[Trial]) -> tuple[Trial | None, frozenset[tuple[str, ...]]]:
+    """The first of some trials that passed which is clear or which the filter confirms, and those refused before it."""
+    refused: list[tuple[str, ...]] = []
+    for trial in passing[:_ASKED]:
+        sure = clear(stage.gains[trial.effects], stage.errors.get(trial.effects), search.error)
+        if sure or agrees(trial, search):
+            return trial, frozenset(refused)
+        refused.append(trial.effects)
+    return None, frozenset(refused)
 
 
 def accept(search: Search, best: Trial, heldout: Heldout) -> None:

@@ -1,0 +1,85 @@
+"""A driver who answers lasting pushes looks like a command that does too little: the filter is asked, and refuses."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from safedpa.diagnosis import second_opinion
+from safedpa.diagnosis.diagnose import diagnose
+from safedpa.diagnosis.second_opinion import agrees, certain, clear
+from safedpa.dynamics import load_model
+from safedpa.effects import effect
+from safedpa.records import load_run
+from safedpa_sim.hidden import Case, write_case
+
+FEEDBACK = Case("test", 2884420874, {}, drive="throttle", hard=True)
+"""Nothing is hidden; unseen blocks alone find a dead zone with 3.6 standard errors and 8 % off the held-out error."""
+
+
+def test_what_feedback_feigns_is_not_added(tmp_path):
+    log = write_case(FEEDBACK, tmp_path / "case")
+    model = load_model(str(log.model))
+    report = diagnose(model, [load_run(str(path), model.system) for path in log.runs])
+    assert report.verdict == "nothing_missing"
+    dead_zone = next(item for item in report.candidates if item.effect == "drive_dead_zone")
+    assert dead_zone.score > 3.0
+    assert dead_zone.heldout_error < 0.97 * report.stages[0].heldout_error
+    assert dead_zone.decision == "suspected"
+    assert "pushes" in dead_zone.reason
+
+
+@pytest.fixture
+def opinion(monkeypatch, plain):
+    """opinion(name, windows=..., filter=..., std=...) -> (agrees, certain) for one effect with those numbers."""
+
+    def asked(name, windows, filtered, std):
+        item = effect("car", name)
+        paths = tuple(f"{name}.{p.name}" for p in item.parameters)
+        one, other = (
+            SimpleNamespace(
+                settings={path: SimpleNamespace(value=v) for path, v in zip(paths, values, strict=True)},
+                parameters=dict(zip(paths, item.parameters, strict=True)),
+            )
+            for values in (windows, filtered)
+        )
+        found = SimpleNamespace(model=other, paths=paths, deviations=np.array(std, dtype=float))
+        monkeypatch.setattr(second_opinion, "refined", lambda *_: found)
+        trial = SimpleNamespace(effects=(name,), fit=SimpleNamespace(model=one, paths=paths, free=None))
+        search = SimpleNamespace(shooting=SimpleNamespace(windows=None))
+        return agrees(trial, search), certain(trial, search)
+
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("filtered", "std", "wanted"),
+    [
+        (0.12, 0.01, (True, True)),
+        (0.08, 0.01, (True, False)),
+        (0.04, 0.001, (False, True)),  # far from nothing, but a third of what the windows say
+        (0.1, 0.03, (False, False)),  # as large, but it may be nothing
+        (0.1, np.nan, (True, False)),  # stands at a bound: the filter says nothing
+    ],
+)
+def test_a_number_has_to_last_and_to_be_sure(opinion, filtered, std, wanted):
+    assert opinion("quadratic_drag", [0.12], [filtered], [std]) == wanted
+
+
+def test_one_of_two_numbers_may_be_nothing(opinion):
+    """A wind along x has no y."""
+    assert opinion("constant_force", [0.4, 0.01], [0.4, -0.01], [0.01, 0.01]) == (True, False)
+
+
+def test_an_effect_with_a_corner_is_never_certain(opinion):
+    assert opinion("drive_dead_zone", [0.15], [0.15], [0.001]) == (True, False)
+
+
+def test_what_blocks_are_sure_of_needs_no_second_opinion():
+    before, after = SimpleNamespace(value=1.0), SimpleNamespace(value=0.9)
+    assert not clear(5.0, after, before)
+    assert clear(9.0, after, before)
+    assert clear(5.0, SimpleNamespace(value=0.5), before)
+    assert not clear(5.0, None, before)
