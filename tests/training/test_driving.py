@@ -14,7 +14,7 @@ from safedpa_sim.training.networks import AffineNetworks, AffineSizes
 from safedpa_sim.training.scenes import MOST_OBSTACLES, draw_scenes
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import scales
-from safedpa_sim.training.vector_environment import DrivingEnvironment
+from safedpa_sim.training.vector_environment import PracticeEnvironment
 from safedpa_sim.training.weights_export import export_weights
 
 CARS = 64
@@ -165,7 +165,7 @@ def test_as_an_environment_it_begins_anew_and_tells_what_was_seen_last(
 ) -> None:
     driving = Driving(configuration, weights, 4, 2)
     length = driving.observation().shape[1]
-    environment = DrivingEnvironment(driving, np.zeros(length, np.float32), np.full(length, 2.0, np.float32))
+    environment = PracticeEnvironment(driving, np.zeros(length, np.float32), np.full(length, 2.0, np.float32))
     np.testing.assert_allclose(environment.reset(), driving.observation() / 2.0)
     driving.scene.goal[0] = driving.state[0, :2] + 0.05
     driving.tick[1] = EPISODE_TICKS - 1

@@ -13,9 +13,10 @@ import torch
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.policy import LearnedPolicy
+from safedpa_sim.training.car_task import evaluate
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes
-from safedpa_sim.training.phase_1b import evaluate_policy, train_policy
+from safedpa_sim.training.phase_1b import train_policy
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import scales
 from safedpa_sim.training.weights_export import export_weights
@@ -117,8 +118,8 @@ def test_good_enough_ends_it(weights: Weights, tmp_path: Path) -> None:
 
 def test_evaluation_repeats_and_counts_by_footprint(weights: Weights, tmp_path: Path) -> None:
     made, _ = trained(SHORT, weights, tmp_path)
-    figures = evaluate_policy(SHORT, made, cars=32, seed=3)
-    assert figures == evaluate_policy(SHORT, made, cars=32, seed=3)
+    figures = evaluate(SHORT, made, cars=32, seed=3)
+    assert figures == evaluate(SHORT, made, cars=32, seed=3)
     assert set(figures["success_by_radius"]) <= {"0.12", "0.25", "0.35", "0.45"}
     assert 0.0 <= figures["success"] <= 1.0
 

@@ -11,7 +11,7 @@ from safedpa.bus import StateMessage
 from safedpa.errors import InputError, MessageError
 from safedpa.networks import Weights, dense_stack
 from safedpa.networks.layers import layers_of
-from safedpa.policy.observation import observation_length, observe, padded
+from safedpa.policy.perception import perception_of
 
 __all__ = ["LearnedPolicy"]
 
@@ -26,7 +26,7 @@ class LearnedPolicy:
     """a = action_middle + action_scale clip(pi((o - observation_middle) / observation_scale), -1, 1).
 
     pi: dense layers with tanh between them, the mean of the Gaussian that proximal policy optimisation trained; o as
-    ``observe`` makes it. Without a latent the policy takes that of the environment in which nothing acts.
+    the robot's perception makes it. Without a latent the policy takes that of the environment in which nothing acts.
     Raises InputError when the weights hold no policy, or one for other observations.
     """
 
@@ -35,7 +35,8 @@ class LearnedPolicy:
         if not self._layers:
             raise InputError("weights: got no policy (policy.0.weight), wanted one; run phase 1b of 'safedpa train'")
         latents, actions = weights.description.latents, len(weights.description.actions)
-        wanted = (observation_length(latents), actions)
+        self._perception = perception_of(weights.description.robot)
+        wanted = (self._perception.length(latents), actions)
         got = (self._layers[0].weight.shape[1], self._layers[-1].weight.shape[0])
         if got != wanted:
             raise InputError(
@@ -60,21 +61,7 @@ class LearnedPolicy:
         latent = self._nominal if latent is None else latent
         if latent.shape != self._nominal.shape:
             raise MessageError(f"latent: got {latent.size} entries, wanted {self._nominal.size}")
-        observation = observe(*_perceived(state), latent)
+        observation = self._perception.observed(state, latent)
         if not np.isfinite(observation).all():
             raise MessageError(f"state: got numbers that are not finite in {state.values}, wanted finite ones")
         return tuple(self.act(observation).tolist()), "learned"
-
-
-def _perceived(state: StateMessage) -> tuple[Values, Values, Values, Values, Values, Values]:
-    """State, action in force, goal, obstacles, field and footprint as arrays of the right lengths."""
-    vectors = []
-    for name, wanted in (("values", 4), ("applied", 2), ("goal", 2), ("field", 4), ("footprint", 3)):
-        vector = np.array(getattr(state, name), dtype=np.float64)
-        if vector.shape != (wanted,):
-            raise MessageError(f"state.{name}: got {vector.size} numbers, wanted {wanted}")
-        vectors.append(vector)
-    if any(len(row) != 3 for row in state.obstacles):
-        raise MessageError("state.obstacles: got rows of another length, wanted 3 numbers in each: x, y, radius")
-    values, applied, goal, field, footprint = vectors
-    return values, applied, goal, padded(state.obstacles), field, footprint

@@ -6,6 +6,7 @@ from safedpa.safety.barrier import AbstractBarrier, Barriers
 from safedpa.safety.braking import Braking
 from safedpa.safety.calibration import MarginCalibration, calibrate_margin, one_step_errors
 from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.field_barrier import FieldBarrier
 from safedpa.safety.function_barrier import FunctionBarrier
 from safedpa.safety.inputs import Plausible
@@ -25,6 +26,7 @@ __all__ = [
     "AbstractBarrier",
     "Barriers",
     "Braking",
+    "CorridorBarrier",
     "FieldBarrier",
     "FilterSettings",
     "Footprint",

@@ -18,10 +18,11 @@ from safedpa.networks import LearnedNetworks, Weights
 from safedpa.policy.observation import clearances, observe
 from safedpa_sim.robots.scene import GOAL_RADIUS
 from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.moved import Moved
 from safedpa_sim.training.scenes import ScenePool, draw_scenes
 from safedpa_sim.training.simulator import BatchedCars
 
-__all__ = ["Driving", "Moved", "Rewards", "allowed_speed"]
+__all__ = ["Driving", "Rewards", "allowed_speed"]
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -63,19 +64,6 @@ class Rewards:
     """At every tick of contact."""
     penalty: float = 0.0
     """At the first tick of a contact: the strong penalty of RMA-P."""
-
-
-@final
-@dataclass(frozen=True)
-class Moved:
-    """What a tick brought to each car."""
-
-    reward: Floats
-    reached: Flags
-    timed_out: Flags
-    contact: Flags
-    began: Flags
-    """Contacts that began in this tick."""
 
 
 @final
@@ -145,6 +133,12 @@ class Driving:
         own = self.state[which], self.applied[which]
         seen = observe(*own, scene.goal, scene.obstacles, scene.field, scene.footprint, self.latent[which])
         return seen.astype(np.float32, copy=False)
+
+    def exploring(self, random: np.random.Generator) -> Floats:
+        """Actions at random, forwards, for the scales of what is observed."""
+        chosen = random.uniform(-1.0, 1.0, (self.count, 2)).astype(np.float32)
+        chosen[:, 0] = np.abs(chosen[:, 0])
+        return chosen
 
     def advance(self, chosen: Floats) -> Moved:
         """One period under ``chosen`` (count, 2), each entry in [-1, 1] over the range of commands."""

@@ -1,4 +1,4 @@
-"""Phase 1b: the policy pi(x, mu(e)), by proximal policy optimisation with mu frozen, on thousands of driving cars."""
+"""Phase 1b: the policy pi(x, mu(e)), by proximal policy optimisation with mu frozen, on many simulated robots."""
 
 from __future__ import annotations
 
@@ -14,21 +14,17 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from safedpa.errors import InputError
 from safedpa.networks import Weights
-from safedpa.policy.learned import LearnedPolicy
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.driving import EPISODE_TICKS, Driving, Rewards
 from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.policy_checkpoint import PolicyCheckpoint
+from safedpa_sim.training.practice import Practice, task_of
 from safedpa_sim.training.progress import Tell, silent
-from safedpa_sim.training.scenes import FOOTPRINTS
-from safedpa_sim.training.vector_environment import DrivingEnvironment
+from safedpa_sim.training.vector_environment import PracticeEnvironment
 
-__all__ = ["evaluate_policy", "train_policy"]
+__all__ = ["train_policy"]
 
 Floats = NDArray[np.float32]
 
-_EVALUATION_SEED = 1_000_003
-"""Added to the configuration's seed: no scene of the evaluation is trained on."""
 _SCALING_TICKS = 60
 _LEAST_SCALE = 0.05
 """An entry of the observation that hardly changes is not blown up."""
@@ -56,43 +52,6 @@ def train_policy(
     return training.result()
 
 
-def evaluate_policy(
-    configuration: Configuration, weights: Weights, *, cars: int = 512, seed: int = 0, sheltered: bool = True
-) -> dict[str, Any]:
-    """One drive of each car under the policy without noise: the share that reach the goal within 15 s, and contacts.
-
-    ``success_by_radius`` tells the same for the footprint of the car alone and of each load, by the nearest radius [m].
-    """
-    driving = Driving(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
-    policy = LearnedPolicy(weights)
-    middle, scale = weights["action_middle"], weights["action_scale"]
-    reached, contacts = np.zeros(cars, dtype=bool), np.zeros(cars, dtype=np.int64)
-    ticks, gained = np.full(cars, EPISODE_TICKS), np.zeros(cars)
-    nearest = driving.distance.copy()
-    for tick in range(EPISODE_TICKS):
-        chosen = (policy.act(driving.observation()) - middle) / scale
-        moved = driving.advance(chosen.astype(np.float32))
-        ticks[moved.reached & ~reached] = tick + 1
-        contacts += moved.began & ~reached
-        gained += np.where(reached, 0.0, moved.reward)
-        nearest = np.minimum(nearest, driving.distance)
-        reached |= moved.reached
-    radii = np.array([item[2] for item in FOOTPRINTS])
-    group = np.abs(driving.scene.footprint[:, 2, np.newaxis] - radii).argmin(axis=1)
-    return {
-        "success": float(reached.mean()),
-        "contacts": float(contacts.mean()),
-        "nearest": float(nearest.mean()),
-        "reward": float(gained.mean()),
-        "mean_seconds": float(ticks.mean() * driving.period),
-        "success_by_radius": {
-            f"{radius:.2f}": float(reached[group == index].mean())
-            for index, radius in enumerate(radii)
-            if (group == index).any()
-        },
-    }
-
-
 @final
 class _Training:
     """One training: environment, PPO, and what is written down along the way."""
@@ -107,23 +66,19 @@ class _Training:
         self.curve: list[dict[str, Any]] = []
         digest = f"{self.name} {penalty} {weights.digest} {configuration.digest('phase_1a', 'phase_1b')}"
         self.checkpoint = PolicyCheckpoint(out / f"checkpoint_{self.name}.pt", digest)
-        self.middle, self.scale = _scales(self._driving(0))
+        self.task = task_of(configuration.robot)
+        self.middle, self.scale = _scales(self._practice(0))
         known = self.checkpoint.read()
-        self.environment = DrivingEnvironment(self._driving(known["steps"] if known else 0), self.middle, self.scale)
+        self.environment = PracticeEnvironment(self._practice(known["steps"] if known else 0), self.middle, self.scale)
         self.algorithm = self._algorithm(training_device(device))
         self.chosen = self.trained()
         if known:
             self._go_on(known)
 
-    def _driving(self, done: int) -> Driving:
-        """The cars to train on; after an interruption they drive elsewhere."""
-        return Driving(
-            self.configuration,
-            self.weights,
-            self.phase.cars,
-            self.configuration.seed + done,
-            rewards=Rewards(penalty=self.penalty),
-            sheltered=not self.penalty,
+    def _practice(self, done: int) -> Practice:
+        """The robots to train on; after an interruption they are elsewhere."""
+        return self.task.practice(
+            self.configuration, self.weights, self.phase.cars, self.configuration.seed + done, self.penalty
         )
 
     def _go_on(self, known: dict[str, Any]) -> None:
@@ -166,7 +121,9 @@ class _Training:
     def evaluated(self, weights: Weights, cars: int) -> dict[str, Any]:
         """Drives on scenes that are never trained on."""
         configuration = self.configuration
-        return evaluate_policy(configuration, weights, cars=cars, seed=configuration.seed, sheltered=not self.penalty)
+        return self.task.evaluate(
+            configuration, weights, cars=cars, seed=configuration.seed, sheltered=not self.penalty
+        )
 
     def look(self) -> bool:
         """Evaluates the policy as it is, keeps the best so far, tells and saves; returns whether it is good enough."""
@@ -227,16 +184,15 @@ class _Watch(BaseCallback):
             self._good = self._training.look()
 
 
-def _scales(driving: Driving) -> tuple[Floats, Floats]:
-    """Middle and scale of each entry of the observation over drives at random."""
+def _scales(practice: Practice) -> tuple[Floats, Floats]:
+    """Middle and scale of each entry of the observation over episodes at random."""
     random = np.random.default_rng(0)
     seen = []
     for tick in range(_SCALING_TICKS):
         if tick % 10 == 0:
-            chosen = random.uniform(-1.0, 1.0, (driving.count, 2)).astype(np.float32)
-            chosen[:, 0] = np.abs(chosen[:, 0])
-        driving.advance(chosen)
-        seen.append(driving.observation())
+            chosen = practice.exploring(random)
+        practice.advance(chosen)
+        seen.append(practice.observation())
     everything = np.concatenate(seen)
-    driving.restart(np.arange(driving.count))
+    practice.restart(np.arange(practice.count))
     return everything.mean(axis=0), np.maximum(everything.std(axis=0), _LEAST_SCALE)

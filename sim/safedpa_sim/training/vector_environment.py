@@ -1,4 +1,4 @@
-"""The driving cars as a vectorised environment of stable-baselines3."""
+"""Robots that practise as a vectorised environment of stable-baselines3."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from safedpa_sim.training.driving import Driving
+from safedpa_sim.training.practice import Practice
 
-__all__ = ["DrivingEnvironment"]
+__all__ = ["PracticeEnvironment"]
 
 
 @final
-class DrivingEnvironment(VecEnv):
-    """Every car is one environment; observations are (observation - middle) / scale, actions lie in [-1, 1].
+class PracticeEnvironment(VecEnv):
+    """Every robot is one environment; observations are (observation - middle) / scale, actions lie in [-1, 1].
 
     An episode that ends begins anew at once, as the interface asks; ``terminal_observation`` holds what was seen last.
     """
 
-    def __init__(self, driving: Driving, middle: NDArray[np.float32], scale: NDArray[np.float32]) -> None:
-        self.driving = driving
+    def __init__(self, practice: Practice, middle: NDArray[np.float32], scale: NDArray[np.float32]) -> None:
+        self.practice = practice
         self._middle, self._scale = middle, scale
-        self._chosen = np.zeros((driving.count, 2), dtype=np.float32)
+        self._chosen = np.zeros_like(practice.exploring(np.random.default_rng(0)))
         self.reached = self.ended = self.contacts = 0
         """Counts since they were last set to 0."""
         seen = gymnasium.spaces.Box(-np.inf, np.inf, middle.shape, np.float32)
-        super().__init__(driving.count, seen, gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32))
+        super().__init__(practice.count, seen, gymnasium.spaces.Box(-1.0, 1.0, self._chosen.shape[1:], np.float32))
 
     def reset(self) -> NDArray[np.float32]:
-        """The observations of all cars (cars, observations)."""
+        """The observations of all robots (robots, observations)."""
         return self._seen()
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Takes the actions (cars, 2)."""
+        """Takes the actions (robots, actions)."""
         self._chosen = actions
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Observations, rewards, which episodes ended, and notes on those that did."""
-        moved = self.driving.advance(self._chosen)
+        moved = self.practice.advance(self._chosen)
         ended = moved.reached | moved.timed_out
         infos: list[dict[str, Any]] = [{}] * self.num_envs
         observation = self._seen()
@@ -52,7 +52,7 @@ class DrivingEnvironment(VecEnv):
                     "terminal_observation": observation[index].copy(),
                     "TimeLimit.truncated": bool(moved.timed_out[index]),
                 }
-            self.driving.restart(which)
+            self.practice.restart(which)
             observation[which] = self._seen(which)
         self.reached += int(moved.reached.sum())
         self.ended += len(which)
@@ -60,7 +60,7 @@ class DrivingEnvironment(VecEnv):
         return observation, moved.reward, ended, infos
 
     def _seen(self, which: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.float32]:
-        return (self.driving.observation(which) - self._middle) / self._scale
+        return (self.practice.observation(which) - self._middle) / self._scale
 
     def close(self) -> None:
         """Nothing is open."""

@@ -1,0 +1,51 @@
+"""A corridor for an angle (or a position) whose rate is another entry of the state."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+from safedpa.safety.barrier import AbstractBarrier
+
+__all__ = ["CorridorBarrier"]
+
+Values = NDArray[np.float64]
+
+
+@final
+class CorridorBarrier(AbstractBarrier):
+    """h = (s - low, high - s), s = x_a + time x_r: where the angle is ``time`` [s] ahead, at its rate of now.
+
+    The set {h >= 0, low <= x_a <= high} is invariant where h >= 0 is kept: d(x_a)/dt = (s - x_a) / time, so the angle
+    follows s like a low-pass and never leaves the corridor that s is in. Affine, as the paper's p'x + q.
+
+    Raises InputError unless low < high and time > 0, all finite.
+    Source: the affine barrier of Cheng, Orosz, Murray, Burdick, End-to-End Safe Reinforcement Learning through Barrier
+    Functions, AAAI 2019 (pendulum), with both edges free.
+    """
+
+    kind = "corridor"
+
+    def __init__(self, low: float, high: float, time: float, *, angle: int = 0, rate: int = 1, name: str = "") -> None:
+        if not (isfinite(low) and isfinite(high) and low < high):
+            raise InputError(f"corridor: got {low} to {high}, wanted finite low < high in rad")
+        if not (isfinite(time) and time > 0.0):
+            raise InputError(f"corridor: got {time} s ahead, wanted a finite time > 0")
+        prefix = f"{name} " if name else ""
+        self.names = (f"{prefix}lower edge", f"{prefix}upper edge")
+        self.low, self.high, self.time = float(low), float(high), float(time)
+        self._angle, self._rate = angle, rate
+
+    def values(self, state: Values) -> Values:  # noqa: D102
+        ahead = float(state[self._angle]) + self.time * float(state[self._rate])
+        return np.array((ahead - self.low, self.high - ahead))
+
+    def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
+        gradient = np.zeros((2, len(state)))
+        gradient[:, self._angle] = 1.0, -1.0
+        gradient[:, self._rate] = self.time, -self.time
+        return self.values(state), gradient

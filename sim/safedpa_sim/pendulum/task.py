@@ -1,0 +1,76 @@
+"""The numbers of the pendulum experiments; those that the paper leaves out are assumptions, each said to be one."""
+
+from __future__ import annotations
+
+from math import pi, radians
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.safety import CorridorBarrier, FilterSettings
+from safedpa_sim.training.configuration import load_configuration
+
+__all__ = [
+    "AHEAD",
+    "BALANCING",
+    "FIXED_DIRECTIONS",
+    "HAZARD",
+    "LONG_WAY_ROUND",
+    "TORQUE",
+    "UPRIGHT",
+    "WIND",
+    "corridor",
+    "filter_settings",
+    "in_wind",
+    "simulated_pendulum",
+    "wind_of",
+]
+
+Floats = NDArray[np.float64]
+
+TORQUE: Final = 8.0
+"""N m; assumption. Gravity at 45 degrees asks for 3.47 N m, the wind of 4 m/s for at most 4 N m more."""
+WIND: Final = 4.0
+"""m/s in every experiment; assumption. From about 3 m/s on it decides about safety."""
+BALANCING: Final = (-pi / 4, pi / 4)
+"""rad; the safe angles of the paper's first question."""
+HAZARD: Final = (radians(30.0), radians(60.0))
+"""rad; the sector that must not be entered in the second question; assumption."""
+LONG_WAY_ROUND: Final = (HAZARD[1], HAZARD[0] + 2 * pi)
+"""rad; what is left of the circle, counted on from the hazard's lower edge."""
+UPRIGHT: Final = 2 * pi
+"""rad; the goal of the second question, as it is reached the long way round."""
+AHEAD: Final = 0.25
+"""s; the barrier's time. At mass length^2 / friction the torque that keeps it is that of gravity and wind alone."""
+FIXED_DIRECTIONS: Final = (45, 135, 225, 315)
+"""Degrees; the winds that the Fix models are trained in."""
+
+
+def simulated_pendulum() -> PhysicsModel:
+    """The pendulum that stands for the real one, in still air."""
+    return load_configuration("pendulum").simulator
+
+
+def wind_of(direction: float, strength: float = WIND) -> tuple[float, float]:
+    """(speed, upward) [m/s] of a wind that blows towards ``direction`` [rad]: 0 towards positive angles, pi/2 up."""
+    return float(strength * np.cos(direction)), float(strength * np.sin(direction))
+
+
+def in_wind(model: PhysicsModel, speed: float, upward: float) -> PhysicsModel:
+    """The same pendulum in another wind [m/s]."""
+    blowing = {"wind.speed": Setting(speed), "wind.upward": Setting(upward)}
+    return model.with_settings({**model.settings, **blowing})
+
+
+def corridor(edges: tuple[float, float]) -> CorridorBarrier:
+    """The barrier that keeps the pendulum between two angles."""
+    return CorridorBarrier(*edges, AHEAD)
+
+
+def filter_settings(epsilon: float, eta: float = 0.5) -> FilterSettings:
+    """The filter of both questions: margin ``epsilon`` [rad], eta as in the published pendulum of the barrier."""
+    return FilterSettings(
+        eta=eta, epsilon={"corridor": epsilon}, action_low=(-TORQUE,), action_high=(TORQUE,), backup_action=(0.0,)
+    )

@@ -1,0 +1,62 @@
+"""What a policy is trained on, for each kind of robot: many of them at a time, with a reward, and an evaluation."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError, did_you_mean
+from safedpa.networks import Weights
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.moved import Moved
+
+__all__ = ["PolicyTask", "Practice", "task_of"]
+
+Floats = NDArray[np.float32]
+
+
+class Practice(Protocol):
+    """Many robots that practise; the same seed gives the same episodes."""
+
+    count: int
+
+    def restart(self, which: NDArray[np.intp]) -> None:
+        """New episodes for the robots of those indices."""
+
+    def observation(self, which: NDArray[np.intp] | slice = ...) -> Floats:
+        """What the policy sees of the robots of those indices, all of them without (count, observations)."""
+
+    def exploring(self, random: np.random.Generator) -> Floats:
+        """Actions at random (count, actions) in [-1, 1], for the scales of what is observed."""
+
+    def advance(self, chosen: Floats) -> Moved:
+        """One period under ``chosen`` (count, actions), each entry in [-1, 1] over the range of commands."""
+
+
+class PolicyTask(Protocol):
+    """What policies of one kind of robot learn. Modules fulfil it."""
+
+    def practice(
+        self, configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float
+    ) -> Practice:
+        """Robots to train on; a ``penalty`` is taken off the reward when a contact begins, and no filter shelters."""
+
+    def evaluate(
+        self, configuration: Configuration, weights: Weights, *, cars: int, seed: int, sheltered: bool
+    ) -> dict[str, Any]:
+        """``success``, ``contacts``, ``nearest`` and ``reward`` of one episode of each of ``cars`` robots, no noise."""
+
+
+_TASKS: Final = {"car": "safedpa_sim.training.car_task", "pendulum": "safedpa_sim.pendulum.policy_task"}
+
+
+def task_of(robot: str) -> PolicyTask:
+    """The task of a kind of robot. Raises InputError when none is known."""
+    if robot not in _TASKS:
+        raise InputError(f"phase 1b: robot '{robot}': {did_you_mean(robot, _TASKS)}")
+    found: Any = importlib.import_module(_TASKS[robot])
+    task: PolicyTask = found
+    return task
