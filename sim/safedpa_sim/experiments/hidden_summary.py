@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -23,17 +22,18 @@ def summary(suites: Iterable[str], outcomes: Sequence[Outcome]) -> dict[str, Any
         for name in sorted({item.hidden[0] for item in own if len(item.hidden) == 1}):
             effects.append(_row(suite, name, [item for item in own if item.hidden == (name,)]))
     missed = [_missed(item) for item in outcomes if not item.right or item.wrong]
-    return {"suites": rows, "effects": effects, "missed": missed, "cases": [asdict(item) for item in outcomes]}
+    return {"suites": rows, "effects": effects, "missed": missed}
 
 
 def _missed(item: Outcome) -> dict[str, Any]:
-    return {"case": item.case, "hidden": item.hidden, "verdict": item.verdict, "added": item.added}
+    return {"case": item.case, "hidden": list(item.hidden), "verdict": item.verdict, "added": list(item.added)}
 
 
 def _row(suite: str, effect: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     deviations = np.abs([value for item in outcomes for value in item.deviations])
     ratios = np.array([item.error_ratio for item in outcomes if np.isfinite(item.error_ratio)])
     seconds = np.array([item.seconds for item in outcomes])
+    processor = np.array([item.processor_seconds for item in outcomes if np.isfinite(item.processor_seconds)])
     hidden = any(item.hidden for item in outcomes)
     return {
         "suite": suite,
@@ -49,6 +49,8 @@ def _row(suite: str, effect: str, outcomes: Sequence[Outcome]) -> dict[str, Any]
         "error_ratio_within": _share([value <= 1.1 for value in ratios]) if len(ratios) else None,
         "seconds_median": float(np.median(seconds)),
         "seconds_largest": float(seconds.max()),
+        "processor_seconds_median": float(np.median(processor)) if len(processor) else None,
+        "processor_seconds_largest": float(processor.max()) if len(processor) else None,
     }
 
 

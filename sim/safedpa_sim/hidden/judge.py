@@ -7,9 +7,25 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-__all__ = ["Outcome", "judged"]
+__all__ = ["Found", "Outcome", "judged"]
 
 Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A fitted parameter beside the truth."""
+
+    path: str
+    value: float
+    std: float
+    """Stated."""
+    truth: float
+
+    @property
+    def deviation(self) -> float:
+        """(value - truth) / std"""
+        return (self.value - self.truth) / self.std
 
 
 @dataclass(frozen=True)
@@ -32,13 +48,21 @@ class Outcome:
     """Added effects that are not hidden and stand for nothing that is."""
     place_told: bool
     """The unexplained rest is said to depend on the place."""
-    deviations: tuple[float, ...]
-    """(value - truth) / stated standard deviation of every parameter of every hidden effect that was added."""
+    parameters: tuple[Found, ...]
+    """Every parameter of every hidden effect that was added."""
     error: float
     """Held-out error of the last stage."""
     error_ratio: float
     """That over the error of the same fit with the true effects; NaN where there is none to compare with."""
     seconds: float
+    """By the clock."""
+    processor_seconds: float = float("nan")
+    """Of one core: what the clock would say on a machine that does nothing else."""
+
+    @property
+    def deviations(self) -> tuple[float, ...]:
+        """(value - truth) / stated standard deviation of the parameters."""
+        return tuple(item.deviation for item in self.parameters)
 
     @property
     def right(self) -> bool:
@@ -50,7 +74,14 @@ class Outcome:
         return self.all_in_group
 
 
-def judged(case: str, document: Document, truth: Document, oracle: float | None, seconds: float) -> Outcome:
+def judged(
+    case: str,
+    document: Document,
+    truth: Document,
+    oracle: float | None,
+    seconds: float,
+    processor_seconds: float = float("nan"),
+) -> Outcome:
     """Compares report.json with the sealed truth; ``oracle`` is the held-out error with the true effects fitted."""
     hidden, added = tuple(truth["effects"]), tuple(document["added"])
     groups = {name: _group(document, name) for name in added}
@@ -69,10 +100,11 @@ def judged(case: str, document: Document, truth: Document, oracle: float | None,
         all_in_group=all(found.values()),
         wrong=tuple(name for name in added if not _justified(name, groups, truth)),
         place_told=bool({"x", "y", "place"} & set(unexplained.get("depends_on", ()))),
-        deviations=tuple(_deviations(document, truth)),
+        parameters=tuple(_found(document, truth)),
         error=error,
         error_ratio=error / oracle if oracle else float("nan"),
         seconds=seconds,
+        processor_seconds=processor_seconds,
     )
 
 
@@ -100,16 +132,16 @@ def _justified(name: str, groups: Mapping[str, set[str]], truth: Document) -> bo
     return name in hidden | equals | set(truth["present"]) or bool(groups[name] & hidden)
 
 
-def _deviations(document: Document, truth: Document) -> list[float]:
-    """In stated standard deviations, from the last stage that reports the effect."""
+def _found(document: Document, truth: Document) -> list[Found]:
+    """From the last stage that reports the effect."""
     found = []
     for name, parameters in truth["effects"].items():
         own = _last_parameters(document, name)
         for key, value in parameters.items():
             entry = own.get(key)
             if entry is not None and entry.get("std"):
-                deviation = (entry["value"] - value) / entry["std"]
-                found += [float(deviation)] if isfinite(deviation) else []
+                item = Found(f"{name}.{key}", float(entry["value"]), float(entry["std"]), float(value))
+                found += [item] if isfinite(item.deviation) else []
     return found
 
 
