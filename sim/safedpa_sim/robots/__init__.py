@@ -1,5 +1,6 @@
 """Simulated robots: the reality that the services face."""
 
+from safedpa_sim.robots.changes import CHANGES, PlannedChange
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.core import BRAKE, CarRobot
 from safedpa_sim.robots.footprint import footprint
@@ -10,6 +11,7 @@ from safedpa_sim.robots.world import CarWorld
 
 __all__ = [
     "BRAKE",
+    "CHANGES",
     "GOAL_RADIUS",
     "LOADS",
     "ActionGuard",
@@ -17,6 +19,7 @@ __all__ = [
     "CarWorld",
     "Collision",
     "Load",
+    "PlannedChange",
     "Scene",
     "footprint",
     "load_named",

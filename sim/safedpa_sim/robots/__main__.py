@@ -11,6 +11,7 @@ from pathlib import Path
 from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
 from safedpa.errors import InputError
 from safedpa_sim.robots.account import account_of, check_writable, write_account
+from safedpa_sim.robots.changes import CHANGES, PlannedChange
 from safedpa_sim.robots.claim import claim_name
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS
@@ -28,6 +29,8 @@ def robot_parser() -> argparse.ArgumentParser:
     parser.add_argument("--robot", choices=("car",), default="car", help="kind of robot")
     parser.add_argument("--name", default="r1", help="name on the bus; one robot each")
     parser.add_argument("--load", choices=("none", *LOADS), default="none", help="what it tows")
+    parser.add_argument("--change", choices=("none", *CHANGES), default="none", help="what changes while it drives")
+    parser.add_argument("--change-after", type=float, default=30.0, metavar="SECONDS", help="when, by its clock")
     parser.add_argument("--seed", type=int, default=0, help="scene: obstacles, start, goals")
     parser.add_argument(
         "--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: for ever"
@@ -71,8 +74,12 @@ def _robot(options: argparse.Namespace) -> CarRobot:
         raise InputError(f"--seconds: got {options.seconds}, wanted 0 (for ever) or more")
     if options.seed < 0:
         raise InputError(f"--seed: got {options.seed}, wanted 0 or more")
+    if not 0.0 <= options.change_after < 1e9:
+        raise InputError(f"--change-after: got {options.change_after}, wanted 0 s or more")
     scene = Scene.random(options.seed, options.load)
-    return CarRobot(scene, 1.0 / options.rate, options.lockstep, epoch=secrets.randbits(_EPOCH_BITS))
+    change = None if options.change == "none" else PlannedChange(options.change, options.change_after)
+    epoch = secrets.randbits(_EPOCH_BITS)
+    return CarRobot(scene, 1.0 / options.rate, options.lockstep, epoch=epoch, change=change)
 
 
 if __name__ == "__main__":

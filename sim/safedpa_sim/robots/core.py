@@ -10,6 +10,7 @@ from math import hypot
 
 from safedpa.bus.messages import ActionMessage, StateMessage
 from safedpa.errors import InputError
+from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.robots.guard import ActionGuard
@@ -36,6 +37,7 @@ class CarRobot:
         lockstep: bool = True,
         epoch: int = 1,
         wall_clock: Callable[[], float] = time.time,
+        change: PlannedChange | None = None,
     ) -> None:
         if not 0.0 < period <= 1.0:
             raise InputError(f"period: got {period} s, wanted more than 0 and at most 1 s")
@@ -48,6 +50,9 @@ class CarRobot:
         self.world = CarWorld(scene.start, scene.field, scene.obstacles, scene.load)
         car = self.world.parameters
         self.guard = ActionGuard(epoch, (car.speed_low, -car.steer_limit), (car.speed_high, car.steer_limit))
+        self.changed_at: int | None = None
+        """Tick in which the planned change was made."""
+        self._change = change
         self._wall_clock = wall_clock
         self._goals = scene.goals()
         self.goal = next(self._goals)
@@ -106,6 +111,8 @@ class CarRobot:
 
     def advance(self) -> None:
         """One period under the accepted action, or under the watchdog's brake when none was accepted."""
+        if self._change is not None and self._change.made(self):
+            self._change, self.changed_at = None, self.tick
         accepted = self.guard.accepted
         if accepted is None:
             self._applied, self._applied_by = BRAKE, "watchdog"

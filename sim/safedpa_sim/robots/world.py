@@ -41,6 +41,10 @@ class CarWorld:
         self.contacts = ContactCounter(self.space)
         _add_solids(self.space, self.contacts, field, obstacles)
         self.body = self._add_car(start)
+        self.wind = (0.0, 0.0)
+        """Push of a steady wind over the car's mass, m/s2 along the field's x and y."""
+        self.steering_offset = 0.0
+        """rad by which the steering actuator misunderstands every command."""
         self.towed: TowedBody | None = None
         self._loads: list[TowedBody] = []
         if load is not None:
@@ -100,9 +104,10 @@ class CarWorld:
         cosine, sine = cos(yaw), sin(yaw)
         forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
         drive = self.servo.advance(target_speed, forward, seconds)
-        angle = self.steering.advance(steer, seconds)
+        angle = self.steering.advance(steer + self.steering_offset, seconds)
         along, across, torque = self._ground_forces(forward, sideways, drive, angle)
-        body.force = (along * cosine - across * sine, along * sine + across * cosine)
+        east, north = (self.parameters.mass * push for push in self.wind)
+        body.force = (along * cosine - across * sine + east, along * sine + across * cosine + north)
         body.torque = torque
         for load in self._loads:
             load.apply_runners()
