@@ -179,7 +179,7 @@ def test_seeds_decide_the_result(tmp_path: Path) -> None:
 
 
 def test_ablations_know_no_environment(trained: tuple[Weights, dict[str, Any]], tmp_path: Path) -> None:
-    fix, fix_summary = train_affine(SMALL, tmp_path, variant="fix")
+    fix, fix_summary = train_affine(SMALL, tmp_path, variant="fix", alone={})
     mix, mix_summary = train_affine(SMALL, tmp_path, variant="mix")
     for weights in (fix, mix):
         assert weights.description.latents == 0

@@ -105,7 +105,7 @@ def test_a_checkpoint_of_another_training_is_not_taken_up_and_a_damaged_one_is_r
 
 
 def test_with_a_penalty_it_learns_without_the_stand_in_for_the_filter(weights: Weights, tmp_path: Path) -> None:
-    made, summary = trained(SHORT, weights, tmp_path, penalty=10.0)
+    made, summary = trained(SHORT, weights, tmp_path, name="rma_p", penalty=10.0, sheltered=False)
     assert summary["told"][0][0] == "rma_p"
     assert made.digest != trained(SHORT, weights, tmp_path)[0].digest
 

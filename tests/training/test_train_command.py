@@ -13,7 +13,7 @@ import torch
 from safedpa.dynamics import load_model
 from safedpa.networks import Weights, load_weights
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.training import pipeline
+from safedpa_sim.training import pipeline, stages
 from safedpa_sim.training.configuration import load_configuration
 from safedpa_sim.training.networks import HistoryNetwork, tensors_of
 from safedpa_sim.training.pipeline import run_pipeline
@@ -102,7 +102,7 @@ def test_without_a_cuda_device_it_says_so(capsys: pytest.CaptureFixture[str], tm
 def test_a_boat_cannot_be_trained(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, error = run(capsys, "train", "boat")
     assert code == 2
-    assert "'boat' is not 'car'" in error
+    assert "'boat' is not one of 'car', 'pendulum'" in error
 
 
 def test_a_damaged_record_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def adding(name: str, calls: list[str]) -> Any:
 def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     known = {"train_policy": "policy", "train_history_encoder": "phi", "tune": "phi"}
-    monkeypatch.setattr(pipeline, "_phase_function", lambda _module, name: adding(known[name], calls))
+    monkeypatch.setattr(stages, "phase_function", lambda _module, name: adding(known[name], calls))
     configuration = load_configuration("car_small")
     torch.set_num_threads(1)
     records = run_pipeline(configuration, tmp_path, ("3", "2", "1b", "1a"))
@@ -140,7 +140,7 @@ def test_later_phases_begin_with_what_earlier_ones_made(tmp_path: Path, monkeypa
     assert not any("skipped" in record for record in records.values())
     calls.clear()
     again = run_pipeline(configuration, tmp_path)
-    assert calls == ["policy mu phi penalty"], "RMA-P alone is new, and does not see the other policy"
+    assert calls == ["policy mu phi name penalty sheltered"], "RMA-P alone is new, and does not see the other policy"
     assert [name for name, record in again.items() if "skipped" not in record] == ["fix", "mix", "rma_p"]
     assert load_weights(tmp_path / "car_rma_p.safetensors").has("policy")
     assert load_weights(tmp_path / "car_learned.safetensors").has("phi")

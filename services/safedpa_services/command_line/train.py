@@ -17,17 +17,15 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_ALL = "1a,1b,2,3,ablations"
-
 
 @click.command()
-@click.argument("robot", type=click.Choice(["car"]))
+@click.argument("robot", type=click.Choice(["car", "pendulum"]))
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
 @click.option("--configuration", "source", metavar="FILE", help="what to train on; 'car' when left out")
 @click.option("--model", metavar="MODEL.toml", help="simulate this one, of `safedpa diagnose` say; its effects join e")
 @click.option("--small", is_flag=True, help="every phase in seconds, to see it work: nothing to drive with")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="folder; learned/ROBOT when left out")
-@click.option("--phases", default=_ALL, show_default=True, help="which ones, in this order whatever the order given")
+@click.option("--phases", metavar="NAME,NAME,...", help="which ones; all of the robot's when left out")
 @click.option("--pairs", type=click.IntRange(min=1), help="state-action pairs of phase 1a")
 @click.option("--seed", type=click.IntRange(min=0), help="of everything that is drawn")
 @click.option("--device", default="cpu", show_default=True, help="cpu or cuda")
@@ -107,13 +105,15 @@ def _result(
     tell: Callable[[str, int, int, str], None],
 ) -> dict[str, Any]:
     from safedpa_sim.training.pipeline import run_pipeline, tune_on_runs
+    from safedpa_sim.training.stages import stages_of
 
     if options["tune"]:
         chosen = (options["weights"], list(runs), options["columns"], out, options["what"])
         return tune_on_runs(configuration, *chosen, tell)
-    phases = [name.strip() for name in options["phases"].split(",") if name.strip()]
-    if not phases:
-        raise InputError(f"--phases: got none, wanted one or more of {_ALL.replace(',', ', ')}")
+    given = options["phases"]
+    phases = [] if given is None else [name.strip() for name in given.split(",") if name.strip()]
+    if given is not None and not phases:
+        raise InputError(f"--phases: got none, wanted one or more of {', '.join(stages_of(configuration.robot))}")
     return run_pipeline(configuration, out, phases, tell, options["device"])
 
 

@@ -18,9 +18,11 @@ _EVALUATION_SEED = 1_000_003
 """Added to the configuration's seed: no swing of the evaluation is trained on."""
 
 
-def practice(configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float) -> Swinging:
-    """Pendulums to train on; with a ``penalty`` for the hazard no stand-in for the filter holds them back."""
-    return Swinging(configuration, weights, count, seed, sheltered=not penalty, penalty=penalty)
+def practice(
+    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
+) -> Swinging:
+    """Pendulums to train on; ``penalty`` is for entering the hazard, ``sheltered`` by a stand-in for the filter."""
+    return Swinging(configuration, weights, count, seed, sheltered=sheltered, penalty=penalty)
 
 
 def evaluate(

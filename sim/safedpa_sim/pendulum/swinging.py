@@ -36,8 +36,8 @@ _CLOSE, _SLOW = 0.2, 1.0
 _ETA = 0.5
 _TURNS = 0.003
 """Probability per tick that the wind becomes another."""
-_STRONGEST = 4.5
-"""m/s; in stronger winds nothing keeps the corridor."""
+_STRONGEST = 4.4
+"""m/s; against stronger winds the motor does not lift the pendulum."""
 _TICK, _TORQUE, _UPRIGHT = 0.005, 0.002, 0.02
 """Rewards, beside the progress in rad: for each tick, the square of the full torque, each tick upright."""
 

@@ -30,8 +30,8 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-TORQUE: Final = 8.0
-"""N m; assumption. Gravity at 45 degrees asks for 3.47 N m, the wind of 4 m/s for at most 4 N m more."""
+TORQUE: Final = 10.0
+"""N m; assumption. Gravity asks for up to 4.9 N m (3.47 at 45 degrees), the wind of 4 m/s for at most 4 N m more."""
 WIND: Final = 4.0
 """m/s in every experiment; assumption. From about 3 m/s on it decides about safety."""
 BALANCING: Final = (-pi / 4, pi / 4)

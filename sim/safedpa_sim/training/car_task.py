@@ -18,10 +18,12 @@ _EVALUATION_SEED = 1_000_003
 """Added to the configuration's seed: no scene of the evaluation is trained on."""
 
 
-def practice(configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float) -> Driving:
-    """Cars to train on; with a ``penalty`` for contacts no stand-in for the filter holds them back."""
+def practice(
+    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
+) -> Driving:
+    """Cars to train on; ``penalty`` is for contacts, ``sheltered`` by a stand-in for the filter."""
     rewards = Rewards(penalty=penalty)
-    return Driving(configuration, weights, count, seed, rewards=rewards, sheltered=not penalty)
+    return Driving(configuration, weights, count, seed, rewards=rewards, sheltered=sheltered)
 
 
 def evaluate(

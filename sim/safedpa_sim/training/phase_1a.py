@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
-from typing import Any, Literal, final
+from typing import Any, final
 
 import torch
 
-from safedpa.errors import InputError
+from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights, frame_of
 from safedpa_sim.training.checkpoint import read_checkpoint, write_checkpoint
 from safedpa_sim.training.configuration import Configuration
@@ -21,10 +22,7 @@ from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import Transitions, draw_transitions, scales
 from safedpa_sim.training.weights_export import export_weights, normalise_latent
 
-__all__ = ["Variant", "train_affine", "training_device"]
-
-Variant = Literal["1a", "fix", "mix"]
-"""1a: f and g know z = mu(e). fix and mix: they know nothing of e, and learn where nothing acts, or everywhere."""
+__all__ = ["train_affine", "training_device"]
 
 _HELD_OUT = 20_000
 _STREAMS = {"scales": 1, "training": 2, "held_out": 3, "latents": 4, "floor": 5}
@@ -48,16 +46,24 @@ def training_device(name: str) -> torch.device:
 
 
 def train_affine(
-    configuration: Configuration, out: Path, tell: Tell = silent, device: str = "cpu", variant: Variant = "1a"
+    configuration: Configuration,
+    out: Path,
+    tell: Tell = silent,
+    device: str = "cpu",
+    variant: str = "1a",
+    alone: Mapping[str, float] | None = None,
 ) -> tuple[Weights, dict[str, Any]]:
-    """Minimises mean(((increment - predicted) / increment_scale)^2) by Adam over fresh transitions, in one pass.
+    """In variant ``1a`` f and g know z = mu(e); in every other they know nothing of e, and learn everywhere (Mix), or
+    where e is ``alone`` (Fix): values by path, of the others those at which nothing acts.
+
+    Minimises mean(((increment - predicted) / increment_scale)^2) by Adam over fresh transitions, in one pass.
 
     Returns the weights and what is worth recording: loss, share of variance explained and error for each state on
     held-out transitions, and the part of the variance that no model affine in the action explains. Checkpoints go to
     ``out``; a training that was interrupted goes on there, to the same result bit for bit on the same kind of processor
     and number of threads.
     """
-    training = _Training.begin(configuration, variant, training_device(device))
+    training = _Training.begin(configuration, variant, training_device(device), alone)
     checkpoint = out / f"checkpoint_{variant}.pt"
     training.run(training.restore(checkpoint), checkpoint, tell)
     normalise_latent(training.networks, training.cars, training.seed("latents"))
@@ -76,18 +82,22 @@ def train_affine(
 @dataclass
 class _Training:
     configuration: Configuration
-    variant: Variant
+    variant: str
     cars: BatchedCars
     networks: AffineNetworks
     optimiser: torch.optim.Adam
     generator: torch.Generator
     pairs: int
+    alone: torch.Tensor | None
+    """The one environment (entries,) of Fix."""
     curve: list[list[float]] = field(default_factory=list)
     losses: list[torch.Tensor] = field(default_factory=list)
     """Of the steps since the curve's last point; tensors, because asking each for its number takes time."""
 
     @staticmethod
-    def begin(configuration: Configuration, variant: Variant, device: torch.device) -> _Training:
+    def begin(
+        configuration: Configuration, variant: str, device: torch.device, alone: Mapping[str, float] | None
+    ) -> _Training:
         cars = BatchedCars(configuration, device)
         phase, ablations = configuration.phase_1a, configuration.ablations
         whole = variant == "1a"
@@ -95,7 +105,8 @@ class _Training:
         optimiser = torch.optim.Adam(networks.parameters(), phase.learning_rate, fused=True)
         generator = cars.generator(configuration.seed * 10 + _STREAMS["training"])
         pairs = phase.pairs if whole else ablations.pairs
-        return _Training(configuration, variant, cars, networks, optimiser, generator, pairs)
+        fixed = None if alone is None else _environment(cars, alone)
+        return _Training(configuration, variant, cars, networks, optimiser, generator, pairs, fixed)
 
     @property
     def steps(self) -> int:
@@ -166,8 +177,7 @@ class _Training:
         return detached
 
     def _transitions(self, count: int, generator: torch.Generator) -> Transitions:
-        alone = self.cars.nominal if self.variant == "fix" else None
-        return draw_transitions(self.cars, count, generator, environment=alone)
+        return draw_transitions(self.cars, count, generator, environment=self.alone)
 
     def summary(self) -> dict[str, Any]:
         """What was reached, on transitions that were not trained on (of the environments trained in)."""
@@ -179,6 +189,16 @@ class _Training:
             **evaluate(self.networks, held_out),
             "not_affine": floor.tolist(),
         }
+
+
+def _environment(cars: BatchedCars, alone: Mapping[str, float]) -> torch.Tensor:
+    """The environment (entries,) with the given values by path; InputError for a path that is not randomised."""
+    paths = [entry.path for entry in cars.entries]
+    for path in alone:
+        if path not in paths:
+            raise InputError(f"environment '{path}': {did_you_mean(path, paths)}")
+    values = [alone.get(path, float(usual)) for path, usual in zip(paths, cars.nominal, strict=True)]
+    return torch.tensor(values, dtype=torch.float32, device=cars.device)
 
 
 def _networks(cars: BatchedCars, configuration: Configuration, hidden: int, whole: bool) -> AffineNetworks:

@@ -36,18 +36,20 @@ def train_policy(
     out: Path,
     tell: Tell = silent,
     device: str = "cpu",
+    name: str = "1b",
     penalty: float = 0.0,
+    sheltered: bool = True,
 ) -> tuple[Weights, dict[str, Any]]:
     """Trains until the share of evaluation drives that reach their goal is ``enough``, or the steps are used up.
 
-    ``penalty`` is taken off the reward when a contact begins; with one, no stand-in for the filter holds the car back:
-    it has to learn not to touch anything by itself (RMA-P). Returns the weights with the policy, and the learning curve
-    with what was reached. An interrupted training goes on from the checkpoint in ``out``. Raises InputError for weights
-    without mu.
+    ``penalty`` is taken off the reward when a contact begins; ``sheltered``: a stand-in for the filter limits what the
+    robot does; without one it has to learn by itself what not to do (RMA-P). Returns the weights with the policy, and
+    the learning curve with what was reached. An interrupted training goes on from its checkpoint in ``out``; ``name``
+    is the stage's. Raises InputError for weights without mu.
     """
     if weights.description.latents and not weights.has("mu"):
         raise InputError("phase 1b: got weights without mu, wanted those of phase 1a; run it first")
-    training = _Training(configuration, weights, out, tell, device, penalty)
+    training = _Training(configuration, weights, out, tell, device, name, penalty, sheltered)
     training.run()
     return training.result()
 
@@ -57,12 +59,19 @@ class _Training:
     """One training: environment, PPO, and what is written down along the way."""
 
     def __init__(
-        self, configuration: Configuration, weights: Weights, out: Path, tell: Tell, device: str, penalty: float
+        self,
+        configuration: Configuration,
+        weights: Weights,
+        out: Path,
+        tell: Tell,
+        device: str,
+        name: str,
+        penalty: float,
+        sheltered: bool,
     ) -> None:
         self.configuration, self.weights, self.tell = configuration, weights, tell
         self.phase = configuration.phase_1b
-        self.name = "rma_p" if penalty else "1b"
-        self.penalty, self.best = penalty, -1.0
+        self.name, self.penalty, self.sheltered, self.best = name, penalty, sheltered, -1.0
         self.curve: list[dict[str, Any]] = []
         digest = f"{self.name} {penalty} {weights.digest} {configuration.digest('phase_1a', 'phase_1b')}"
         self.checkpoint = PolicyCheckpoint(out / f"checkpoint_{self.name}.pt", digest)
@@ -77,9 +86,9 @@ class _Training:
 
     def _practice(self, done: int) -> Practice:
         """The robots to train on; after an interruption they are elsewhere."""
-        return self.task.practice(
-            self.configuration, self.weights, self.phase.cars, self.configuration.seed + done, self.penalty
-        )
+        configuration = self.configuration
+        seed, count = configuration.seed + done, self.phase.cars
+        return self.task.practice(configuration, self.weights, count, seed, self.penalty, self.sheltered)
 
     def _go_on(self, known: dict[str, Any]) -> None:
         policy: Any = self.algorithm.policy
@@ -121,9 +130,7 @@ class _Training:
     def evaluated(self, weights: Weights, cars: int) -> dict[str, Any]:
         """Drives on scenes that are never trained on."""
         configuration = self.configuration
-        return self.task.evaluate(
-            configuration, weights, cars=cars, seed=configuration.seed, sheltered=not self.penalty
-        )
+        return self.task.evaluate(configuration, weights, cars=cars, seed=configuration.seed, sheltered=self.sheltered)
 
     def look(self) -> bool:
         """Evaluates the policy as it is, keeps the best so far, tells and saves; returns whether it is good enough."""

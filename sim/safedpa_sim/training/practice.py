@@ -40,9 +40,9 @@ class PolicyTask(Protocol):
     """What policies of one kind of robot learn. Modules fulfil it."""
 
     def practice(
-        self, configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float
+        self, configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
     ) -> Practice:
-        """Robots to train on; a ``penalty`` is taken off the reward when a contact begins, and no filter shelters."""
+        """Robots to train on; ``penalty`` is taken off when a contact begins, ``sheltered`` as if by the filter."""
 
     def evaluate(
         self, configuration: Configuration, weights: Weights, *, cars: int, seed: int, sheltered: bool

@@ -1,0 +1,156 @@
+"""What is trained for each kind of robot, in which order: the paper's phases, and the ablations beside them."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+from typing import Any, Final, final
+
+from safedpa.errors import InputError, did_you_mean
+from safedpa.networks import Weights
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.phase_1a import train_affine
+from safedpa_sim.training.progress import Tell
+
+__all__ = ["Stage", "Trained", "phase_function", "stages_of"]
+
+Trained = tuple[Weights, dict[str, Any]]
+"""Weights, and what is worth recording."""
+
+Train = Callable[[Configuration, Weights, Path, Tell, str], Trained]
+
+
+@final
+@dataclass(frozen=True)
+class Stage:
+    """One thing that is trained: from which weights, into which, and by whom."""
+
+    name: str
+    sections: tuple[str, ...]
+    """Sections of the configuration that decide the result."""
+    source: str
+    """The file it begins with; nothing for one that begins from nothing."""
+    target: str
+    adds: tuple[str, ...]
+    """Networks that are in its result."""
+    train: Train
+    needs: tuple[str, ...] = ()
+    """Networks that must be there before it begins."""
+    drops: tuple[str, ...] = ()
+    """Beginnings of the names of tensors that it makes itself, or that were made from those: it must not see them."""
+
+
+def stages_of(robot: str) -> dict[str, tuple[Stage, ...]]:
+    """The stages of each phase, in order. Raises InputError for a kind of robot that nothing is known of."""
+    if robot not in _STAGES:
+        raise InputError(f"training of robot '{robot}': {did_you_mean(robot, _STAGES)}")
+    return _STAGES[robot]
+
+
+def phase_function(module: str, name: str) -> Callable[..., Any]:
+    """A phase's function, imported when it is called: its packages belong to the extra ``train``."""
+    try:
+        found: Callable[..., Any] = getattr(importlib.import_module(f"safedpa_sim.training.{module}"), name)
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{module.replace('_', ' ')}: the module '{error.name}' is not installed; say pip install 'safedpa[train]'"
+        ) from error
+    return found
+
+
+def _affine(variant: str, alone: Mapping[str, float] | None = None) -> Train:
+    def train(configuration: Configuration, _given: Weights | None, out: Path, tell: Tell, device: str) -> Trained:
+        return train_affine(configuration, out, tell, device, variant, alone)
+
+    return train
+
+
+def _later(module: str, function: str, **options: Any) -> Train:
+    def train(*arguments: Any) -> Trained:
+        result: Trained = phase_function(module, function)(*arguments, **options)
+        return result
+
+    return train
+
+
+def _penalised(configuration: Configuration, given: Weights, out: Path, tell: Tell, device: str) -> Trained:
+    """RMA-P: a policy that is punished for contacts in training, in place of a filter."""
+    train = _later("phase_1b", "train_policy", name="rma_p", penalty=configuration.ablations.penalty, sheltered=False)
+    return train(configuration, given, out, tell, device)
+
+
+_SIMULATED, _LEARNED = "{robot}_simulated", "{robot}_learned"
+_TO_POLICY = ("phase_1a", "phase_1b")
+_TO_HISTORY = (*_TO_POLICY, "phase_2")
+_ALONE = ("phase_1a", "ablations")
+_POLICY = ("policy.", "observation_")
+
+
+def _common(last: str) -> dict[str, tuple[Stage, ...]]:
+    """Phases 1a, 1b and 2; ``last`` is the file that phase 2 writes."""
+    train_policy = _later("phase_1b", "train_policy")
+    encode = _later("phase_2", "train_history_encoder")
+    drops = (*_POLICY, "phi.")
+    return {
+        "1a": (Stage("1a", ("phase_1a",), "", _SIMULATED, ("mu", "f", "g"), _affine("1a")),),
+        "1b": (Stage("1b", _TO_POLICY, _SIMULATED, _SIMULATED, ("policy",), train_policy, drops=drops),),
+        "2": (Stage("2", _TO_HISTORY, _SIMULATED, last, ("phi",), encode, ("policy",), ("phi.",)),),
+    }
+
+
+def _with_penalty(name: str, source: str, train: Train) -> Stage:
+    sections, target = (*_TO_HISTORY, "ablations"), f"{{robot}}_{name}"
+    return Stage(name, sections, source, target, ("policy", "phi"), train, ("policy", "phi"), _POLICY)
+
+
+def _alone(name: str, environment: Mapping[str, float] | None = None) -> Stage:
+    return Stage(name, _ALONE, "", f"{{robot}}_{name}", ("f", "g"), _affine(name, environment))
+
+
+def _in_wind(direction: int, strength: float = 4.0) -> Stage:
+    """Fix for the pendulum: it knows the wind of one direction [degrees] alone."""
+    from math import cos, sin
+
+    towards = radians(direction)
+    wind = {"wind.speed": strength * cos(towards), "wind.upward": strength * sin(towards)}
+    return _alone(f"fix_{direction}", wind)
+
+
+def _punished(penalty: float) -> Stage:
+    """RMA-P for the pendulum, with a penalty of its own."""
+    name = f"rma_p_{penalty:g}"
+    train = _later("phase_1b", "train_policy", name=name, penalty=penalty, sheltered=False)
+    return _with_penalty(name, _LEARNED, train)
+
+
+_PLAIN = _later("phase_1b", "train_policy", name="ppo", sheltered=False)
+_STAGES: Final = {
+    "car": {
+        **_common(_SIMULATED),
+        "3": (
+            Stage(
+                "3",
+                (*_TO_HISTORY, "phase_3"),
+                _SIMULATED,
+                _LEARNED,
+                ("phi",),
+                _later("phase_3", "tune"),
+                ("policy", "phi"),
+            ),
+        ),
+        "ablations": (_alone("fix", {}), _alone("mix"), _with_penalty("rma_p", _SIMULATED, _penalised)),
+    },
+    "pendulum": {
+        **_common(_LEARNED),
+        "ablations": (
+            *(_in_wind(direction) for direction in (45, 135, 225, 315)),
+            _alone("mix"),
+            Stage("ppo", (*_TO_POLICY, "ablations"), "{robot}_mix", "{robot}_ppo", ("policy",), _PLAIN),
+            *(_punished(penalty) for penalty in (1.0, 10.0)),
+        ),
+    },
+}
+"""The pendulum has no phase 3: its simulator is the robot."""
