@@ -130,6 +130,6 @@ def test_the_filters_node_uses_the_chosen_margin(car: PhysicsModel) -> None:
     calibration = dataclasses.replace(CALIBRATION, fingerprint=fingerprint(car))
     for margin, wanted in (("conformal", 0.02), ("theorem", 0.05), (0.07, 0.07)):
         node = SafetyFilterNode(car, FilterSettings(margin=margin), calibration)
-        assert node._calibration.epsilon["obstacle"] == wanted
+        assert node._versions.of("r").calibration.epsilon["obstacle"] == wanted
     with pytest.raises(InputError, match="theorem"):
         SafetyFilterNode(car, FilterSettings(margin="theorem"))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import final
+from collections import deque
+from dataclasses import dataclass, field
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,45 @@ from numpy.typing import NDArray
 from safedpa.adaptation.abstract import AbstractEstimator
 from safedpa.adaptation.estimator import EstimatorSettings, LatentEstimator
 from safedpa.adaptation.history_estimator import HistoryEstimator
-from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, StateMessage
+from safedpa.bus import (
+    LATENT,
+    MODEL,
+    TAKEOVER,
+    AbstractNode,
+    Answer,
+    Inputs,
+    LatentMessage,
+    Message,
+    ModelMessage,
+    Outputs,
+    StateMessage,
+)
+from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
+from safedpa.dynamics.offered import offered_model
 from safedpa.errors import InputError, MessageError
 
 __all__ = ["AdaptationNode"]
 
 Vector = NDArray[np.float64]
+
+
+_RECENT_TRANSITIONS = 64
+"""From which an estimator of a new model begins: longer than the history that an encoder reads."""
+
+
+class _Held(NamedTuple):
+    """What the adaptation needs of a model."""
+
+    model: PhysicsModel
+    fingerprint: str
+
+
+class _Transition(NamedTuple):
+    state: Vector
+    action: Vector
+    next_state: Vector
+    period: float
 
 
 @dataclass
@@ -29,6 +62,10 @@ class _Memory:
     """None until a state came that can be believed."""
     newest: StateMessage | None = None
     """What ``afterwards`` has to learn from."""
+    recent: deque[_Transition] = field(default_factory=lambda: deque(maxlen=_RECENT_TRANSITIONS))
+    """Without a gap, up to the newest state."""
+    successor: tuple[_Held, AbstractEstimator] | None = None
+    """For the model that was offered; it learns along until that model is in force."""
 
 
 @final
@@ -39,80 +76,132 @@ class AdaptationNode(AbstractNode):
     parameters are estimated recursively, and latent[k] holds what all transitions before state[k] taught: the newest
     one is learned while the policy computes, so that nobody waits for it.
 
-    A state that cannot be believed (out of the system's bounds) teaches nothing, nor does the transition out of it.
+    A state that cannot be believed (out of the system's bounds) teaches nothing, nor does the transition out of it. A
+    new model's estimate begins with the values of its file and learns from the last transitions, before it is used.
     Raises InputError when the settings do not fit the model.
     """
 
     name = "adaptation"
     inputs = ()
-    outputs = (LATENT,)
+    outputs = (LATENT, TAKEOVER)
+    listens = (MODEL,)
     share = 0.0
 
     def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
-        self._model = model
         self._settings = settings or EstimatorSettings()
-        self._fingerprint = fingerprint(model)
         self._robots: dict[str, _Memory] = {}
-        self._estimator()  # says now, not at the first robot, that the settings do not fit
+        first = _Held(model, fingerprint(model))
+        self._estimator(first)  # says now, not at the first robot, that the settings do not fit
+        self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del inputs
-        self._check(state)
+        changed = self._versions.begin(robot, state)
+        held = self._versions.of(robot)
+        _check(held, state)
         memory = self._robots.get(robot)
         if memory is None:
-            memory = self._robots[robot] = _Memory(self._estimator())
+            memory = self._robots[robot] = _Memory(self._estimator(held))
+        elif changed:
+            ready = memory.successor is not None and memory.successor[0] is held
+            memory.estimator = memory.successor[1] if ready and memory.successor else self._estimator(held)
+            memory.successor = None
         memory.newest = state
         if memory.estimator.quick:
             try:
-                self._learn(memory)
+                self._learn(held, memory)
             except InputError as error:
                 raise MessageError(f"state: {error}") from error
-        return {LATENT: self._message(state, memory.estimator)}
+        return {LATENT: _message(held, state, memory.estimator)}
 
     def afterwards(self, robot: str) -> Outputs:
-        """Learns from the newest transition, where that takes time."""
+        """Learns from the newest transition, where that takes time; prepares a model that was offered, and answers."""
         memory = self._robots[robot]
+        assert memory.newest is not None
         if not memory.estimator.quick:
-            self._learn(memory)
-        return {}
+            self._learn(self._versions.of(robot), memory)
+        self._teach_successor(robot, memory)
+        answer = self._versions.answer(robot, memory.newest)
+        return {} if answer is None else {TAKEOVER: answer}
 
-    def _estimator(self) -> AbstractEstimator:
-        base = self._model.base
+    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
+        assert isinstance(message, ModelMessage)
+        self._versions.hear(robot, message)
+
+    def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
+        self._versions.welcome(robot, status)
+
+    def model_of(self, robot: str) -> str:  # noqa: D102
+        return self._versions.fingerprint(robot)
+
+    def _load(self, robot: str, offer: ModelMessage) -> _Held:
+        """The offered model, tried on the robot's last transitions. Raises InputError when it cannot be used."""
+        model = offered_model(offer, self._versions.of(robot).model)
+        held = _Held(model, offer.fingerprint)
+        memory = self._robots.get(robot)
+        estimator = self._estimator(held)
+        if memory is not None:
+            for transition in memory.recent if estimator.quick else list(memory.recent)[-1:]:
+                estimator.update(*transition)
+            memory.successor = (held, estimator)
+        return held
+
+    def _estimator(self, held: _Held) -> AbstractEstimator:
+        base = held.model.base
         if isinstance(base, LearnedBase) and base.weights.has("phi"):
-            return HistoryEstimator(self._model)
-        return LatentEstimator(self._model, self._settings)
+            return HistoryEstimator(held.model)
+        return LatentEstimator(held.model, self._settings)
 
-    def _learn(self, memory: _Memory) -> None:
+    def _learn(self, held: _Held, memory: _Memory) -> None:
         """Learns from the transition to the newest state."""
         state = memory.newest
         assert state is not None
         values, applied = np.array(state.values), np.array(state.applied)
-        plausible = self._model.system.is_plausible(values)
+        plausible = held.model.system.is_plausible(values)
         if plausible and memory.state is not None and state.tick == memory.tick + 1:
-            memory.estimator.update(memory.state, applied, values, state.period)
+            transition = _Transition(memory.state, applied, values, state.period)
+            memory.estimator.update(*transition)
+            memory.recent.append(transition)
         else:
             memory.estimator.forget_transient()
+            memory.recent.clear()
         memory.tick, memory.state = state.tick, values if plausible else None
+
+    def _teach_successor(self, robot: str, memory: _Memory) -> None:
+        """The newest transition for the model that was offered too; one that cannot learn is refused after all."""
+        held = self._versions.prepared(robot)
+        if held is None or memory.successor is None or memory.successor[0] is not held:
+            memory.successor = None
+        elif memory.recent:
+            try:
+                memory.successor[1].update(*memory.recent[-1])
+            except Exception as error:  # noqa: BLE001  a user's effect may raise anything; the robot drives on
+                memory.successor = None
+                self._versions.refuse(robot, f"{type(error).__name__}: {error}")
+        else:
+            memory.successor[1].forget_transient()
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
 
-    def _check(self, state: StateMessage) -> None:
-        """Raises MessageError when the lengths of state or action in force do not fit."""
-        system = self._model.system
-        if len(state.values) != len(system.state) or len(state.applied) != len(system.action):
-            raise MessageError(
-                f"state: got {len(state.values)} values and {len(state.applied)} actions, wanted "
-                f"{len(system.state)} ({', '.join(system.state_names)}) and {len(system.action)}"
-            )
 
-    def _message(self, state: StateMessage, estimator: AbstractEstimator) -> LatentMessage:
-        return LatentMessage(
-            epoch=state.epoch,
-            tick=state.tick,
-            robot_time=state.robot_time,
-            publish_time=time.time(),
-            model=self._fingerprint,
-            values=tuple(float(value) for value in estimator.latent),
-            deviations=tuple(float(value) for value in estimator.deviations),
+def _check(held: _Held, state: StateMessage) -> None:
+    """Raises MessageError when the lengths of state or action in force do not fit."""
+    system = held.model.system
+    if len(state.values) != len(system.state) or len(state.applied) != len(system.action):
+        raise MessageError(
+            f"state: got {len(state.values)} values and {len(state.applied)} actions, wanted "
+            f"{len(system.state)} ({', '.join(system.state_names)}) and {len(system.action)}"
         )
+
+
+def _message(held: _Held, state: StateMessage, estimator: AbstractEstimator) -> LatentMessage:
+    return LatentMessage(
+        epoch=state.epoch,
+        tick=state.tick,
+        robot_time=state.robot_time,
+        publish_time=time.time(),
+        model=held.fingerprint,
+        values=tuple(float(value) for value in estimator.latent),
+        deviations=tuple(float(value) for value in estimator.deviations),
+    )

@@ -16,7 +16,7 @@ from safedpa.bus.topics import Topic, key_of, topic_of
 from safedpa.bus.transport import AbstractTransport
 from safedpa.errors import BusError, InputError, MessageError
 
-__all__ = ["Bus", "Inbox", "Received", "Refused"]
+__all__ = ["Answered", "Bus", "Inbox", "Received", "Refused"]
 
 _CLAIM_POLL_SECONDS = 0.05
 _LONGEST_QUEUE = 100_000
@@ -45,6 +45,14 @@ class Refused:
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What came of a question about a robot; None when nobody answered in time."""
+
+    robot: str
+    answer: Answer | None
+
+
 class Inbox:
     """What arrived and was not read yet; filled by network threads, emptied by one loop.
 
@@ -56,6 +64,7 @@ class Inbox:
         self._filled = threading.Condition()
         self._latest: dict[str, tuple[bytes, float]] = {}
         self._queue: deque[tuple[str, bytes, float]] = deque(maxlen=longest_queue)
+        self._answers: list[Answered] = []
         self.dropped = 0
         """Messages lost because the queue was full."""
 
@@ -72,10 +81,22 @@ class Inbox:
             self._queue.append((key, payload, self._clock()))
             self._filled.notify()
 
-    def take(self, timeout: float) -> list[Received | Refused]:
-        """Everything unread, oldest first; waits up to ``timeout`` [s] for the first."""
+    def keep_answer(self, answered: Answered) -> None:
+        """Accepts what came of a question."""
         with self._filled:
-            if timeout > 0.0 and not self._latest and not self._queue:
+            self._answers.append(answered)
+            self._filled.notify()
+
+    def take_answers(self) -> list[Answered]:
+        """What came of questions asked since the last call; never waits."""
+        with self._filled:
+            answers, self._answers = self._answers, []
+        return answers
+
+    def take(self, timeout: float) -> list[Received | Refused]:
+        """Everything unread, oldest first; waits up to ``timeout`` [s] for the first message or answer."""
+        with self._filled:
+            if timeout > 0.0 and not self._latest and not self._queue and not self._answers:
                 self._filled.wait(timeout)
             waiting = [(key, payload, at) for key, (payload, at) in self._latest.items()]
             waiting += self._queue
@@ -129,6 +150,18 @@ class Bus:
         """
         payload = self._transport.ask(request_key(self.fleet, robot), encode(request), timeout)
         return None if payload is None else decode(Answer, payload)
+
+    def request_into(self, inbox: Inbox, robot: str, request: Request, timeout: float) -> None:
+        """Asks without waiting: what comes of it, at the latest after ``timeout`` [s], is put into the inbox."""
+
+        def on_answer(payload: bytes | None) -> None:
+            try:
+                answer = None if payload is None else decode(Answer, payload)
+            except InputError:  # no answer that we could use
+                answer = None
+            inbox.keep_answer(Answered(robot, answer))
+
+        self._transport.ask_soon(request_key(self.fleet, robot), encode(request), timeout, on_answer)
 
     def answer_requests(self, answer: Callable[[str, Request], Answer], robot: str = "*") -> None:
         """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from safedpa.bus.transport import AbstractTransport, OnQuestion, OnSample
+from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample
 from safedpa.errors import BusError
 
 __all__ = ["MemoryBroker", "MemoryTransport"]
@@ -54,6 +54,9 @@ class MemoryTransport(AbstractTransport):
         answers = (on_question for _, expression, on_question in self._broker.answerers if _matches(expression, key))
         on_question = next(answers, None)
         return None if on_question is None else on_question(key, payload)
+
+    def ask_soon(self, key: str, payload: bytes, timeout: float, on_answer: OnAnswer) -> None:  # noqa: D102
+        on_answer(self.ask(key, payload, timeout))
 
     def close(self) -> None:  # noqa: D102
         self._closed = True

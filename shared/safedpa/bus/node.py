@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from safedpa.bus.messages import Message, StateMessage
+from safedpa.bus.requests import Answer
 from safedpa.bus.topics import Topic
 
 __all__ = ["AbstractNode", "Inputs", "Outputs", "Stale"]
@@ -41,6 +42,7 @@ class AbstractNode(ABC):
 
     - ``inputs``: topics needed besides the state;
     - ``outputs``: topics published;
+    - ``listens``: topics that are no input of a tick: their messages are handed to ``hear`` as they come;
     - ``share``: part of the robot's period after which, in real time, the step runs with what is there.
     """
 
@@ -48,6 +50,7 @@ class AbstractNode(ABC):
     inputs: ClassVar[tuple[Topic, ...]]
     outputs: ClassVar[tuple[Topic, ...]]
     share: ClassVar[float]
+    listens: ClassVar[tuple[Topic, ...]] = ()
 
     @abstractmethod
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
@@ -61,6 +64,22 @@ class AbstractNode(ABC):
         """Outputs of the same tick for which nobody waits; called when those of ``step`` are on their way."""
         del robot
         return {}
+
+    def hear(self, robot: str, message: Message) -> None:
+        """Takes a message of one of the topics in ``listens``; each once, in order, whatever tick it belongs to."""
+        del robot, message
+
+    def welcome(self, robot: str, status: Answer | None) -> None:
+        """Told before the first step for a robot that this process has not met, when MODEL is among ``listens``.
+
+        ``status`` is what the diagnosis says of the robot's model; None when nobody answered.
+        """
+        del robot, status
+
+    def model_of(self, robot: str) -> str:
+        """Fingerprint of the model in force for a robot, for the health message; empty without one."""
+        del robot
+        return ""
 
     def forget(self, robot: str) -> None:
         """Drops what is remembered of a robot: it started anew, or left."""

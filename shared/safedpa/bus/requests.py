@@ -51,6 +51,10 @@ class Answer:
     epoch: int = 0
     """With a pending ``take``: the robot's epoch and the tick from which the pending model is in force."""
     from_tick: int = 0
+    finding: int = 0
+    """Number of the newest finding; 0 while there was none."""
+    candidates: tuple[str, ...] = ()
+    """Effects that can be accepted now, best first."""
 
 
 def request_key(fleet: str, robot: str) -> str:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from safedpa.bus.bus import Bus, Received, Refused
+from safedpa.bus.greeting import Greeting
 from safedpa.bus.messages import HealthMessage, Message, StateMessage
 from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
 from safedpa.bus.topics import HEALTH, STATE, Topic
@@ -72,7 +73,8 @@ class ServiceLoop:
         self._node = node
         self._bus = bus
         self._clock = clock
-        self._inbox = bus.inbox((STATE, *node.inputs), robot, clock=clock)
+        self._inbox = bus.inbox(tuple(dict.fromkeys((STATE, *node.inputs, *node.listens))), robot, clock=clock)
+        self._greeting = Greeting(node, bus, self._inbox, clock)
         self._slots: dict[str, _Slot] = {}
         self._counts = _Counts()
         self._next_heartbeat = clock()
@@ -87,10 +89,10 @@ class ServiceLoop:
         for item in self._inbox.take(self._patience(longest_wait)):
             if isinstance(item, Refused):
                 self._refuse(item.reason)
-            elif item.topic is STATE:
-                self._take_state(item)
             else:
-                self._take_input(item)
+                self._take(item)
+        for known in self._greeting.ready():
+            self._take_known(known)
         for robot, slot in self._slots.items():
             if slot.outputs is None:
                 self._advance(robot, slot)
@@ -104,7 +106,7 @@ class ServiceLoop:
     def _patience(self, longest_wait: float) -> float:
         now = self._clock()
         due = [self._deadline(slot) if slot.outputs is None else self._finish_at(slot) for slot in self._slots.values()]
-        return max(0.0, min(longest_wait, min(due, default=float("inf")) - now))
+        return max(0.0, min(longest_wait, min((*due, self._greeting.deadline())) - now))
 
     def _finish_at(self, slot: _Slot) -> float:
         if slot.unfinished_since is None:
@@ -115,6 +117,24 @@ class ServiceLoop:
         if slot.state.lockstep:
             return float("inf")
         return slot.arrived + self._node.share * slot.state.period
+
+    def _take(self, item: Received) -> None:
+        if item.topic in self._node.listens:
+            self._hear(item)
+        if (item.topic is STATE or item.topic in self._node.inputs) and not self._greeting.holds(item):
+            self._take_known(item)
+
+    def _take_known(self, item: Received) -> None:
+        if item.topic is STATE:
+            self._take_state(item)
+        else:
+            self._take_input(item)
+
+    def _hear(self, item: Received) -> None:
+        try:
+            self._node.hear(item.robot, item.message)
+        except InputError as error:
+            self._refuse(str(error))
 
     def _take_state(self, item: Received) -> None:
         state = item.message
@@ -193,12 +213,13 @@ class ServiceLoop:
 
     def _publish(self, robot: str, outputs: Outputs) -> None:
         for topic, message in outputs.items():
-            self._bus.publish(topic, robot, message)
+            self._bus.publish(topic, robot, message, self._node.name)
 
     def _forget_silent(self) -> None:
         oldest = self._clock() - _FORGET_SECONDS
         for robot in [robot for robot, slot in self._slots.items() if slot.heard < oldest]:
             self._node.forget(robot)
+            self._greeting.forget(robot)
             del self._slots[robot]
 
     def _refuse(self, reason: str) -> None:
@@ -222,6 +243,7 @@ class ServiceLoop:
                 stale=counts.stale,
                 refused=counts.refused,
                 step_microseconds=counts.microseconds,
+                model=self._node.model_of(robot) if slot else "",
             )
             self._bus.publish(HEALTH, robot, message, self._node.name)
 

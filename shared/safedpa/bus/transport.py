@@ -5,13 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-__all__ = ["AbstractTransport", "OnQuestion", "OnSample"]
+__all__ = ["AbstractTransport", "OnAnswer", "OnQuestion", "OnSample"]
 
 OnSample = Callable[[str, bytes], None]
 """Called with key and payload, on any thread; must return at once and raise nothing."""
 
 OnQuestion = Callable[[str, bytes], bytes]
 """Called with key and payload of a question, on any thread; returns the answer soon and raises nothing."""
+
+OnAnswer = Callable[[bytes | None], None]
+"""Called once with the first answer, or None when there was none; on any thread."""
 
 
 class AbstractTransport(ABC):
@@ -46,6 +49,10 @@ class AbstractTransport(ABC):
 
         Raises BusError after ``close``.
         """
+
+    @abstractmethod
+    def ask_soon(self, key: str, payload: bytes, timeout: float, on_answer: OnAnswer) -> None:
+        """The same without waiting for it: ``on_answer`` is called with what ``ask`` would have returned."""
 
     @abstractmethod
     def close(self) -> None:

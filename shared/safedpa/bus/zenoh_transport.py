@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
-from safedpa.bus.transport import AbstractTransport, OnQuestion, OnSample
+from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample
 from safedpa.errors import BusError
 
 if TYPE_CHECKING:
@@ -151,6 +152,16 @@ class ZenohTransport(AbstractTransport):
             return next((reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None), None)
         except zenoh.ZError as error:
             raise BusError(f"{key}: could not be asked ({_first_clause(error)}); was the bus closed?") from error
+
+    def ask_soon(self, key: str, payload: bytes, timeout: float, on_answer: OnAnswer) -> None:  # noqa: D102
+        def ask() -> None:
+            try:
+                answer = self.ask(key, payload, timeout)
+            except BusError:  # closed meanwhile: as if nobody answered
+                answer = None
+            on_answer(answer)
+
+        threading.Thread(target=ask, daemon=True).start()
 
     def close(self) -> None:  # noqa: D102
         if not self._session.is_closed():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -10,19 +12,35 @@ from numpy.typing import NDArray
 
 from safedpa.bus import (
     LATENT,
+    MODEL,
+    TAKEOVER,
     WISH,
     AbstractNode,
+    Answer,
     Inputs,
     LatentMessage,
+    Message,
+    ModelMessage,
     Outputs,
     StateMessage,
     WishMessage,
 )
+from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.dynamics.offered import offered_model
 from safedpa.policy.controller import Controller, controller_for
 from safedpa.policy.goal_seeker import GoalSeekerSettings
 
 __all__ = ["PolicyNode"]
+
+
+@dataclass(frozen=True)
+class _Held:
+    """What the policy needs of a model."""
+
+    model: PhysicsModel
+    fingerprint: str
+    make: Callable[[], Controller]
 
 
 @final
@@ -35,21 +53,27 @@ class PolicyNode(AbstractNode):
 
     name = "policy"
     inputs = (LATENT,)
-    outputs = (WISH,)
+    outputs = (WISH, TAKEOVER)
+    listens = (MODEL,)
     share = 0.2
 
     def __init__(
         self, model: PhysicsModel, settings: GoalSeekerSettings | None = None, controller: str | None = None
     ) -> None:
-        self._make = controller_for(model, controller, settings)
-        self._latents = len(model.latent_names)
-        self._fingerprint = fingerprint(model)
+        self._settings, self._controller = settings, controller
+        first = self._held(model)
+        self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
         self._controllers: dict[str, Controller] = {}
+        self._states: dict[str, StateMessage] = {}
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
+        if self._versions.begin(robot, state):
+            self._controllers.pop(robot, None)
+        held = self._versions.of(robot)
+        self._states[robot] = state
         if robot not in self._controllers:
-            self._controllers[robot] = self._make()
-        values, controller = self._controllers[robot].wish(state, self._latent(inputs))
+            self._controllers[robot] = held.make()
+        values, controller = self._controllers[robot].wish(state, _latent(held, inputs))
         message = WishMessage(
             epoch=state.epoch,
             tick=state.tick,
@@ -60,12 +84,40 @@ class PolicyNode(AbstractNode):
         )
         return {WISH: message}
 
-    def _latent(self, inputs: Inputs) -> NDArray[np.float64] | None:
-        """The latent, if there is one and it belongs to the model."""
-        latent = inputs[LATENT]
-        if not isinstance(latent, LatentMessage) or latent.model != self._fingerprint:
-            return None
-        return np.array(latent.values) if len(latent.values) == self._latents else None
+    def afterwards(self, robot: str) -> Outputs:
+        """Prepares a model that was offered, and answers."""
+        answer = self._versions.answer(robot, self._states[robot])
+        return {} if answer is None else {TAKEOVER: answer}
+
+    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
+        assert isinstance(message, ModelMessage)
+        self._versions.hear(robot, message)
+
+    def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
+        self._versions.welcome(robot, status)
+
+    def model_of(self, robot: str) -> str:  # noqa: D102
+        return self._versions.fingerprint(robot)
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._controllers.pop(robot, None)
+        self._states.pop(robot, None)
+
+    def _held(self, model: PhysicsModel) -> _Held:
+        return _Held(model, fingerprint(model), controller_for(model, self._controller, self._settings))
+
+    def _load(self, robot: str, offer: ModelMessage) -> _Held:
+        """The offered model, tried at the robot's newest state. Raises InputError when it cannot be used."""
+        held = self._held(offered_model(offer, self._versions.of(robot).model))
+        state = self._states.get(robot)
+        if state is not None:
+            held.make().wish(state, held.model.latent)
+        return held
+
+
+def _latent(held: _Held, inputs: Inputs) -> NDArray[np.float64] | None:
+    """The latent, if there is one and it belongs to the model."""
+    latent = inputs[LATENT]
+    if not isinstance(latent, LatentMessage) or latent.model != held.fingerprint:
+        return None
+    return np.array(latent.values) if len(latent.values) == len(held.model.latent_names) else None

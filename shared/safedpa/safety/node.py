@@ -6,45 +6,38 @@ Whatever is missing, an action goes out in time: without a wish, or with a laten
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, TypedDict, final
+from typing import Any, TypedDict, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.bus import (
     ACTION,
     LATENT,
+    MODEL,
+    TAKEOVER,
     VERDICT,
     WISH,
     AbstractNode,
     ActionMessage,
+    Answer,
     Inputs,
-    LatentMessage,
+    Message,
+    ModelMessage,
     Outputs,
     Stale,
     StateMessage,
     VerdictMessage,
     WishMessage,
 )
+from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
-from safedpa.errors import InputError
-from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.safety_filter import SafetyFilter
-from safedpa.safety.scene import SceneBarriers
+from safedpa.safety.filtered_robot import Decided, FilteredRobot
+from safedpa.safety.held_model import HeldModel, checked_calibration, held_offer, uncalibrated
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Verdict
-from safedpa.safety.watched_margin import WatchedMargin
 
 __all__ = ["SafetyFilterNode"]
-
-Values = NDArray[np.float64]
-
-_LATENT_PATIENCE_TICKS = 20
-"""How long the last latent stands in for a missing one: one second, in which a load does not change unnoticed."""
-_PREDICTED_STEPS = 8
 
 
 class _Stamp(TypedDict):
@@ -54,41 +47,19 @@ class _Stamp(TypedDict):
     publish_time: float
 
 
-class _Decided(NamedTuple):
-    """The last decision."""
-
-    state: StateMessage
-    latent: Values | None
-    verdict: Verdict
-
-
-@dataclass
-class _Robot:
-    """What is remembered of one robot between ticks."""
-
-    filter: SafetyFilter
-    scene: SceneBarriers
-    margin: WatchedMargin
-    tick: int = -1
-    prepared: tuple[int, int] = (0, -1)
-    """Epoch and tick of the state that the fields below belong to."""
-    barriers: tuple[AbstractBarrier, ...] | str = ()
-    """Of the scene now, or what is wrong with it."""
-    latent: LatentMessage | None = None
-    decision: _Decided | None = None
-    memory: Any = None
-    """What the actuators remember, as the model has it."""
-    expected_memory: Any = None
-    """The same one period later, if the robot does what it is told."""
-
-
 @final
 class SafetyFilterNode(AbstractNode):
-    """Filters the wishes for each robot. With ``settings.enabled`` false it hands wishes on and says so."""
+    """Filters the wishes for each robot. With ``settings.enabled`` false it hands wishes on and says so.
+
+    A new model comes with its own margin, and the watch over the margin begins anew. A latent of another model than the
+    filter's is none: the backup acts until both services have the same one. Raises InputError when the calibration
+    belongs to another model.
+    """
 
     name = "safety_filter"
     inputs = (LATENT, WISH)
-    outputs = (ACTION, VERDICT)
+    outputs = (ACTION, VERDICT, TAKEOVER)
+    listens = (MODEL,)
     share = 0.5
 
     def __init__(
@@ -97,28 +68,21 @@ class SafetyFilterNode(AbstractNode):
         settings: FilterSettings | None = None,
         calibration: MarginCalibration | None = None,
     ) -> None:
-        self._model = model
         self._settings = settings or FilterSettings()
-        self._fingerprint = fingerprint(model)
-        self._calibration = (calibration or self._uncalibrated()).chosen(self._settings.margin)
-        if self._calibration.fingerprint != self._fingerprint:
-            raise InputError(
-                f"margin: calibrated for model {self._calibration.fingerprint}, the filter has {self._fingerprint}; "
-                "calibrate it anew with 'safedpa calibrate'"
-            )
-        self._robots: dict[str, _Robot] = {}
+        known = calibration or uncalibrated(self._settings, fingerprint(model))
+        first = HeldModel(model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings))
+        self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
+        self._robots: dict[str, FilteredRobot] = {}
 
     def prepare(self, robot: str, state: StateMessage) -> None:  # noqa: D102
+        if self._versions.begin(robot, state):
+            self._robots.pop(robot, None)
         memory = self._robots.get(robot)
         if memory is None:
-            memory = self._robots[robot] = _Robot(
-                SafetyFilter.for_model(self._model, self._settings),
-                SceneBarriers(self._settings),
-                WatchedMargin(self._calibration),
-            )
-        self._remember_actuators(memory, state)
+            memory = self._robots[robot] = FilteredRobot.begun(self._versions.of(robot), self._settings)
+        memory.remember_actuators(state)
         memory.barriers = memory.scene.of(state)
-        self._watch_margin(memory, state, () if isinstance(memory.barriers, str) else memory.barriers)
+        memory.watch_margin(state)
         memory.prepared = (state.epoch, state.tick)
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
@@ -127,7 +91,7 @@ class SafetyFilterNode(AbstractNode):
             self.prepare(robot, state)
             memory = self._robots[robot]
         wish = inputs[WISH]
-        latent, stale = self._latent(memory, state, inputs)
+        latent, stale = memory.usable_latent(state, inputs)
         if isinstance(wish, Stale):
             stale.append(f"the wish ({wish.sentence})")
         if isinstance(memory.barriers, str):
@@ -141,7 +105,7 @@ class SafetyFilterNode(AbstractNode):
             epsilon=memory.margin.epsilon,
             stale=stale,
         )
-        memory.decision = _Decided(state, latent, verdict)
+        memory.decision = Decided(state, latent, verdict)
         return {ACTION: ActionMessage(**_stamp(state), values=tuple(verdict.action.tolist()))}
 
     def afterwards(self, robot: str) -> Outputs:
@@ -149,58 +113,33 @@ class SafetyFilterNode(AbstractNode):
         memory = self._robots[robot]
         assert memory.decision is not None
         state, latent, verdict = memory.decision
-        predicted, memory.expected_memory = self._predicted(memory.memory, state, verdict, latent)
+        predicted, memory.expected_memory = memory.predicted(state, verdict, latent)
         memory.margin.expect(np.array(predicted[0]) if predicted else None)
-        return {VERDICT: _report(state, verdict, predicted)}
+        outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted)}
+        answer = self._versions.answer(robot, state)
+        return outputs if answer is None else {**outputs, TAKEOVER: answer}
+
+    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
+        assert isinstance(message, ModelMessage)
+        self._versions.hear(robot, message)
+
+    def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
+        self._versions.welcome(robot, status)
+
+    def model_of(self, robot: str) -> str:  # noqa: D102
+        return self._versions.fingerprint(robot)
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
 
-    def _uncalibrated(self) -> MarginCalibration:
-        """The margins of the settings, which no data stand behind."""
-        return MarginCalibration(dict(self._settings.epsilon), 0.99, 1, "never", self._fingerprint)
-
-    def _watch_margin(self, memory: _Robot, state: StateMessage, barriers: Sequence[AbstractBarrier]) -> None:
-        if state.tick != memory.tick + 1 or state.applied_by != "filter":
-            memory.margin.expect(None)  # what was predicted is not what was done
-        memory.tick = state.tick
-        memory.margin.observe(np.array(state.values), barriers)
-
-    def _latent(self, memory: _Robot, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
-        """The latent to use, and what is wrong with it."""
-        message = inputs[LATENT]
-        if isinstance(message, LatentMessage):
-            if message.model != self._fingerprint:
-                return None, [f"the latent (of model {message.model}, the filter has {self._fingerprint})"]
-            memory.latent = message
-        known = memory.latent
-        if known is None or known.epoch != state.epoch or state.tick - known.tick > _LATENT_PATIENCE_TICKS:
-            return None, ["the latent (none of the last second has arrived)"]
-        return np.array(known.values), []
-
-    def _remember_actuators(self, memory: _Robot, state: StateMessage) -> None:
-        """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
-        if len(state.applied) != len(self._model.system.action):
-            return  # the filter refuses such a state for its own reasons; nothing to learn here
-        told = memory.decision
-        obeyed = told is not None and state.tick == told.state.tick + 1 and state.applied_by == "filter"
-        if obeyed and memory.expected_memory is not None:
-            memory.memory = memory.expected_memory
-        else:
-            memory.memory = self._model.initial_memory(np.array(state.applied))
-
-    def _predicted(
-        self, actuators: Any, state: StateMessage, verdict: Verdict, latent: Values | None
-    ) -> tuple[tuple[tuple[float, ...], ...], Any]:
-        """The next states (steps, states) that the model expects under the action held; actuators' memory after one."""
-        if len(state.values) != len(self._model.system.state):
-            return (), None
-        current, rows, after_one = np.array(state.values), [], None
-        for _ in range(_PREDICTED_STEPS):
-            current, actuators = self._model.advance(current, verdict.action, actuators, latent, period=state.period)
-            after_one = actuators if after_one is None else after_one
-            rows.append(tuple(current.tolist()))
-        return (tuple(rows), after_one) if np.isfinite(rows).all() else ((), None)
+    def _load(self, robot: str, offer: ModelMessage) -> HeldModel:
+        """The offered model and margin, tried at the robot's last decision. Raises InputError when it is not usable."""
+        held = held_offer(offer, self._versions.of(robot), self._settings)
+        trial, memory = FilteredRobot.begun(held, self._settings), self._robots.get(robot)
+        if memory is not None and memory.decision is not None:
+            trial.remember_actuators(memory.decision.state)
+            trial.try_out(memory.decision, memory.barriers)
+        return held
 
 
 def _stamp(state: StateMessage) -> _Stamp:

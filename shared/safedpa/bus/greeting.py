@@ -1,0 +1,71 @@
+"""Before a service serves a robot that it has not met, it asks which model that robot's services agreed on.
+
+A service that was restarted would otherwise begin with the model of its own options while the others have moved on.
+Nobody waits long: without an answer the service begins with its own model, and the diagnosis offers the right one
+again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from safedpa.bus.bus import Bus, Inbox, Received
+from safedpa.bus.node import AbstractNode
+from safedpa.bus.requests import Answer, Request
+from safedpa.bus.topics import MODEL, STATE, Topic
+
+__all__ = ["Greeting"]
+
+_PATIENCE_SECONDS = 0.3
+"""A process on the same machine answers in a few milliseconds; without a diagnosis the bus says so at once."""
+
+
+@dataclass
+class _Waiting:
+    newest: dict[Topic, Received]
+    """The newest message of every topic."""
+    give_up: float
+
+
+class Greeting:
+    """Holds back what robots say whose model is being asked for; a node that holds no model waits for nothing."""
+
+    def __init__(self, node: AbstractNode, bus: Bus, inbox: Inbox, clock: Callable[[], float]) -> None:
+        self._node, self._bus, self._inbox, self._clock = node, bus, inbox, clock
+        self._met: set[str] = set()
+        self._waiting: dict[str, _Waiting] = {}
+
+    def holds(self, item: Received) -> bool:
+        """Whether a message of a tick must wait; it comes back from ``ready``, if it is still the newest."""
+        if MODEL not in self._node.listens or item.robot in self._met:
+            return False
+        waiting = self._waiting.get(item.robot)
+        if waiting is not None:
+            waiting.newest[item.topic] = item
+            return True
+        if item.topic is not STATE:
+            return False
+        self._waiting[item.robot] = _Waiting({STATE: item}, self._clock() + 2.0 * _PATIENCE_SECONDS)
+        question = Request(do="status", who=self._node.name)
+        self._bus.request_into(self._inbox, item.robot, question, _PATIENCE_SECONDS)
+        return True
+
+    def ready(self) -> list[Received]:
+        """What robots that can be served from now on have said, states first; the node was told of their models."""
+        answers: dict[str, Answer | None] = {item.robot: item.answer for item in self._inbox.take_answers()}
+        now = self._clock()
+        served: list[Received] = []
+        for robot in [name for name, item in self._waiting.items() if name in answers or now >= item.give_up]:
+            self._met.add(robot)
+            self._node.welcome(robot, answers.get(robot))
+            served += self._waiting.pop(robot).newest.values()
+        return served
+
+    def deadline(self) -> float:
+        """s; when the patience with the next unanswered question ends."""
+        return min((item.give_up for item in self._waiting.values()), default=float("inf"))
+
+    def forget(self, robot: str) -> None:
+        """The robot left; it is asked for again when it returns."""
+        self._met.discard(robot)

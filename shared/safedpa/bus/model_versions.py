@@ -1,0 +1,231 @@
+"""Which model a service uses for each robot while models change: offered, prepared, taken at a tick, or dropped.
+
+A change has two phases, so that all services of a robot use the new model from the same tick on, or none does. An
+offer is prepared beside the model in force in the pause behind a tick; it is used only after a ``take``, from the first
+state of the named tick on, and forgotten with a ``drop``. The service answers every step.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar, final
+
+from safedpa.bus.messages import ModelMessage, StateMessage, TakeoverMessage
+from safedpa.bus.requests import Answer
+
+__all__ = ["ModelVersions"]
+
+Held = TypeVar("Held")
+"""What the service makes of a model; the same is shared by all robots that have it."""
+
+_LONGEST_REASON = 300
+"""Characters."""
+
+
+@dataclass(frozen=True)
+class _Version(Generic[Held]):
+    held: Held
+    fingerprint: str
+    margin: str = ""
+    change: int = 0
+
+
+@dataclass
+class _Robot(Generic[Held]):
+    """One robot's model, and what is about to replace it."""
+
+    version: _Version[Held]
+    offer: ModelMessage | None = None
+    """Not looked at yet."""
+    prepared: _Version[Held] | None = None
+    take: ModelMessage | None = None
+    """For the prepared version: from when on it is used."""
+    answers: deque[tuple[ModelMessage, str, str]] = field(default_factory=deque)
+    """(message that is answered, state, reason), to be sent one a tick."""
+
+
+@final
+class ModelVersions(Generic[Held]):
+    """Keeps the model of every robot, and the one that was offered, through the steps of a change.
+
+    ``load(robot, offer)`` makes of an offered model what the service needs, and raises whatever it likes when it
+    cannot: the offer is refused with that reason then. ``first`` is what every robot begins with.
+    """
+
+    def __init__(self, service: str, first: Held, fingerprint: str, load: Callable[[str, ModelMessage], Held]) -> None:
+        self._service, self._load = service, load
+        self._first = _Version(first, fingerprint)
+        self._robots: dict[str, _Robot[Held]] = {}
+
+    def of(self, robot: str) -> Held:
+        """What is in force for the robot."""
+        known = self._robots.get(robot)
+        return self._first.held if known is None else known.version.held
+
+    def fingerprint(self, robot: str) -> str:
+        """Of the model in force for the robot."""
+        known = self._robots.get(robot)
+        return self._first.fingerprint if known is None else known.version.fingerprint
+
+    def prepared(self, robot: str) -> Held | None:
+        """What was offered and is ready, while it is not in force yet."""
+        known = self._robots.get(robot)
+        return None if known is None or known.prepared is None else known.prepared.held
+
+    def hear(self, robot: str, message: ModelMessage) -> None:
+        """Takes one step of a change; the answer comes from ``answer``."""
+        known = self._robot(robot)
+        if message.step == "offer":
+            self._hear_offer(known, message)
+        elif message.step == "take":
+            self._hear_take(known, message)
+        elif message.step == "drop":
+            self._hear_drop(known, message)
+
+    def welcome(self, robot: str, status: Answer | None) -> None:
+        """Begins with what the diagnosis says is in force, and with a change that is under way.
+
+        A model that cannot be used is refused like an offer, and the robot is served with the first one.
+        """
+        if status is None or not status.ok or not status.fingerprint:
+            return
+        known = self._robot(robot)
+        if status.document and not _same(known.version, status.fingerprint, status.margin):
+            agreed = _offer(status, status.fingerprint, status.document, status.margin, status.change)
+            made = self._made(robot, known, agreed)
+            known.version = known.version if made is None else made
+        if status.pending in ("offer", "take") and known.offer is None and known.prepared is None:
+            pending = _offer(
+                status, status.pending_fingerprint, status.pending_document, status.pending_margin, status.change
+            )
+            self._hear_offer(known, pending)
+            if status.pending == "take":
+                self._prepare(robot, known)
+                self._hear_take(known, _take(status, pending))
+
+    def begin(self, robot: str, state: StateMessage) -> bool:
+        """To be called once at the start of a tick: True when another model is in force from this tick on."""
+        known = self._robots.get(robot)
+        if known is None or known.take is None or known.prepared is None:
+            return False
+        take = known.take
+        if state.epoch == take.epoch and state.tick < take.from_tick:
+            return False  # a robot that started anew begins with the new model
+        before, known.version, known.prepared, known.take = known.version, known.prepared, None, None
+        known.answers.append((take, "taken", ""))
+        return before.held is not known.version.held
+
+    def answer(self, robot: str, state: StateMessage) -> TakeoverMessage | None:
+        """To be called in the pause behind a tick: prepares what was offered, and returns the next answer to send."""
+        known = self._robots.get(robot)
+        if known is None:
+            return None
+        self._prepare(robot, known)
+        if not known.answers:
+            return None
+        message, outcome, reason = known.answers.popleft()
+        return TakeoverMessage(
+            epoch=state.epoch,
+            tick=state.tick,
+            robot_time=state.robot_time,
+            publish_time=time.time(),
+            service=self._service,
+            change=message.change,
+            fingerprint=message.fingerprint,
+            state=outcome,
+            reason=reason,
+        )
+
+    def refuse(self, robot: str, reason: str) -> None:
+        """Gives up what was prepared: it turned out not to work."""
+        known = self._robots.get(robot)
+        if known is not None and known.prepared is not None and known.take is None:
+            prepared, known.prepared = known.prepared, None
+            known.answers.append((_named(prepared), "refused", reason[:_LONGEST_REASON]))
+
+    def _robot(self, robot: str) -> _Robot[Held]:
+        return self._robots.setdefault(robot, _Robot(self._first))
+
+    def _hear_offer(self, known: _Robot[Held], message: ModelMessage) -> None:
+        if _is(known.prepared, message):
+            known.answers.append((message, "ready", ""))  # asked twice
+        elif _is(known.version, message):
+            known.answers.append((message, "taken", ""))
+        else:
+            known.offer, known.prepared, known.take = message, None, None
+
+    def _hear_take(self, known: _Robot[Held], message: ModelMessage) -> None:
+        if _is(known.prepared, message):
+            known.take = message
+        elif _is(known.version, message):
+            known.answers.append((message, "taken", ""))  # asked twice
+        else:
+            known.answers.append((message, "refused", "it was not offered before, or not to this process"))
+
+    def _hear_drop(self, known: _Robot[Held], message: ModelMessage) -> None:
+        if known.offer is not None and known.offer.change == message.change:
+            known.offer = None
+        if known.prepared is not None and known.prepared.change == message.change and known.take is None:
+            known.prepared = None
+
+    def _prepare(self, robot: str, known: _Robot[Held]) -> None:
+        offer, known.offer = known.offer, None
+        if offer is None:
+            return
+        known.prepared = self._made(robot, known, offer)
+        if known.prepared is not None:
+            known.answers.append((offer, "ready", ""))
+
+    def _made(self, robot: str, known: _Robot[Held], offer: ModelMessage) -> _Version[Held] | None:
+        for version in (known.version, self._first):
+            if _same(version, offer.fingerprint, offer.margin):  # nothing to load: only the change gets its number
+                return _Version(version.held, offer.fingerprint, offer.margin, offer.change)
+        try:
+            return _Version(self._load(robot, offer), offer.fingerprint, offer.margin, offer.change)
+        except Exception as error:  # noqa: BLE001  whatever a foreign document brings about, the robot drives on
+            reason = " ".join(str(error).split()) or type(error).__name__
+            known.answers.append((offer, "refused", reason[:_LONGEST_REASON]))
+            return None
+
+
+def _same(version: _Version[Held], fingerprint: str, margin: str) -> bool:
+    return (version.fingerprint, version.margin) == (fingerprint, margin)
+
+
+def _is(version: _Version[Held] | None, message: ModelMessage) -> bool:
+    """Whether a version came with the change that a message is about."""
+    return version is not None and (version.change, version.fingerprint) == (message.change, message.fingerprint)
+
+
+def _named(version: _Version[Held]) -> ModelMessage:
+    return _message("offer", 0, version.change, version.fingerprint)
+
+
+def _offer(status: Answer, fingerprint: str, document: str, margin: str, change: int) -> ModelMessage:
+    return _message("offer", status.epoch, change, fingerprint, document=document, margin=margin)
+
+
+def _take(status: Answer, offer: ModelMessage) -> ModelMessage:
+    return _message("take", status.epoch, offer.change, offer.fingerprint, from_tick=status.from_tick)
+
+
+def _message(
+    step: str, epoch: int, change: int, fingerprint: str, document: str = "", margin: str = "", from_tick: int = 0
+) -> ModelMessage:
+    """As the diagnosis would have sent it."""
+    return ModelMessage(
+        epoch=epoch,
+        tick=0,
+        robot_time=0.0,
+        publish_time=time.time(),
+        step=step,
+        change=change,
+        fingerprint=fingerprint,
+        replaces="",
+        document=document,
+        margin=margin,
+        from_tick=from_tick,
+    )

@@ -1,0 +1,40 @@
+"""The model in an offer from the bus, checked against the one that it would replace."""
+
+from __future__ import annotations
+
+from safedpa.bus import ModelMessage
+from safedpa.dynamics.fingerprint import fingerprint
+from safedpa.dynamics.learned_base import LearnedBase
+from safedpa.dynamics.model_file import parse_model
+from safedpa.dynamics.physics import PhysicsModel
+from safedpa.errors import ModelFileError
+
+__all__ = ["offered_model"]
+
+
+def offered_model(offer: ModelMessage, current: PhysicsModel) -> PhysicsModel:
+    """The model that the offer's document describes.
+
+    Networks do not travel: a learned model must have the weights of the current one. Raises ModelFileError when the
+    document is broken, belongs to another system or period, or is not the model that the offer names.
+    """
+    weights = current.base.weights if isinstance(current.base, LearnedBase) else None
+    folder = None if weights is None or weights.source is None else weights.source.parent
+    model = parse_model(offer.document, folder)
+    found = fingerprint(model)
+    if found != offer.fingerprint:
+        raise ModelFileError(f"fingerprint: the document has {found}, the offer says {offer.fingerprint}")
+    for name, got, wanted in (
+        ("robot", model.system.name, current.system.name),
+        ("states", model.system.state_names, current.system.state_names),
+        ("actions", model.system.action_names, current.system.action_names),
+        ("period", model.period, current.period),
+        ("networks.digest", _digest(model), _digest(current)),
+    ):
+        if got != wanted:
+            raise ModelFileError(f"{name}: got {got}, the model in force has {wanted}; offer one of the same robot")
+    return model
+
+
+def _digest(model: PhysicsModel) -> str:
+    return model.base.weights.digest if isinstance(model.base, LearnedBase) else "none"

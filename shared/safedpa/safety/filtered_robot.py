@@ -1,0 +1,127 @@
+"""What the safety filter remembers of one robot between ticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
+from safedpa.errors import InputError
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.held_model import HeldModel
+from safedpa.safety.safety_filter import SafetyFilter
+from safedpa.safety.scene import SceneBarriers
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.verdict import Status, Verdict
+from safedpa.safety.watched_margin import WatchedMargin
+
+__all__ = ["Decided", "FilteredRobot"]
+
+Values = NDArray[np.float64]
+
+_LATENT_PATIENCE_TICKS = 20
+"""How long the last latent stands in for a missing one: one second, in which a load does not change unnoticed."""
+_PREDICTED_STEPS = 8
+
+
+class Decided(NamedTuple):
+    """The last decision."""
+
+    state: StateMessage
+    latent: Values | None
+    verdict: Verdict
+
+
+@dataclass
+class FilteredRobot:
+    """What is remembered of one robot between ticks, as long as its model stays."""
+
+    held: HeldModel
+    filter: SafetyFilter
+    scene: SceneBarriers
+    margin: WatchedMargin
+    tick: int = -1
+    prepared: tuple[int, int] = (0, -1)
+    """Epoch and tick of the state that the fields below belong to."""
+    barriers: tuple[AbstractBarrier, ...] | str = ()
+    """Of the scene now, or what is wrong with it."""
+    latent: LatentMessage | None = None
+    decision: Decided | None = None
+    memory: Any = None
+    """What the actuators remember, as the model has it."""
+    expected_memory: Any = None
+    """The same one period later, if the robot does what it is told."""
+
+    @classmethod
+    def begun(cls, held: HeldModel, settings: FilterSettings) -> FilteredRobot:
+        """For a robot that was not filtered before, or not with this model."""
+        return cls(
+            held,
+            SafetyFilter.for_model(held.model, settings),
+            SceneBarriers(settings),
+            WatchedMargin(held.calibration),
+        )
+
+    def watch_margin(self, state: StateMessage) -> None:
+        """Holds the last prediction against the measured state."""
+        if state.tick != self.tick + 1 or state.applied_by != "filter":
+            self.margin.expect(None)  # what was predicted is not what was done
+        self.tick = state.tick
+        self.margin.observe(np.array(state.values), () if isinstance(self.barriers, str) else self.barriers)
+
+    def usable_latent(self, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
+        """The latent to use, and what is wrong with it."""
+        message, own = inputs[LATENT], self.held.fingerprint
+        if isinstance(message, LatentMessage):
+            if message.model != own:
+                return None, [f"the latent (of model {message.model}, the filter has {own})"]
+            self.latent = message
+        known = self.latent
+        if known is None or known.epoch != state.epoch or state.tick - known.tick > _LATENT_PATIENCE_TICKS:
+            return None, ["the latent (none of the last second has arrived)"]
+        return np.array(known.values), []
+
+    def remember_actuators(self, state: StateMessage) -> None:
+        """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
+        if len(state.applied) != len(self.held.model.system.action):
+            return  # the filter refuses such a state for its own reasons; nothing to learn here
+        told = self.decision
+        obeyed = told is not None and state.tick == told.state.tick + 1 and state.applied_by == "filter"
+        if obeyed and self.expected_memory is not None:
+            self.memory = self.expected_memory
+        else:
+            self.memory = self.held.model.initial_memory(np.array(state.applied))
+
+    def predicted(
+        self, state: StateMessage, verdict: Verdict, latent: Values | None
+    ) -> tuple[tuple[tuple[float, ...], ...], Any]:
+        """The next states (steps, states) that the model expects under the action held; actuators' memory after one."""
+        model, actuators = self.held.model, self.memory
+        if len(state.values) != len(model.system.state):
+            return (), None
+        current, rows, after_one = np.array(state.values), [], None
+        for _ in range(_PREDICTED_STEPS):
+            current, actuators = model.advance(current, verdict.action, actuators, latent, period=state.period)
+            after_one = actuators if after_one is None else after_one
+            rows.append(tuple(current.tolist()))
+        return (tuple(rows), after_one) if np.isfinite(rows).all() else ((), None)
+
+    def try_out(self, decided: Decided, barriers: tuple[AbstractBarrier, ...] | str) -> None:
+        """Decides once more what another model decided. Raises InputError where only this one has to fall back."""
+        if isinstance(barriers, str) or decided.verdict.status is Status.fallback:
+            return
+        state, latent = decided.state, self.held.model.latent
+        verdict = self.filter.decide(
+            state.values,
+            decided.verdict.wish,
+            latent,
+            memory=self.memory,
+            barriers=barriers,
+            epsilon=self.margin.epsilon,
+        )
+        predicted, _ = self.predicted(state, verdict, latent)
+        if verdict.status is Status.fallback or not predicted:
+            raise InputError(f"the filter cannot decide with it: {verdict.sentence}")

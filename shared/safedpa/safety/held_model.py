@@ -1,0 +1,61 @@
+"""A model with the margin that belongs to it, as a filter holds it; checked before it is used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from safedpa.bus import ModelMessage
+from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics.offered import offered_model
+from safedpa.errors import InputError
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margin_text import margin_from_text
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.shipped import margin_for
+
+__all__ = ["HeldModel", "checked_calibration", "held_offer", "uncalibrated"]
+
+
+@dataclass(frozen=True)
+class HeldModel:
+    """What the filter needs of a model."""
+
+    model: PhysicsModel
+    fingerprint: str
+    calibration: MarginCalibration
+    """As the settings choose it: conformal, by the theorem, or one number."""
+
+
+def uncalibrated(settings: FilterSettings, fingerprint: str) -> MarginCalibration:
+    """The margins of the settings, which no data stand behind."""
+    return MarginCalibration(dict(settings.epsilon), 0.99, 1, "never", fingerprint)
+
+
+def checked_calibration(calibration: MarginCalibration, own: str, settings: FilterSettings) -> MarginCalibration:
+    """The calibration as the settings choose it. Raises InputError when it belongs to another model than ``own``."""
+    if calibration.fingerprint != own:
+        raise InputError(
+            f"margin: calibrated for model {calibration.fingerprint}, the filter has {own}; "
+            "calibrate it anew with 'safedpa calibrate'"
+        )
+    return calibration.chosen(settings.margin)
+
+
+def held_offer(offer: ModelMessage, current: HeldModel, settings: FilterSettings) -> HeldModel:
+    """The offered model and its margin. Raises InputError when they do not fit each other, the robot or the filter.
+
+    A margin that promises less than the one in force is refused: a change must not take safety away unseen.
+    """
+    model = offered_model(offer, current.model)
+    own = offer.fingerprint
+    sent = margin_from_text(offer.margin) if offer.margin else margin_for(model)
+    calibration = checked_calibration(sent or uncalibrated(settings, own), own, settings)
+    if calibration.coverage < current.calibration.coverage:
+        raise InputError(
+            f"margin: covers {calibration.coverage:g} of the steps, the one in force {current.calibration.coverage:g}; "
+            "calibrate it for as many"
+        )
+    missing = set(current.calibration.epsilon) - set(calibration.epsilon)
+    if missing:
+        raise InputError(f"margin: none for {', '.join(sorted(missing))}, the one in force has it; calibrate it too")
+    return HeldModel(model, own, calibration)
