@@ -105,7 +105,7 @@ def _decision(
     if trial is best and search.patch is not None:
         return "suspected", f"{sentence}; but a place explains more"
     if trial.effects in stage.doubted:
-        return "suspected", f"{sentence}; but most of it is how the commands answered lasting pushes"
+        return "suspected", f"{sentence}; but a filter that knows lasting pushes does not confirm it"
     if passed and best is not None:
         behind = block_gain(trial, best, search.shooting)
         suspected = best.name in equals or (gain > SURE and behind < SIMPLER)

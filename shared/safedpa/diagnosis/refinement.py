@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.base import AbstractBase
+from safedpa.effects import CommandEffect
 
 __all__ = ["Refined", "refined"]
 
@@ -120,14 +122,29 @@ class _Steps:
     def ahead(self, model: PhysicsModel, states: Floats) -> Floats:
         """States one row later, (pieces, rows, states)."""
         flat = self.pieces.rows.reshape(-1)
-        felt = felt_actions(model, self.windows)[flat]
+        finer = self.substeps if _remembers(model) else 1
+        felt = felt_actions(model, self.finer if finer > 1 else self.windows)
         mechanics, now = mechanics_of(model), states.reshape(len(flat), -1)
         seconds: Any = self.windows.period[flat] / self.substeps
         with np.errstate(all="ignore"):
             for part in range(self.substeps):
                 time: Any = self.windows.time[flat] + part * seconds
-                now, _ = mechanics.advance(now, felt, (), period=seconds, time=time)
+                now, _ = mechanics.advance(now, felt[finer * flat + part % finer], (), period=seconds, time=time)
         return np.clip(np.nan_to_num(now), -1e6, 1e6).reshape(states.shape)
+
+    @cached_property
+    def finer(self) -> Windows:
+        """The table with every row divided: what a lag or a delay makes of a command changes within a row."""
+        own, parts = self.windows, self.substeps
+        period, actions = np.repeat(own.period / parts, parts), np.repeat(own.actions, parts, axis=0)
+        return replace(own, period=period, actions=actions, bounds=own.bounds * parts, memo={})
+
+
+def _remembers(model: PhysicsModel) -> bool:
+    """Whether what the mechanics feel depends on commands before this row."""
+    names = dict.fromkeys(model.system.action_names, 0.0)
+    commands = [item for item in model.effects if isinstance(item, CommandEffect)]
+    return any(item.initial_memory(names) is not None for item in commands)
 
 
 def _integrated(model: PhysicsModel) -> bool:
