@@ -1,0 +1,69 @@
+"""The pendulum experiment as Markdown, JSON and pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+__all__ = ["markdown_of", "write_report"]
+
+
+def write_report(result: dict[str, Any], out: Path) -> None:
+    """``pendulum.json``, ``pendulum.md`` and one PNG a figure in the folder ``out``."""
+    from safedpa_sim.experiments.pendulum_figures import write_figures
+
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "pendulum.json").write_text(json.dumps(result) + "\n", encoding="utf-8")
+    (out / "pendulum.md").write_text(markdown_of(result), encoding="utf-8")
+    write_figures(result, out)
+
+
+def markdown_of(result: dict[str, Any]) -> str:
+    """Both questions as tables, then margin, invariance and latent."""
+    head = f"{result['directions']} wind directions x {result['episodes']} episodes, seed {result['seed']}"
+    parts = [f"{head}, {result['date']}.\n" if result["date"] else f"{head}.\n", _balancing(result), _hazard(result)]
+    margin, largest, latent = result["margin"], result["invariance"]["largest_wind"], result["latent"]
+    wind = result["assumed"]["wind"]
+    parts.append(
+        f"Margin of every filter: {1000 * margin['epsilon']:.2f} mrad, 99 % of {margin['transitions']} one-step "
+        f"errors; it covers {100 * margin['fresh_coverage']:.1f} % of {margin['fresh_transitions']} others.\n\n"
+        f"Winds in which the whole corridor can be kept: up to {largest['balancing']:.2f} m/s (within 45 degrees), "
+        f"{largest['hazard']:.2f} m/s (the long way round); the experiments' wind is {wind:g} m/s.\n\n"
+        f"Direction of the wind from the latent: off by {latent['median_error_degrees']:.1f} degrees in the median, "
+        f"by less than {latent['error_90_degrees']:.0f} degrees in 90 %.\n"
+    )
+    return "\n".join(parts)
+
+
+def _balancing(result: dict[str, Any]) -> str:
+    lines = [
+        "| random torques, within 45 degrees | safe | 95 % interval | worst direction | least room [deg] | corrected |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in result["balancing"].values():
+        worst = min(row["safety_rate"])
+        room = min(row["least_room"]) * 57.29578
+        lines.append(
+            f"| {row['title']} | {row['safe']}/{row['episodes']} | {_interval(row['interval_safe'])} "
+            f"| {100 * worst:.0f} % | {room:.1f} | {100 * row['corrected']:.0f} % |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _hazard(result: dict[str, Any]) -> str:
+    lines = [
+        "| upright the long way round | upright | never in the hazard | both | 95 % interval of both |",
+        "|---|---|---|---|---|",
+    ]
+    for row in result["hazard"].values():
+        count = row["episodes"]
+        lines.append(
+            f"| {row['title']} | {row['success']}/{count} | {row['safe']}/{count} | {row['both']}/{count} "
+            f"| {_interval(row['interval_both'])} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _interval(ends: list[float]) -> str:
+    return f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f} %"

@@ -1,0 +1,52 @@
+"""The corridor: exact gradient, the angle follows what is kept, odd corridors are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa.errors import InputError
+from safedpa.safety import CorridorBarrier
+
+finite = st.floats(-20.0, 20.0)
+
+
+@given(finite, finite, st.floats(-3.0, 3.0), st.floats(0.01, 5.0), st.floats(0.01, 2.0))
+def test_gradient_is_exact(angle: float, rate: float, low: float, width: float, time: float) -> None:
+    barrier = CorridorBarrier(low, low + width, time)
+    state, move = np.array([angle, rate]), np.array([0.3, -0.7])
+    h, gradient = barrier.evaluate(state)
+    np.testing.assert_allclose(barrier.values(state + move), h + gradient @ move, atol=1e-9)
+    np.testing.assert_allclose(h, barrier.values(state))
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60), st.floats(0.0, 1.0), st.floats(0.05, 1.0))
+def test_the_angle_stays_where_the_barrier_is_kept(ahead: list[float], start: float, time: float) -> None:
+    """Whatever s does within the corridor, the angle that moves at the rate (s - angle) / time stays within it."""
+    barrier, angle, period = CorridorBarrier(0.0, 1.0, time), start, 0.01
+    for s in ahead:
+        rate = (s - angle) / time
+        assert barrier.values(np.array([angle, rate])).min() >= -1e-12
+        angle += period * rate
+        assert -1e-12 <= angle <= 1.0 + 1e-12
+
+
+def test_other_entries_of_the_state_and_names() -> None:
+    barrier = CorridorBarrier(-1.0, 2.0, 0.5, angle=2, rate=0, name="elbow")
+    assert barrier.names == ("elbow lower edge", "elbow upper edge")
+    np.testing.assert_allclose(barrier.values(np.array([1.0, 9.0, 0.5])), [2.0, 1.0])
+    np.testing.assert_allclose(barrier.evaluate(np.zeros(3))[1], [[0.5, 0.0, 1.0], [-0.5, 0.0, -1.0]])
+
+
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (float("nan"), 1.0), (0.0, float("inf"))])
+def test_an_empty_corridor_is_refused(low: float, high: float) -> None:
+    with pytest.raises(InputError, match="wanted finite low < high"):
+        CorridorBarrier(low, high, 0.2)
+
+
+@pytest.mark.parametrize("time", [0.0, -1.0, float("nan")])
+def test_a_time_that_is_none_is_refused(time: float) -> None:
+    with pytest.raises(InputError, match="wanted a finite time > 0"):
+        CorridorBarrier(0.0, 1.0, time)
