@@ -250,7 +250,12 @@ def test_long_logs_are_shown_in_part(diagnosed, monkeypatch):
     assert 200 <= sum(len(part) for run in shown for part in run.stretches) <= 400
     assert excerpt(runs, 1200) == runs
     slow = excerpt([replace(runs[0], t=10.0 * runs[0].t)], 150)[0]
-    assert [(part.start, part.stop) for part in slow.stretches] == [(0, 60), (240, 300), (480, 540)]
+    assert [(part.start, part.stop) for part in slow.stretches] == [(start, start + 20) for start in range(0, 600, 80)]
+    far = excerpt([replace(runs[0], t=10.0 * runs[0].t)], 150, horizon=20.0)[0]
+    assert {len(part) for part in far.stretches} == {120}
+    many = excerpt(runs * 50, 600)
+    assert len(many) < 10
+    assert 500 <= sum(len(part) for run in many for part in run.stretches) <= 1200
     heading = heads([long], 13.52)[0]
     assert [(part.start, part.stop) for part in heading.stretches] == [(0, 250), (260, 271)]
     monkeypatch.setattr("safedpa.diagnosis.report_page._MOST_ROWS", 600)

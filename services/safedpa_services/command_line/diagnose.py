@@ -23,6 +23,8 @@ BAR = 40
 """Characters of the longest bar."""
 COVERAGE = 0.99
 """Share of steps that the margin beside the diagnosed model covers."""
+ROWS = 60_000
+"""Rows, evenly spread, from which the margin is taken: an actuator's memory is followed along all of them."""
 FINDINGS = 6
 """Findings about the data that are printed; all stand in the report."""
 
@@ -72,6 +74,8 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
 
     Only for cars that the filter can drive, and only when the data allowed a verdict.
     """
+    from safedpa.adaptation import HistoryEstimator
+    from safedpa.diagnosis.report_excerpt import excerpt
     from safedpa.dynamics import LearnedBase
     from safedpa.errors import InputError
     from safedpa.safety.run_calibration import calibration_from_runs
@@ -80,11 +84,19 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
     path, model = out / "margin.toml", report.models[-1]
     path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
     judged = report.verdict != "unexplained" or (report.unexplained is not None and report.unexplained.depends_on)
-    if not judged or isinstance(model.base, LearnedBase) or model.system.action_names != ("target_speed", "steer"):
+    if not judged or model.system.action_names != ("target_speed", "steer"):
         return None
+    # phi tells a learned latent tick by tick, in the filter as here
+    learned = isinstance(model.base, LearnedBase) and model.base.weights.has("phi")
+    estimator = (lambda: HistoryEstimator(model)) if learned else None
     try:
         calibration = calibration_from_runs(
-            model, settings_named("car"), runs, COVERAGE, datetime.date.today().isoformat()
+            model,
+            settings_named("car"),
+            excerpt(runs, ROWS, report.horizon),
+            COVERAGE,
+            datetime.date.today().isoformat(),
+            estimator=estimator,
         )
     except InputError:  # too few transitions at the model's period: the filter's settings stand in for it
         return None

@@ -62,7 +62,7 @@ def diagnose(
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
-    used, quality = prepared(model, runs)
+    used, quality = prepared(model, runs, horizon)
     heldout = heldout_of(used, horizon)
     shooting = shooting_of(used, min(horizon, _LONGEST_WINDOW))
     enough, why = judgeable(shooting, used, runs)
@@ -89,11 +89,11 @@ def diagnose(
     )
 
 
-def prepared(model: PhysicsModel, runs: Sequence[Run]) -> tuple[list[Run], list[dict[str, Any]]]:
+def prepared(model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0) -> tuple[list[Run], list[dict[str, Any]]]:
     """Runs that can be used, thinned to what fits in memory, and what is to be said about them."""
     quality = [_row(run.name, finding) for run in runs for finding in run.findings]
     rows = sum(len(part) for run in runs for part in run.stretches)
-    used = excerpt(runs, _MOST_ROWS)
+    used = excerpt(runs, _MOST_ROWS, horizon)
     if rows > _MOST_ROWS:
         kept = sum(len(part) for run in used for part in run.stretches)
         message = f"of {rows} rows, {kept} in evenly spread pieces were used for fitting and judging"
@@ -238,7 +238,7 @@ def add_effect(model: PhysicsModel, name: str, runs: Sequence[Run], horizon: flo
     item = effect(model.system.name, name)
     if name in {own.name for own in model.effects}:
         raise InputError(f"effect '{name}': the model has it already; mark its parameters free to refit them")
-    used, _ = prepared(model, runs)
+    used, _ = prepared(model, runs, horizon)
     heldout = heldout_of(used, horizon)
     shooting = shooting_of(used, min(horizon, _LONGEST_WINDOW))
     if len(shooting.windows) < 3:

@@ -53,7 +53,7 @@ def report_page(
     """The page's text: figures, tables and plotly.js in one file that asks no other host for anything."""
     horizon = float(document.get("horizon", horizon))
     seconds = sum(run.duration for run in runs)
-    shown = excerpt(runs, _MOST_ROWS)
+    shown = excerpt(runs, _MOST_ROWS, horizon)
     every = max(EVERY, sum(run.duration for run in shown) / _MOST_WINDOWS)
     before = compare_model(models[0], shown, horizon, every=every)
     after = before if len(models) == 1 else compare_model(models[-1], shown, horizon, every=every)

@@ -6,7 +6,8 @@ obstacles drawn around the car, near enough to matter: the error of h depends on
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,19 @@ from safedpa.safety.calibration import MarginCalibration, calibration_from_error
 from safedpa.safety.car_barriers import car_barriers
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["SMALL_CAR", "calibration_from_runs"]
+__all__ = ["SMALL_CAR", "LatentAlong", "calibration_from_runs"]
 
 Values = NDArray[np.float64]
+
+
+class LatentAlong(Protocol):
+    """Estimates the latent while the robot drives: any estimator of the adaptation."""
+
+    @property
+    def latent(self) -> Values: ...  # noqa: D102
+
+    def update(self, state: Values, action: Values, next_state: Values, period: float) -> None: ...  # noqa: D102
+
 
 SMALL_CAR = (0.08, 0.40, 0.12)
 """m; how far the body of the 1:10 car reaches behind and ahead of its rear axle, and the radius around that line."""
@@ -46,11 +57,13 @@ def calibration_from_runs(
     coverage: float,
     date: str,
     body: tuple[float, float, float] = SMALL_CAR,
+    estimator: Callable[[], LatentAlong] | None = None,
 ) -> MarginCalibration:
     """Margins by kind of barrier: the quantile of h(predicted) - h(measured) over the runs' transitions.
 
-    Actuators remember what was commanded before, as they do in the filter. ``body`` as in a robot's footprint. Raises
-    InputError for a model that is no car with a speed servo, or too few transitions at the model's own period.
+    Actuators remember what was commanded before, as they do in the filter. ``body`` as in a robot's footprint.
+    ``estimator`` makes what estimates the latent along each stretch; without one the model's own latent stands.
+    Raises InputError for a model that is no car with a speed servo, or too few transitions at the model's own period.
     """
     if model.system.action_names != ("target_speed", "steer"):
         raise InputError(
@@ -59,7 +72,7 @@ def calibration_from_runs(
         )
     draw = np.random.default_rng(0)
     errors: dict[str, list[float]] = {}
-    for before, predicted, after in _predictions(model, runs):
+    for before, predicted, after in _predictions(model, runs, estimator):
         for barrier in _around(before, settings, body, draw):
             worst = float((barrier.values(predicted) - barrier.values(after)).max(initial=-np.inf))
             errors.setdefault(barrier.kind, []).append(worst if np.isfinite(worst) else 0.0)
@@ -69,7 +82,9 @@ def calibration_from_runs(
     return calibration_from_errors(found, coverage, date, fingerprint(model))
 
 
-def _predictions(model: PhysicsModel, runs: Sequence[Run]) -> Iterator[tuple[Values, Values, Values]]:
+def _predictions(
+    model: PhysicsModel, runs: Sequence[Run], estimator: Callable[[], LatentAlong] | None
+) -> Iterator[tuple[Values, Values, Values]]:
     """(state, predicted next, measured next), evenly spread over all runs."""
     every = max(1, sum(len(part) for run in runs for part in run.stretches) // _MOST)
     latent = model.latent if model.latent_names else None
@@ -79,15 +94,20 @@ def _predictions(model: PhysicsModel, runs: Sequence[Run]) -> Iterator[tuple[Val
             if not len(t):
                 continue
             memory = model.initial_memory(actions[0], latent)
+            along = None if estimator is None else estimator()
             for row in range(len(t) - 1):
                 period = float(t[row + 1] - t[row])
                 near = abs(period / model.period - 1.0) < _SAME_PERIOD
                 wanted = near and number % every == 0
                 number += 1
+                if along is not None:
+                    latent = along.latent
                 if wanted or memory:
                     predicted, memory = model.advance(states[row], actions[row], memory, latent, period=period)
                 if wanted:
                     yield states[row], predicted, states[row + 1]
+                if along is not None and near:
+                    along.update(states[row], actions[row], states[row + 1], model.period)
 
 
 def _around(
