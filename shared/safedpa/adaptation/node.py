@@ -168,18 +168,17 @@ class AdaptationNode(AbstractNode):
         memory.tick, memory.state = state.tick, values if plausible else None
 
     def _teach_successor(self, robot: str, memory: _Memory) -> None:
-        """The newest transition for the model that was offered too; one that cannot learn is refused after all."""
+        """The newest transition for the model that was offered, too."""
         held = self._versions.prepared(robot)
         if held is None or memory.successor is None or memory.successor[0] is not held:
             memory.successor = None
-        elif memory.recent:
+        elif not memory.recent:
+            memory.successor[1].forget_transient()
+        else:
             try:
                 memory.successor[1].update(*memory.recent[-1])
-            except Exception as error:  # noqa: BLE001  a user's effect may raise anything; the robot drives on
+            except Exception:  # noqa: BLE001  a user's effect may raise anything; the change begins with a fresh one then
                 memory.successor = None
-                self._versions.refuse(robot, f"{type(error).__name__}: {error}")
-        else:
-            memory.successor[1].forget_transient()
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)

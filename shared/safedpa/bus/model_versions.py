@@ -2,7 +2,8 @@
 
 A change has two phases, so that all services of a robot use the new model from the same tick on, or none does. An
 offer is prepared beside the model in force in the pause behind a tick; it is used only after a ``take``, from the first
-state of the named tick on, and forgotten with a ``drop``. The service answers every step.
+state of the named tick on, and forgotten with a ``drop``. The service answers every step. Once it has answered that it
+is ready it does not refuse any more: the others may be using the new model already.
 """
 
 from __future__ import annotations
@@ -93,18 +94,23 @@ class ModelVersions(Generic[Held]):
         if status is None or not status.ok or not status.fingerprint:
             return
         known = self._robot(robot)
-        if status.document and not _same(known.version, status.fingerprint, status.margin):
-            agreed = _offer(status, status.fingerprint, status.document, status.margin, status.change)
-            made = self._made(robot, known, agreed)
-            known.version = known.version if made is None else made
+        settled = status.pending != "take" or status.fingerprint == status.pending_fingerprint
+        if status.document:
+            number = status.change if settled and status.pending != "offer" else 0
+            agreed = _offer(status, status.fingerprint, status.document, status.margin, number)
+            known.version = self._made(robot, known, agreed) or known.version
         if status.pending in ("offer", "take") and known.offer is None and known.prepared is None:
-            pending = _offer(
-                status, status.pending_fingerprint, status.pending_document, status.pending_margin, status.change
-            )
-            self._hear_offer(known, pending)
-            if status.pending == "take":
-                self._prepare(robot, known)
-                self._hear_take(known, _take(status, pending))
+            self._take_up(robot, known, status)
+
+    def _take_up(self, robot: str, known: _Robot[Held], status: Answer) -> None:
+        """A change that is under way."""
+        pending = _offer(
+            status, status.pending_fingerprint, status.pending_document, status.pending_margin, status.change
+        )
+        self._hear_offer(known, pending)
+        if status.pending == "take":
+            self._prepare(robot, known)
+            self._hear_take(known, _take(status, pending))
 
     def begin(self, robot: str, state: StateMessage) -> bool:
         """To be called once at the start of a tick: True when another model is in force from this tick on."""
@@ -138,13 +144,6 @@ class ModelVersions(Generic[Held]):
             state=outcome,
             reason=reason,
         )
-
-    def refuse(self, robot: str, reason: str) -> None:
-        """Gives up what was prepared: it turned out not to work."""
-        known = self._robots.get(robot)
-        if known is not None and known.prepared is not None and known.take is None:
-            prepared, known.prepared = known.prepared, None
-            known.answers.append((_named(prepared), "refused", reason[:_LONGEST_REASON]))
 
     def _robot(self, robot: str) -> _Robot[Held]:
         return self._robots.setdefault(robot, _Robot(self._first))
@@ -198,10 +197,6 @@ def _same(version: _Version[Held], fingerprint: str, margin: str) -> bool:
 def _is(version: _Version[Held] | None, message: ModelMessage) -> bool:
     """Whether a version came with the change that a message is about."""
     return version is not None and (version.change, version.fingerprint) == (message.change, message.fingerprint)
-
-
-def _named(version: _Version[Held]) -> ModelMessage:
-    return _message("offer", 0, version.change, version.fingerprint)
 
 
 def _offer(status: Answer, fingerprint: str, document: str, margin: str, change: int) -> ModelMessage:

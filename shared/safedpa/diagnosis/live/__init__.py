@@ -1,0 +1,1 @@
+"""Diagnosis beside a driving robot: the watch over its model, findings, and changes of the model."""

@@ -1,0 +1,109 @@
+"""One change of a model while it is being made: who has answered what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from safedpa.bus import ModelMessage, StateMessage, TakeoverMessage
+from safedpa.diagnosis.live.versions import Candidate, Version
+
+__all__ = ["SERVICES", "UnderWay", "stamped"]
+
+SERVICES = ("adaptation", "policy", "safety_filter")
+"""Who uses the model, and has to take over a new one."""
+
+
+@dataclass
+class UnderWay:
+    """A change from the request to the last service's confirmation."""
+
+    number: int
+    why: str
+    who: str
+    replaces: str
+    """Fingerprint of the model in force when it began."""
+    versions: tuple[Version, ...]
+    """Agreed on if it succeeds, the last of them in force."""
+    version: Version | None
+    """The last of them; None while its document is being made."""
+    candidate: Candidate = field(default_factory=lambda: Candidate(""))
+    """What was accepted."""
+    repair: bool = False
+    """Whether it offers the version in force again."""
+    stage: Literal["preparing", "offer", "take"] = "preparing"
+    steps: int = 0
+    """Ticks since the stage began."""
+    ready: set[str] = field(default_factory=set)
+    taken: set[str] = field(default_factory=set)
+    refused: str = ""
+    """Why it cannot be, before it was decided."""
+    epoch: int = 0
+    from_tick: int = 0
+
+    @property
+    def name(self) -> str:
+        """For sentences."""
+        return f"change {self.number} ({self.why})"
+
+    @property
+    def unconfirmed(self) -> str:
+        """Names of the services that have not said to use the new model."""
+        return _names(set(SERVICES) - self.taken)
+
+    @property
+    def unready(self) -> str:
+        """Names of the services that have not answered the offer."""
+        return _names(set(SERVICES) - self.ready)
+
+    def enter(self, stage: Literal["offer", "take"]) -> None:
+        """Goes on to the next stage."""
+        self.stage, self.steps, self.refused = stage, 0, ""
+
+    def complete(self, made: Candidate) -> None:
+        """The document is there."""
+        self.version = Version(made.fingerprint, made.document, made.margin, self.number, self.why, self.who, made.data)
+        self.versions = (*self.versions, self.version)
+
+    def hear(self, message: TakeoverMessage) -> None:
+        """Takes a service's answer; what is about another change, or from nobody who uses the model, is nothing."""
+        if self.version is None or message.change != self.number or message.service not in SERVICES:
+            return
+        if message.fingerprint != self.version.fingerprint:
+            self.refused = f"{message.service} answered for model {message.fingerprint}"
+        elif message.state == "refused":
+            self.refused = f"{message.service} refused it: {message.reason}"
+        elif message.state in ("ready", "taken"):
+            self.ready.add(message.service)
+            if message.state == "taken":
+                self.taken.add(message.service)
+
+    def message(self, step: Literal["offer", "take", "drop"], reason: str = "") -> ModelMessage:
+        """What the services are told; unstamped. ``reason``: why it is dropped."""
+        version = self.version or Version("", "")
+        offers, takes = step == "offer", step == "take"
+        return ModelMessage(
+            epoch=0,
+            tick=0,
+            robot_time=0.0,
+            publish_time=0.0,
+            step=step,
+            change=self.number,
+            fingerprint=version.fingerprint,
+            replaces=self.replaces,
+            document=version.document if offers else "",
+            margin=version.margin if offers else "",
+            from_tick=self.from_tick if takes else 0,
+            who=self.who,
+            why=f"{self.why}: {reason}" if reason else self.why,
+            data=version.data,
+        )
+
+
+def stamped(message: ModelMessage, state: StateMessage, publish_time: float) -> ModelMessage:
+    """The message with the stamp of the newest state."""
+    return replace(message, epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=publish_time)
+
+
+def _names(services: set[str]) -> str:
+    return ", ".join(sorted(services))

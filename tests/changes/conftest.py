@@ -1,0 +1,152 @@
+"""Services without models, a coordinator and a network that loses, repeats and delays, all in one process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from safedpa.bus import Answer, HealthMessage, ModelMessage, Request, StateMessage, TakeoverMessage
+from safedpa.bus.model_versions import ModelVersions
+from safedpa.diagnosis.live.change import ModelChanges
+from safedpa.diagnosis.live.under_way import SERVICES
+from safedpa.diagnosis.live.versions import Candidate, Version, VersionFolder
+
+FIRST = Version("first", "document first")
+
+
+def state_at(tick: int, epoch: int = 1) -> StateMessage:
+    return StateMessage(
+        epoch=epoch,
+        tick=tick,
+        robot_time=0.05 * tick,
+        publish_time=0.0,
+        values=(0.0, 0.0, 0.0, 0.0),
+        applied=(0.0, 0.0),
+        applied_by="filter",
+        period=0.05,
+        lockstep=True,
+        goal=(1.0, 1.0),
+        obstacles=(),
+        field=(-4.0, 4.0, -4.0, 4.0),
+        footprint=(0.1, 0.4, 0.1),
+    )
+
+
+def candidate(name: str) -> Candidate:
+    return Candidate(effect=name, fingerprint=f"print {name}", document=f"document {name}", margin=f"margin {name}")
+
+
+@dataclass
+class Service:
+    """What a node does with its versions at every tick; ``broken`` are documents that it cannot load."""
+
+    name: str
+    broken: frozenset[str] = frozenset()
+    versions: ModelVersions[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.versions = ModelVersions(self.name, FIRST.document, FIRST.fingerprint, self._load)
+
+    def _load(self, robot: str, offer: ModelMessage) -> str:
+        if offer.document in self.broken:
+            raise ValueError(f"{self.name} cannot load {offer.document}")
+        return offer.document
+
+    @property
+    def model(self) -> str:
+        return self.versions.fingerprint("r")
+
+
+class Fleet:
+    """One robot, three services, one coordinator; ``deliver`` says what becomes of each message."""
+
+    def __init__(self, folder: Path | None = None, broken: dict[str, frozenset[str]] | None = None) -> None:
+        self.folder = None if folder is None else VersionFolder(folder)
+        self.broken = broken or {}
+        self.services = {name: Service(name, self.broken.get(name, frozenset())) for name in SERVICES}
+        self.changes: ModelChanges | None = ModelChanges(FIRST, self.folder)
+        self.tick = self.epoch = 1
+        self.deliver: Callable[[ModelMessage | TakeoverMessage], int] = lambda message: 1
+        """How often a message arrives: 0 is lost."""
+        self.spoken: list[ModelMessage] = []
+        self.heard: list[TakeoverMessage] = []
+        self.used: list[tuple[str, ...]] = []
+        """Models of the services at every tick."""
+
+    def ask(self, do: str, effect: str = "", **changed: object) -> Answer:
+        assert self.changes is not None
+        table = {"model": self.changes.fingerprint, "finding": 1, "who": "alice", **changed}
+        return self.changes.answer(Request(do=do, effect=effect, **table))  # type: ignore[arg-type]
+
+    def propose(self, *effects: str) -> None:
+        assert self.changes is not None
+        self.changes.propose(1, {effect: candidate(effect) for effect in effects})
+
+    def turn(self, ticks: int = 1) -> None:
+        for _ in range(ticks):
+            self.tick += 1
+            state = state_at(self.tick, self.epoch)
+            answers = [answer for service in self.services.values() if (answer := _tick(service, state))]
+            self.used.append(tuple(service.model for service in self.services.values()))
+            if self.changes is None:
+                continue
+            for answer in answers:
+                self.heard.append(answer)
+                for _ in range(self.deliver(answer)):
+                    self.changes.hear(answer)
+            for service in self.services.values():
+                self.changes.hear(self._health(service))
+            message = self.changes.step(state)
+            if message is not None:
+                self.spoken.append(message)
+                for service in self.services.values():
+                    for _ in range(self.deliver(message)):
+                        service.versions.hear("r", message)
+
+    def restart_service(self, name: str) -> None:
+        """As after kill -9: a new process with the model of its options, which asks if anybody is there to answer."""
+        self.services[name] = Service(name, self.broken.get(name, frozenset()))
+        status = None if self.changes is None else self.changes.answer(Request(do="status", who=name))
+        self.services[name].versions.welcome("r", status)
+
+    def restart_coordinator(self) -> None:
+        self.changes = ModelChanges(FIRST, self.folder)
+
+    def restart_robot(self) -> None:
+        self.epoch, self.tick = self.epoch + 1, 0
+
+    @property
+    def models(self) -> set[str]:
+        return {service.model for service in self.services.values()}
+
+    def _health(self, service: Service) -> HealthMessage:
+        return HealthMessage(
+            epoch=self.epoch,
+            tick=self.tick,
+            robot_time=0.0,
+            publish_time=0.0,
+            service=service.name,
+            pid=1,
+            state="running",
+            model=service.model,
+        )
+
+
+def _tick(service: Service, state: StateMessage) -> TakeoverMessage | None:
+    service.versions.begin("r", state)
+    return service.versions.answer("r", state)
+
+
+@pytest.fixture
+def fleet_of() -> type[Fleet]:
+    """``fleet_of(folder, broken)``: a fleet without models."""
+    return Fleet
+
+
+@pytest.fixture(scope="session")
+def candidate_of() -> Callable[[str], Candidate]:
+    """``candidate_of(effect)``: one whose document is made already."""
+    return candidate

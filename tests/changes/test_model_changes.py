@@ -1,0 +1,362 @@
+"""All services of a robot change their model at one tick, or none does, whatever is lost and whoever dies."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as some
+
+from safedpa.bus import Request, TakeoverMessage
+from safedpa.diagnosis.live.change import ModelChanges
+from safedpa.diagnosis.live.versions import Candidate, Kept, Version, VersionFolder
+from safedpa.errors import InputError, RecordingError
+
+SERVICES = ("adaptation", "policy", "safety_filter")
+QUIET = 1500
+"""Ticks without a fault after which everything must have settled: the pauses between failed repairs included."""
+
+
+@pytest.fixture
+def fleet(fleet_of: Any, tmp_path: Path) -> Any:
+    """One with a folder, a tick old, that may accept drag."""
+    fleet = fleet_of(tmp_path)
+    fleet.turn()
+    fleet.propose("drag", "wind")
+    return fleet
+
+
+def steps(fleet: Any) -> list[str]:
+    return [message.step for message in fleet.spoken]
+
+
+def test_everyone_changes_at_the_named_tick(fleet: Any) -> None:
+    answer = fleet.ask("accept", "drag")
+    assert answer.ok
+    fleet.turn(30)
+    assert steps(fleet) == ["offer", "take"]
+    offer, take = fleet.spoken
+    assert (offer.document, offer.margin, offer.replaces) == ("document drag", "margin drag", "first")
+    assert (offer.who, offer.why) == ("alice", "accept drag of finding 1")
+    changed = fleet.used.index(("print drag",) * 3) + 2  # turn n is tick n + 2 of the robot
+    assert changed == take.from_tick
+    assert set(fleet.used) == {("first",) * 3, ("print drag",) * 3}, "at no tick do two of them differ"
+    assert [answer.state for answer in fleet.heard] == ["ready"] * 3 + ["taken"] * 3
+    assert {answer.tick for answer in fleet.heard if answer.state == "taken"} == {take.from_tick}
+    assert fleet.changes.sentence == "change 1 (accept drag of finding 1): taken by everyone"
+
+
+def test_what_one_cannot_load_is_dropped_by_all(fleet_of: Any, tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path, {"policy": frozenset(["document drag"])})
+    fleet.turn()
+    fleet.propose("drag")
+    fleet.ask("accept", "drag")
+    fleet.turn(100)
+    assert steps(fleet) == ["offer", "drop"]
+    assert fleet.models == {"first"}
+    assert "policy refused it: policy cannot load document drag" in fleet.spoken[-1].why
+    assert "policy refused it" in fleet.changes.sentence
+    assert all(service.versions.prepared("r") is None for service in fleet.services.values())
+
+
+@pytest.mark.parametrize("silent", SERVICES)
+def test_who_does_not_answer_in_time_keeps_everyone_on_the_old_model(fleet: Any, silent: str) -> None:
+    fleet.deliver = lambda message: int(getattr(message, "service", "") != silent)
+    fleet.ask("accept", "drag")
+    fleet.turn(200)
+    assert steps(fleet) == ["offer", "drop"]
+    assert fleet.models == {"first"}
+    assert f"{silent} did not answer" in fleet.changes.sentence
+
+
+def test_an_answer_for_another_model_is_no_answer(fleet: Any) -> None:
+    hear = fleet.changes.hear
+
+    def altered(message: Any) -> None:
+        foreign = getattr(message, "service", "") == "policy" and isinstance(message, TakeoverMessage)
+        hear(dataclasses.replace(message, fingerprint="other") if foreign else message)
+
+    fleet.changes.hear = altered
+    fleet.ask("accept", "drag")
+    fleet.turn(20)
+    assert "policy answered for model other" in fleet.changes.sentence
+    assert steps(fleet) == ["offer", "drop"]
+    assert fleet.models == {"first"}
+
+
+def test_roll_back_returns_to_the_version_before_and_no_further(fleet: Any) -> None:
+    fleet.ask("accept", "drag")
+    fleet.turn(30)
+    fleet.propose("wind")
+    fleet.ask("accept", "wind")
+    fleet.turn(30)
+    assert fleet.models == {"print wind"}
+    for wanted in ("print drag", "first"):
+        assert fleet.ask("roll_back").ok
+        fleet.turn(30)
+        assert fleet.models == {wanted}
+    answer = fleet.ask("roll_back")
+    assert not answer.ok
+    assert "none to go back to" in answer.sentence
+
+
+def test_of_two_people_the_first_wins_and_the_second_hears_why(fleet: Any) -> None:
+    assert fleet.ask("accept", "drag", who="alice").ok
+    for who in ("bob", "carol"):
+        second = fleet.ask("accept", "wind", who=who)
+        assert not second.ok
+        assert second.sentence.startswith("refused: change 1 (accept drag of finding 1) by alice is under way")
+    fleet.turn(30)
+    late = fleet.ask("accept", "wind", model="first")
+    assert not late.ok
+    assert "the model in force is print drag, you saw first" in late.sentence
+    assert fleet.models == {"print drag"}
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (Request(do="acept", effect="drag", model="first", finding=1), "did you mean 'accept'"),
+        (Request(do="accept", effect="drag", model="other", finding=1), "you saw other"),
+        (Request(do="accept", effect="drag", finding=1), "you name none"),
+        (Request(do="accept", effect="drag", model="first", finding=2), "newest finding has number 1, you name 2"),
+        (Request(do="accept", effect="dragg", model="first", finding=1), "did you mean 'drag'"),
+        (Request(do="reject", model="first", finding=1), "effect '' is no candidate"),
+        (Request(do="roll_back", model="first"), "none to go back to"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_with_the_reason(fleet: Any, request_: Request, reason: str) -> None:
+    answer = fleet.changes.answer(request_)
+    assert not answer.ok
+    assert answer.sentence.startswith("refused: ")
+    assert reason in answer.sentence
+    fleet.turn(20)
+    assert fleet.spoken == []
+    assert fleet.models == {"first"}
+
+
+def test_nothing_is_accepted_for_a_robot_that_nobody_heard(fleet_of: Any) -> None:
+    fleet = fleet_of()
+    fleet.propose("drag")
+    assert "not heard yet" in fleet.ask("accept", "drag").sentence
+
+
+def test_a_rejected_effect_is_no_candidate_any_more_and_the_recording_says_who(fleet: Any, tmp_path: Path) -> None:
+    assert fleet.ask("reject", "drag", who="bob").ok
+    fleet.turn()
+    (message,) = fleet.spoken
+    assert (message.step, message.who, message.why) == ("drop", "bob", "reject drag of finding 1")
+    assert not fleet.ask("accept", "drag").ok
+    assert fleet.ask("status").candidates == ("wind",)
+    assert ModelChanges(Version("first", ""), VersionFolder(tmp_path)).rejected == {(1, "drag")}
+
+
+def test_a_model_that_is_made_on_demand(fleet: Any, candidate_of: Any) -> None:
+    fleet.changes.propose(1, {"drag": Candidate("drag")})
+    fleet.ask("accept", "drag")
+    fleet.turn(50)
+    assert fleet.spoken == []
+    assert fleet.changes.wanted == Candidate("drag")
+    assert fleet.ask("status").pending == "preparing"
+    fleet.changes.prepared(candidate_of("wind"))
+    assert fleet.changes.wanted is not None, "that was not asked for"
+    fleet.changes.prepared(candidate_of("drag"))
+    fleet.turn(30)
+    assert fleet.models == {"print drag"}
+
+
+def test_a_model_that_cannot_be_made_or_not_in_time_is_dropped(fleet: Any) -> None:
+    for reason in ("the data do not tell", ""):
+        fleet.changes.propose(1, {"drag": Candidate("drag")})
+        fleet.ask("accept", "drag")
+        if reason:
+            fleet.changes.failed(reason)
+        fleet.turn(1300)
+        assert fleet.changes.wanted is None
+        assert (reason or "not made in time") in fleet.changes.sentence
+    assert steps(fleet) == ["drop", "drop"]
+
+
+@pytest.mark.parametrize("name", SERVICES)
+@pytest.mark.parametrize("after", range(12))
+def test_a_service_killed_at_any_moment_ends_on_the_model_of_the_others(fleet: Any, name: str, after: int) -> None:
+    fleet.ask("accept", "drag")
+    fleet.turn(after)
+    fleet.restart_service(name)
+    fleet.turn(QUIET)
+    assert len(fleet.models) == 1
+    assert fleet.models == {fleet.changes.fingerprint}
+    assert all(len(set(models)) <= 2 for models in fleet.used)
+
+
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.parametrize("after", range(12))
+def test_a_coordinator_killed_at_any_moment_leaves_one_model(
+    fleet_of: Any, tmp_path: Path, after: int, kept: bool
+) -> None:
+    fleet = fleet_of(tmp_path if kept else None)
+    fleet.turn()
+    fleet.propose("drag")
+    fleet.ask("accept", "drag")
+    fleet.turn(after)
+    decided = "take" in steps(fleet)
+    fleet.restart_coordinator()
+    fleet.turn(QUIET)
+    assert len(fleet.models) == 1
+    assert fleet.models == {fleet.changes.fingerprint}
+    if kept:
+        assert fleet.models == {"print drag" if decided else "first"}, "what was decided stays decided"
+
+
+def test_an_offer_that_nobody_decided_is_dropped_after_a_restart(fleet: Any) -> None:
+    fleet.ask("accept", "drag")
+    fleet.turn(1)
+    fleet.restart_coordinator()
+    fleet.turn(5)
+    assert steps(fleet) == ["offer", "drop"]
+    assert "the diagnosis was restarted" in fleet.spoken[-1].why
+    fleet.propose("drag")
+    assert fleet.ask("accept", "drag").change == 2, "numbers are not used twice"
+
+
+def test_a_service_that_nobody_told_is_repaired(fleet: Any) -> None:
+    """It was killed, and the diagnosis was away when it asked."""
+    fleet.ask("accept", "drag")
+    fleet.turn(30)
+    away, fleet.changes = fleet.changes, None
+    fleet.restart_service("adaptation")
+    fleet.turn(5)
+    assert fleet.models == {"first", "print drag"}
+    fleet.changes = away
+    fleet.turn(30)
+    assert fleet.models == {"print drag"}
+    assert fleet.spoken[-1].why.startswith("repair, adaptation uses first")
+    assert [version.fingerprint for version in fleet.changes.versions] == ["first", "print drag"]
+
+
+def test_when_a_restarted_service_cannot_use_the_new_model_everyone_goes_back(fleet: Any) -> None:
+    fleet.ask("accept", "drag")
+    fleet.turn(30)
+    fleet.broken = {"policy": frozenset(["document drag"])}  # its weights were taken away, say
+    fleet.restart_service("policy")
+    fleet.turn(100)
+    assert fleet.models == {"first"}
+    assert [version.fingerprint for version in fleet.changes.versions] == ["first"]
+
+
+def test_a_robot_that_starts_anew_amid_a_change_begins_with_the_new_model(fleet: Any) -> None:
+    fleet.ask("accept", "drag")
+    fleet.turn(3)
+    assert "take" in steps(fleet)
+    fleet.restart_robot()
+    fleet.turn(30)
+    assert fleet.models == {"print drag"}
+    assert all(len(set(models)) == 1 for models in fleet.used)
+
+
+def test_a_service_that_missed_the_decision_hears_it_again(fleet: Any) -> None:
+    lost = iter([0])
+    fleet.deliver = lambda message: next(lost, 1) if getattr(message, "step", "") == "take" else 1
+    fleet.ask("accept", "drag")
+    fleet.turn(60)
+    assert fleet.models == {"print drag"}
+    assert steps(fleet)[:3] == ["offer", "take", "take"]
+    assert "taken by everyone" in fleet.changes.sentence
+
+
+def test_nothing_is_decided_that_cannot_be_kept(fleet_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: VersionFolder, kept: Kept) -> None:
+        raise RecordingError("folder: cannot be written (No space left on device); free space there")
+
+    fleet = fleet_of(Path("never/made"))
+    monkeypatch.setattr(VersionFolder, "save", full)
+    fleet.turn()
+    fleet.propose("drag")
+    fleet.ask("accept", "drag")
+    fleet.turn(30)
+    assert steps(fleet) == ["drop"]
+    assert "No space left" in fleet.changes.sentence
+    assert fleet.models == {"first"}
+
+
+def test_versions_survive_on_disk_as_files_that_a_person_can_read(fleet: Any, tmp_path: Path) -> None:
+    fleet.ask("accept", "drag")
+    fleet.turn(30)
+    assert (tmp_path / "model-001-print drag.toml").read_text() == "document drag"
+    assert (tmp_path / "model-001-print drag.margin.json").read_text() == "margin drag"
+    kept = VersionFolder(tmp_path).load()
+    assert kept is not None
+    assert kept.versions == fleet.changes.versions
+    assert not list(tmp_path.glob("*.new"))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"versions": [], "change": 0, "offered": "", "rejected": []}', "\0"])
+def test_a_broken_folder_is_refused_with_its_name(tmp_path: Path, text: str) -> None:
+    (tmp_path / "changes.json").write_text(text)
+    with pytest.raises(InputError, match=r"changes.json: .*move it away"):
+        ModelChanges(Version("first", ""), VersionFolder(tmp_path))
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_of_writing(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="cannot be written"):
+        VersionFolder(tmp_path / "file" / "folder").save(Kept((Version("first", ""),)))
+
+
+faults = some.lists(
+    some.tuples(
+        some.integers(0, 25),  # ticks before it
+        some.sampled_from(
+            ["accept drag", "accept wind", "roll back", "robot", "coordinator", "away", "back", *SERVICES]
+        ),
+    ),
+    max_size=12,
+)
+losses = some.lists(some.sampled_from([0, 1, 1, 1, 2, 3]), min_size=1, max_size=40)
+
+
+@given(story=faults, counts=losses, broken=some.sampled_from(["", *SERVICES]))
+@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_happens_no_dropped_model_is_used_and_all_agree_in_the_end(
+    fleet_of: Any, tmp_path_factory: pytest.TempPathFactory, story: Any, counts: list[int], broken: str
+) -> None:
+    """Losses, repetitions, deaths of services, coordinator and robot, in any order, while people click."""
+    fleet = fleet_of(tmp_path_factory.mktemp("story"), {broken: frozenset(["document wind"])})
+    number = iter(range(10**9))
+    fleet.deliver = lambda message: counts[next(number) % len(counts)]
+    fleet.turn()
+    away = None
+    for pause, event in story:
+        fleet.turn(pause)
+        if event == "away" and fleet.changes is not None:
+            away, fleet.changes = fleet.changes, None
+        elif event == "back" and fleet.changes is None:
+            fleet.changes = away
+        elif event in SERVICES:
+            fleet.restart_service(event)
+        elif event == "robot":
+            fleet.restart_robot()
+        elif fleet.changes is not None:
+            _do(fleet, event)
+    fleet.deliver = lambda message: 1
+    fleet.changes = fleet.changes or away
+    fleet.turn(QUIET)
+    decided = {"first", *(message.fingerprint for message in fleet.spoken if message.step == "take")}
+    assert {model for models in fleet.used for model in models} <= decided
+    dropped = {(message.change, message.fingerprint) for message in fleet.spoken if message.step == "drop"}
+    assert not dropped & {(message.change, message.fingerprint) for message in fleet.spoken if message.step == "take"}
+    assert fleet.models == {fleet.changes.fingerprint}
+    assert fleet.changes.under_way == ""
+
+
+def _do(fleet: Any, event: str) -> None:
+    if event == "coordinator":
+        fleet.restart_coordinator()
+    elif event == "roll back":
+        fleet.ask("roll_back")
+    elif event.startswith("accept"):
+        fleet.propose("drag", "wind")
+        fleet.ask("accept", event.split()[1])
