@@ -13,7 +13,7 @@ __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
     "add", "bench", "calibrate", "compare", "diagnose", "effects", "experiment", "export", "predict", "screenshot",
-    "train", "up",
+    "train", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 

@@ -13,13 +13,14 @@ import numpy as np
 
 from safedpa.diagnosis.diagnose import candidate_of, experiment_for, judgeable, library_for, prepared, values_of
 from safedpa.diagnosis.final_numbers import with_final_numbers
-from safedpa.diagnosis.heldout import Heldout, HeldoutError, heldout_of
+from safedpa.diagnosis.fitting import fit
+from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with, heldout_of
 from safedpa.diagnosis.remaining import remaining
 from safedpa.diagnosis.report import Candidate, Experiment, Unexplained, Value
 from safedpa.diagnosis.rollout_error import rollout_error
 from safedpa.diagnosis.search import Search, accept, addition, begun
 from safedpa.diagnosis.shooting import shooting_of
-from safedpa.diagnosis.trial import tried_in_turn
+from safedpa.diagnosis.trial import trial_of, tried_in_turn
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, did_you_mean
 from safedpa.records.run import Run
@@ -37,6 +38,9 @@ __all__ = [
 
 LONGEST_WINDOW = 2.0
 """s; disturbances add up over longer ones."""
+_ROUNDS = 2
+"""Fits about the model with an effect: the trial was one about the model without it, to first order, which a large effect
+leaves."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ def first_step(model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0) -
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
-    used, _ = prepared(model, runs)
+    used, _ = prepared(model, runs, horizon)
     heldout, shooting = heldout_of(used, horizon), shooting_of(used, min(horizon, LONGEST_WINDOW))
     enough, why = judgeable(shooting, used, runs)
     return Step(begun(model, shooting, heldout), heldout, "" if enough else why)
@@ -124,6 +128,8 @@ def with_candidate(step: Step, proposed: Proposal, name: str) -> Step:
         raise InputError(f"effect '{name}': not among the candidates; {did_you_mean(name, tried)}")
     search = replace(_copied(step.search), candidates=list(proposed.search.candidates))
     accept(search, tried[name], step.heldout)
+    for _ in range(_ROUNDS):
+        _settle(search, step.heldout)
     return replace(step, search=search, improved=_improved(step.error, search.error))
 
 
@@ -138,6 +144,17 @@ def with_final(step: Step) -> Step:
 def _copied(search: Search) -> Search:
     return replace(
         search, candidates=list(search.candidates), added=list(search.added), rivals=dict(search.rivals), patch=None
+    )
+
+
+def _settle(search: Search, heldout: Heldout) -> None:
+    """Fits once more about the present model."""
+    now = search.current.fit
+    search.shooting = search.shooting.around(now.model)
+    again = fit(now.model, now.paths, search.shooting, now.scale)
+    search.current, search.error = (
+        trial_of(again, search.shooting, (), None),
+        error_with(again, search.shooting, heldout),
     )
 
 

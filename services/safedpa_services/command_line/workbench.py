@@ -1,0 +1,61 @@
+"""``safedpa workbench``: a page on which an engineer finds out what a model lacks, and adds it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command(name="workbench")
+@click.argument("model", default="")
+@click.argument("runs", metavar="[RUN]...", nargs=-1)
+@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
+@click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("workbench"),
+    show_default=True,
+    metavar="DIR",
+    help="Folder into which Save writes model.toml and margin.toml.",
+)
+@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
+@click.option(
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    help="Address to serve on; others than this machine may come in with 0.0.0.0.",
+)
+@click.option("--port", type=click.IntRange(1, 65535), default=8080, show_default=True, help="Port of the web page.")
+@click.option("--no-browser", is_flag=True, help="Open no browser.")
+def command(
+    model: str,
+    runs: tuple[str, ...],
+    columns: str | None,
+    horizon: float,
+    out: Path,
+    effects: Path | None,
+    host: str,
+    port: int,
+    no_browser: bool,
+) -> None:
+    """Compare MODEL with recorded RUNs on a web page, see where it fails, add what it lacks, watch the error fall.
+
+    Without arguments the page asks for model and recordings. Everything is served from this machine.
+    """
+    import importlib.util
+
+    from safedpa.dynamics import load_own_everywhere
+    from safedpa.errors import SafedpaError
+
+    if importlib.util.find_spec("nicegui") is None:
+        raise SafedpaError("workbench: NiceGUI is not installed; say: pip install 'safedpa[workbench]'")
+    from safedpa_services.workbench.recordings import Choice
+    from safedpa_services.workbench.server import serve
+
+    if effects is not None:
+        load_own_everywhere(effects)
+    serve(Choice(model, runs, columns, horizon), out, host, port, browser=not no_browser)

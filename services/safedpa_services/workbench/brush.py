@@ -1,0 +1,121 @@
+"""Windows by what they measured: their values, boxes drawn around some of them, and what lies inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.diagnosis.comparison import Comparison
+from safedpa.diagnosis.rollout_error import scaled_error, trimmed_rms
+from safedpa.diagnosis.where import PLACE
+from safedpa.diagnosis.windows import Windows
+
+__all__ = ["ERROR", "TIME", "Brush", "Inside", "inside_of", "time_of", "values_of", "variables_of"]
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TIME = "time"
+"""Name of the time along all runs, one after another [s]."""
+ERROR = "error"
+"""Name of a window's own error."""
+_PAUSE = 2.0
+"""s between two runs on the axis of time."""
+
+
+@dataclass(frozen=True)
+class Brush:
+    """Ranges of variables, both ends included; a window is inside where it is inside all of them."""
+
+    ranges: dict[str, tuple[float, float]]
+
+    def mask(self, comparison: Comparison) -> Mask:
+        """Which windows are inside, shape (windows,)."""
+        found = np.ones(len(comparison.windows), dtype=bool)
+        for name, (low, high) in self.ranges.items():
+            values = _values(comparison, name)
+            found &= (values >= min(low, high)) & (values <= max(low, high))
+        return found
+
+
+@dataclass(frozen=True)
+class Inside:
+    """What the windows of a selection have in common."""
+
+    windows: int
+    of: int
+    error: float
+    """On the scale of all windows."""
+    ratio: float
+    """error over that of all."""
+    worst_state: str
+    bias: float
+    """Median of predicted - measured of that state at the horizon, in its unit."""
+    unit: str
+
+    @property
+    def sentence(self) -> str:
+        """The selection in words."""
+        if not self.windows:
+            return "No window lies in there."
+        side = "high" if self.bias > 0 else "low"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return (
+            f"{self.windows} of {self.of} windows: error {self.error:.2f}, {self.ratio:.1f} times the average; "
+            f"{self.worst_state} in the median {abs(self.bias):.2g}{unit} too {side}."
+        )
+
+
+def variables_of(windows: Windows) -> dict[str, str]:
+    """Every variable that a window has a value of, with its unit, states first."""
+    return {variable.name: variable.unit for variable in (*windows.system.state, *windows.system.action)}
+
+
+def values_of(windows: Windows, name: str) -> Floats:
+    """One variable's value in each window, shape (windows,): its mean; of places and angles that at the middle.
+
+    Angles lie in -pi to pi. As the bins of ``safedpa.diagnosis.where`` count them.
+    """
+    system = windows.system
+    if name in system.action_names:
+        return _mean(windows.actions[:, system.action_names.index(name)], windows.start, windows.end)
+    index = system.state_names.index(name)
+    middle = windows.states[windows.start + windows.steps // 2, index]
+    if system.state[index].angle:
+        return np.asarray((middle + np.pi) % (2 * np.pi) - np.pi)
+    return middle if name in PLACE else _mean(windows.states[:, index], windows.start, windows.end + 1)
+
+
+def time_of(windows: Windows) -> Floats:
+    """When each window begins, s; the runs one after another, with a pause between them."""
+    ends = [float(windows.time[windows.end[windows.run == run]].max(initial=0.0)) for run in range(len(windows.names))]
+    offsets = np.concatenate([[0.0], np.cumsum(np.array(ends) + _PAUSE)[:-1]])
+    return np.asarray(windows.time[windows.start] + offsets[windows.run])
+
+
+def inside_of(comparison: Comparison, mask: Mask) -> Inside:
+    """What the selected windows have in common."""
+    windows, scale = comparison.windows, comparison.error.scale
+    chosen = comparison.errors[mask]
+    if not len(chosen):
+        return Inside(0, len(windows), float("nan"), float("nan"), "", 0.0, "1")
+    error = scaled_error(trimmed_rms(chosen), scale)
+    medians = np.median(chosen, axis=0)
+    worst = int(np.nanargmax(np.where(scale > 0, np.abs(medians) / np.where(scale > 0, scale, 1.0), np.nan)))
+    state = windows.system.state[worst]
+    average = comparison.error.value
+    ratio = error.value / average if average > 0 else float("nan")
+    return Inside(len(chosen), len(windows), error.value, ratio, state.name, float(medians[worst]), state.unit)
+
+
+def _values(comparison: Comparison, name: str) -> Floats:
+    if name == TIME:
+        return time_of(comparison.windows)
+    return comparison.window_errors if name == ERROR else values_of(comparison.windows, name)
+
+
+def _mean(column: Floats, start: NDArray[np.int64], stop: NDArray[np.int64]) -> Floats:
+    sums = np.concatenate([[0.0], np.cumsum(column)])
+    return np.asarray((sums[stop] - sums[start]) / (stop - start))

@@ -1,0 +1,32 @@
+"""The list of keys."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+__all__ = ["KEYS", "show_keys"]
+
+KEYS = {
+    "Tab, Shift Tab": "to every control, in the order of the columns",
+    "a": "add the candidate that is open",
+    "x": "reject it",
+    "j, k": "next, previous candidate",
+    "u": "undo the last decision",
+    "s": "save the model and its margin",
+    "f": "search again after it was cancelled",
+    "m": "select the worst cell of the error map",
+    "c or Escape": "clear the selection",
+    "w": "start the prediction where the error is largest",
+    "←, →": "previous, next start",
+    "o": "open a model and recordings",
+    "d": "dark or light page",
+    "?": "this list",
+}
+
+
+def show_keys() -> None:
+    """Opens the list."""
+    with ui.dialog(value=True) as dialog, ui.card():
+        rows = "".join(f"<dt>{key}</dt><dd>{what}</dd>" for key, what in KEYS.items())
+        ui.html(f'<h2 style="margin:0 0 8px;font-size:16px">Keys</h2><dl class="keys">{rows}</dl>', sanitize=False)
+        ui.button("Close", on_click=dialog.close).props("dense no-caps autofocus")

@@ -1,0 +1,123 @@
+"""What the workbench computes in its background process: functions of plain arguments with picklable results."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from safedpa.diagnosis.comparison import EVERY, Comparison, compare_model
+from safedpa.diagnosis.report import Candidate, Experiment, Unexplained, Value
+from safedpa.diagnosis.rollout_error import RolloutError, rollout_error
+from safedpa.diagnosis.stepwise import Proposal, Step, first_step, proposal, with_candidate
+from safedpa.dynamics import PhysicsModel
+from safedpa.records.run import Run
+
+__all__ = ["Found", "Version", "opened", "search", "taken"]
+
+Tell = Callable[[float], None]
+"""Told how much is done, from 0 to 1."""
+
+_MOST_WINDOWS = 2500
+"""That are compared and drawn; of longer recordings the starts lie farther apart."""
+_SETTLED = 4
+"""Candidates that are fitted to the end, so that their numbers stand and adding them takes no time."""
+
+
+@dataclass(frozen=True)
+class Version:
+    """A model on the way, with everything that the page shows of it."""
+
+    label: str
+    model: PhysicsModel
+    error: float
+    """On held-out data."""
+    per_state: dict[str, float]
+    improved: str
+    """In how many runs the error fell against the version before, ``4/4``; empty for the first ones."""
+    values: dict[str, Value]
+    comparison: Comparison = field(repr=False)
+    step: bytes = field(repr=False)
+    """The step from which a search goes on, pickled; empty for a version that none goes on from."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search proposes after a version."""
+
+    candidates: tuple[Candidate, ...]
+    """The choice first, then by how well they predict."""
+    choice: str | None
+    unexplained: Unexplained | None
+    next_experiment: Experiment | None
+    settled: dict[str, Version]
+    """The versions with the best candidates, by effect."""
+    proposal: bytes = field(repr=False)
+
+
+def opened(model: PhysicsModel, runs: Sequence[Run], horizon: float, tell: Tell) -> list[Version]:
+    """The given model, and with free parameters the refitted one.
+
+    Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
+    """
+    step = first_step(model, runs, horizon)
+    tell(0.4)
+    windows = step.heldout.windows
+    given = compared(model, runs, horizon)
+    tell(0.8)
+    error = rollout_error(model, windows)
+    kept = pickle.dumps(step)
+    free = bool(model.latent_names)
+    first = Version("given model", model, error.value, _named(error, step), "", {}, given, b"" if free else kept)
+    if not free:
+        return [first]
+    return [first, _version("free numbers refitted", step, runs, horizon)]
+
+
+def search(step: bytes, runs: Sequence[Run], horizon: float, tell: Tell) -> Found:
+    """What may be missing after a version, the best candidates fitted to the end."""
+    before: Step = pickle.loads(step)
+    found = proposal(before, lambda done, every: tell(0.7 * done / every))
+    tell(0.75)
+    candidates = _ordered(found)
+    best = candidates[:_SETTLED]
+    settled = {}
+    for number, item in enumerate(best):
+        settled[item.effect] = _added(before, found, item.effect, runs, horizon)
+        tell(0.75 + 0.25 * (number + 1) / len(best))
+    return Found(candidates, found.choice, found.unexplained, found.next_experiment, settled, pickle.dumps(found))
+
+
+def taken(step: bytes, proposed: bytes, name: str, runs: Sequence[Run], horizon: float, tell: Tell) -> Version:
+    """The version with one candidate; raises InputError for a name that is none."""
+    tell(0.1)
+    return _added(pickle.loads(step), pickle.loads(proposed), name, runs, horizon)
+
+
+def compared(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> Comparison:
+    """The comparison with as many windows as a page can draw."""
+    seconds = sum(run.duration for run in runs)
+    return compare_model(model, runs, horizon, every=max(EVERY, seconds / _MOST_WINDOWS))
+
+
+def _added(before: Step, found: Proposal, name: str, runs: Sequence[Run], horizon: float) -> Version:
+    return _version(f"+ {name}", with_candidate(before, found, name), runs, horizon)
+
+
+def _version(label: str, step: Step, runs: Sequence[Run], horizon: float) -> Version:
+    comparison = compared(step.model, runs, horizon)
+    per_state = _named(step.error, step)
+    kept = pickle.dumps(step)
+    return Version(label, step.model, step.error.value, per_state, step.improved, step.values, comparison, kept)
+
+
+def _named(error: RolloutError | Any, step: Step) -> dict[str, float]:
+    names = step.heldout.windows.system.state_names
+    return {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
+
+
+def _ordered(found: Proposal) -> tuple[Candidate, ...]:
+    """The choice first, suspects next, each in the order of the search."""
+    rank = {"accepted": 0, "suspected": 1, "rejected": 2}
+    return tuple(sorted(found.candidates, key=lambda item: rank[item.decision]))

@@ -1,0 +1,74 @@
+"""The fourth column: the error, version by version."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import ui
+
+from safedpa_services.workbench.elements import action, escaped, panel, text
+from safedpa_services.workbench.evidence import numbers_of
+from safedpa_services.workbench.session import Session
+
+__all__ = ["FallPanel"]
+
+
+class FallPanel:
+    """A bar for each version; a click looks at that version."""
+
+    def __init__(self, on_look: Callable[[int], None], on_undo: Callable[[], Any], on_save: Callable[[], Any]) -> None:
+        self._on_look = on_look
+        with panel(4, "The error falls"):
+            text("on data that the fit did not see", "quiet")
+            self._stages = ui.element("ol").classes("stages").props('aria-label="versions of the model"')
+            with ui.element("div").classes("bottom"):
+                self._numbers = ui.html(sanitize=False)
+                self._states = ui.html(sanitize=False)
+                self._said = text("", "quiet").props("aria-live=polite")
+                with ui.element("div").classes("row"):
+                    self._undo = action("Undo", on_undo, "u", hint="take the last decision back")
+                    action("Save", on_save, "s", hint="write the model and its margin", main=True)
+
+    def show(self, session: Session) -> None:
+        """Draws the bars anew."""
+        highest = max((version.error for version in session.versions), default=0.0)
+        self._stages.clear()
+        with self._stages:
+            for number, version in enumerate(session.versions):
+                pressed = number == (session.number if session.shown is None else session.shown)
+                width = 100.0 * version.error / highest if highest > 0 else 0.0
+                with ui.element("li"):
+                    button = ui.element("button").props(f"type=button aria-pressed={'true' if pressed else 'false'}")
+                    button.on("click", lambda _event, at=number: self._on_look(at))
+                    with button:
+                        ui.html(_stage(version.label, version.error, width, number), sanitize=False)
+        self._undo.set_enabled(bool(session.decided))
+        numbers = numbers_of(session.looked_at.values)
+        lines = "".join(f"<div>{escaped(line)}</div>" for line in numbers)
+        self._numbers.set_content(f'<div class="quiet">fitted numbers</div>{lines}' if numbers else "")
+        self._states.set_content(_states(session))
+        improved = session.looked_at.improved
+        self._said.set_content(f"better in {improved.replace('/', ' of ')} recordings" if improved else "")
+
+
+def _stage(label: str, error: float, width: float, number: int) -> str:
+    colour = "given" if number == 0 else ""
+    return (
+        f'<span class="label"><span>{escaped(label.replace("_", " "))}</span>'
+        f'<span class="value">{error:.3g}</span></span>'
+        f'<div class="bar"><div class="{colour}" style="width:{width:.1f}%"></div></div>'
+    )
+
+
+def _states(session: Session) -> str:
+    """Error of each state: the first version that was fitted, and the one that is looked at."""
+    windows, scale = session.comparison.windows, session.comparison.error.scale
+    first, now = session.versions[0].comparison.error, session.comparison.error
+    rows = []
+    for index, state in enumerate(windows.system.state):
+        unit = "" if state.unit == "1" else f" {state.unit}"
+        before, after = first.per_state[index] * scale[index], now.per_state[index] * scale[index]
+        rows.append(f"<tr><td>{state.name}</td><td>{before:.2g}</td><td>{after:.2g}{unit}</td></tr>")
+    head = "<tr><th>off by</th><th style='text-align:right'>given</th><th style='text-align:right'>now</th></tr>"
+    return f'<table class="states">{head}{"".join(rows)}</table>'

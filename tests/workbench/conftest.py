@@ -1,0 +1,72 @@
+"""A car with a throttle whose drag its model lacks, as a recording on disk."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting, save_model
+from safedpa.effects import effect
+from safedpa.records import load_run
+from safedpa.records.run import Run
+
+COLUMNS = ("t", "x", "y", "yaw", "speed", "throttle", "steer")
+NOISE = np.array([0.002, 0.002, 0.003, 0.015])
+"""m, m, rad, m/s; of the measured states."""
+
+
+def _plain() -> PhysicsModel:
+    return PhysicsModel(
+        KinematicBicycle("throttle"), [], {"base.wheelbase": Setting(0.3), "base.drive_gain": Setting(3.0)}
+    )
+
+
+def _rows(model: PhysicsModel, seconds: float, seed: int) -> list[list[float]]:
+    draw = np.random.default_rng(seed)
+    count = round(seconds / 0.05)
+    steer = np.repeat(draw.uniform(-0.4, 0.4, count // 8 + 1), 8)
+    throttle = np.repeat(draw.uniform(-0.6, 1.0, count // 12 + 1), 12)
+    state, rows = np.array([0.0, 0.0, 0.0, 1.0]), []
+    memory = model.initial_memory(np.array([throttle[0], steer[0]]))
+    for row in range(count):
+        action = np.array([np.clip(throttle[row] + 0.3 * (1.5 - state[3]), -1.0, 1.0), steer[row]])
+        rows.append([0.05 * row, *(state + NOISE * draw.normal(size=4)), *action])
+        state, memory = model.advance(state, action, memory, period=0.05, time=0.05 * row)
+    return rows
+
+
+def _written(path: Path, rows: list[list[float]], columns: tuple[str, ...] = COLUMNS) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([columns, *rows])
+    return path
+
+
+@pytest.fixture(scope="session")
+def plain() -> PhysicsModel:
+    """A car with throttle and no effect."""
+    return _plain()
+
+
+@pytest.fixture(scope="session")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    """A model file, and two recordings of a car with quadratic drag that the model does not have."""
+    folder = tmp_path_factory.mktemp("drives")
+    truth = _plain().with_effect(effect("car", "quadratic_drag"), {"coefficient": Setting(0.3)})
+    save_model(_plain(), folder / "plain.toml")
+    runs = [_written(folder / f"drive_{seed}.csv", _rows(truth, 40.0, seed)) for seed in (1, 2)]
+    return folder / "plain.toml", runs
+
+
+@pytest.fixture(scope="session")
+def complete_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording that the model without any effect explains."""
+    return _written(tmp_path_factory.mktemp("complete") / "complete.csv", _rows(_plain(), 60.0, 3))
+
+
+@pytest.fixture(scope="session")
+def runs(drives: tuple[Path, list[Path]], plain: PhysicsModel) -> list[Run]:
+    """The recordings with the hidden drag."""
+    return [load_run(path, plain.system) for path in drives[1]]
