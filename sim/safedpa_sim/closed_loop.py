@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from safedpa.bus import (
     ACTION,
     STATE,
+    TOPICS,
     VERDICT,
     AbstractNode,
     ActionMessage,
@@ -50,15 +51,22 @@ class Tick:
 
 
 def drive(
-    robot: Robot, nodes: Sequence[AbstractNode], ticks: int, fleet: str = "experiment"
+    robot: Robot,
+    nodes: Sequence[AbstractNode],
+    ticks: int,
+    fleet: str = "experiment",
+    hear: Callable[[Received], None] | None = None,
 ) -> Generator[Tick, None, None]:
-    """Runs ``ticks`` periods; nodes in the order of the data flow, the one that sends actions last.
+    """Runs ``ticks`` periods; nodes in the order of the data flow, the one that sends actions last; who only listens
+    may stand behind it.
 
-    The messages are encoded and decoded as on the network. Raises BusError when no action comes out of a tick.
+    ``hear`` gets every message of every topic, at the end of its tick. The messages are encoded and decoded as on the
+    network. Raises BusError when no action comes out of a tick.
     """
     broker = MemoryBroker()
     with Bus(MemoryTransport(broker), fleet) as bus:
         inbox = bus.inbox((ACTION, VERDICT), _NAME)
+        everything = None if hear is None else bus.inbox(tuple(TOPICS.values()), keep_all=True)
         loops = [ServiceLoop(node, Bus(MemoryTransport(broker), fleet)) for node in nodes]
         for _ in range(ticks):
             state = robot.state_message()
@@ -70,6 +78,10 @@ def drive(
             verdicts = [message for message in messages if isinstance(message, VerdictMessage)]
             if not actions or not verdicts:
                 raise BusError(f"tick {state.tick}: got no action, wanted one; does one of the nodes send it?")
+            if hear is not None and everything is not None:
+                for item in everything.take(0.0):
+                    if isinstance(item, Received):
+                        hear(item)
             refusal = robot.receive(actions[-1])
             robot.advance()
             yield Tick(state, verdicts[-1], refusal)

@@ -1,0 +1,95 @@
+"""Carries out works in processes of their own, so that the watch goes on and no tick of anybody waits."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+from safedpa.diagnosis.live.work import AbstractWorker, Outcome, Work
+from safedpa_services.diagnosis.work_files import read_outcome, write_work
+
+__all__ = ["ProcessWorker"]
+
+_MOST_STARTS = 3
+_LONGEST_SECONDS = 600.0
+"""On a busy machine a process that yields to everybody may take long; beyond this something is wrong with it."""
+
+
+@dataclass
+class _Job:
+    folder: Path
+    process: subprocess.Popen[bytes]
+    began: float
+    starts: int = 1
+
+
+@final
+class ProcessWorker(AbstractWorker):
+    """One process a work, one work a robot. A process that dies is started again, three times at most."""
+
+    def __init__(self, settings: str = "car", clock: Callable[[], float] = time.monotonic) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._jobs: dict[str, _Job] = {}
+
+    def begin(self, robot: str, work: Work) -> None:  # noqa: D102
+        self.cancel(robot)
+        folder = Path(tempfile.mkdtemp(prefix="safedpa-diagnosis-"))
+        write_work(work, folder)
+        self._jobs[robot] = _Job(folder, self._start(folder), self._clock())
+
+    def outcome(self, robot: str) -> Outcome | None:  # noqa: D102
+        job = self._jobs.get(robot)
+        if job is None:
+            return None
+        code = job.process.poll()
+        if code is None and self._clock() - job.began < _LONGEST_SECONDS:
+            return None
+        found = read_outcome(job.folder) if code == 0 else None
+        if found is None and code is not None and job.starts < _MOST_STARTS:
+            job.process, job.starts = self._start(job.folder), job.starts + 1
+            return None
+        words = "took too long" if code is None else f"ended with code {code}, {job.starts} times"
+        self.cancel(robot)
+        return Outcome(failure=f"its process {words}") if found is None else found
+
+    def cancel(self, robot: str) -> None:  # noqa: D102
+        job = self._jobs.pop(robot, None)
+        if job is None:
+            return
+        if job.process.stdin is not None:
+            job.process.stdin.close()
+        job.process.kill()
+        job.process.wait()
+        shutil.rmtree(job.folder, ignore_errors=True)
+
+    def busy(self, robot: str) -> bool:  # noqa: D102
+        return robot in self._jobs
+
+    def process_of(self, robot: str) -> int:
+        """The process id of a robot's work; 0 without one."""
+        job = self._jobs.get(robot)
+        return 0 if job is None else job.process.pid
+
+    def close(self) -> None:
+        """Gives up every work."""
+        for robot in tuple(self._jobs):
+            self.cancel(robot)
+
+    def _start(self, folder: Path) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "safedpa_services.diagnosis.working", str(folder)]
+        return subprocess.Popen(
+            [*command, "--settings", self._settings],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONSAFEPATH": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        )

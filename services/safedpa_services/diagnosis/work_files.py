@@ -1,0 +1,53 @@
+"""A work and its outcome as files, on the way to the process that carries it out and back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from safedpa.diagnosis.live.work import Outcome, Work
+from safedpa.dynamics import parse_model
+from safedpa.records.atomic import atomic_path
+from safedpa.records.run import Run, Stretch
+
+__all__ = ["read_outcome", "read_work", "write_outcome", "write_work"]
+
+_ROWS, _WORDS, _OUTCOME = "rows.npz", "work.json", "outcome.json"
+_TEXTS = ("task", "model", "horizon", "effect", "document", "footprint")
+
+
+def write_work(work: Work, folder: Path) -> None:
+    """Writes a work into a folder of its own."""
+    run = work.run
+    stretches = np.array([(part.start, part.stop) for part in run.stretches], dtype=np.int64).reshape(-1, 2)
+    np.savez(folder / _ROWS, t=run.t, states=run.states, actions=run.actions, stretches=stretches)
+    words = {**{name: getattr(work, name) for name in _TEXTS}, "name": run.name}
+    (folder / _WORDS).write_text(json.dumps(words), encoding="utf-8")
+
+
+def read_work(folder: Path) -> Work:
+    """The work that ``write_work`` wrote."""
+    words = json.loads((folder / _WORDS).read_text(encoding="utf-8"))
+    name, footprint = words.pop("name"), tuple(words.pop("footprint"))
+    with np.load(folder / _ROWS) as rows:
+        stretches = tuple(Stretch(int(start), int(stop)) for start, stop in rows["stretches"])
+        run = Run(name, parse_model(words["model"]).system, rows["t"], rows["states"], rows["actions"], stretches)
+    return Work(run=run, footprint=footprint, **words)
+
+
+def write_outcome(outcome: Outcome, folder: Path) -> None:
+    """Writes an outcome, whole or not at all."""
+    with atomic_path(folder / _OUTCOME) as temporary:
+        temporary.write_text(json.dumps(asdict(outcome)), encoding="utf-8")
+
+
+def read_outcome(folder: Path) -> Outcome | None:
+    """The outcome that ``write_outcome`` wrote; None when there is none."""
+    path = folder / _OUTCOME
+    if not path.exists():
+        return None
+    words = json.loads(path.read_text(encoding="utf-8"))
+    return Outcome(**{**words, "effects": tuple(words["effects"])})

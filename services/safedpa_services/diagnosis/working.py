@@ -1,0 +1,52 @@
+"""``python -m safedpa_services.diagnosis.working FOLDER``: carries out one work at the lowest priority there is.
+
+It ends when its standard input closes: with the service, however that ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import threading
+from pathlib import Path
+
+from safedpa.diagnosis.live.work import Outcome, carried_out
+from safedpa_services.diagnosis.calibrating import calibrate_with
+from safedpa_services.diagnosis.work_files import read_work, write_outcome
+
+__all__ = ["main"]
+
+_LARGEST_NICENESS = 19
+
+
+def main() -> None:
+    """Reads the work, does it, writes the outcome."""
+    parser = argparse.ArgumentParser(prog="safedpa-diagnosis-working")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--settings", default="car")
+    options = parser.parse_args()
+    _yield_to_everyone()
+    threading.Thread(target=_watch_service, daemon=True).start()
+    try:
+        outcome = carried_out(read_work(options.folder), calibrate_with(options.settings))
+    except Exception as error:  # noqa: BLE001 - whatever the numbers brought about, the service is to hear of it
+        outcome = Outcome(failure=f"{type(error).__name__}: {' '.join(str(error).split())}")
+    write_outcome(outcome, options.folder)
+
+
+def _yield_to_everyone() -> None:
+    os.nice(_LARGEST_NICENESS)
+    with contextlib.suppress(OSError, AttributeError):  # other systems have no such class
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
+def _watch_service() -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        continue
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

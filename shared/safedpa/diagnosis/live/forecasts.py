@@ -1,0 +1,115 @@
+"""Open-loop predictions of one running robot, one horizon ahead, held against what happened.
+
+x[k+1] = model(x[k], a[k], z), from a measured start, with the actions that were applied and the latent that was known
+at the start; nothing is looked at later. A few predictions run side by side, one model step each in every period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.dynamics import PhysicsModel
+from safedpa.errors import InputError
+
+__all__ = ["Forecast", "Forecasts"]
+
+Vector = NDArray[np.float64]
+
+_SIDE_BY_SIDE = 2
+"""Predictions that run at a time: one begins in every half of the horizon."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """One prediction that has come to its end."""
+
+    start: int
+    """Tick of the measured start."""
+    end: int
+    """Tick with which it is compared."""
+    began: Vector
+    """Measured state at the start (states,)."""
+    measured: Vector
+    """Measured state at the end (states,)."""
+    predicted: Vector
+    """(states,)"""
+    actions: Vector
+    """Mean of what was applied (actions,)."""
+    variation: Vector
+    """Sum of the changes of what was applied, without sign (actions,): what a window asks of a model."""
+
+
+@dataclass
+class _Running:
+    start: int
+    began: Vector
+    state: Vector
+    memory: Any
+    latent: Vector | None
+    summed: Vector
+    variation: Vector
+
+
+@dataclass
+class _Last:
+    tick: int
+    state: Vector
+    action: Vector | None = None
+    memory: Any = None
+    running: list[_Running] = field(default_factory=list)
+
+
+@final
+class Forecasts:
+    """Follows one robot. Raises InputError for a horizon shorter than two periods of the model."""
+
+    def __init__(self, model: PhysicsModel, horizon: float = 1.0) -> None:
+        self._model = model
+        self.steps = round(horizon / model.period)
+        if self.steps < 2:
+            raise InputError(f"horizon: got {horizon} s, wanted at least two periods of {model.period:g} s")
+        self._last: _Last | None = None
+
+    def observe(self, tick: int, state: Vector, applied: Vector, latent: Vector | None) -> list[Forecast]:
+        """Takes the state (states,) of a tick and what was applied since the last one (actions,).
+
+        Returns what came to its end. After a gap in the ticks, or a state that cannot be believed, all begins anew.
+        """
+        last = self._last
+        if not self._model.system.is_plausible(state) or not np.isfinite(applied).all():
+            self._last = None
+            return []
+        if last is None or tick != last.tick + 1:
+            self._last = _Last(tick, state)
+            return []
+        ended = self._onward(last, tick, state, applied, latent)
+        self._begin(last, tick, state, latent)
+        return ended
+
+    def _onward(self, last: _Last, tick: int, state: Vector, applied: Vector, latent: Vector | None) -> list[Forecast]:
+        model = self._model
+        memory = model.initial_memory(applied, latent) if last.action is None else last.memory
+        change = np.zeros(len(applied)) if last.action is None else np.abs(applied - last.action)
+        ended = []
+        for own in last.running:
+            own.state, own.memory = model.advance(own.state, applied, own.memory, own.latent)
+            own.summed = own.summed + applied
+            own.variation = own.variation + change
+            if tick - own.start >= self.steps:
+                mean = own.summed / (tick - own.start)
+                ended.append(Forecast(own.start, tick, own.began, state, own.state, mean, own.variation))
+        last.running = [own for own in last.running if tick - own.start < self.steps]
+        # what the actuators remember does not depend on the state: one step of the model tells it
+        last.memory = model.advance(last.state, applied, memory, latent)[1] if memory else memory
+        last.tick, last.state, last.action = tick, state, applied
+        return ended
+
+    def _begin(self, last: _Last, tick: int, state: Vector, latent: Vector | None) -> None:
+        newest = max((own.start for own in last.running), default=None)
+        if newest is None or tick - newest >= self.steps / _SIDE_BY_SIDE:
+            none = np.zeros(len(self._model.system.action))
+            last.running.append(_Running(tick, state, state, last.memory, latent, none, none))

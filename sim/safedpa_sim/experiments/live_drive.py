@@ -1,0 +1,200 @@
+"""One drive with the diagnosis beside it: something changes, is found, accepted by itself, and the error falls."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from safedpa.adaptation import AdaptationNode, LatentEstimator
+from safedpa.bus import FINDING, MODEL, STATE, FindingMessage, ModelMessage, Received, Request, StateMessage
+from safedpa.diagnosis.live.finding import RobotDiagnosis
+from safedpa.diagnosis.live.node import DiagnosisNode
+from safedpa.diagnosis.live.work import AbstractWorker, Calibrate, InlineWorker, Outcome
+from safedpa.dynamics import PhysicsModel, load_model, write_model
+from safedpa.policy import PolicyNode
+from safedpa.records.run import Run
+from safedpa.safety.live_margin import live_margin
+from safedpa.safety.margin_text import margin_text
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.changes import PlannedChange
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.scene import Scene
+
+__all__ = ["CASES", "MODEL_NAME", "LiveDrive", "drive_live", "live_scene"]
+
+CASES: Final = {"hitch": "towed_load", "headwind": "constant_force", "steering_offset": "steering_offset"}
+"""What changes, and the effect of the library that says so."""
+MODEL_NAME: Final = "car_measured"
+"""The car without a load, nothing of it free: a model whose free parameters are a load's would adapt to the chair."""
+
+_PERIOD: Final = 0.05
+_ROBOT: Final = "r1"
+_SETTINGS: Final = "car"
+_GOALS = 400
+_FALL: Final = 0.4
+"""Of the error before, to which it has to fall."""
+
+
+@dataclass
+class LiveDrive:
+    """What became of a drive; times in s by the robot's clock, None for what did not happen."""
+
+    case: str
+    seed: int
+    changed: float | None = None
+    raised: float | None = None
+    found: float | None = None
+    """When the first search that names an effect was done."""
+    effect: str = ""
+    """Named first."""
+    group: tuple[str, ...] = ()
+    """What the data cannot tell from it."""
+    numbers: dict[str, float] = field(default_factory=dict)
+    where: str = ""
+    taken: float | None = None
+    before: float = 0.0
+    """Mean of the live error, told once a second, from the finding to the change of the model."""
+    after: float | None = None
+    """The live error 20 s after the change of the model."""
+    fell: float | None = None
+    """When the live error was first below 40 % of that before, after the change of the model."""
+    findings: int = 0
+    evidence: float = 0.0
+    """Largest."""
+    collisions: int = 0
+    least_h: float = float("inf")
+    goals: int = 0
+    driven: float = 0.0
+    """s until the end."""
+
+
+def live_scene(seed: int) -> Scene:
+    """The scene of a seed with passages wide enough for a chair, which the car does not tow yet."""
+    scene = Scene.random(seed, "chair")
+    return dataclasses.replace(scene, load=None, fixed_goals=tuple(itertools.islice(scene.goals(), _GOALS)))
+
+
+def drive_live(
+    case: str,
+    seed: int,
+    seconds: float,
+    after: float = 30.0,
+    *,
+    model: str = MODEL_NAME,
+    hear: Callable[[Received], None] | None = None,
+) -> LiveDrive:
+    """Drives until ``seconds``, or until 25 s after the model was changed; the case's change comes ``after`` [s].
+
+    ``case`` is one of ``CASES`` or ``nothing``. In lockstep, all in one process: the same drive repeats bit for bit.
+    """
+    loaded = load_model(model)
+    change = None if case == "nothing" else PlannedChange(case, after)
+    robot = CarRobot(live_scene(seed), _PERIOD, change=change)
+    diagnosis, nodes = _nodes(loaded)
+    found = LiveDrive(case, seed)
+    notes = _Notes(found, diagnosis)
+
+    def listen(item: Received) -> None:
+        notes.hear(item)
+        if hear is not None:
+            hear(item)
+
+    for tick in drive(robot, nodes, round(seconds / _PERIOD), hear=listen):
+        found.least_h = min(found.least_h, tick.verdict.h_now)
+        found.changed = None if robot.changed_at is None else robot.changed_at * _PERIOD
+        if found.taken is not None and tick.state.robot_time > found.taken + 25.0:
+            break
+    found.collisions, found.goals, found.driven = len(robot.collisions), robot.goals_reached, robot.tick * _PERIOD
+    return found
+
+
+def _nodes(model: PhysicsModel) -> tuple[DiagnosisNode, list[Any]]:
+    settings, margin = settings_named(_SETTINGS), margin_for(model)
+    text = "" if margin is None else margin_text(margin)
+    diagnosis = DiagnosisNode(write_model(model), _worker(), text)
+    return diagnosis, [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings, margin), diagnosis]
+
+
+def _worker() -> AbstractWorker:
+    return InlineWorker(_calibrate())
+
+
+def _calibrate() -> Calibrate:
+    def calibrate(model: PhysicsModel, run: Run, footprint: tuple[float, ...]) -> str:
+        along = (lambda: LatentEstimator(model)) if model.latent_names else None
+        return live_margin(model, settings_named(_SETTINGS), run, footprint, along)
+
+    return calibrate
+
+
+class _Notes:
+    """Takes down what the findings say, and accepts the first effect that is confirmed."""
+
+    def __init__(self, found: LiveDrive, node: DiagnosisNode) -> None:
+        self._found = found
+        self._node = node
+        self._errors: list[float] = []
+        self._seen: Outcome | None = None
+
+    def hear(self, item: Received) -> None:
+        message = item.message
+        if item.topic is FINDING and isinstance(message, FindingMessage):
+            self._finding(message)
+        elif item.topic is MODEL and isinstance(message, ModelMessage) and message.step == "take":
+            if self._found.taken is None:
+                self._found.taken = message.from_tick * _PERIOD
+        elif item.topic is STATE and isinstance(message, StateMessage):
+            self._accept()
+
+    def _finding(self, message: FindingMessage) -> None:
+        found = self._found
+        found.findings = max(found.findings, message.number)
+        found.evidence = max(found.evidence, message.evidence)
+        if found.raised is None and message.number > 0:
+            found.raised = message.robot_time
+        if found.taken is None and message.stage in ("raised", "searching", "candidates", "nothing"):
+            self._errors.append(message.error)
+            found.before, found.where = sum(self._errors) / len(self._errors), message.where
+        elif found.taken is not None and message.robot_time > found.taken:
+            if found.fell is None and 0.0 < message.error < _FALL * found.before:
+                found.fell = message.robot_time
+            if message.robot_time <= found.taken + 20.0:
+                found.after = message.error
+
+    def _accept(self) -> None:
+        diagnosis = self._node.diagnosis_of(_ROBOT)
+        outcome = None if diagnosis is None else diagnosis.outcome
+        if diagnosis is None or outcome is None or outcome is self._seen:
+            return
+        self._seen = outcome
+        if not outcome.documents or self._found.taken is not None:
+            return
+        effect, report = outcome.effects[0], json.loads(outcome.report)
+        self._take_down(diagnosis, effect, report)
+        if not self._worth_it(effect, report):
+            return  # the next search has twice the data
+        request = Request(
+            do="accept", effect=effect, model=diagnosis.fingerprint, finding=diagnosis.number, who="experiment"
+        )
+        self._node.answer(_ROBOT, request)
+
+    @staticmethod
+    def _worth_it(effect: str, report: dict[str, Any]) -> bool:
+        """Whether unseen data promise the fall that is asked for."""
+        own = next(item for item in report["candidates"] if item["stage"] == 0 and item["effect"] == effect)
+        before: float = report["stages"][0]["heldout_error"]
+        return bool(own["heldout_error"] < _FALL * before)
+
+    def _take_down(self, diagnosis: RobotDiagnosis, effect: str, report: dict[str, Any]) -> None:
+        found = self._found
+        found.found, found.effect = diagnosis.time, effect
+        for item in report["candidates"]:
+            if item["stage"] == 0 and item["effect"] == effect:
+                found.group = tuple(item["indistinguishable_from"])
+                found.numbers = {name: value["value"] for name, value in item["parameters"].items()}
