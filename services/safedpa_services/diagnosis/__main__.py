@@ -1,28 +1,57 @@
-"""``python -m safedpa_services.diagnosis``: tells of every robot of a fleet what its model lacks."""
+"""``python -m safedpa_services.diagnosis``: tells of every robot of a fleet what its model lacks, and changes it."""
 
 from __future__ import annotations
 
 import argparse
 import os
+import uuid
+from pathlib import Path
 
-from safedpa.bus.process import Stop, run_process
+from safedpa.bus import NO_ROBOT, ServiceLoop
+from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa.diagnosis.live.change import ModelChanges
 from safedpa.diagnosis.live.node import DiagnosisNode
+from safedpa.diagnosis.live.versions import Version, VersionFolder
 from safedpa.dynamics import load_model, write_model
+from safedpa.safety.margin_text import margin_text
+from safedpa.safety.shipped import margin_for
 from safedpa_services.diagnosis.process_worker import ProcessWorker
-from safedpa_services.serving import serve, service_parser
+from safedpa_services.serving import service_parser
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Serves until ``stop``; returns the exit code."""
     os.nice(10)  # nobody waits for it
     worker = ProcessWorker(options.settings)
+    node = _node(options, worker)
     try:
-        return serve(DiagnosisNode(write_model(load_model(options.model)), worker), options, stop)
+        with bus_from(options) as bus:
+            bus.answer_requests(node.answer, options.robot)
+            bus.announce(NO_ROBOT, node.name, uuid.uuid4().hex[:12])
+            ServiceLoop(node, bus, options.robot).run(stop)
     finally:
         worker.close()
+    return 0
+
+
+def _node(options: argparse.Namespace, worker: ProcessWorker) -> DiagnosisNode:
+    model = load_model(options.model)
+    margin = margin_for(model, options.margin)
+    text = "" if margin is None else margin_text(margin)
+
+    def changes(robot: str, first: Version) -> ModelChanges:
+        return ModelChanges(first, VersionFolder(Path(options.versions) / robot) if options.versions else None)
+
+    return DiagnosisNode(write_model(model), worker, text, changes)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = service_parser("safedpa-diagnosis")
+    parser.add_argument("--settings", default="car", metavar="FILE.toml", help="settings of the filter: file or name")
+    parser.add_argument("--margin", default="", metavar="FILE.toml", help="of the model, as the filter has it")
+    parser.add_argument("--versions", default="", metavar="FOLDER", help="keep the models that were agreed on there")
+    return parser
 
 
 if __name__ == "__main__":
-    parser = service_parser("safedpa-diagnosis")
-    parser.add_argument("--settings", default="car", metavar="FILE.toml", help="settings of the filter: file or name")
-    run_process(work, parser)
+    run_process(work, _parser())
