@@ -5,14 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import final
 
 import pytest
 
-from safedpa.bus import Answer, HealthMessage, ModelMessage, Request, StateMessage, TakeoverMessage
+from safedpa.bus import (
+    HEALTH,
+    MODEL,
+    TAKEOVER,
+    VERDICT,
+    AbstractNode,
+    Answer,
+    HealthMessage,
+    Inputs,
+    Message,
+    ModelMessage,
+    Outputs,
+    Request,
+    StateMessage,
+    TakeoverMessage,
+)
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.diagnosis.live.change import ModelChanges
 from safedpa.diagnosis.live.under_way import SERVICES
 from safedpa.diagnosis.live.versions import Candidate, Version, VersionFolder
+from safedpa.dynamics import PhysicsModel, fingerprint, write_model
 
 FIRST = Version("first", "document first")
 
@@ -150,3 +167,45 @@ def fleet_of() -> type[Fleet]:
 def candidate_of() -> Callable[[str], Candidate]:
     """``candidate_of(effect)``: one whose document is made already."""
     return candidate
+
+
+@final
+class ChangingNode(AbstractNode):
+    """The part of a diagnosis that changes models, without the diagnosis: for drives in which a test is the person."""
+
+    name = "diagnosis"
+    inputs = (VERDICT,)
+    outputs = (MODEL,)
+    listens = (TAKEOVER, HEALTH)
+    share = 0.9
+
+    def __init__(self, model: PhysicsModel, folder: Path | None = None) -> None:
+        first = Version(fingerprint(model), write_model(model))
+        self.changes = ModelChanges(first, None if folder is None else VersionFolder(folder))
+        self.spoken: list[ModelMessage] = []
+        self.heard: list[TakeoverMessage] = []
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
+        message = self.changes.step(state)
+        if message is None:
+            return {}
+        self.spoken.append(message)
+        return {MODEL: message}
+
+    def hear(self, robot: str, message: Message) -> None:
+        assert isinstance(message, (TakeoverMessage, HealthMessage))
+        if isinstance(message, TakeoverMessage):
+            self.heard.append(message)
+        self.changes.hear(message)
+
+
+@pytest.fixture(scope="session")
+def changing_node() -> type[ChangingNode]:
+    """``changing_node(model, folder)``: offers models to real services."""
+    return ChangingNode
+
+
+@pytest.fixture(scope="session")
+def driving_state() -> Callable[[int, int], StateMessage]:
+    """``driving_state(tick, epoch)``: of a car in an empty field."""
+    return state_at

@@ -15,6 +15,7 @@ from safedpa.policy.backing_off import BackingOff
 from safedpa.policy.compensation import SpeedCompensation
 from safedpa.policy.goal_seeker import GoalSeeker, GoalSeekerSettings
 from safedpa.policy.learned import LearnedPolicy
+from safedpa.policy.network_latent import NetworkLatent
 
 __all__ = ["CONTROLLERS", "CompensatedGoalSeeker", "Controller", "controller_for"]
 
@@ -71,7 +72,7 @@ def controller_for(
             raise InputError(
                 "controller 'learned': the model has no networks, wanted one with a policy; choose another"
             )
-        policy = LearnedPolicy(base.weights)
+        policy = NetworkLatent(LearnedPolicy(base.weights), model)
         return lambda: BackingOff(policy)
     if name == "planner":
         from safedpa.policy.planner import Planner

@@ -1,0 +1,218 @@
+"""A service asks for a robot's model before it serves the robot, and does not wait long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import pytest
+
+from safedpa.bus import (
+    HEALTH,
+    LATENT,
+    MODEL,
+    STATE,
+    TAKEOVER,
+    WISH,
+    AbstractNode,
+    Answer,
+    Bus,
+    Inputs,
+    LatentMessage,
+    Message,
+    ModelMessage,
+    Outputs,
+    Request,
+    ServiceLoop,
+    StateMessage,
+    TakeoverMessage,
+    Topic,
+    WishMessage,
+)
+from safedpa.errors import InputError
+
+
+class Curious(AbstractNode):
+    """Remembers what it was told, in order."""
+
+    name = "policy"
+    inputs = (LATENT,)
+    outputs = (WISH, TAKEOVER)
+    listens: ClassVar[tuple[Topic, ...]] = (MODEL,)
+    share = 0.2
+
+    def __init__(self) -> None:
+        self.told: list[Any] = []
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
+        self.told.append((robot, state.tick, isinstance(inputs[LATENT], LatentMessage)))
+        stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": 0.0, "publish_time": 0.0}
+        takeover = TakeoverMessage(**stamp, service="policy", change=1, fingerprint="x", state="ready")
+        return {WISH: WishMessage(**stamp, values=(0.0, 0.0), controller="test"), TAKEOVER: takeover}
+
+    def hear(self, robot: str, message: Message) -> None:
+        assert isinstance(message, ModelMessage)
+        if message.change == 13:
+            raise InputError("change 13: unlucky")
+        self.told.append((robot, message.step, message.change))
+
+    def welcome(self, robot: str, status: Answer | None) -> None:
+        self.told.append((robot, None if status is None else status.fingerprint))
+
+    def model_of(self, robot: str) -> str:
+        return f"model of {robot}"
+
+
+class Indifferent(Curious):
+    listens = ()
+
+
+class SlowBus(Bus):
+    """Answers come when the test says so."""
+
+    def request_into(self, inbox: Any, robot: str, request: Request, timeout: float) -> None:
+        self.asked = (inbox, robot, request, timeout)
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def service(memory_bus: Callable[[], Bus], clock: Clock) -> tuple[Curious, ServiceLoop, Bus]:
+    node = Curious()
+    return node, ServiceLoop(node, memory_bus(), clock=clock), memory_bus()
+
+
+def latent_of(samples: dict[str, Message], state: StateMessage) -> LatentMessage:
+    return LatentMessage(
+        epoch=state.epoch,
+        tick=state.tick,
+        robot_time=0.0,
+        publish_time=0.0,
+        model="m",
+        values=(0.4,),
+        deviations=(0.1,),
+    )
+
+
+def test_it_asks_once_before_the_first_step(service: Any, memory_bus: Any, state_at: Any, samples: Any) -> None:
+    node, loop, robot = service
+    asked = []
+
+    def answer(name: str, request: Request) -> Answer:
+        asked.append((name, request))
+        return Answer(ok=True, sentence="", fingerprint="agreed")
+
+    memory_bus().answer_requests(answer)
+    for tick in range(3):
+        robot.publish(STATE, "r", state_at(tick))
+        robot.publish(LATENT, "r", latent_of(samples, state_at(tick)))
+        loop.turn(0.0)
+    assert asked == [("r", Request(do="status", who="policy"))]
+    assert node.told == [("r", "agreed"), ("r", 0, True), ("r", 1, True), ("r", 2, True)]
+
+
+def test_without_a_diagnosis_it_serves_at_once(service: Any, state_at: Any, samples: Any) -> None:
+    node, loop, robot = service
+    robot.publish(STATE, "r", state_at(0))
+    robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
+    loop.turn(0.0)
+    assert node.told == [("r", None), ("r", 0, True)]
+
+
+def test_what_came_while_it_waited_is_not_lost_and_others_do_not_wait(
+    broker: Any, clock: Clock, state_at: Any, samples: Any
+) -> None:
+    from safedpa.bus import MemoryTransport
+    from safedpa.bus.bus import Answered
+
+    node, bus = Curious(), SlowBus(MemoryTransport(broker), "test")
+    loop, robot = ServiceLoop(node, bus, clock=clock), Bus(MemoryTransport(broker), "test")
+    for tick in range(2):
+        robot.publish(STATE, "r", state_at(tick))
+        robot.publish(LATENT, "r", latent_of(samples, state_at(tick)))
+        loop.turn(0.0)
+    assert node.told == [], "it is still waiting"
+    inbox, name, request, _ = bus.asked
+    assert (name, request.do) == ("r", "status")
+    inbox.keep_answer(Answered("r", Answer(ok=True, sentence="", fingerprint="agreed")))
+    loop.turn(0.0)
+    assert node.told == [("r", "agreed"), ("r", 1, True)], "the newest tick, with its input"
+
+
+def test_its_patience_ends_even_if_no_answer_ever_comes(broker: Any, clock: Clock, state_at: Any) -> None:
+    from safedpa.bus import MemoryTransport
+
+    node = Curious()
+    loop = ServiceLoop(node, SlowBus(MemoryTransport(broker), "test"), clock=clock)
+    robot = Bus(MemoryTransport(broker), "test")
+    robot.publish(STATE, "r", state_at(0, lockstep=False))
+    loop.turn(0.0)
+    assert node.told == []
+    clock.now = 0.61
+    loop.turn(0.0)
+    loop.turn(0.0)
+    assert node.told[0] == ("r", None)
+    clock.now = 0.7
+    loop.turn(0.0)
+    assert node.told[1] == ("r", 0, False)
+
+
+def test_a_robot_that_left_is_asked_for_again(service: Any, clock: Clock, state_at: Any, samples: Any) -> None:
+    node, loop, robot = service
+    for epoch in (1, 2):
+        state = state_at(0, epoch=epoch)
+        robot.publish(STATE, "r", state)
+        robot.publish(LATENT, "r", latent_of(samples, state))
+        loop.turn(0.0)
+        clock.now += 40.0
+        loop.turn(0.0)
+    assert node.told == [("r", None), ("r", 0, True)] * 2
+
+
+def test_a_node_that_holds_no_model_asks_nobody(broker: Any, clock: Clock, state_at: Any, samples: Any) -> None:
+    from safedpa.bus import MemoryTransport
+
+    node = Indifferent()
+    loop = ServiceLoop(node, SlowBus(MemoryTransport(broker), "test"), clock=clock)
+    robot = Bus(MemoryTransport(broker), "test")
+    robot.publish(STATE, "r", state_at(0))
+    robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
+    loop.turn(0.0)
+    assert node.told == [("r", 0, True)]
+
+
+def test_changes_are_heard_in_order_of_any_tick_and_a_refused_one_is_counted(
+    service: Any, memory_bus: Any, state_at: Any, samples: Any
+) -> None:
+    import dataclasses
+
+    node, loop, robot = service
+    for change in (1, 13, 2):
+        robot.publish(MODEL, "r", dataclasses.replace(samples["model"], change=change, tick=0))
+    loop.turn(0.0)
+    assert node.told == [("r", "offer", 1), ("r", "offer", 2)]
+
+
+def test_answers_go_out_under_the_service_s_name_and_health_names_the_model(
+    service: Any, memory_bus: Any, clock: Clock, state_at: Any, samples: Any
+) -> None:
+    _, loop, robot = service
+    inbox = memory_bus().inbox((TAKEOVER, HEALTH), keep_all=True)
+    robot.publish(STATE, "r", state_at(0))
+    robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
+    loop.turn(0.0)
+    clock.now = 1.0
+    loop.turn(0.0)
+    received = {item.key: item.message for item in inbox.take(0.0)}
+    assert received["safedpa/test/r/takeover/policy"].state == "ready"
+    assert received["safedpa/test/r/health/policy"].model == "model of r"

@@ -1,0 +1,299 @@
+"""Every service checks what it is offered: what does not fit is refused with a reason, and the robot drives on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import pytest
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import LATENT, TAKEOVER, WISH, Answer, LatentMessage, ModelMessage, WishMessage
+from safedpa.bus.codec import decode, encode
+from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
+from safedpa.errors import InputError
+from safedpa.policy import PolicyNode
+from safedpa.safety.margin_text import margin_from_text, margin_text
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+
+CAR = load_model("car")
+MARGIN = margin_for(CAR)
+assert MARGIN is not None
+DOCUMENT = write_model(CAR) + '\n[[effects]]\nname = "steering_offset"\nangle = 0.01\n'
+NEW = fingerprint(parse_model(DOCUMENT))
+GOOD_MARGIN = dataclasses.replace(MARGIN, fingerprint=NEW)
+NODES = ("adaptation", "policy", "safety_filter")
+
+
+def node_named(name: str, model: Any = CAR) -> Any:
+    if name == "adaptation":
+        return AdaptationNode(model)
+    if name == "policy":
+        return PolicyNode(model)
+    return SafetyFilterNode(model, settings_named("car"), margin_for(model))
+
+
+def offer(document: str = DOCUMENT, name: str = NEW, margin: str | None = None, change: int = 1) -> ModelMessage:
+    message = ModelMessage(
+        epoch=1,
+        tick=0,
+        robot_time=0.0,
+        publish_time=0.0,
+        step="offer",
+        change=change,
+        fingerprint=name,
+        replaces=fingerprint(CAR),
+        document=document,
+        margin=margin_text(GOOD_MARGIN) if margin is None else margin,
+    )
+    return decode(ModelMessage, encode(message))
+
+
+def decision(step: str, from_tick: int = 0, change: int = 1, epoch: int = 1) -> ModelMessage:
+    return dataclasses.replace(
+        offer(change=change), step=step, document="", margin="", from_tick=from_tick, epoch=epoch
+    )
+
+
+class Ticking:
+    """One node, tick after tick, with a wish and a latent of the model that ``latents_of`` names."""
+
+    def __init__(self, node: Any, state_of: Any) -> None:
+        self.node, self.state_of, self.tick = node, state_of, 0
+        self.latents_of, self.latent = fingerprint(CAR), tuple(CAR.latent.tolist())
+
+    def turn(self, epoch: int = 1) -> Any:
+        state = self.state_of(self.tick, epoch)
+        stamp = {"epoch": epoch, "tick": self.tick, "robot_time": 0.0, "publish_time": 0.0}
+        latent = LatentMessage(**stamp, model=self.latents_of, values=self.latent, deviations=self.latent)
+        inputs = {LATENT: latent, WISH: WishMessage(**stamp, values=(0.5, 0.0), controller="test")}
+        outputs = dict(self.node.step("r1", state, {topic: inputs[topic] for topic in self.node.inputs}))
+        outputs.update(self.node.afterwards("r1"))
+        self.tick += 1
+        return outputs
+
+    def answer(self) -> tuple[str, str]:
+        takeover = self.turn()[TAKEOVER]
+        return takeover.state, takeover.reason
+
+
+@pytest.fixture(params=NODES)
+def ticking(request: pytest.FixtureRequest, driving_state: Any) -> Ticking:
+    ticking = Ticking(node_named(request.param), driving_state)
+    ticking.turn()
+    return ticking
+
+
+BROKEN_DOCUMENTS = {
+    "not TOML": ("{{{", "not TOML"),
+    "empty": ("", "format: missing"),
+    "another robot": (write_model(load_model("dfki_pendulum")), "robot: got pendulum, the model in force has car"),
+    "another period": (DOCUMENT.replace("period = 0.05", "period = 0.1"), "period: got 0.1"),
+    "an unknown effect": (DOCUMENT.replace("steering_offset", "steering_offsett"), "steering_offset"),
+    "a number that is none": (DOCUMENT.replace("angle = 0.01", "angle = nan"), "steering_offset.angle"),
+    "another drive": (DOCUMENT.replace("speed_servo", "throttle"), "base"),
+    "deeply nested": ("x = " + "[" * 50000, ""),
+    "learned networks": (write_model(load_model("car_learned")), "networks"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN_DOCUMENTS)
+def test_a_broken_document_is_refused_with_the_reason(ticking: Ticking, case: str) -> None:
+    document, reason = BROKEN_DOCUMENTS[case]
+    try:
+        own = fingerprint(parse_model(document))
+    except (InputError, RecursionError):
+        own = NEW
+    ticking.node.hear("r1", offer(document, own, ""))
+    state, told = ticking.answer()
+    assert state == "refused"
+    assert reason in told
+    assert "\n" not in told
+    ticking.node.hear("r1", decision("take"))
+    assert ticking.answer()[0] == "refused"
+    assert ticking.node.model_of("r1") == fingerprint(CAR)
+
+
+def test_a_document_with_another_fingerprint_is_refused(ticking: Ticking) -> None:
+    ticking.node.hear("r1", offer(name="0123456789ab"))
+    assert ticking.answer() == ("refused", f"fingerprint: the document has {NEW}, the offer says 0123456789ab")
+
+
+def _altered(**changes: Any) -> str:
+    return json.dumps({**json.loads(margin_text(GOOD_MARGIN)), **changes})
+
+
+BROKEN_MARGINS = {
+    "no JSON": ("{", "margin: "),
+    "a list": ("[1]", "margin: "),
+    "another key": (_altered(more=1), "margin: "),
+    "of another model": (_altered(fingerprint="0123456789ab"), "calibrated for model 0123456789ab"),
+    "not a number": (_altered(epsilon={"obstacle": float("nan")}), "epsilon.obstacle"),
+    "below zero": (_altered(epsilon={"obstacle": -1.0}), "epsilon.obstacle"),
+    "less coverage": (_altered(coverage=0.5), "covers 0.5 of the steps, the one in force 0.99"),
+    "a kind missing": (_altered(epsilon={"speed": 0.1}), "none for field, obstacle"),
+    "deeply nested": ("[" * 100000, ""),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN_MARGINS)
+def test_the_filter_refuses_a_margin_that_promises_less_or_nothing(driving_state: Any, case: str) -> None:
+    ticking = Ticking(node_named("safety_filter"), driving_state)
+    ticking.turn()
+    margin, reason = BROKEN_MARGINS[case]
+    ticking.node.hear("r1", offer(margin=margin))
+    state, told = ticking.answer()
+    assert state == "refused"
+    assert reason in told
+
+
+def test_a_margin_survives_the_bus() -> None:
+    assert margin_from_text(margin_text(GOOD_MARGIN)) == GOOD_MARGIN
+
+
+def test_a_good_offer_is_used_from_the_named_tick_and_never_before(ticking: Ticking) -> None:
+    ticking.node.hear("r1", offer())
+    assert ticking.answer() == ("ready", "")
+    ticking.node.hear("r1", decision("take", from_tick=5))
+    models = []
+    while ticking.tick < 8:
+        takeover = ticking.turn().get(TAKEOVER)
+        models.append((ticking.tick - 1, ticking.node.model_of("r1"), takeover and takeover.state))
+    assert models == [
+        (tick, NEW if tick >= 5 else fingerprint(CAR), "taken" if tick == 5 else None) for tick in range(2, 8)
+    ]
+    assert ticking.node.model_of("other") == fingerprint(CAR), "one robot's change is no other's"
+
+
+def test_a_dropped_offer_cannot_be_taken(ticking: Ticking) -> None:
+    ticking.node.hear("r1", offer())
+    ticking.turn()
+    ticking.node.hear("r1", decision("drop"))
+    ticking.node.hear("r1", decision("take"))
+    assert ticking.answer() == ("refused", "it was not offered before, or not to this process")
+    assert ticking.node.model_of("r1") == fingerprint(CAR)
+
+
+def test_a_drop_after_the_decision_is_too_late(ticking: Ticking) -> None:
+    ticking.node.hear("r1", offer())
+    ticking.turn()
+    ticking.node.hear("r1", decision("take", from_tick=4))
+    ticking.node.hear("r1", decision("drop"))
+    ticking.node.hear("r1", offer())
+    assert ticking.answer() == ("ready", ""), "told twice, answered twice"
+    for _ in range(4):
+        ticking.turn()
+    assert ticking.node.model_of("r1") == NEW
+
+
+def test_a_robot_that_left_and_returns_has_the_model_that_it_had(ticking: Ticking) -> None:
+    ticking.node.hear("r1", offer())
+    ticking.turn()
+    ticking.node.hear("r1", decision("take"))
+    ticking.turn()
+    ticking.node.forget("r1")
+    ticking.turn(epoch=2)
+    assert ticking.node.model_of("r1") == NEW
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_service_that_was_restarted_begins_with_what_is_in_force(driving_state: Any, name: str) -> None:
+    ticking = Ticking(node_named(name), driving_state)
+    status = Answer(ok=True, sentence="", change=4, fingerprint=NEW, document=DOCUMENT, margin=margin_text(GOOD_MARGIN))
+    ticking.node.welcome("r1", status)
+    ticking.latents_of, ticking.latent = NEW, tuple(parse_model(DOCUMENT).latent.tolist())
+    ticking.turn()
+    assert ticking.node.model_of("r1") == NEW
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_service_that_was_restarted_between_decision_and_change_does_both(driving_state: Any, name: str) -> None:
+    ticking = Ticking(node_named(name), driving_state)
+    ticking.node.welcome("r1", _pending("take", from_tick=3))
+    models = []
+    for _ in range(5):
+        ticking.turn()
+        models.append(ticking.node.model_of("r1"))
+    assert models == [fingerprint(CAR)] * 3 + [NEW] * 2
+
+
+def _pending(stage: str, from_tick: int = 0) -> Answer:
+    return Answer(
+        ok=True,
+        sentence="",
+        change=1,
+        fingerprint=fingerprint(CAR),
+        document=write_model(CAR),
+        pending=stage,
+        pending_fingerprint=NEW,
+        pending_document=DOCUMENT,
+        pending_margin=margin_text(GOOD_MARGIN),
+        epoch=1,
+        from_tick=from_tick,
+    )
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_service_that_was_restarted_amid_an_offer_answers_it(driving_state: Any, name: str) -> None:
+    ticking = Ticking(node_named(name), driving_state)
+    ticking.node.welcome("r1", _pending("offer"))
+    assert ticking.answer() == ("ready", "")
+
+
+@pytest.mark.parametrize("name", NODES)
+@pytest.mark.parametrize(
+    "status",
+    [
+        None,
+        Answer(ok=False, sentence="refused: robot 'r1' is not known"),
+        Answer(ok=True, sentence="", fingerprint="0123456789ab", document="{{{"),
+        Answer(ok=True, sentence="", fingerprint="0123456789ab"),
+    ],
+)
+def test_without_a_usable_answer_it_begins_with_its_own_model(driving_state: Any, name: str, status: Any) -> None:
+    ticking = Ticking(node_named(name), driving_state)
+    ticking.node.welcome("r1", status)
+    ticking.turn()
+    assert ticking.node.model_of("r1") == fingerprint(CAR)
+
+
+def test_the_filter_falls_back_while_the_latent_is_of_another_model(driving_state: Any) -> None:
+    ticking = Ticking(node_named("safety_filter"), driving_state)
+    before = ticking.turn()
+    ticking.node.hear("r1", offer())
+    ticking.turn()
+    ticking.node.hear("r1", decision("take"))
+    during = ticking.turn()
+    ticking.latents_of = NEW
+    after = ticking.turn()
+    verdicts = [next(m for t, m in outputs.items() if t.name == "verdict") for outputs in (before, during, after)]
+    assert [verdict.status == "fallback" for verdict in verdicts] == [False, True, False]
+    assert f"the filter has {NEW}" in verdicts[1].sentence
+
+
+def test_a_user_s_effect_that_fails_is_refused_not_fatal(ticking: Ticking, monkeypatch: pytest.MonkeyPatch) -> None:
+    from safedpa.dynamics import offered
+
+    def fails(text: str, folder: Any) -> Any:
+        raise ZeroDivisionError("planted in a user's effect")
+
+    monkeypatch.setattr(offered, "parse_model", fails)
+    ticking.node.hear("r1", offer())
+    assert ticking.answer() == ("refused", "planted in a user's effect")
+
+
+def test_a_model_with_which_the_filter_cannot_decide_is_refused(
+    driving_state: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from safedpa.safety.safety_filter import SafetyFilter
+
+    ticking = Ticking(node_named("safety_filter"), driving_state)
+    ticking.turn()
+    decide = SafetyFilter.decide
+    monkeypatch.setattr(SafetyFilter, "decide", lambda self, *a, **k: decide(self, *a, **{**k, "stale": ["planted"]}))
+    ticking.node.hear("r1", offer())
+    answer = ticking.node._versions.answer("r1", ticking.state_of(1, 1))
+    assert answer.state == "refused"
+    assert "the filter cannot decide with it" in answer.reason
