@@ -23,11 +23,11 @@ from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import policy_drives, random_drives
-from safedpa_sim.training.driving import Driving
 from safedpa_sim.training.explained import explained
 from safedpa_sim.training.histories import Lived, joined
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
 from safedpa_sim.training.phase_1a import training_device
+from safedpa_sim.training.practice import Practice, task_of
 from safedpa_sim.training.prediction import ALONG, along, latents_along
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
@@ -66,8 +66,8 @@ class _Training:
     configuration: Configuration
     weights: Weights
     cars: BatchedCars
-    driving: Driving | None
-    """Cars among obstacles, for the policy; nothing without one."""
+    driving: Practice | None
+    """Robots at the policy's task; nothing without a policy."""
     networks: AffineNetworks
     encoder: HistoryNetwork
     optimiser: torch.optim.Adam
@@ -93,7 +93,8 @@ class _Training:
         driving = None
         if weights.has("policy"):
             seed = configuration.seed * 10 + _STREAM
-            driving = Driving(configuration, weights, max(1, configuration.phase_2.cars // 2), seed)
+            count = max(1, configuration.phase_2.cars // 2)
+            driving = task_of(configuration.robot).practice(configuration, weights, count, seed, 0.0, True)
         return _Training(configuration, weights, cars, driving, networks, encoder, optimiser, generator, spread)
 
     def add_drives(self) -> None:
