@@ -34,7 +34,8 @@ _DONE = 2e-4
 class Fit:
     """A model with fitted parameters.
 
-    residual (windows, compared * states) and columns (..., paths): reduced, in units of ``scale`` (states,).
+    residual (windows, compared * states) and columns (..., paths): reduced, in units of ``scale`` (states,);
+    ``slopes`` (windows, compared, states, paths): columns before that, in the states' units.
     """
 
     model: PhysicsModel
@@ -44,6 +45,7 @@ class Fit:
     scale: Floats
     residual: Floats
     columns: Floats
+    slopes: Floats
     free: NDArray[np.bool_]
     """Parameters that do not stand at a bound that holds them, (paths,)."""
     stated: Floats | None = None
@@ -109,16 +111,27 @@ _SETTLED = 3e-3
 straight step along one leaves it."""
 
 
-def fit(model: PhysicsModel, paths: Sequence[str], shooting: Shooting, scale: Floats, steps: int = _STEPS) -> Fit:
-    """The parameters ``paths`` of a model, from where they stand; ``scale`` (states,): a guess of the noise."""
+def fit(
+    model: PhysicsModel,
+    paths: Sequence[str],
+    shooting: Shooting,
+    scale: Floats,
+    steps: int = _STEPS,
+    known: Floats | None = None,
+) -> Fit:
+    """The parameters ``paths`` of a model, from where they stand; ``scale`` (states,): a guess of the noise.
+
+    ``known`` (windows, compared, states, some): slopes of the first paths, taken as they are; a rough fit saves half
+    of its rollouts so.
+    """
     names = tuple(paths)
-    best = _linearised(model, names, shooting, scale)
+    best = _linearised(model, names, shooting, scale, known)
     damping = 0.0
     for _ in range(steps):
         tried = _stepped(best, damping)
         if tried is None:
             break
-        new = _linearised(tried, names, shooting, best.scale)
+        new = _linearised(tried, names, shooting, best.scale, known)
         if new.value < best.value:
             fall, best, damping = best.value - new.value, new, 0.0 if damping < 0.1 else 0.1 * damping
             if fall < _DONE:
@@ -143,16 +156,19 @@ def scale_of(shooting: Shooting, reduced: Floats, scale: Floats) -> Floats:
     return np.asarray(np.maximum(np.sqrt(squares / shooting.size) * scale, 1e-6))
 
 
-def _linearised(model: PhysicsModel, paths: tuple[str, ...], shooting: Shooting, scale: Floats) -> Fit:
-    steps = [difference_of(model.parameters[path], model.settings[path].value) for path in paths]
+def _linearised(
+    model: PhysicsModel, paths: tuple[str, ...], shooting: Shooting, scale: Floats, known: Floats | None
+) -> Fit:
+    count = 0 if known is None else known.shape[-1]
+    steps = [difference_of(model.parameters[path], model.settings[path].value) for path in paths[count:]]
     variants = [model]
-    for path, step in zip(paths, steps, strict=True):
+    for path, step in zip(paths[count:], steps, strict=True):
         variants.append(moved(model, {path: model.settings[path].value + step}))
     residuals = shooting.residuals(variants)
-    if paths:
-        columns = np.stack([(residuals[i + 1] - residuals[0]) / step for i, step in enumerate(steps)], axis=-1)
-    else:
-        columns = np.zeros((*residuals[0].shape, 0))
+    own = [(residuals[i + 1] - residuals[0]) / step for i, step in enumerate(steps)]
+    columns = np.stack(own, axis=-1) if own else np.zeros((*residuals[0].shape, 0))
+    if known is not None:
+        columns = np.concatenate([known, columns], axis=-1)
     value, found = objective(residuals[0], shooting, scale)
     value, found = objective(residuals[0], shooting, found)
     reduced = shooting.eliminated(np.concatenate([residuals[0][..., None], columns], axis=-1), found)
@@ -162,7 +178,7 @@ def _linearised(model: PhysicsModel, paths: tuple[str, ...], shooting: Shooting,
     size = np.array([size_of(model.parameters[path]) for path in paths])
     held = ((now <= low + 1e-9 * size) & (slope > 0)) | ((now >= high - 1e-9 * size) & (slope < 0))
     dead = (reduced[..., 1:] ** 2).sum(axis=(0, 1)) * size**2 < 1e-8 * shooting.size.sum()
-    return Fit(model, paths, value, found, reduced[..., 0], reduced[..., 1:], ~(held | dead))
+    return Fit(model, paths, value, found, reduced[..., 0], reduced[..., 1:], columns, ~(held | dead))
 
 
 def _stepped(at: Fit, damping: float) -> PhysicsModel | None:

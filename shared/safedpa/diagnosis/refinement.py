@@ -53,25 +53,31 @@ class Refined:
     noise: Noise
 
 
-def refined(model: PhysicsModel, paths: Sequence[str], free: NDArray[np.bool_], windows: Windows) -> Refined | None:
+def refined(
+    model: PhysicsModel, paths: Sequence[str], free: NDArray[np.bool_], windows: Windows, rounds: int = len(_NEWTON)
+) -> Refined | None:
     """The parameters ``paths`` of a model from where they stand, those that are ``free`` (paths,).
+
+    Three ``rounds`` do where a tenth of a number does not matter.
 
     None where the recordings are in pieces too short for a filter, or no covariance stays positive.
     """
     try:
-        return _refined(model, paths, free, windows)
+        return _refined(model, paths, free, windows, rounds)
     except np.linalg.LinAlgError:
         return None
 
 
-def _refined(model: PhysicsModel, paths: Sequence[str], free: NDArray[np.bool_], windows: Windows) -> Refined | None:
+def _refined(
+    model: PhysicsModel, paths: Sequence[str], free: NDArray[np.bool_], windows: Windows, rounds: int
+) -> Refined | None:
     chosen = [path for path, own in zip(paths, free.tolist(), strict=True) if own]
     pieces = _pieces(windows)
     if len(pieces.rows) < _FEWEST_PIECES:
         return None
     reference = windows.states[pieces.rows].copy()
     noise, doubt = _first_noise(model, windows), np.ones(reference.shape)
-    for turn in range(len(_NEWTON)):
+    for turn in range(rounds):
         substeps = _SUBSTEPS[min(turn, len(_SUBSTEPS) - 1)] if _integrated(model) else 1
         track = _track(model, chosen, _Steps(windows, pieces, substeps), reference, doubt, noise.measured[0])
         noise = _better_noise(track, noise, _NEWTON[turn])

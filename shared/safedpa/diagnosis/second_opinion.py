@@ -39,6 +39,8 @@ CERTAIN = 9.0
 """Standard deviations that confirm what blocks find likely only: in hard logs it puts a sagging battery at 12."""
 CORNERED = frozenset({"drive_dead_zone", "steering_saturation", "steering_asymmetry", "backlash"})
 """Effects with a corner: the filter linearises and states too small a deviation for them, so it is never certain."""
+_ROUNDS = 3
+"""Of the filter: the third moves numbers by less than a tenth of their deviation."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def agrees(trial: Trial, search: Search) -> bool:
 
     Where the recordings are too short for the filter, unseen blocks decide alone.
     """
-    found = refined(trial.fit.model, trial.fit.paths, trial.fit.free, search.shooting.windows)
+    found = refined(trial.fit.model, trial.fit.paths, trial.fit.free, search.shooting.windows, _ROUNDS)
     if found is None:
         return True
     every = [_numbers(name, trial, found) for name in trial.effects]
@@ -86,7 +88,7 @@ def certain(trial: Trial, search: Search) -> bool:
     """
     if not CORNERED.isdisjoint(trial.effects):
         return False
-    found = refined(trial.fit.model, trial.fit.paths, trial.fit.free, search.shooting.windows)
+    found = refined(trial.fit.model, trial.fit.paths, trial.fit.free, search.shooting.windows, _ROUNDS)
     if found is None:
         return False
     every = [_numbers(name, trial, found) for name in trial.effects]

@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 _MOST_STARTS = 9
-_ROUGH = 2
+_ROUGH = 1
 """Steps of a fit that only has to show which effects promise anything."""
 _PROMISING = 8
 """Effects that are fitted to the end."""
@@ -127,7 +127,8 @@ def tried(
     models = list(starts) if starts is not None else _start_models(null.fit.model, items)
     chosen = models[0] if len(models) == 1 else _lowest(models, shooting, null.fit.scale)
     paths = [*null.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
-    found = fit(chosen, paths, shooting, null.fit.scale, **({} if steps is None else {"steps": steps}))
+    rough = {} if steps is None else {"steps": steps, "known": null.fit.slopes}
+    found = fit(chosen, paths, shooting, null.fit.scale, **rough)  # type: ignore[arg-type]
     return trial_of(found, shooting, tuple(item.name for item in items), null)
 
 
