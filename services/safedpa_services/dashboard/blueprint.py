@@ -46,15 +46,16 @@ def _tab(name: str, scene: Scene, look: Look) -> Any:
     middle = rrb.Vertical(
         _curves(f"{origin}/barrier", "h: now blue, predicted orange, margin pink", legend=False),
         *[_action(origin, variable) for variable in look.system.action],
-        _lanes(f"{origin}/verdict", "verdict"),
-        row_shares=[1.3, *(1.3 for _ in look.system.action), 1],
+        _lanes(f"{origin}/verdict", "verdict, diagnosis, model"),
+        row_shares=[1.3, *(1.3 for _ in look.system.action), 1.3],
     )
     right = rrb.Vertical(
         _curves(f"{origin}/latent", "latent, with one sigma"),
         _curves(f"{origin}/residual", "residual: measured - predicted"),
+        _curves(f"{origin}/diagnosis/error", "error over 1 s blue, end of its band orange", legend=False),
         _curves(f"{origin}/steps", "time of a step [ms]"),
         _lanes(f"{origin}/services", "services"),
-        row_shares=[1.0, 1.05, 1.05, 1.55],
+        row_shares=[0.95, 1.0, 0.95, 0.95, 1.6],
     )
     return rrb.Horizontal(left, middle, right, column_shares=[1.48, 1, 1], name=name)
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from safedpa.bus import HEALTH, LATENT, NO_ROBOT, STATE, VERDICT, Bus, HealthMessage
+from safedpa.bus import FINDING, HEALTH, LATENT, MODEL, NO_ROBOT, STATE, VERDICT, Bus, HealthMessage
 from safedpa_services.dashboard.fleet_view import FleetView
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class Dashboard:
         self._view = view
         self._painter = painter
         self._detail = detail
-        self._complete = bus.inbox((STATE, VERDICT, HEALTH), robot, keep_all=True)
+        self._complete = bus.inbox((STATE, VERDICT, FINDING, MODEL, HEALTH), robot, keep_all=True)
         self._newest = bus.inbox((LATENT,), robot)
         self._arranged = 0
         self._steps = 0

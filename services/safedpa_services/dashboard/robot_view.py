@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from safedpa.bus import HealthMessage, LatentMessage, Message, StateMessage, VerdictMessage
+from safedpa.bus import (
+    FindingMessage,
+    HealthMessage,
+    LatentMessage,
+    Message,
+    ModelMessage,
+    StateMessage,
+    VerdictMessage,
+)
 from safedpa_services.dashboard.curves import (
     action_entries,
     barrier_entries,
@@ -10,6 +18,7 @@ from safedpa_services.dashboard.curves import (
     residual_entry,
     style_entries,
 )
+from safedpa_services.dashboard.findings import FindingBook
 from safedpa_services.dashboard.health import HealthBook
 from safedpa_services.dashboard.look import Look
 from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, UNKNOWN_STATUS, VERDICT_COLOURS
@@ -29,6 +38,7 @@ class RobotView:
     def __init__(self, look: Look) -> None:
         self._look = look
         self.health = HealthBook()
+        self._findings = FindingBook()
         self._residuals = ResidualBook(look.system)
         self._epoch: int | None = None
         self._state: StateMessage | None = None
@@ -43,6 +53,7 @@ class RobotView:
         return [
             Entry(("verdict", "filter"), StateSet(VERDICT_COLOURS), static=True),
             Entry(("verdict", "in_force"), StateSet(IN_FORCE_COLOURS), static=True),
+            *self._findings.start(),
             *style_entries(self._look),
         ]
 
@@ -50,6 +61,8 @@ class RobotView:
         """Entries of one message; changes of status are drawn in any case."""
         if isinstance(message, HealthMessage):
             return self.health.add(message, now)
+        if isinstance(message, FindingMessage | ModelMessage):
+            return self._findings.add(message)
         self._change_epoch(message)
         if isinstance(message, StateMessage):
             return self._take_state(message, draw)

@@ -12,7 +12,7 @@ from safedpa.bus.process import Stop, bus_from, run_process
 from safedpa.diagnosis.live.change import ModelChanges
 from safedpa.diagnosis.live.node import DiagnosisNode
 from safedpa.diagnosis.live.versions import Version, VersionFolder
-from safedpa.dynamics import load_model, write_model
+from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.shipped import margin_for
 from safedpa_services.diagnosis.process_worker import ProcessWorker
@@ -42,7 +42,13 @@ def _node(options: argparse.Namespace, worker: ProcessWorker) -> DiagnosisNode:
     def changes(robot: str, first: Version) -> ModelChanges:
         return ModelChanges(first, VersionFolder(Path(options.versions) / robot) if options.versions else None)
 
-    return DiagnosisNode(write_model(model), worker, text, changes)
+    return DiagnosisNode(write_model(model), worker, text, changes, _folder(model))
+
+
+def _folder(model: PhysicsModel) -> Path | None:
+    """Where the weights of a learned model are."""
+    source = model.base.weights.source if isinstance(model.base, LearnedBase) else None
+    return None if source is None else source.parent
 
 
 def _parser() -> argparse.ArgumentParser:

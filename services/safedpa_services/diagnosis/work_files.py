@@ -25,17 +25,21 @@ def write_work(work: Work, folder: Path) -> None:
     stretches = np.array([(part.start, part.stop) for part in run.stretches], dtype=np.int64).reshape(-1, 2)
     np.savez(folder / _ROWS, t=run.t, states=run.states, actions=run.actions, stretches=stretches)
     words = {**{name: getattr(work, name) for name in _TEXTS}, "name": run.name}
+    words["folder"] = None if work.folder is None else str(work.folder.absolute())
     (folder / _WORDS).write_text(json.dumps(words), encoding="utf-8")
 
 
 def read_work(folder: Path) -> Work:
     """The work that ``write_work`` wrote."""
     words = json.loads((folder / _WORDS).read_text(encoding="utf-8"))
-    name, footprint = words.pop("name"), tuple(words.pop("footprint"))
+    name, footprint, place = words.pop("name"), tuple(words.pop("footprint")), words.pop("folder")
+    weights = None if place is None else Path(place)
     with np.load(folder / _ROWS) as rows:
         stretches = tuple(Stretch(int(start), int(stop)) for start, stop in rows["stretches"])
-        run = Run(name, parse_model(words["model"]).system, rows["t"], rows["states"], rows["actions"], stretches)
-    return Work(run=run, footprint=footprint, **words)
+        run = Run(
+            name, parse_model(words["model"], weights).system, rows["t"], rows["states"], rows["actions"], stretches
+        )
+    return Work(run=run, footprint=footprint, folder=weights, **words)
 
 
 def write_outcome(outcome: Outcome, folder: Path) -> None:

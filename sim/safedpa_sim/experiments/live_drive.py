@@ -61,9 +61,9 @@ class LiveDrive:
     before: float = 0.0
     """Mean of the live error, told once a second, from the finding to the change of the model."""
     after: float | None = None
-    """The live error 20 s after the change of the model."""
+    """Mean of the live error from 10 to 20 s after the change of the model."""
     fell: float | None = None
-    """When the live error was first below 40 % of that before, after the change of the model."""
+    """When the live error of five seconds with the new model was first below 40 % of that before."""
     findings: int = 0
     evidence: float = 0.0
     """Largest."""
@@ -140,6 +140,7 @@ class _Notes:
         self._found = found
         self._node = node
         self._errors: list[float] = []
+        self._later: list[float] = []
         self._seen: Outcome | None = None
 
     def hear(self, item: Received) -> None:
@@ -161,11 +162,17 @@ class _Notes:
         if found.taken is None and message.stage in ("raised", "searching", "candidates", "nothing"):
             self._errors.append(message.error)
             found.before, found.where = sum(self._errors) / len(self._errors), message.where
-        elif found.taken is not None and message.robot_time > found.taken:
-            if found.fell is None and 0.0 < message.error < _FALL * found.before:
-                found.fell = message.robot_time
-            if message.robot_time <= found.taken + 20.0:
-                found.after = message.error
+        elif found.taken is not None:
+            self._after(message, message.robot_time - found.taken)
+
+    def _after(self, message: FindingMessage, seconds: float) -> None:
+        """Takes down the error after the change of the model, once a whole stretch was driven with it."""
+        found = self._found
+        if seconds >= 5.0 and found.fell is None and message.error < _FALL * found.before:
+            found.fell = message.robot_time
+        if 10.0 <= seconds <= 20.0:
+            self._later.append(message.error)
+            found.after = sum(self._later) / len(self._later)
 
     def _accept(self) -> None:
         diagnosis = self._node.diagnosis_of(_ROBOT)

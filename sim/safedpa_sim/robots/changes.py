@@ -19,10 +19,11 @@ _WIND = 1.0
 """m/s2; a push of a tenth of the car's weight."""
 _OFFSET = 0.08
 """rad; a linkage bent by a knock."""
-_DRIVING = 0.5
+_DRIVING = 0.8
 """m/s; slower than this nothing is hitched, and there is no head to the wind."""
-_BRAKING_SECONDS = 0.5
-"""Way that the speed covers in this time must be free ahead of the nose: the load makes the car wider at once."""
+_AHEAD_SECONDS = 1.0
+"""Way that the speed covers in this time must be free ahead of the nose: the load makes the car wider and slower at
+once, and it shall drive on."""
 _ROOM = 0.1
 """m beyond the load's footprint that must be free around the car where it is hitched."""
 
@@ -62,7 +63,7 @@ def _hitched(robot: CarRobot) -> bool:
     load = LOADS["chair"]
     x, y, yaw, speed = robot.values
     rear, front, radius = footprint(load)
-    behind, ahead = rear + load.drawbar + load.side, front + _BRAKING_SECONDS * speed
+    behind, ahead = rear + load.drawbar + load.side, front + _AHEAD_SECONDS * speed
     west, east, south, north = robot.scene.field
     for part in range(9):
         along = -behind + part / 8 * (behind + ahead)

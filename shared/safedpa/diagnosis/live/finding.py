@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
@@ -53,16 +54,28 @@ class _Adopted:
 
 @final
 class RobotDiagnosis:
-    """Follows one robot; ``observe`` once a tick. The work that takes seconds goes to the worker."""
+    """Follows one robot; ``observe`` once a tick. The work that takes seconds goes to the worker.
+
+    ``document`` is the text of the model file in force, ``folder`` where the weights of a learned one are; ``number``
+    that of the robot's last finding, before it started anew.
+    """
 
     def __init__(
-        self, robot: str, document: str, worker: AbstractWorker, horizon: float = 1.0, number: int = 0
+        self,
+        robot: str,
+        document: str,
+        worker: AbstractWorker,
+        *,
+        folder: Path | None = None,
+        horizon: float = 1.0,
+        number: int = 0,
     ) -> None:
         self._robot = robot
         self._worker = worker
         self._horizon = horizon
+        self._folder = folder
         self._document = document
-        model = parse_model(document)
+        model = parse_model(document, folder)
         self.fingerprint = fingerprint(model)
         """Of the model in force."""
         self.watch = Watch(model, horizon)
@@ -93,7 +106,7 @@ class RobotDiagnosis:
 
     def adopt(self, document: str) -> None:
         """From now on another model is in force: the finding is closed and the band learned anew."""
-        model = parse_model(document)
+        model = parse_model(document, self._folder)
         self._adopted = _Adopted(self.time, self.watch.error)
         self._document, self.fingerprint = document, fingerprint(model)
         self.watch = Watch(model, self._horizon, self.watch.scale)
@@ -153,7 +166,7 @@ class RobotDiagnosis:
             if self._worker.busy(self._robot):
                 return
             run = self.history.excerpt(finding.first, self._robot)
-            self._worker.begin(self._robot, Work("search", self._document, run, self._horizon))
+            self._worker.begin(self._robot, Work("search", self._document, run, self._horizon, folder=self._folder))
             finding.searching = True
 
     def _close(self) -> None:

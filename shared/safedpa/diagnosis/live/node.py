@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from threading import RLock
 from typing import final
 
@@ -52,9 +53,9 @@ class DiagnosisNode(AbstractNode):
     """Watches over the model of every robot, searches where it fails, and changes it when that is asked for.
 
     ``document`` is the text of the model file that robots begin with; raises ModelFileError when it is none. ``margin``
-    is the text of the filter's margin for it; empty: the shipped one. ``changes`` makes what keeps a robot's versions
-    from the robot's name and the first one; by default they live as long as the node. Nobody waits for any of it.
-    ``answer`` may be called from any thread.
+    is the text of the filter's margin for it; empty: the shipped one. ``folder`` holds the weights of a learned model.
+    ``changes`` makes what keeps a robot's versions from the robot's name and the first one; by default they live as
+    long as the node. Nobody waits for any of it. ``answer`` may be called from any thread.
     """
 
     name = "diagnosis"
@@ -69,8 +70,10 @@ class DiagnosisNode(AbstractNode):
         worker: AbstractWorker,
         margin: str = "",
         changes: Callable[[str, Version], ModelChanges] = lambda _robot, first: ModelChanges(first),
+        folder: Path | None = None,
     ) -> None:
-        model = parse_model(document)
+        model = parse_model(document, folder)
+        self._folder = folder
         self._system: System = model.system
         self._first = Version(fingerprint(model), document, margin)
         self._worker = worker
@@ -131,8 +134,9 @@ class DiagnosisNode(AbstractNode):
 
     def _robot(self, robot: str, changes: ModelChanges) -> _Robot:
         if robot not in self._robots:
+            number = self._numbers.get(robot, 0)
             diagnosis = RobotDiagnosis(
-                robot, changes.version.document, self._worker, number=self._numbers.get(robot, 0)
+                robot, changes.version.document, self._worker, folder=self._folder, number=number
             )
             self._robots[robot] = _Robot(diagnosis)
         return self._robots[robot]
@@ -180,6 +184,7 @@ class DiagnosisNode(AbstractNode):
             effect=wanted.effect,
             document=document,
             footprint=known.footprint,
+            folder=self._folder,
         )
         self._worker.begin(robot, known.preparing)
 
@@ -190,5 +195,5 @@ def _hand_over(changes: ModelChanges, work: Work, outcome: Outcome) -> None:
         return
     document = outcome.documents[work.effect]
     data = f"{work.run.name}, {work.run.t[0]:.2f} to {work.run.t[-1]:.2f} s of its clock"
-    version = Candidate(work.effect, fingerprint(parse_model(document)), document, outcome.margin, data)
+    version = Candidate(work.effect, fingerprint(parse_model(document, work.folder)), document, outcome.margin, data)
     changes.prepared(version)

@@ -6,6 +6,7 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, final
 
 from safedpa.dynamics import PhysicsModel, parse_model, write_model
@@ -42,6 +43,8 @@ class Work:
     """To prepare: the model with the effect as the search fitted it; empty: fit it now."""
     footprint: tuple[float, ...] = ()
     """To prepare: of the robot."""
+    folder: Path | None = None
+    """Where the weights of a learned model are."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ def _searched(work: Work) -> Outcome:
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.report import as_document
 
-    given = parse_model(work.model)
+    given = parse_model(work.model, work.folder)
     report = diagnose(given, [work.run], work.horizon)
     documents = {}
     if report.added:
@@ -107,9 +110,9 @@ def _prepared(work: Work, calibrate: Calibrate) -> Outcome:
     from safedpa.diagnosis.diagnose import add_effect
 
     if work.document:
-        model = parse_model(work.document)
+        model = parse_model(work.document, work.folder)
     else:
-        model = add_effect(parse_model(work.model), work.effect, [work.run], work.horizon).model
+        model = add_effect(parse_model(work.model, work.folder), work.effect, [work.run], work.horizon).model
     margin = calibrate(model, work.run, work.footprint)
     return Outcome(documents={work.effect: write_model(model)}, margin=margin)
 
