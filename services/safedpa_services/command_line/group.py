@@ -12,8 +12,8 @@ from safedpa.errors import InputError, SafedpaError, did_you_mean
 __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
-    "add", "bench", "calibrate", "compare", "diagnose", "effects", "experiment", "export", "predict", "screenshot",
-    "train", "up", "workbench",
+    "accept", "add", "bench", "calibrate", "compare", "diagnose", "effects", "experiment", "export", "predict",
+    "reject", "roll-back", "screenshot", "train", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 
@@ -27,7 +27,8 @@ class _Commands(click.Group):
         del ctx
         if cmd_name not in COMMANDS:
             raise click.UsageError(f"command '{cmd_name}': {did_you_mean(cmd_name, COMMANDS)}")
-        command: click.Command = importlib.import_module(f"safedpa_services.command_line.{cmd_name}").command
+        module = importlib.import_module(f"safedpa_services.command_line.{cmd_name.replace('-', '_')}")
+        command: click.Command = module.command
         return command
 
     def run(self, arguments: list[str]) -> int:

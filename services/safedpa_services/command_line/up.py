@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from safedpa_services.supervisor.plan import Plan
 
 LOADS = ("none", "box", "chair", "large_chair")
+CHANGES = ("hitch", "headwind", "steering_offset")
 CONTROLLERS = ("goal_seeker", "learned", "planner")
 
 
@@ -23,12 +24,19 @@ CONTROLLERS = ("goal_seeker", "learned", "planner")
 @click.option("--robot", type=click.Choice(["car"]), default="car", show_default=True, help="kind of robot")
 @click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
 @click.option("--load", type=click.Choice(LOADS), default="none", show_default=True, help="what the car tows")
+@click.option("--change", type=click.Choice(CHANGES), help="what changes about the car while it drives")
+@click.option("--change-after", type=float, default=30.0, show_default=True, help="seconds until then, by its clock")
 @click.option("--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: until Ctrl-C")
 @click.option("--seed", type=int, default=0, show_default=True, help="scene: obstacles, start, goals")
 @click.option("--rate", type=float, default=20.0, show_default=True, help="ticks per second")
 @click.option("--lockstep", is_flag=True, help="the robot waits for each action: repeats bit for bit")
 @click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
 @click.option("--headless", is_flag=True, help="no dashboard")
+@click.option(
+    "--diagnosis/--no-diagnosis",
+    default=None,
+    help="watch over the model and search for what it lacks; default: yes, but not with --lockstep --headless",
+)
 @click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
 @click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="effects of your own in the model")
 @click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
@@ -43,7 +51,7 @@ CONTROLLERS = ("goal_seeker", "learned", "planner")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="for recordings")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def command(**options: Any) -> None:
-    """Drive: robot, adaptation, policy, safety filter, recorder and dashboard, each its own process."""
+    """Drive: robot, adaptation, policy, safety filter, recorder, diagnosis and dashboard, each its own process."""
     from safedpa.bus.process import Stop
     from safedpa.dynamics import load_own_everywhere
 
@@ -68,6 +76,8 @@ def _plan(options: dict[str, Any]) -> Plan:
 
     if not 0.0 <= options["seconds"] < 1e9:
         raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
+    if not 0.0 <= options["change_after"] < 1e9:
+        raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
     if not 1.0 <= options["rate"] <= 500.0:
         raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
     model = load_model(options["model"])
@@ -88,6 +98,9 @@ def _plan(options: dict[str, Any]) -> Plan:
         lockstep=options["lockstep"],
         filtered=not options["unfiltered"],
         dashboard=not options["headless"],
+        diagnosis=_is_diagnosed(options),
+        change=options["change"] or "",
+        change_after=options["change_after"],
         model=options["model"],
         settings=options["settings"],
         margin=options["margin"],
@@ -96,6 +109,13 @@ def _plan(options: dict[str, Any]) -> Plan:
         endpoint=options["listen"] or f"tcp/127.0.0.1:{free_port()}",
         folder=Plan.new_folder(options["out"], options["name"]),
     )
+
+
+def _is_diagnosed(options: dict[str, Any]) -> bool:
+    """As asked; without a word not where only a summary is wanted that repeats bit for bit."""
+    if options["diagnosis"] is not None:
+        return bool(options["diagnosis"])
+    return not (options["lockstep"] and options["headless"])
 
 
 def _controller(model: PhysicsModel, name: str | None) -> str:
@@ -139,6 +159,9 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     from safedpa_services.supervisor.screen import screen
 
     hints = [f"recording {plan.recording}", f"others join with --connect {plan.endpoint} --fleet {plan.fleet}"]
+    if plan.diagnosis:
+        where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
+        hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
     return screen(watch, services, robot, hints, quiet=quiet)
 
 

@@ -31,6 +31,8 @@ class Child:
     module: str
     arguments: tuple[str, ...]
     log: Path
+    essential: bool = True
+    """Whether the loop ends when this one cannot be brought up; one that only looks on is left out then."""
     restarts: int = 0
 
     def __post_init__(self) -> None:

@@ -26,6 +26,11 @@ class Plan:
     lockstep: bool
     filtered: bool
     dashboard: bool
+    diagnosis: bool
+    """Whether a diagnosis runs beside the loop."""
+    change: str
+    """What changes about the robot while it drives, and after how many seconds by its clock; empty: nothing."""
+    change_after: float
     model: str
     settings: str
     margin: str
@@ -48,7 +53,7 @@ class Plan:
 
     @property
     def _scheduling(self) -> list[str]:
-        """In real time the loop comes before everything else on the machine; recorder and dashboard do not."""
+        """In real time the loop comes before everything else on the machine; what only looks on does not."""
         return [] if self.lockstep else ["--realtime"]
 
     def services(self) -> list[Child]:
@@ -65,6 +70,11 @@ class Plan:
             ),
             self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
         ]
+        if self.diagnosis:
+            kept = ("--versions", str(self.folder / "models"))
+            children.append(
+                self._child("diagnosis", "safedpa_services.diagnosis", *model, *margin, *kept, essential=False)
+            )
         if self.dashboard:
             saved = ("--save", str(self.folder / "dashboard.rrd"))
             children.append(
@@ -76,12 +86,13 @@ class Plan:
         """The robot."""
         options = ["--robot", self.robot, "--name", self.name, "--load", self.load, "--seed", str(self.seed)]
         options += ["--rate", repr(self.rate), "--seconds", repr(self.seconds), "--summary", str(self.summary)]
+        options += ["--change", self.change, "--change-after", repr(self.change_after)] if self.change else []
         options += ["--lockstep"] if self.lockstep else self._scheduling
         return self._child("robot", "safedpa_sim.robots", *options)
 
-    def _child(self, name: str, module: str, *arguments: str) -> Child:
+    def _child(self, name: str, module: str, *arguments: str, essential: bool = True) -> Child:
         bus = ("--fleet", self.fleet, "--connect", self.endpoint)
-        return Child(name, module, (*arguments, *bus), self.folder / f"{name}.log")
+        return Child(name, module, (*arguments, *bus), self.folder / f"{name}.log", essential)
 
     @staticmethod
     def new_folder(parent: Path, name: str) -> Path:

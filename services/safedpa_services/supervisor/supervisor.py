@@ -34,7 +34,7 @@ class Supervisor:
     def run(self) -> int:
         """Returns the robot's exit code, or 0 when stopped. Everything has ended afterwards, whatever happened.
 
-        Raises SafedpaError when a service cannot be brought up, or refuses its input.
+        Raises SafedpaError when a service that the loop needs cannot be brought up, or refuses its input.
         """
         try:
             for child in self.services:
@@ -48,13 +48,16 @@ class Supervisor:
 
     def _await_services(self) -> None:
         deadline = time.monotonic() + _READY_SECONDS
-        while not self.stopped() and any(child.name not in self.watch.health for child in self.services):
+        while not self.stopped() and (silent := self._silent()):
             self._turn()
             if time.monotonic() > deadline:
-                silent = [child for child in self.services if child.name not in self.watch.health]
                 raise SafedpaError(
                     f"{silent[0].name}: not ready after {_READY_SECONDS:.0f} s: {silent[0].last_words()}"
                 )
+
+    def _silent(self) -> list[Child]:
+        """Services that the loop needs and that were not heard yet."""
+        return [child for child in self.services if child.essential and child.name not in self.watch.health]
 
     def _attend(self) -> int:
         while not self.stopped():
@@ -74,9 +77,10 @@ class Supervisor:
         self.on_turn()
 
     def _revive(self, child: Child) -> None:
-        if child.exit_code == _BAD_INPUT:
+        if child.exit_code != _BAD_INPUT:
+            child.restart_if_due()
+        elif child.essential:
             raise SafedpaError(child.last_words())
-        child.restart_if_due()
 
     def _end(self) -> None:
         self.robot.end(_ROBOT_PATIENCE_SECONDS)

@@ -20,7 +20,10 @@ _COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "fal
 def view_of(watch: Watch, services: Sequence[Child], robot: Child, hints: Sequence[str]) -> Group:
     """A headline, the table of processes, and hints where to look."""
     return Group(
-        _headline(watch), _processes(watch, services, robot), *(Text(hint, style=_hint_style(hint)) for hint in hints)
+        _headline(watch),
+        _finding(watch),
+        _processes(watch, services, robot),
+        *(Text(hint, style=_hint_style(hint)) for hint in hints),
     )
 
 
@@ -41,6 +44,15 @@ def _headline(watch: Watch) -> Text:
         line.append(f"{verdict.status:<9} ", style=_COLOURS.get(verdict.status, ""))
         line.append(f"h {verdict.h_now:+.2f}  margin {verdict.margin:.3f}  {verdict.microseconds:.0f} us")
     return line
+
+
+def _finding(watch: Watch) -> Text:
+    """What the diagnosis says, once it has said something."""
+    finding = watch.finding
+    if finding is None:
+        return Text("")
+    colour = "green" if finding.stage in ("learning", "watching") else "yellow"
+    return Text.assemble((f"model {finding.model}  ", "bold"), (f"{finding.stage}: {finding.sentence}", colour))
 
 
 def _processes(watch: Watch, services: Sequence[Child], robot: Child) -> Table:

@@ -6,7 +6,18 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
-from safedpa.bus import HEALTH, STATE, VERDICT, Bus, HealthMessage, Received, StateMessage, VerdictMessage
+from safedpa.bus import (
+    FINDING,
+    HEALTH,
+    STATE,
+    VERDICT,
+    Bus,
+    FindingMessage,
+    HealthMessage,
+    Received,
+    StateMessage,
+    VerdictMessage,
+)
 
 __all__ = ["Watch"]
 
@@ -21,9 +32,10 @@ class Watch:
     verdicts: Counter[str] = field(default_factory=Counter)
     verdict: VerdictMessage | None = None
     state: StateMessage | None = None
+    finding: FindingMessage | None = None
 
     def __post_init__(self) -> None:
-        self._inbox = self.bus.inbox((HEALTH, VERDICT, STATE))
+        self._inbox = self.bus.inbox((HEALTH, VERDICT, STATE, FINDING))
         self._last: tuple[int, int] = (0, -1)
 
     def listen(self, wait: float) -> None:
@@ -43,6 +55,8 @@ class Watch:
             self.health[message.service] = (message, item.at)
         elif isinstance(message, StateMessage):
             self.state = message
+        elif isinstance(message, FindingMessage):
+            self.finding = message
         elif isinstance(message, VerdictMessage) and (message.epoch, message.tick) != self._last:
             self._last = (message.epoch, message.tick)
             self.verdict = message

@@ -1,0 +1,17 @@
+"""``safedpa roll-back``: the model that a robot had before its last change."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from safedpa_services.command_line.asking import ask_for_change, bus_options
+
+
+@click.command()
+@click.argument("robot")
+@bus_options
+def command(robot: str, **options: Any) -> None:
+    """Go back to the model that the driving ROBOT had before the last accepted effect."""
+    ask_for_change("roll_back", robot, "", options)
