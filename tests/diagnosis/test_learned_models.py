@@ -47,9 +47,9 @@ def runs(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def diagnosed(runs, tmp_path_factory):
-    """(report, folder) of ``safedpa diagnose`` with a library of three."""
+    """(report, folder) of ``safedpa diagnose`` with a library of two."""
     folder = tmp_path_factory.mktemp("found")
-    names = ("quadratic_drag", "rolling_resistance", "steering_offset")
+    names = ("quadratic_drag", "steering_offset")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
         assert safedpa.run(["diagnose", "car_learned", *runs, "--out", str(folder), "--json"]) == 0

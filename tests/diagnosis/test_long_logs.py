@@ -1,0 +1,77 @@
+"""Logs of hours in small: the same roads through excerpts, with bounded rows, and what is hidden is found."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from safedpa.diagnosis.report_excerpt import excerpt
+from safedpa.dynamics import load_model
+from safedpa.effects import effect
+from safedpa.records import load_run
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.experiments.long_logs import HIDDEN, LongLogs, write_long_logs
+
+LOGS = LongLogs(runs=3, seconds=60.0)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("long")
+    return folder, write_long_logs(LOGS, folder, ("csv", "parquet", "mcap"))
+
+
+def test_every_kind_of_file_holds_the_same_drive(written):
+    folder, paths = written
+    system = load_model(folder / "model.toml").system
+    csv, parquet, mcap = (load_run(paths[kind][0], system) for kind in ("csv", "parquet", "mcap"))
+    assert len(csv.t) == 6000
+    for other in (parquet, mcap):
+        rows = len(other.t)  # the last action of a recording was never reported
+        assert rows >= 5999
+        assert np.allclose(other.states, csv.states[:rows], atol=1e-9)
+        assert np.allclose(other.actions, csv.actions[:rows], atol=1e-9)
+
+
+def test_what_is_hidden_is_found_in_a_small_part_of_the_rows(written, tmp_path, capsys, monkeypatch):
+    folder, paths = written
+    names = ("quadratic_drag", "rolling_resistance")
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
+    monkeypatch.setattr("safedpa.diagnosis.diagnose._MOST_ROWS", 6000)
+    monkeypatch.setattr("safedpa.diagnosis.report_page._MOST_ROWS", 6000)
+    runs = [str(path) for path in paths["csv"]]
+    assert safedpa.run(["diagnose", str(folder / "model.toml"), *runs, "--out", str(tmp_path), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["added"] == ["quadratic_drag"]
+    true = HIDDEN["quadratic_drag"]["coefficient"]
+    assert abs(report["parameters"]["quadratic_drag.coefficient"]["value"] - true) < 0.05 * true
+    thinned = [item for item in report["data_quality"] if item["kind"] == "thinned"]
+    assert len(thinned) == 1
+    assert 9_000 < thinned[0]["count"] < 13_000
+
+
+@pytest.mark.parametrize("horizon", [1.0, 4.0])
+def test_pieces_hold_the_horizon_and_are_spread_over_every_run(horizon, written):
+    folder, paths = written
+    system = load_model(folder / "model.toml").system
+    runs = [load_run(path, system) for path in paths["parquet"]]
+    used = excerpt(runs, 6000, horizon)
+    assert len(used) == len(runs)
+    for run in used:
+        lengths = [run.t[part.stop - 1] - run.t[part.start] for part in run.stretches]
+        assert min(lengths) >= max(5.0, 3.0 * horizon) - 0.05
+        assert run.stretches[0].start == 0
+    assert 4000 <= sum(len(part) for run in used for part in run.stretches) <= 9000
+
+
+def test_the_experiment_measures_a_process_of_its_own(capsys):
+    few = ["--runs", "1", "--seconds", "12", "--period", "0.05"]
+    assert safedpa.run(["experiment", "long-logs", *few, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["command"] for row in rows] == ["diagnose", "compare"]
+    for row in rows:
+        assert 50 < row["memory_mebibytes"] < 2048
+        assert row["processor_seconds"] > 0.0
+    assert safedpa.run(["experiment", "long-logs", "--runs", "0"]) == 2
