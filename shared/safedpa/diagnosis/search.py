@@ -22,15 +22,19 @@ from safedpa.diagnosis.revision import exchange, removals
 from safedpa.diagnosis.second_opinion import agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
+from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
 __all__ = ["Judged", "Search", "accept", "addition", "begun", "searched"]
 
-MOST = 8
+MOST = 12
 """Additions."""
 _ASKED = 3
 """Trials of one stage that the filter along whole recordings is asked about at most."""
+
+_FAR = 0.5
+"""Share of a free number."""
 
 Tell = Callable[[int, int], None]
 
@@ -70,10 +74,19 @@ def begun(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
     scale = np.maximum(shooting.residuals([model])[0].std(axis=(0, 1)), 1e-6)
     shooting = shooting.around(model)
     begin = fit(model, free, shooting, scale)
-    shooting = shooting.around(begin.model)
-    first = trial_of(fit(begin.model, free, shooting, begin.scale), shooting, (), None)
+    closer = shooting.around(begin.model)
+    again = fit(begin.model, free, closer, begin.scale)
+    if not _far(begin.values, again.values):
+        shooting, begin = closer, again
+    first = trial_of(begin, shooting, (), None)
     error = error_with(first.fit, shooting, heldout)
     return Search(shooting, first, error, first, error)
+
+
+def _far(before: Floats, after: Floats) -> bool:
+    """Whether weights anew moved a number by more than _FAR: what counts less then is no hand that pushes, but most of
+    what the model lacks, and a number fitted to the rest would leave effects nothing to act on."""
+    return bool((np.abs(after - before) > _FAR * np.abs(before)).any())
 
 
 def addition(
