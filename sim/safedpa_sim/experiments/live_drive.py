@@ -39,6 +39,8 @@ _SETTINGS: Final = "car"
 _GOALS = 400
 _FALL: Final = 0.4
 """Of the error before, to which it has to fall."""
+_SEARCHES: Final = 2
+"""So many are awaited while the data cannot tell the first effect from another one, as a patient engineer would."""
 
 
 @dataclass
@@ -142,6 +144,7 @@ class _Notes:
         self._errors: list[float] = []
         self._later: list[float] = []
         self._seen: Outcome | None = None
+        self._searches = 0
 
     def hear(self, item: Received) -> None:
         message = item.message
@@ -180,11 +183,12 @@ class _Notes:
         if diagnosis is None or outcome is None or outcome is self._seen:
             return
         self._seen = outcome
+        self._searches += 1
         if not outcome.documents or self._found.taken is not None:
             return
         effect, report = outcome.effects[0], json.loads(outcome.report)
         self._take_down(diagnosis, effect, report)
-        if not self._worth_it(effect, report):
+        if not self._worth_it(effect, report) or (self._found.group and self._searches < _SEARCHES):
             return  # the next search has twice the data
         request = Request(
             do="accept", effect=effect, model=diagnosis.fingerprint, finding=diagnosis.number, who="experiment"
