@@ -13,7 +13,7 @@ import numpy as np
 from safedpa.diagnosis.fitting import fit, inverse_of, objective
 from safedpa.diagnosis.found import Judged, Search, given_names
 from safedpa.diagnosis.heldout import Heldout, error_with
-from safedpa.diagnosis.judging import SIMPLER, with_reason
+from safedpa.diagnosis.judging import SIMPLER, passes, with_reason
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
@@ -83,6 +83,7 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     """Accepted effects, and groups of effects with numbers that go together, without which unseen blocks are predicted
     as well are taken out again: the least needed first, until all are needed."""
     by_name = {item.name: item for item in library}
+    before = list(search.added)
     while len(search.added) > 1:
         without = {}
         for group in _groups(search):
@@ -91,10 +92,21 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         group = min(without, key=lambda names: without[names][1])
         less, gain = without[group]
         if gain >= SIMPLER:
-            return
+            break
         search.added = [name for name in search.added if name not in group]
         search.current, search.error = less, error_with(less.fit, search.shooting, heldout)
         _take_back(search, group)
+    if search.added != before:
+        _left_over(search, heldout)
+
+
+def _left_over(search: Search, heldout: Heldout) -> None:
+    """What removals leave has to pass by itself: a pair may be confirmed of which one part alone would not be."""
+    null = _refit(search, [])
+    gain = block_gain(null, search.current, search.shooting)
+    if not passes(gain, search.error, error_with(null.fit, search.shooting, heldout)):
+        _take_back(search, search.added)
+        search.added, search.current, search.error = [], search.first, search.first_error
 
 
 def _groups(search: Search) -> list[tuple[str, ...]]:

@@ -31,6 +31,7 @@ __all__ = [
 _MOST_STARTS = 9
 _ROUGH = 1
 """Steps of a fit that only has to show which effects promise anything."""
+_FEWEST_BLOCKS = 8
 _PROMISING = 8
 """Effects that are fitted to the end."""
 
@@ -166,7 +167,11 @@ def _start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[
 def block_gain(one: Trial, other: Trial, shooting: Shooting) -> float:
     """How much better ``other`` predicts unseen blocks than ``one``, in standard errors of the blocks' differences.
 
-    Differences of the squares over the better one's mean square; each window's counts at most 20 times the typical.
+    Few blocks know their own spread badly: the ratio t of their sum and its standard error follows Student's
+    distribution, and what is returned is the normal deviate of the same probability, (8 n + 1) / (8 n + 3)
+    sqrt(n log(1 + t^2 / n)) for n degrees of freedom (Wallace, Annals of Mathematical Statistics 30, 1959); 0 for fewer
+    than 8 blocks. Differences of the squares over the better one's mean square; each window's counts at most 20 times
+    the typical.
     """
     scale = np.maximum(np.minimum(one.heldout.sum(axis=0), other.heldout.sum(axis=0)) / shooting.size, 1e-12)
     difference = ((one.heldout - other.heldout) / scale).sum(axis=1)
@@ -174,11 +179,13 @@ def block_gain(one: Trial, other: Trial, shooting: Shooting) -> float:
     sums = np.zeros(int(shooting.block.max()) + 1)
     np.add.at(sums, shooting.block, np.clip(difference, -most, most))
     sums = sums[np.unique(shooting.block)]
-    if len(sums) < 3:
+    if len(sums) < _FEWEST_BLOCKS:
         return 0.0
     spread = float(sums.std(ddof=1)) * np.sqrt(len(sums))
     # a gain below one unit is rounding, however steady
-    return float(sums.sum() / np.hypot(spread, 1.0))
+    ratio, freedom = float(sums.sum() / np.hypot(spread, 1.0)), len(sums) - 1
+    normal = (8 * freedom + 1) / (8 * freedom + 3) * np.sqrt(freedom * np.log1p(ratio**2 / freedom))
+    return float(np.copysign(normal, ratio))
 
 
 def likeness(one: Trial, other: Trial) -> float:
