@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from safedpa.diagnosis.comparison import compare_model
 from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
@@ -20,7 +21,9 @@ LOGS = LongLogs(runs=3, seconds=60.0)
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("long")
-    return folder, write_long_logs(LOGS, folder, ("csv", "parquet", "mcap"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("safedpa_sim.experiments.long_logs._SITTING", 20.0)
+        return folder, write_long_logs(LOGS, folder, ("csv", "parquet", "mcap"))
 
 
 def test_every_kind_of_file_holds_the_same_drive(written):
@@ -64,6 +67,20 @@ def test_pieces_hold_the_horizon_and_are_spread_over_every_run(horizon, written)
         assert min(lengths) >= max(5.0, 3.0 * horizon) - 0.05
         assert run.stretches[0].start == 0
     assert 4000 <= sum(len(part) for run in used for part in run.stretches) <= 9000
+
+
+def test_a_comparison_of_long_logs_starts_farther_apart_and_says_so(written, monkeypatch):
+    folder, paths = written
+    model = load_model(folder / "model.toml")
+    runs = [load_run(path, model.system) for path in paths["parquet"]]
+    whole = compare_model(model, runs)
+    monkeypatch.setattr("safedpa.diagnosis.comparison.MOST_WINDOWS", 600)
+    part = compare_model(model, runs)
+    assert len(part.windows) <= 610 < len(whole.windows)
+    assert part.error.value == pytest.approx(whole.error.value, rel=0.1)
+    assert {finding.kind for _, finding in part.findings} - {finding.kind for _, finding in whole.findings} == {
+        "thinned"
+    }
 
 
 def test_the_experiment_measures_a_process_of_its_own(capsys):

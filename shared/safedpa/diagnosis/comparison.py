@@ -23,6 +23,9 @@ __all__ = ["EVERY", "PREDICTORS", "Comparison", "HorizonError", "RunError", "com
 EVERY = 0.1
 """s; between the starts of two windows."""
 
+MOST_WINDOWS = 100_000
+"""Of days of logs windows start farther apart: more would make no number clearer."""
+
 HORIZONS = 10
 """At how many parts of the horizon the error is looked at."""
 
@@ -92,9 +95,12 @@ def compare_model(
 ) -> Comparison:
     """Rolls the model out from every ``every`` seconds of the runs and says where it fails.
 
+    Of more than 100,000 windows so many are kept, evenly spread, and a finding says so.
+
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
-    windows = windows_of(runs, horizon, every=every)
+    spread = max(every, sum(run.duration for run in runs) / MOST_WINDOWS)
+    windows = windows_of(runs, horizon, every=spread)
     parts = _parts(windows)
     rows = [windows.rows_after(seconds) for seconds in parts[:-1]] + [windows.end]
     rolled = rollout_at(model, windows, rows)
@@ -114,7 +120,7 @@ def compare_model(
         cells=cells(windows, errors, scale),
         residuals=residuals(windows, rows, rolled),
         runs=_by_run(runs, windows, errors, scale),
-        findings=_findings(runs, windows, errors, scale),
+        findings=(*_findings(runs, windows, errors, scale), *_thinned(every, spread)),
     )
 
 
@@ -153,6 +159,13 @@ def _findings(runs: Sequence[Run], windows: Windows, errors: Floats, scale: Floa
         message = f"{', '.join(still)} never changed over the horizon; left out of the error"
         found.append(("all", Finding("constant_state", message, len(still))))
     return tuple(found)
+
+
+def _thinned(wanted: float, spread: float) -> list[tuple[str, Finding]]:
+    if spread <= wanted:
+        return []
+    message = f"long logs: predictions start every {spread:.3g} s instead of every {wanted:g} s"
+    return [("all", Finding("thinned", message))]
 
 
 def _own_findings(run: Run, windows: Windows, own: NDArray[np.bool_], errors: Floats) -> list[Finding]:
