@@ -28,6 +28,10 @@ _LONGEST = 100.0
 """s; with more data nothing is searched again."""
 _REPORT_EVERY = 10
 """Messages: a report is large, and who comes late gets it within ten seconds."""
+_NONE = 1.0
+"""Of the evidence: it does not fall to 0 even where nothing has ever happened."""
+_REPLAYED = 3.0
+"""Horizons of the past that a new model predicts at once."""
 _TOLD_SECONDS = 60.0
 """How long after a change of the model the error before is told beside the error now."""
 
@@ -105,11 +109,16 @@ class RobotDiagnosis:
         return None if self._finding is None else self._finding.outcome
 
     def adopt(self, document: str) -> None:
-        """From now on another model is in force: the finding is closed and the band learned anew."""
+        """From now on another model is in force: the finding is closed and the band learned anew.
+
+        The last seconds are predicted by the new model at once, so that its error is told without a gap.
+        """
         model = parse_model(document, self._folder)
         self._adopted = _Adopted(self.time, self.watch.error)
         self._document, self.fingerprint = document, fingerprint(model)
         self.watch = Watch(model, self._horizon, self.watch.scale)
+        for tick, state, applied in self.history.last(_REPLAYED * self._horizon):
+            self.watch.observe(tick, state, applied, None)
         self._close()
 
     def dismiss(self) -> None:
@@ -151,7 +160,7 @@ class RobotDiagnosis:
                 return
             self.number += 1
             self._finding = _Finding(changed + round(self._horizon / state.period))
-        if self.watch.evidence.value == 0.0:  # the error is back in its band
+        if self.watch.evidence.value < _NONE:  # the error is back in its band
             self._close()
             return
         self._search(self._finding)

@@ -31,6 +31,10 @@ class History:
         if self._system.is_plausible(state) and np.isfinite(applied).all():
             self._rows.append((tick, state, applied))
 
+    def last(self, seconds: float) -> list[tuple[int, Vector, Vector]]:
+        """Tick, state, and what was applied before it, of the newest rows."""
+        return list(self._rows)[-max(1, round(seconds / self._period)) :]
+
     def seconds_since(self, tick: int) -> float:
         """How much of the time from a tick on is kept [s]."""
         return self._period * sum(row[0] >= tick for row in self._rows)

@@ -64,7 +64,7 @@ class Watch:
         if self._scale is not None:
             return self._scale
         difference = self.model.system.difference
-        if not self._seen:
+        if len(self._seen) < STRETCH:  # too few to tell a scale from
             return np.zeros(len(self.model.system.state))
         return np.asarray(np.std([difference(item.measured, item.began) for item in self._seen], axis=0))
 

@@ -1,0 +1,137 @@
+"""What the tests of live diagnosis share: a car that is its own model, plus noise, plus what changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import sin
+
+import numpy as np
+import pytest
+
+from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
+from safedpa.diagnosis.live.work import AbstractWorker, Outcome, Work
+from safedpa.dynamics import PhysicsModel, Setting, load_model
+from safedpa.effects import effect
+
+PERIOD = 0.05
+Row = tuple[int, np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="session")
+def car() -> PhysicsModel:
+    """The measured car: lag, slip and drag, nothing free."""
+    return load_model("car_measured")
+
+
+@pytest.fixture(scope="session")
+def drive_of(car: PhysicsModel) -> Callable[..., Iterator[Row]]:
+    """drive_of(ticks, change_at, effect, numbers): tick, measured state, what was applied before it."""
+
+    def drive(
+        ticks: int, change_at: int | None = None, name: str = "", seed: int = 0, **numbers: float
+    ) -> Iterator[Row]:
+        random = np.random.default_rng(seed)
+        changed = car.with_effect(effect("car", name), {k: Setting(v) for k, v in numbers.items()}) if name else car
+        model, state = car, np.zeros(4)
+        action = np.zeros(2)
+        memory = model.initial_memory(action)
+        for tick in range(ticks):
+            if tick == change_at:
+                model, memory = changed, changed.initial_memory(action)
+            yield tick, state + random.normal(0.0, [1e-3, 1e-3, 1e-3, 5e-3]), action
+            t = tick * PERIOD
+            action = np.array(
+                [1.0 + 0.5 * sin(0.7 * t) + 0.2 * sin(2.9 * t), 0.25 * sin(0.45 * t) + 0.08 * sin(2.1 * t)]
+            )
+            state, memory = model.advance(state, action, memory)
+
+    return drive
+
+
+@pytest.fixture(scope="session")
+def state_of() -> Callable[[Row], StateMessage]:
+    """The message of a row."""
+    return _state
+
+
+@pytest.fixture(scope="session")
+def verdict_of() -> Callable[[StateMessage], VerdictMessage]:
+    """A verdict of the state's tick with h far from its margin."""
+    return _verdict
+
+
+def _stamp(tick: int) -> dict[str, float]:
+    return {"epoch": 3, "tick": tick, "robot_time": tick * PERIOD, "publish_time": 0.0}
+
+
+def _state(row: Row) -> StateMessage:
+    tick, values, applied = row
+    return StateMessage(
+        **_stamp(tick),
+        values=tuple(values.tolist()),
+        applied=tuple(applied.tolist()),
+        applied_by="filter" if tick else "none",
+        period=PERIOD,
+        lockstep=True,
+        goal=(1.0, 0.0),
+        obstacles=(),
+        field=(-50.0, 50.0, -50.0, 50.0),
+        footprint=(0.08, 0.4, 0.12),
+    )
+
+
+def _verdict(state: StateMessage) -> VerdictMessage:
+    return VerdictMessage(
+        **_stamp(state.tick),
+        status="passed",
+        sentence="",
+        action=(0.0, 0.0),
+        wish=(0.0, 0.0),
+        slack=0.0,
+        active=(),
+        h_now=1.0,
+        h_next=1.0,
+        margin=0.01,
+        solver="solved",
+        microseconds=1.0,
+    )
+
+
+def latent_of(state: StateMessage, model: str) -> LatentMessage:
+    return LatentMessage(**_stamp(state.tick), model=model, values=(), deviations=())
+
+
+class HandedWorker(AbstractWorker):
+    """Remembers what it was given; outcomes come when the test says so."""
+
+    def __init__(self) -> None:
+        self.begun: list[Work] = []
+        self.cancelled = 0
+        self.ready: Outcome | None = None
+        self._busy = False
+
+    def begin(self, robot: str, work: Work) -> None:
+        del robot
+        self.begun.append(work)
+        self._busy = True
+
+    def outcome(self, robot: str) -> Outcome | None:
+        del robot
+        found, self.ready = self.ready, None
+        self._busy = self._busy and found is None
+        return found
+
+    def cancel(self, robot: str) -> None:
+        del robot
+        self.cancelled += self._busy
+        self._busy, self.ready = False, None
+
+    def busy(self, robot: str) -> bool:
+        del robot
+        return self._busy
+
+
+@pytest.fixture
+def worker() -> HandedWorker:
+    """One of those."""
+    return HandedWorker()
