@@ -70,3 +70,8 @@ def complete_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def runs(drives: tuple[Path, list[Path]], plain: PhysicsModel) -> list[Run]:
     """The recordings with the hidden drag."""
     return [load_run(path, plain.system) for path in drives[1]]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The marker of tests that need Chromium."""
+    config.addinivalue_line("markers", "browser: opens the page in a headless browser")

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 from nicegui import ui
+from nicegui.element import Element
 
-__all__ = ["action", "escaped", "panel", "text"]
+__all__ = ["action", "escaped", "named", "panel", "text"]
+
+
+_Element = TypeVar("_Element", bound=Element)
 
 
 @contextmanager
@@ -31,6 +36,15 @@ def text(content: str, classes: str = "", tag: str = "span") -> ui.html:
 def escaped(content: str) -> str:
     """Text with the characters that markup is made of replaced."""
     return content.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace('"', "&quot;")
+
+
+def named(element: _Element, title: str) -> _Element:
+    """The control with a name for screen readers, on the part of it that takes the focus."""
+    part = "input, textarea, .q-slider__track-container"
+    handler = f"(node) => node.el.querySelector('{part}')?.setAttribute('aria-label', {json.dumps(title)})"
+    element.on("vnodeMounted", js_handler=handler)
+    element.on("vnodeUpdated", js_handler=handler)
+    return element
 
 
 def action(title: str, on_click: Callable[..., Any], key: str = "", *, hint: str = "", main: bool = False) -> ui.button:

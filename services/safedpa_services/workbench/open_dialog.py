@@ -1,19 +1,241 @@
-"""The dialog that chooses model and recordings (stub to be completed)."""
+"""The dialog that chooses a model, recordings, and how their columns are read."""
 
 from __future__ import annotations
 
+import glob
+import tempfile
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+from nicegui import events, ui
+
+from safedpa.dynamics import PhysicsModel, load_model, shipped_models
+from safedpa.errors import SafedpaError
+from safedpa.records import ColumnMap, load_column_map
+from safedpa.records.column_map import native_map
+from safedpa.records.column_map_file import shipped_column_maps
+from safedpa_services.workbench.column_form import Line, guessed, lines_of, map_of, map_text
+from safedpa_services.workbench.columns_table import ColumnsTable
+from safedpa_services.workbench.elements import action, escaped, named, text
+from safedpa_services.workbench.file_preview import Checked, RawRows, checked, raw_rows
 from safedpa_services.workbench.recordings import Choice
 
 __all__ = ["OpenDialog"]
 
+_GUESSED = "guessed from the names"
+_NATIVE = "native names"
+
 
 class OpenDialog:
-    """x"""
+    """Model, files, columns; a preview in SI units and what the quality checks say, before anything is opened."""
 
-    def __init__(self, on_open: Callable[[Choice], Awaitable[None]]) -> None:
-        self.is_open = False
+    def __init__(self, on_open: Callable[[Choice], Awaitable[None]], out: Path) -> None:
+        self._on_open, self._out = on_open, out
+        self._choice = Choice()
+        self._raw = RawRows((), ())
+        self._uploads: tempfile.TemporaryDirectory[str] | None = None
+        with ui.dialog().props("aria-label=Open") as self._dialog, ui.card().classes("wide"):
+            with ui.element("div").classes("row dialog-title"):
+                text("Open a model and recordings", tag="h2")
+                action("Open", self._open, main=True)
+                action("Save column map", self._save_map, hint="write the column map as a file")
+                action("Cancel", self._dialog.close)
+            self._files()
+            self._columns()
+            self._check = ui.element("div").props("aria-live=polite").style("width: 100%")
+
+    def _files(self) -> None:
+        with ui.element("div").classes("row").style("width: 100%; align-items: flex-start"):
+            self._model = ui.input("Model: a file, or one that ships", autocomplete=sorted(shipped_models()))
+            self._model.props("dense outlined").style("flex: 1").on("blur", self._refresh)
+            self._horizon = ui.number("Horizon [s]", value=1.0, min=0.05, max=60.0, step=0.1)
+            self._horizon.props("dense outlined").style("width: 110px")
+        with ui.element("div").classes("row").style("width: 100%; align-items: flex-start"):
+            self._paths = ui.textarea("Recordings on this machine, one path or pattern a line (.csv .parquet .mcap)")
+            self._paths.props("dense outlined autogrow").style("flex: 1").on("blur", self._refresh)
+            upload = ui.upload(label="or upload them", multiple=True, auto_upload=True, on_upload=self._uploaded)
+            upload.props('flat bordered accept=".csv,.parquet,.mcap" aria-label="upload recordings"')
+            upload.style("width: 250px; max-height: 110px")
+
+    def _columns(self) -> None:
+        with ui.element("div").classes("row").style("width: 100%"):
+            text("Columns:", "quiet")
+            options = [_NATIVE, _GUESSED, *shipped_column_maps()]
+            self._map = ui.select(options, value=_NATIVE, on_change=self._map_chosen)
+            named(self._map.props("dense outlined options-dense").classes("flat"), "column map")
+            self._said = text("", "quiet")
+        self._table = ColumnsTable(self._check_now)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether keys belong to the dialog."""
+        return bool(self._dialog.value)
 
     def show(self, choice: Choice) -> None:
-        """x"""
+        """Opens with what is chosen now."""
+        self._choice = choice
+        self._model.value = choice.model
+        self._paths.value = "\n".join(choice.runs)
+        self._horizon.value = choice.horizon
+        if isinstance(choice.columns, str) and choice.columns not in self._map.options:
+            self._map.set_options([*self._map.options, choice.columns])
+        if isinstance(choice.columns, str):
+            self._map.value = choice.columns
+        self._dialog.open()
+        self._refresh()
+
+    def close(self) -> None:
+        """Deletes what was uploaded."""
+        if self._uploads is not None:
+            self._uploads.cleanup()
+
+    async def _uploaded(self, event: events.UploadEventArguments) -> None:
+        if self._uploads is None:
+            self._uploads = tempfile.TemporaryDirectory(prefix="safedpa-workbench-")
+        path = Path(self._uploads.name) / Path(event.file.name).name
+        await event.file.save(path)
+        self._paths.value = "\n".join([*self._files_named(), str(path)])
+        self._refresh()
+
+    def _files_named(self) -> list[str]:
+        """The paths, patterns replaced by what they match."""
+        found: list[str] = []
+        for line in str(self._paths.value or "").splitlines():
+            pattern = str(Path(line.strip()).expanduser()) if line.strip() else ""
+            found += sorted(glob.glob(pattern)) or ([pattern] if pattern else [])
+        return list(dict.fromkeys(found))
+
+    # columns
+
+    def _loaded_model(self) -> PhysicsModel | None:
+        try:
+            return load_model(str(self._model.value)) if self._model.value else None
+        except SafedpaError as error:
+            self._say(str(error))
+            return None
+
+    def _refresh(self) -> None:
+        """Reads the first file's columns anew."""
+        model, paths = self._loaded_model(), self._files_named()
+        if model is None or not paths:
+            return
+        try:
+            self._raw = raw_rows(paths[0])
+        except SafedpaError as error:
+            self._say(str(error))
+            return
+        native = set(native_map(model.system).sources) <= set(self._raw.names)
+        if self._raw.names and not native and self._map.value == _NATIVE:
+            self._map.value = self._fitting(model) or _GUESSED  # calls _map_chosen
+            return
+        self._map_chosen()
+
+    def _fitting(self, model: PhysicsModel) -> str:
+        """A shipped map whose columns the file has; empty where there is none."""
+        for name in shipped_column_maps():
+            columns = load_column_map(name)
+            if columns.robot == model.system.name and set(columns.sources) <= set(self._raw.names):
+                return name
+        return ""
+
+    def _map_chosen(self) -> None:
+        model = self._loaded_model()
+        if model is None:
+            return
+        self._said.set_content(escaped("" if self._raw.names else "a recording of the bus needs no column map"))
+        self._table.show(self._lines(model), self._raw)
+        self._check_now()
+
+    def _lines(self, model: PhysicsModel) -> list[Line]:
+        if not self._raw.names:
+            return []
+        if self._map.value == _GUESSED:
+            return guessed(model.system, self._raw.names)
+        beside = self._beside()
+        return lines_of(model.system, native_map(model.system) if beside is None else beside)
+
+    def _beside(self) -> ColumnMap | None:
+        if self._map.value in (_NATIVE, _GUESSED):
+            return None
+        try:
+            return load_column_map(str(self._map.value))
+        except SafedpaError as error:
+            self._say(str(error))
+            return None
+
+    def _made(self, model: PhysicsModel) -> ColumnMap | None:
+        """The map as the table stands; None for a recording of the bus. Raises ColumnMapError."""
+        if not self._raw.names:
+            return None
+        name = Path(str(self._map.value)).stem if self._beside() is not None else "columns"
+        return map_of(name, model.system, self._table.lines, self._beside())
+
+    def _check_now(self) -> None:
+        """Reads the first recording as the diagnosis would."""
+        model, paths = self._loaded_model(), self._files_named()
+        if model is None or not paths:
+            return
+        try:
+            columns = self._made(model)
+        except SafedpaError as error:
+            self._say(str(error))
+            return
+        self._show_check(Path(paths[0]).name, len(paths), checked(paths[0], model.system, columns), model)
+
+    def _say(self, problem: str) -> None:
+        self._check.clear()
+        with self._check:
+            text(problem, "problem", "div")
+
+    def _show_check(self, name: str, files: int, found: Checked, model: PhysicsModel) -> None:
+        if found.problem:
+            self._say(found.problem)
+            return
+        units = {variable.name: variable.unit for variable in (*model.system.state, *model.system.action)} | {"t": "s"}
+        more = f" (first of {files} files)" if files > 1 else ""
+        self._check.clear()
+        with self._check:
+            text(f"{name}{more}: {found.sentence}", "fine", "div")
+            for message in found.findings:
+                text(f"• {message}", "quiet", "div")
+            ui.html(_table([f"{n} [{units[n]}]" for n in found.names], found.rows), sanitize=False).classes("preview")
+
+    # leaving
+
+    async def _open(self) -> None:
+        model, paths = self._loaded_model(), self._files_named()
+        if model is None or not paths:
+            self._say("Choose a model and at least one recording." if not paths else "Choose a model.")
+            return
+        try:
+            columns = self._made(model)
+        except SafedpaError as error:
+            self._say(str(error))
+            return
+        choice = replace(
+            self._choice, model=str(self._model.value), columns=columns, horizon=float(self._horizon.value)
+        )
+        self._dialog.close()
+        await self._on_open(choice.with_runs(paths))
+
+    def _save_map(self) -> None:
+        model = self._loaded_model()
+        if model is None or not self._table.lines:
+            return
+        path = self._out / "columns.toml"
+        try:
+            self._made(model)
+            self._out.mkdir(parents=True, exist_ok=True)
+            path.write_text(map_text(model.system, self._table.lines), encoding="utf-8")
+        except (SafedpaError, OSError) as error:
+            self._say(str(error))
+            return
+        ui.notify(f"Written: {path}", type="positive")
+
+
+def _table(names: list[str], rows: Any) -> str:
+    head = "".join(f"<th>{escaped(name)}</th>" for name in names)
+    body = "".join("<tr>" + "".join(f"<td>{value:.4g}</td>" for value in row) + "</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"

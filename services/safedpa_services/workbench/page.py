@@ -61,13 +61,14 @@ class Page:
                 self._where = WherePanel(self._axes, self._select, self._moment, self._cell)
                 self._candidates = CandidatesPanel(self._add, self._reject, self._cancel)
                 self._fall = FallPanel(self._look_at, self._undo, self._save)
-        self._dialog = OpenDialog(self._opened)
+        self._dialog = OpenDialog(self._opened, self._out)
         self._columns.set_visibility(False)
         self._busy("", 0.0)
 
     def close(self) -> None:
         """Ends the background process."""
         self._worker.stop()
+        self._dialog.close()
 
     # opening
 
@@ -98,7 +99,9 @@ class Page:
             model, runs = await asyncio.to_thread(loaded, choice)
             versions = await self._ask_worker("comparing", jobs.opened, model, runs, choice.horizon)
         except SafedpaError as error:
-            self._failed(error)
+            self._busy("", 0.0)
+            self._verdict.set_content(escaped(str(error)))
+            self._dialog.show(choice)
             return
         self._given = model
         self._session = Session(Path(choice.model).stem, runs, choice.horizon, versions)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from nicegui import events, ui
 
 from safedpa.diagnosis.summary import shortened
-from safedpa_services.workbench.elements import action, escaped, panel, text
+from safedpa_services.workbench.elements import action, escaped, named, panel, text
 from safedpa_services.workbench.figures_path import curves_figure, excerpt_of, path_figure
 from safedpa_services.workbench.look import Look
 from safedpa_services.workbench.session import Session
@@ -29,7 +29,7 @@ class PathPanel:
             self._curves = ui.plotly({"data": []}).classes("grow").props('role=img aria-label="States along time"')
             with ui.element("div").classes("row tight"):
                 action("◀", lambda: self._move(-1), "←", hint="previous start")
-                self._slider = ui.slider(min=0, max=1, value=0).props('dense aria-label="start of the prediction"')
+                self._slider = named(ui.slider(min=0, max=1, value=0).props("dense"), "start of the prediction")
                 self._slider.on("update:model-value", self._slid, throttle=0.12)
                 action("▶", lambda: self._move(1), "→", hint="next start")
                 action("Worst", on_worst, "w", hint="start with the largest error in the selection")

@@ -8,14 +8,22 @@ from typing import Any
 from nicegui import events, ui
 
 from safedpa_services.workbench.brush import Brush, variables_of
-from safedpa_services.workbench.elements import action, panel, text
+from safedpa_services.workbench.elements import action, named, panel, text
 from safedpa_services.workbench.figures_where import brush_of_map, brush_of_time, map_figure, time_figure
 from safedpa_services.workbench.look import Look
 from safedpa_services.workbench.session import Session
 
 __all__ = ["WherePanel"]
 
-_RANGE = "(e) => { if (e && e.range) emit(e.range) }"
+_RANGE = """(e) => { if (e && e.range) setTimeout(() => {
+  document.querySelectorAll(".js-plotly-plot").forEach((plot) => {
+    const kept = plot._fullLayout?._preGUI ?? {};
+    Object.keys(kept).filter((key) => key.startsWith("selections")).forEach((key) => delete kept[key]);
+  });
+  emit(e.range);
+}) }"""
+"""Sends the box, and lets the figure forget it: the page draws its own."""
+
 _POINT = "(e) => { if (e && e.points && e.points.length) emit({x: e.points[0].x, y: e.points[0].y}) }"
 
 
@@ -48,10 +56,8 @@ class WherePanel:
             self._time.on("plotly_click", lambda e: on_moment(float(e.args["x"])), js_handler=_POINT)
 
     def _choice(self, title: str) -> ui.select:
-        box = ui.select([], label=None, on_change=self._chosen).props(
-            f'dense outlined options-dense aria-label="{title}"'
-        )
-        return box.classes("axis-choice")
+        box = ui.select([], on_change=self._chosen).props(f'dense outlined options-dense prefix="{title}:"')
+        return named(box.classes("axis-choice flat"), f"variable {title}")
 
     def _chosen(self) -> None:
         if self._session is not None and self._x.value and self._y.value:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from importlib.resources import files
 from pathlib import Path
 
@@ -27,16 +28,17 @@ def serve(choice: Choice, out: Path, host: str, port: int, *, browser: bool) -> 
         await page.begin()
 
     app.on_startup(lambda: click.echo(f"Workbench: http://{_named(host)}:{port}  (Ctrl-C ends it)"))
-    ui.run(
-        host=host,
-        port=port,
-        title="safedpa workbench",
-        reload=False,
-        show=browser,
-        show_welcome_message=False,
-        tailwind=False,
-        reconnect_timeout=10.0,
-    )
+    with contextlib.suppress(KeyboardInterrupt):  # which is how a person ends it
+        ui.run(
+            host=host,
+            port=port,
+            title="safedpa workbench",
+            reload=False,
+            show=browser,
+            show_welcome_message=False,
+            tailwind=False,
+            reconnect_timeout=10.0,
+        )
 
 
 def _named(host: str) -> str:

@@ -1,0 +1,203 @@
+"""The workbench in a real browser: see where the model fails, add what it lacks, see the error fall, undo."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PATIENCE = 90_000
+"""ms; a search takes seconds, on a busy machine more."""
+MAP = ".panel:nth-of-type(2) .js-plotly-plot >> nth=0"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no Chromium; install it (Debian: apt-get install chromium)")
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; pip install playwright")
+    with playwright.sync_playwright() as play:
+        started = play.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox", "--disable-background-networking"]
+        )
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def serve(free_port, tmp_path):
+    """Starts ``safedpa workbench`` with arguments; returns its address."""
+    started = []
+
+    def start(*arguments):
+        program = [sys.executable, "-m", "safedpa_services", "workbench", *map(str, arguments)]
+        options = ["--no-browser", "--port", str(free_port), "--out", str(tmp_path / "out")]
+        # the framework behaves differently where it takes itself to be under test
+        environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+        environment["OMP_NUM_THREADS"] = "1"
+        server = subprocess.Popen([*program, *options], stdout=subprocess.PIPE, text=True, env=environment)
+        started.append(server)
+        line = server.stdout.readline()
+        assert f":{free_port}" in line, line
+        return f"http://127.0.0.1:{free_port}"
+
+    yield start
+    for server in started:
+        server.send_signal(signal.SIGINT)
+        try:
+            assert server.wait(20) == 0
+        finally:
+            server.kill()
+            server.wait()
+            server.stdout.close()
+
+
+class Watched:
+    """A page of 1280 x 800 with everything that it asked for and complained about."""
+
+    def __init__(self, browser, address):
+        self.page = browser.new_page(viewport={"width": 1280, "height": 800})
+        self.hosts, self.complaints = set(), []
+        self.page.on("request", lambda request: self.hosts.add(request.url.split("/")[2]))
+        self.page.on("console", lambda message: self.complaints.append(f"{message.type}: {message.text}"))
+        self.page.on("pageerror", lambda error: self.complaints.append(f"error: {error}"))
+        self.page.goto(address)
+        self.address = address
+
+    def errors_of_bars(self):
+        return [float(text) for text in self.page.locator(".stages .value").all_inner_texts()]
+
+    def wait_for_bars(self, count):
+        self.page.wait_for_function(f"document.querySelectorAll('.stages .value').length === {count}", timeout=PATIENCE)
+        return self.errors_of_bars()
+
+    def mean_of_map(self):
+        return self.page.evaluate(
+            """() => { const data = document.querySelectorAll('.panel')[1].querySelector('.js-plotly-plot').data;
+            const cells = data[0].z.flat().filter((value) => value !== null);
+            return cells.reduce((sum, value) => sum + value, 0) / cells.length }"""
+        )
+
+    def close(self):
+        assert self.hosts == {self.address.split("/")[2]}, "a request left this machine"
+        assert self.complaints == []
+        self.page.close()
+
+
+def brushed(watched):
+    """Draws a box over a part of the error map; returns what the page says of it, and the dots in the other figure."""
+    page = watched.page
+    box = page.locator(f"{MAP} >> .nsewdrag").bounding_box()
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.2 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 0.7 * box["height"], steps=5)
+    page.mouse.up()
+    page.wait_for_selector("text=/windows: error/", timeout=10_000)
+    said = page.locator(".panel:nth-of-type(2) [aria-live]").inner_text()
+    last = "document.querySelectorAll('.panel')[1].querySelectorAll('.js-plotly-plot')[1].data.at(-1)"
+    page.wait_for_function(f"{last}.mode === 'markers'")
+    return said, page.evaluate(f"{last}.x.length")
+
+
+@pytest.mark.browser
+@pytest.mark.processes
+def test_the_five_steps_on_a_drive_with_hidden_drag(browser, serve, drives):
+    model, runs = drives
+    watched = Watched(browser, serve(model, *runs))
+    page = watched.page
+    page.wait_for_selector(f"{MAP} >> .heatmaplayer", state="attached", timeout=PATIENCE)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    said, dots = brushed(watched)
+    assert int(re.match(r"\d+", said).group()) == dots > 0
+    page.keyboard.press("c")
+    page.wait_for_selector("text=Quadratic drag is missing", timeout=PATIENCE)
+    before, cells = watched.wait_for_bars(1)[0], watched.mean_of_map()
+    page.click(".candidate.open >> text=Add")
+    after = watched.wait_for_bars(2)
+    assert after[0] == before
+    assert after[1] < 0.2 * before
+    page.wait_for_function("document.querySelectorAll('.candidate').length === 0")
+    assert watched.mean_of_map() < 0.5 * cells
+    page.wait_for_selector("text=Nothing more is missing", timeout=PATIENCE)
+    page.click("text=Undo")
+    assert watched.wait_for_bars(1) == [before]
+    page.wait_for_selector("text=Quadratic drag is missing", timeout=PATIENCE)
+    watched.close()
+
+
+@pytest.mark.browser
+@pytest.mark.processes
+def test_everything_by_keyboard_and_saved(browser, serve, drives, tmp_path):
+    model, runs = drives
+    watched = Watched(browser, serve(model, *runs))
+    page = watched.page
+    page.wait_for_selector(".candidate", timeout=PATIENCE)
+    first = page.locator(".candidate .name").first.inner_text()
+    page.keyboard.press("x")
+    page.wait_for_function(f"document.querySelector('.candidate .name').innerText !== '{first}'")
+    page.keyboard.press("u")
+    page.wait_for_function(f"document.querySelector('.candidate .name').innerText === '{first}'")
+    page.keyboard.press("m")
+    page.wait_for_selector("text=/windows: error/")
+    page.keyboard.press("a")
+    watched.wait_for_bars(2)
+    page.keyboard.press("s")
+    page.wait_for_selector("text=/Written: .*model.toml/", timeout=PATIENCE)
+    assert "quadratic_drag" in (tmp_path / "out" / "model.toml").read_text(encoding="utf-8")
+    page.keyboard.press("?")
+    page.wait_for_selector("text=add the candidate that is open")
+    page.keyboard.press("Escape")
+    reached = set()
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        reached.add(
+            page.evaluate("document.activeElement.getAttribute('aria-label') ?? document.activeElement.innerText")
+        )
+    for name in ("variable across", "start of the prediction", "select the cell of the map with the largest error"):
+        assert name in reached, reached
+    watched.close()
+
+
+@pytest.mark.browser
+@pytest.mark.processes
+def test_a_foreign_log_is_mapped_in_the_page(browser, serve, drives, tmp_path):
+    model, runs = drives
+    text = runs[0].read_text(encoding="utf-8").replace("t,x,y,yaw,speed,", "time,pos_x,pos_y,heading,velocity,", 1)
+    foreign = tmp_path / "foreign.csv"
+    foreign.write_text(text, encoding="utf-8")
+    watched = Watched(browser, serve(model, foreign))
+    page = watched.page
+    page.wait_for_selector("text=/800 rows in 1 stretch/", timeout=PATIENCE)
+    assert page.locator("#verdict").inner_text().count("column 't' is missing") == 1
+    assert "speed [m/s]" in page.locator(".preview").inner_text()
+    page.click(".q-dialog >> text=Open >> nth=-1")
+    page.wait_for_selector(f"{MAP} >> .heatmaplayer", state="attached", timeout=PATIENCE)
+    watched.close()
+
+
+@pytest.mark.browser
+@pytest.mark.processes
+@pytest.mark.slow
+def test_the_real_car(browser, serve, data_folder):
+    logs = sorted(Path(data_folder, "dart_rc_car").glob("91*/*.csv"))
+    if not logs:
+        pytest.skip(f"no car logs in {data_folder}")
+    watched = Watched(browser, serve("dart_car", *logs, "--columns", "dart_car_columns"))
+    page = watched.page
+    page.wait_for_selector(f"{MAP} >> .heatmaplayer", state="attached", timeout=PATIENCE)
+    before = watched.wait_for_bars(2)
+    assert before[1] < before[0]
+    page.wait_for_selector(".candidate", timeout=PATIENCE)
+    page.click(".candidate.open >> text=Add")
+    after = watched.wait_for_bars(3)
+    assert after[2] < 0.9 * after[1]
+    page.click("text=Undo")
+    assert watched.wait_for_bars(2) == before
+    watched.close()

@@ -1,0 +1,70 @@
+"""The background process: results, progress, errors, and an end at any moment."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import os
+
+import pytest
+
+from safedpa.errors import InputError, SafedpaError
+from safedpa_services.workbench.worker import StoppedError, Worker
+
+JOBS = """
+import os, threading
+from safedpa.errors import InputError
+
+def doubled(number, tell):
+    tell(0.5)
+    return 2 * number
+
+def refused(tell):
+    raise InputError("got nothing, wanted something")
+
+def broken(tell):
+    return 1 / 0
+
+def endless(tell):
+    tell(0.1)
+    threading.Event().wait()
+
+def niceness(tell):
+    return os.nice(0)
+"""
+
+
+@pytest.fixture
+def jobs(tmp_path, monkeypatch):
+    """A module of jobs that the other process finds as well."""
+    (tmp_path / "workbench_test_jobs.py").write_text(JOBS, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    return importlib.import_module("workbench_test_jobs")
+
+
+@pytest.fixture
+def worker():
+    made = Worker()
+    yield made
+    made.stop()
+
+
+@pytest.mark.processes
+def test_results_progress_errors_and_restarts(worker, jobs):
+    told = []
+
+    async def story():
+        assert await worker.ask(jobs.doubled, 21, tell=told.append) == 42
+        with pytest.raises(InputError, match="wanted something"):
+            await worker.ask(jobs.refused)
+        with pytest.raises(SafedpaError, match="ZeroDivisionError"):
+            await worker.ask(jobs.broken)
+        assert await worker.ask(jobs.niceness) > os.nice(0)
+        with pytest.raises(StoppedError):
+            await worker.ask(jobs.endless, tell=lambda _share: worker.stop())
+        assert await worker.ask(jobs.doubled, 4) == 8
+        both = await asyncio.gather(worker.ask(jobs.doubled, 1), worker.ask(jobs.doubled, 2))
+        assert both == [2, 4]
+
+    asyncio.run(asyncio.wait_for(story(), 60.0))
+    assert told == [0.5]
