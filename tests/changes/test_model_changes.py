@@ -319,7 +319,7 @@ losses = some.lists(some.sampled_from([0, 1, 1, 1, 2, 3]), min_size=1, max_size=
 
 
 @given(story=faults, counts=losses, broken=some.sampled_from(["", *SERVICES]))
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_whatever_happens_no_dropped_model_is_used_and_all_agree_in_the_end(
     fleet_of: Any, tmp_path_factory: pytest.TempPathFactory, story: Any, counts: list[int], broken: str
 ) -> None:

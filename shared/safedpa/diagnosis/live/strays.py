@@ -9,7 +9,7 @@ from safedpa.diagnosis.live.under_way import SERVICES
 
 __all__ = ["Strays"]
 
-_SETTLE_TICKS = 5
+_SETTLE_TICKS = 10
 """After the tick of a change, before a service that says to use another model is believed."""
 _FIRST_PAUSE = 200
 """Ticks after a repair that came to nothing; doubled each time."""

@@ -1,0 +1,229 @@
+"""Real processes over real sessions: a model is changed, and somebody is killed in the middle of it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.bus import (
+    HEALTH,
+    MODEL,
+    TAKEOVER,
+    Answer,
+    Bus,
+    HealthMessage,
+    ModelMessage,
+    Received,
+    Request,
+    TakeoverMessage,
+    ZenohSettings,
+    ZenohTransport,
+)
+from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
+from safedpa.safety.margin_text import margin_text
+from safedpa.safety.shipped import margin_for
+
+pytestmark = pytest.mark.processes
+
+SERVICES = ("adaptation", "policy", "safety_filter")
+PATIENCE = 30.0
+
+COORDINATOR = """
+import argparse, sys
+from pathlib import Path
+from safedpa.bus import AbstractNode, HEALTH, MODEL, TAKEOVER, VERDICT, ServiceLoop
+from safedpa.bus.process import add_bus_options, bus_from, run_process
+from safedpa.diagnosis.live.change import ModelChanges
+from safedpa.diagnosis.live.versions import Candidate, Version, VersionFolder
+
+class Node(AbstractNode):
+    name, inputs, outputs, listens, share = "diagnosis", (), (MODEL,), (TAKEOVER, HEALTH), 0.9
+
+    def __init__(self, first, candidate, folder):
+        self.changes, self.candidate = ModelChanges(first, VersionFolder(folder)), candidate
+
+    def step(self, robot, state, inputs):
+        if self.changes.fingerprint != self.candidate.fingerprint:
+            self.changes.propose(1, {self.candidate.effect: self.candidate})
+        message = self.changes.step(state)
+        return {} if message is None else {MODEL: message}
+
+    def hear(self, robot, message):
+        self.changes.hear(message)
+
+def work(options, stop):
+    import json
+    first, candidate = json.loads(Path(options.models).read_text())
+    node = Node(Version(**first), Candidate(**candidate), Path(options.models).parent / "versions")
+    with bus_from(options) as bus:
+        bus.answer_requests(lambda robot, request: node.changes.answer(request), "r1")
+        ServiceLoop(node, bus).run(stop)
+    return 0
+
+parser = argparse.ArgumentParser(prog="coordinator")
+add_bus_options(parser)
+parser.add_argument("--models")
+run_process(work, parser)
+"""
+
+
+class Loop:
+    """The processes of one robot's loop and a coordinator; the test listens, asks, kills and starts anew."""
+
+    def __init__(self, folder: Path, endpoint: str) -> None:
+        self.folder = folder
+        self._options = ["--fleet", "changes", "--connect", endpoint]
+        self._first, self.candidate = _models()
+        (folder / "models.json").write_text(json.dumps([self._first, self.candidate]))
+        self.bus = Bus(ZenohTransport(ZenohSettings(listen=(endpoint,))), "changes")
+        self._inbox = self.bus.inbox((MODEL, TAKEOVER, HEALTH), keep_all=True)
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self.using: dict[str, str] = {}
+        self.said: list[ModelMessage | TakeoverMessage] = []
+        for name in (*SERVICES, "diagnosis"):
+            self.start(name)
+        self.until(lambda: set(self.using) >= set(SERVICES))
+        self.start("robot")
+
+    def start(self, name: str) -> None:
+        command = [sys.executable, "-m", f"safedpa_services.{name}"]
+        if name == "diagnosis":
+            command = [sys.executable, "-c", COORDINATOR, "--models", str(self.folder / "models.json")]
+        if name == "robot":
+            command = [sys.executable, "-m", "safedpa_sim.robots", "--load", "chair", "--seed", "1", "--seconds", "300"]
+            command += ["--summary", str(self.folder / "robot.json")]
+        with (self.folder / f"{name}.log").open("ab") as log:
+            environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+            self.running[name] = subprocess.Popen([*command, *self._options], stdout=log, stderr=log, env=environment)
+
+    def kill(self, name: str) -> None:
+        """With SIGKILL, and at once a new one."""
+        self.using.pop(name, None)
+        self.running[name].kill()
+        self.running[name].wait()
+        self.start(name)
+
+    def listen(self) -> None:
+        for item in self._inbox.take(0.05):
+            if isinstance(item, Received) and isinstance(item.message, HealthMessage):
+                if item.message.pid == self.running[item.message.service].pid:
+                    self.using[item.message.service] = item.message.model
+            elif isinstance(item, Received):
+                assert isinstance(item.message, (ModelMessage, TakeoverMessage))
+                self.said.append(item.message)
+
+    def until(self, condition: Any) -> None:
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            self.listen()
+            assert time.monotonic() < end, (
+                self.using,
+                [getattr(m, "step", getattr(m, "state", "")) for m in self.said],
+            )
+
+    def ask(self, do: str) -> Answer | None:
+        status = self.bus.request("r1", Request(do="status"), 1.0)
+        if status is None:
+            return None
+        request = Request(do=do, effect="steering_offset", model=status.fingerprint, finding=1, who="test")
+        return self.bus.request("r1", request, 1.0)
+
+    def begin(self, do: str) -> None:
+        self.said.clear()
+        self.until(lambda: (answer := self.ask(do)) is not None and answer.ok)
+
+    def agreed(self) -> bool:
+        """Whether nothing is under way and all services use what the coordinator has in force."""
+        self.listen()
+        status = self.bus.request("r1", Request(do="status"), 1.0)
+        if status is None or status.pending:
+            return False
+        return {self.using.get(name) for name in SERVICES} == {status.fingerprint}
+
+    def end(self) -> dict[str, Any]:
+        """The robot's account of its drive."""
+        self.running["robot"].send_signal(signal.SIGTERM)
+        self.running["robot"].wait(20.0)
+        account: dict[str, Any] = json.loads((self.folder / "robot.json").read_text())
+        return account
+
+    def close(self) -> None:
+        for process in self.running.values():
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            process.wait()
+        self.bus.close()
+
+
+def _models() -> tuple[dict[str, Any], dict[str, Any]]:
+    """The shipped car, and the same with a steering offset."""
+    model = load_model("car")
+    changed = parse_model(write_model(model) + '\n[[effects]]\nname = "steering_offset"\nangle = 0.01\n')
+    margin = margin_for(model)
+    assert margin is not None
+    own = margin_text(dataclasses.replace(margin, fingerprint=fingerprint(changed)))
+    first = {"fingerprint": fingerprint(model), "document": write_model(model), "margin": margin_text(margin)}
+    return first, {
+        "effect": "steering_offset",
+        "fingerprint": fingerprint(changed),
+        "document": write_model(changed),
+        "margin": own,
+    }
+
+
+@pytest.fixture
+def loop(tmp_path: Path, free_port: int) -> Iterator[Loop]:
+    loop = Loop(tmp_path, f"tcp/127.0.0.1:{free_port}")
+    yield loop
+    loop.close()
+
+
+def test_whoever_is_killed_amid_a_change_all_agree_in_the_end_and_the_car_is_safe(loop: Loop) -> None:
+    """The worst moments: after the offer, when some have loaded it, and after the decision, before its tick."""
+    kills = [("adaptation", "offer"), ("diagnosis", "offer"), ("policy", "take"), ("diagnosis", "take")]
+    for name, moment in [*kills, ("safety_filter", "take")]:
+        status = loop.bus.request("r1", Request(do="status"), 5.0)
+        assert status is not None
+        loop.begin("accept" if status.fingerprint != loop.candidate["fingerprint"] else "roll_back")
+        loop.until(lambda moment=moment: any(getattr(message, "step", "") == moment for message in loop.said))
+        loop.kill(name)
+        loop.until(loop.agreed)
+    account = loop.end()
+    assert account["collisions"] == 0
+    assert account["ticks"] > 50
+
+
+def test_the_command_line_changes_the_model_and_takes_it_back(loop: Loop) -> None:
+    command = [sys.executable, "-m", "safedpa_services"]
+    options = ["--fleet", "changes", "--json", "--who", "test", "--connect", loop._options[-1]]
+    loop.until(loop.agreed)
+
+    def run(*words: str) -> tuple[int, Any, str]:
+        done = subprocess.run([*command, *words, *options], capture_output=True, text=True, timeout=60, check=False)
+        return done.returncode, json.loads(done.stdout) if done.stdout else None, done.stderr
+
+    code, told, errors = run("accept", "r1", "steering_offset")
+    assert (code, told["model"]) == (0, loop.candidate["fingerprint"]), errors
+    assert "taken by everyone" in told["sentence"]
+    loop.until(loop.agreed)
+    assert run("accept", "r1", "wind")[0] == 2, "nothing is proposed for the new model"
+    assert "no candidate" in run("reject", "r1", "drag")[2]
+    code, told, errors = run("roll-back", "r1")
+    assert (code, told["model"]) == (0, loop._first["fingerprint"]), errors
+    code, _, errors = run("roll-back", "r1")
+    assert code == 2
+    assert "none to go back to" in errors
+    code, _, errors = run("accept", "r2", "steering_offset")
+    assert code == 1
+    assert "no diagnosis answers" in errors
