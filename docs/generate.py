@@ -10,16 +10,19 @@ import inspect
 import re
 import sys
 from pathlib import Path
+from types import ModuleType
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import STATE, TOPICS, AbstractNode, Message, messages
+from safedpa.bus import STATE, TOPICS, AbstractNode, Answer, Message, Request, Topic, messages, requests
+from safedpa.diagnosis.live.node import DiagnosisNode
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
 
-NODES: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode)
+LOOP: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode)
+NODES = (*LOOP, DiagnosisNode)
 PAGES = Path(__file__).parent
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-OBSERVERS = ("recorder", "dashboard")
+OBSERVERS = ("recorder", "dashboard", "workbench")
 
 
 def topics() -> str:
@@ -29,34 +32,52 @@ def topics() -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for topic in TOPICS.values():
-        service = "/{service}" if topic.writer == "*" else ""
-        readers = [node.name for node in NODES if topic is STATE or topic in node.inputs]
+        service = "/{service}" if topic.per_service else ""
+        readers = [node.name for node in NODES if topic is STATE or topic in (*node.inputs, *node.listens)]
         readers += ["robot"] if topic.name == "action" else []
         rows.append(
             f"| {topic.name} | `safedpa/{{fleet}}/{{robot}}/{topic.name}{service}` | `{topic.message.__name__}` "
-            f"| {'every service' if topic.writer == '*' else topic.writer} | {', '.join((*readers, *OBSERVERS))} "
-            f"| {topic.delivery} | {topic.largest_age_ticks} ticks |"
+            f"| {'every service' if topic.per_service else topic.writer} | {', '.join((*readers, *OBSERVERS))} "
+            f"| {topic.delivery} | {_largest_age(topic)} |"
         )
     return "\n".join(rows)
+
+
+def _largest_age(topic: Topic) -> str:
+    """A decision is heard however late it comes; what belongs to a tick grows stale."""
+    heard = topic.delivery == "all" and any(topic in node.listens for node in NODES)
+    return "any" if heard else f"{topic.largest_age_ticks} ticks"
 
 
 def flow() -> str:
     """The data flow of one tick, as a mermaid figure."""
     lines = ["```mermaid", "flowchart LR"]
-    for node in NODES:
+    for node in LOOP:
         lines.append(f"    robot -- state --> {node.name}")
         for topic in node.inputs:
             lines.append(f"    {topic.writer} -- {topic.name} --> {node.name}")
     lines.append("    safety_filter -- action --> robot")
-    lines.append("    safety_filter -. verdict .-> observers[recorder, dashboard: read everything, write no command]")
+    lines.append(
+        "    safety_filter -. verdict .-> observers[recorder, dashboard, diagnosis: read everything, write no command]"
+    )
+    lines.append("    diagnosis -. model .-> loop[adaptation, policy, safety_filter]")
+    lines.append("    loop -. takeover .-> diagnosis")
     return "\n".join([*lines, "```"])
 
 
 def fields() -> str:
     """Every message with its fields, types and meaning."""
-    tree = ast.parse(inspect.getsource(messages))
+    return _fields_of([Message, *(topic.message for topic in TOPICS.values())], messages)
+
+
+def asked() -> str:
+    """Requests and answers with their fields."""
+    return _fields_of([Request, Answer], requests)
+
+
+def _fields_of(kinds: list[type], module: ModuleType) -> str:
+    tree = ast.parse(inspect.getsource(module))
     classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
-    kinds: list[type[Message]] = [Message, *(topic.message for topic in TOPICS.values())]
     parts = []
     for kind in kinds:
         rows = [
@@ -81,7 +102,7 @@ def _text(node: ast.stmt | None) -> str:
     return ""
 
 
-GENERATED = {"topics": topics, "flow": flow, "fields": fields}
+GENERATED = {"topics": topics, "flow": flow, "fields": fields, "asked": asked}
 
 
 def renewed(text: str) -> str:

@@ -211,7 +211,9 @@ class TakeoverMessage(Message):
     """A service's answer to an offered model, stamped with the tick at which it came about."""
 
     service: str
+    """Who answers."""
     change: int
+    """Number of the change that it answers."""
     fingerprint: str
     """Of the model that the answer is about."""
     state: str

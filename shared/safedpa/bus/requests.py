@@ -46,11 +46,15 @@ class Answer:
     pending: str = ""
     """``preparing``, ``offer`` or ``take`` while a change is under way, else empty."""
     pending_fingerprint: str = ""
+    """Of the model that is being offered or taken."""
     pending_document: str = ""
+    """Its file."""
     pending_margin: str = ""
+    """Its margin."""
     epoch: int = 0
-    """With a pending ``take``: the robot's epoch and the tick from which the pending model is in force."""
+    """With a pending ``take``: the robot's epoch at the decision."""
     from_tick: int = 0
+    """With a pending ``take``: the tick of that epoch from which the pending model is in force."""
     finding: int = 0
     """Number of the newest finding; 0 while there was none."""
     candidates: tuple[str, ...] = ()
