@@ -57,9 +57,8 @@ def flow() -> str:
         for topic in node.inputs:
             lines.append(f"    {topic.writer} -- {topic.name} --> {node.name}")
     lines.append("    safety_filter -- action --> robot")
-    lines.append(
-        "    safety_filter -. verdict .-> observers[recorder, dashboard, diagnosis: read everything, write no command]"
-    )
+    lines.append("    safety_filter -. verdict .-> observers[recorder, dashboard: read everything, write no command]")
+    lines.append("    safety_filter -. verdict .-> diagnosis")
     lines.append("    diagnosis -. model .-> loop[adaptation, policy, safety_filter]")
     lines.append("    loop -. takeover .-> diagnosis")
     return "\n".join([*lines, "```"])

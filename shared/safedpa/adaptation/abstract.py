@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -34,6 +35,14 @@ class AbstractEstimator(ABC):
 
         Raises InputError when a number is not finite or the period not positive; nothing is learned then.
         """
+
+    def begin_with(self, transitions: Sequence[tuple[Vector, Vector, Vector, float]]) -> None:
+        """Takes up a robot that others estimated before, from its last transitions as in ``update``, oldest first.
+
+        Raises InputError as ``update`` does.
+        """
+        if transitions:
+            self.update(*transitions[-1])
 
     @abstractmethod
     def forget_transient(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -55,9 +56,18 @@ class HistoryEstimator(AbstractEstimator):
             raise InputError(
                 f"period: got {period:g} s, the networks were trained for {self._period:g} s; run the robot at that"
             )
+        self._remember(state, action, next_state)
+        self.latent[self._entries] = self._encoder.encode(self._rows)
+
+    def begin_with(self, transitions: Sequence[tuple[Vector, Vector, Vector, float]]) -> None:
+        """Reads the whole history at once: the estimate goes on where another with the same networks was."""
+        for state, action, next_state, _ in transitions[-len(self._rows) : -1]:
+            self._remember(state, action, next_state)
+        super().begin_with(transitions)
+
+    def _remember(self, state: Vector, action: Vector, next_state: Vector) -> None:
         self._rows[:-1] = self._rows[1:]
         self._rows[-1] = self._encoder.rows(np.stack([state, next_state]), action[None])[0]
-        self.latent[self._entries] = self._encoder.encode(self._rows)
 
     def forget_transient(self) -> None:
         """Begins a new history; the estimate stays until it says something."""

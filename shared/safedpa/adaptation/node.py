@@ -141,8 +141,7 @@ class AdaptationNode(AbstractNode):
         memory = self._robots.get(robot)
         estimator = self._estimator(held)
         if memory is not None:
-            for transition in memory.recent if estimator.quick else list(memory.recent)[-1:]:
-                estimator.update(*transition)
+            estimator.begin_with(tuple(memory.recent))
             memory.successor = (held, estimator)
         return held
 
