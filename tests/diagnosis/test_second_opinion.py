@@ -78,8 +78,14 @@ def test_an_effect_with_a_corner_is_never_certain(opinion):
 
 
 def test_what_blocks_are_sure_of_needs_no_second_opinion():
-    before, after = SimpleNamespace(value=1.0), SimpleNamespace(value=0.9)
+    before, after = SimpleNamespace(value=0.1), SimpleNamespace(value=0.09)
     assert not clear(5.0, after, before)
     assert clear(9.0, after, before)
-    assert clear(5.0, SimpleNamespace(value=0.5), before)
+    assert clear(5.0, SimpleNamespace(value=0.08), before)
     assert not clear(5.0, None, before)
+
+
+def test_while_much_is_missing_the_filter_has_no_say():
+    """It takes friction itself for lasting pushes."""
+    assert clear(5.0, SimpleNamespace(value=0.38), SimpleNamespace(value=0.4))
+    assert not clear(5.0, SimpleNamespace(value=0.18), SimpleNamespace(value=0.2))

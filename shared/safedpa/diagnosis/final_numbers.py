@@ -17,11 +17,16 @@ _WORSE = 0.02
 """Share by which the held-out error may grow: rollouts from a measured start reward what a lasting push makes of it."""
 
 
+_FAR = 0.5
+"""Share of a free number of the base that the filter may move: further off, much is missing, and lasting disturbances
+stand for it."""
+
+
 def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tuple[Fit, HeldoutError]:
     """The fit with the filter's parameters and deviations, where these predict held-out data as well.
 
-    Elsewhere the windows' numbers stay, and half of what both ways differ by counts as uncertain: the model's form is
-    then wrong in something that the two weigh differently.
+    Elsewhere, and where the filter moves a free number of the base far, the windows' numbers stay, and half of what both
+    ways differ by counts as uncertain: the model's form is then wrong in something that the two weigh differently.
     """
     before = error_with(found, shooting, heldout)
     if not found.free.any():
@@ -31,7 +36,12 @@ def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tupl
         return found, before
     moved = replace(found, model=final.model, stated=final.deviations)
     after = error_with(moved, shooting, heldout)
-    if after.value <= (1.0 + _WORSE) * before.value:
+    if after.value <= (1.0 + _WORSE) * before.value and not _far(found, moved):
         return moved, after
     apart = 0.5 * (moved.values - found.values)
     return replace(found, stated=np.hypot(found.deviations(shooting), apart)), before
+
+
+def _far(before: Fit, after: Fit) -> bool:
+    base = np.array([path.startswith("base.") for path in before.paths])
+    return bool((np.abs(after.values - before.values)[base] > _FAR * np.abs(before.values)[base]).any())
