@@ -55,6 +55,7 @@ class ProcessWorker(AbstractWorker):
             return None
         found = read_outcome(job.folder) if code == 0 else None
         if found is None and code is not None and job.starts < _MOST_STARTS:
+            _ended(job.process)
             job.process, job.starts = self._start(job.folder), job.starts + 1
             return None
         words = "took too long" if code is None else f"ended with code {code}, {job.starts} times"
@@ -65,10 +66,7 @@ class ProcessWorker(AbstractWorker):
         job = self._jobs.pop(robot, None)
         if job is None:
             return
-        if job.process.stdin is not None:
-            job.process.stdin.close()
-        job.process.kill()
-        job.process.wait()
+        _ended(job.process)
         shutil.rmtree(job.folder, ignore_errors=True)
 
     def busy(self, robot: str) -> bool:  # noqa: D102
@@ -93,3 +91,11 @@ class ProcessWorker(AbstractWorker):
             stderr=subprocess.DEVNULL,
             env={**os.environ, "PYTHONSAFEPATH": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
+
+
+def _ended(process: subprocess.Popen[bytes]) -> None:
+    """Kills a process and takes back what it held."""
+    process.kill()
+    process.wait()
+    if process.stdin is not None:
+        process.stdin.close()

@@ -1,0 +1,150 @@
+"""The search in a process of its own: it comes back when it is killed, and goes when nobody wants it any more."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from safedpa.adaptation import LatentEstimator
+from safedpa.diagnosis.live.history import History
+from safedpa.diagnosis.live.work import Work
+from safedpa.dynamics import Setting, load_model, write_model
+from safedpa.effects import effect
+from safedpa.safety.live_margin import live_margin
+from safedpa.safety.margin_text import margin_from_text
+from safedpa.safety.shipped import settings_named
+from safedpa_services.diagnosis.process_worker import ProcessWorker
+from safedpa_services.diagnosis.work_files import read_work, write_work
+
+PATIENCE = 90.0
+
+
+@pytest.fixture(scope="module")
+def prepare(car, drive_of):
+    history = History(car.system, car.period)
+    for row in drive_of(300):
+        history.add(*row)
+    document = write_model(car.with_effect(effect("car", "steering_offset"), {"angle": Setting(0.05)}))
+    run = history.excerpt(0, "r1")
+    return Work(
+        "prepare", write_model(car), run, effect="steering_offset", document=document, footprint=(0.1, 0.4, 0.2)
+    )
+
+
+def awaited(worker):
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        outcome = worker.outcome("r1")
+        if outcome is not None:
+            return outcome
+        time.sleep(0.05)
+    raise AssertionError("the work never ended")
+
+
+def gone(pid: int) -> bool:
+    try:
+        return "State:\tZ" in Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    except OSError:
+        return True
+
+
+def test_a_work_is_the_same_behind_the_files(tmp_path, prepare):
+    write_work(prepare, tmp_path)
+    again = read_work(tmp_path)
+    for name in ("task", "model", "horizon", "effect", "document", "footprint", "folder"):
+        assert getattr(again, name) == getattr(prepare, name)
+    assert again.run.stretches == prepare.run.stretches
+    assert (again.run.states == prepare.run.states).all()
+    assert (again.run.actions == prepare.run.actions).all()
+
+
+@pytest.mark.processes
+def test_a_killed_work_is_begun_again_and_done(prepare):
+    worker = ProcessWorker()
+    worker.begin("r1", prepare)
+    first = worker.process_of("r1")
+    os.kill(first, signal.SIGKILL)
+    outcome = awaited(worker)
+    assert outcome.failure == ""
+    assert margin_from_text(outcome.margin).coverage == 0.99
+    assert outcome.documents == {"steering_offset": prepare.document}
+    assert not worker.busy("r1")
+
+
+@pytest.mark.processes
+def test_a_work_that_always_dies_ends_in_a_sentence(prepare):
+    worker = ProcessWorker()
+    worker.begin("r1", prepare)
+    outcome, killed = None, set()
+    while outcome is None:
+        pid = worker.process_of("r1")
+        if pid not in killed:
+            killed.add(pid)
+            os.kill(pid, signal.SIGKILL)
+        outcome = worker.outcome("r1")
+    assert "code -9, 3 times" in outcome.failure
+
+
+@pytest.mark.processes
+def test_a_cancelled_work_leaves_nothing_behind(prepare):
+    worker = ProcessWorker()
+    worker.begin("r1", prepare)
+    pid, folder = worker.process_of("r1"), worker._jobs["r1"].folder
+    worker.cancel("r1")
+    assert gone(pid)
+    assert not folder.exists()
+    assert worker.outcome("r1") is None
+
+
+@pytest.mark.processes
+def test_a_work_ends_with_the_service_however_that_ended(tmp_path, prepare):
+    write_work(prepare, tmp_path)
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from safedpa_services.diagnosis.process_worker import ProcessWorker\n"
+        "from safedpa_services.diagnosis.work_files import read_work\n"
+        "worker = ProcessWorker(); worker.begin('r1', read_work(Path(sys.argv[1])))\n"
+        "print(worker.process_of('r1'), flush=True); sys.stdin.read()\n"
+    )
+    service = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    pid = int(service.stdout.readline())
+    service.kill()
+    service.communicate()
+    deadline = time.monotonic() + PATIENCE
+    while not gone(pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert gone(pid)
+
+
+def test_the_margin_is_the_larger_one_of_everything_and_of_the_newest_half(car, prepare):
+    run = prepare.run
+    late = run.states.copy()
+    late[len(late) // 2 :, 3] += 0.3 * (np.arange(len(late) - len(late) // 2) % 2)
+    worse = type(run)(run.name, run.system, run.t, late, run.actions, run.stretches)
+    calm = margin_from_text(live_margin(car, settings_named("car"), run, (0.08, 0.4, 0.12)))
+    rough = margin_from_text(live_margin(car, settings_named("car"), worse, (0.08, 0.4, 0.12)))
+    assert all(rough.epsilon[kind] >= calm.epsilon[kind] for kind in calm.epsilon)
+    assert rough.epsilon["obstacle"] > 3.0 * calm.epsilon["obstacle"]
+
+
+def test_a_model_with_free_numbers_is_calibrated_with_the_latent_that_is_estimated_along(car, prepare):
+    free = load_model("car")
+    fixed = margin_from_text(live_margin(free, settings_named("car"), prepare.run, (0.08, 0.4, 0.12)))
+    along = margin_from_text(
+        live_margin(free, settings_named("car"), prepare.run, (0.08, 0.4, 0.12), lambda: LatentEstimator(free))
+    )
+    assert fixed.epsilon != along.epsilon
+
+
+def test_a_model_that_no_filter_drives_has_no_margin():
+    pendulum = load_model("dfki_pendulum")
+    assert live_margin(pendulum, settings_named("car"), None, ()) == ""
