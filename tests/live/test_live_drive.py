@@ -1,0 +1,80 @@
+"""A whole live drive in small: the car in its world, the real services, the real search."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from safedpa.bus import FINDING, MODEL, TAKEOVER
+from safedpa.records.mcap_messages import read_messages
+from safedpa_services.command_line.experiments.live import command
+from safedpa_sim.experiments.live import LiveExperiment, live_experiment
+from safedpa_sim.experiments.live_drive import CASES, live_scene
+from safedpa_sim.experiments.live_record import record_drive
+
+
+@pytest.fixture(scope="module")
+def bent(tmp_path_factory):
+    path = tmp_path_factory.mktemp("live") / "bent.mcap"
+    return record_drive("steering_offset", 2, 90.0, 26.0, path), path
+
+
+def test_a_bent_linkage_is_found_named_accepted_and_mended(bent):
+    drive, _ = bent
+    assert drive.changed == pytest.approx(26.0, abs=10.0)
+    assert 0.0 < drive.raised - drive.changed <= 10.0
+    assert drive.found - drive.changed <= 60.0
+    assert drive.effect == CASES["steering_offset"]
+    assert drive.numbers["angle"] == pytest.approx(0.08, abs=0.01)
+    assert drive.fell - drive.taken <= 20.0
+    assert drive.after < 0.4 * drive.before
+    assert drive.collisions == 0
+    assert drive.findings == 1
+
+
+def test_everything_of_it_stands_in_the_recording(bent):
+    drive, path = bent
+    messages = [item for _, _, item in read_messages(path, [], (FINDING, MODEL, TAKEOVER))]
+    steps = [item.step for item in messages if hasattr(item, "step")]
+    stages = [item.stage for item in messages if hasattr(item, "stage")]
+    taken = [item for item in messages if hasattr(item, "service")]
+    assert steps[:2] == ["offer", "take"]
+    assert list(dict.fromkeys(stages)) == ["learning", "watching", "raised", "searching", "candidates"]
+    assert {(item.service, item.state) for item in taken} == {
+        (service, state) for service in ("adaptation", "policy", "safety_filter") for state in ("ready", "taken")
+    }
+    report = json.loads(next(item.report for item in messages if getattr(item, "report", "")))
+    assert report["added"][0] == drive.effect
+
+
+def test_nothing_is_found_where_nothing_changes():
+    result = live_experiment(LiveExperiment(cases=("nothing",), quiet_seeds=(3,), quiet_seconds=90.0))
+    assert result["quiet"]["findings"] == 0
+    assert result["quiet"]["collisions"] == 0
+    assert result["quiet"]["hours"] == pytest.approx(0.025)
+    assert 0.0 < result["quiet"]["stated_probability_at_most"] < 1e-3
+
+
+def test_the_scene_has_passages_for_a_chair_that_is_not_there_yet():
+    scene = live_scene(4)
+    assert scene.load is None
+    assert len(scene.fixed_goals) > 100
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--drives", "0"], "--drives"),
+        (["--after", "5"], "--after"),
+        (["--record", "nowhere/at/all.mcap", "--case", "hitch"], "does not exist"),
+        (["--record", "all.mcap"], "one case"),
+    ],
+)
+def test_bad_options_are_refused_with_a_reason(options, words, tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(command, options)
+    assert done.exception is not None
+    assert words in str(done.exception) + done.output

@@ -1,0 +1,173 @@
+"""The diagnosis as a node: what is proposed, accepted, rejected, prepared, and forgotten."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from safedpa.bus import FINDING, LATENT, MODEL, TAKEOVER, VERDICT, Request, Stale, TakeoverMessage
+from safedpa.diagnosis.live.node import DiagnosisNode
+from safedpa.diagnosis.live.work import Outcome
+from safedpa.dynamics import Setting, fingerprint, parse_model, write_model
+from safedpa.effects import effect
+from safedpa.errors import MessageError, ModelFileError
+
+CHANGE = 800
+REPORT = json.dumps(
+    {
+        "stages": [{"heldout_error": 0.4}],
+        "candidates": [{"effect": name, "heldout_error": 0.02} for name in ("steering_offset", "steering_gain")],
+    }
+)
+
+
+class Driven:
+    """A node beside a car whose steering is bent; services that agree with every offer."""
+
+    def __init__(self, car, worker, rows, state_of, verdict_of):
+        self.node, self.worker = DiagnosisNode(write_model(car), worker), worker
+        self.rows, self.state_of, self.verdict_of = rows, state_of, verdict_of
+        self.car, self.told, self.changes = car, [], []
+
+    def tick(self, refuse=""):
+        state = self.state_of(next(self.rows))
+        out = self.node.step("r1", state, {LATENT: Stale(LATENT, None), VERDICT: self.verdict_of(state)})
+        self.told += [out[FINDING]] if FINDING in out else []
+        if MODEL in out:
+            self.changes.append(out[MODEL])
+            self._answer(state, out[MODEL], refuse)
+
+    def _answer(self, state, message, refuse):
+        words = {"offer": "ready", "take": "taken"}
+        for service in ("adaptation", "policy", "safety_filter") if message.step in words else ():
+            answer = "refused" if service == refuse else words[message.step]
+            stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
+            taken = TakeoverMessage(
+                **stamp, service=service, change=message.change, fingerprint=message.fingerprint, state=answer,
+                reason="no" if service == refuse else "",
+            )  # fmt: skip
+            self.node.hear("r1", taken)
+
+    def until(self, condition):
+        for _ in range(2500):
+            self.tick()
+            if condition():
+                return
+        raise AssertionError("it never came to that")
+
+    def found(self, *effects):
+        self.until(lambda: self.worker.busy("r1"))
+        self.worker.ready = Outcome(REPORT, effects, {"steering_offset": self.document})
+        self.until(lambda: self.told[-1].stage == "candidates")
+
+    @property
+    def document(self):
+        return write_model(self.car.with_effect(effect("car", "steering_offset"), {"angle": Setting(0.08)}))
+
+    def ask(self, do, name="", finding=1, model=""):
+        request = Request(do=do, effect=name, model=model or self.node.model_of("r1"), finding=finding, who="Ada")
+        return self.node.answer("r1", request)
+
+
+@pytest.fixture
+def driven(car, worker, drive_of, state_of, verdict_of):
+    rows = drive_of(4000, CHANGE, "steering_offset", angle=0.08)
+    return Driven(car, worker, rows, state_of, verdict_of)
+
+
+def test_an_accepted_effect_is_prepared_on_the_newest_data_offered_and_taken(driven):
+    driven.found("steering_offset", "steering_gain")
+    assert driven.ask("status").candidates == ("steering_offset", "steering_gain")
+    for _ in range(100):
+        driven.tick()
+    assert driven.ask("accept", "steering_offset").ok
+    driven.tick()
+    work = driven.worker.begun[-1]
+    assert (work.task, work.effect, work.document) == ("prepare", "steering_offset", driven.document)
+    assert work.run.t[-1] > driven.worker.begun[0].run.t[-1] + 4.0
+    assert work.footprint == (0.08, 0.4, 0.12)
+    driven.worker.ready = Outcome(documents={"steering_offset": driven.document}, margin="{}")
+    new = fingerprint(parse_model(driven.document))
+    driven.until(lambda: driven.node.model_of("r1") == new)
+    offer, take = driven.changes
+    assert (offer.step, offer.fingerprint, offer.margin, offer.who) == ("offer", new, "{}", "Ada")
+    assert "r1, 4" in offer.data
+    assert take.step == "take"
+    driven.until(lambda: driven.told[-1].model == new)
+    assert driven.told[-1].stage == "learning"
+    assert driven.ask("status").candidates == ()
+
+
+def test_a_refused_offer_leaves_the_model_and_the_finding(driven):
+    driven.found("steering_offset")
+    before = driven.node.model_of("r1")
+    driven.ask("accept", "steering_offset")
+    driven.tick()
+    driven.worker.ready = Outcome(documents={"steering_offset": driven.document}, margin="{}")
+    for _ in range(30):
+        driven.tick(refuse="policy")
+    assert [message.step for message in driven.changes] == ["offer", "drop"]
+    assert driven.node.model_of("r1") == before
+    assert driven.told[-1].stage == "candidates"
+    assert driven.ask("status").candidates == ("steering_offset",)
+
+
+def test_a_model_that_cannot_be_prepared_is_told_and_nothing_is_offered(driven):
+    driven.found("steering_offset", "steering_gain")
+    driven.ask("accept", "steering_gain")
+    driven.tick()
+    assert driven.worker.begun[-1].document == ""
+    driven.worker.ready = Outcome(failure="runs: got 1 window")
+    for _ in range(10):
+        driven.tick()
+    assert [message.step for message in driven.changes] == ["drop"]
+    assert "got 1 window" in driven.changes[0].why
+
+
+def test_when_every_candidate_is_rejected_the_error_is_usual_from_then_on(driven):
+    driven.found("steering_offset", "steering_gain")
+    assert driven.ask("reject", "steering_gain").ok
+    driven.until(lambda: driven.told[-1].stage == "candidates")
+    assert driven.ask("reject", "steering_offset").ok
+    driven.until(lambda: driven.told[-1].stage == "watching")
+    assert driven.told[-1].number == 1
+    assert not driven.ask("accept", "steering_offset").ok
+
+
+def test_what_is_asked_about_another_finding_model_or_effect_is_refused_with_a_reason(driven):
+    driven.found("steering_offset")
+    for answer, words in (
+        (driven.ask("accept", "steering_offset", finding=7), "number 1"),
+        (driven.ask("accept", "steering_offset", model="0123456789ab"), "you saw 0123456789ab"),
+        (driven.ask("accept", "flood"), "steering_offset"),
+        (driven.ask("roll_back"), "none to go back to"),
+        (driven.ask("dance"), "accept"),
+    ):
+        assert not answer.ok
+        assert words in answer.sentence
+
+
+def test_a_robot_that_leaves_takes_its_search_with_it_and_its_findings_go_on_counting(driven, car, drive_of):
+    driven.until(lambda: driven.worker.busy("r1"))
+    driven.node.forget("r1")
+    assert driven.worker.cancelled == 1
+    assert driven.node.diagnosis_of("r1") is None
+    driven.rows = drive_of(2000, CHANGE, "steering_offset", angle=0.08)
+    driven.until(lambda: driven.told[-1].stage == "raised")
+    assert driven.told[-1].number == 2
+
+
+def test_a_state_of_another_robot_kind_and_a_broken_model_are_refused(driven, worker, state_of, verdict_of):
+    import dataclasses
+
+    state = dataclasses.replace(state_of(next(driven.rows)), values=(1.0, 2.0))
+    with pytest.raises(MessageError, match="got 2 values"):
+        driven.node.step("r1", state, {LATENT: Stale(LATENT, None), VERDICT: verdict_of(state)})
+    with pytest.raises(ModelFileError):
+        DiagnosisNode("format = 1", worker)
+
+
+def test_it_listens_to_what_services_answer():
+    assert TAKEOVER in DiagnosisNode.listens
+    assert set(DiagnosisNode.outputs) == {FINDING, MODEL}
