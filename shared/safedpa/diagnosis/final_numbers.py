@@ -25,8 +25,8 @@ stand for it."""
 def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tuple[Fit, HeldoutError]:
     """The fit with the filter's parameters and deviations, where these predict held-out data as well.
 
-    Elsewhere, and where the filter moves a free number of the base far, the windows' numbers stay, and half of what both
-    ways differ by counts as uncertain: the model's form is then wrong in something that the two weigh differently.
+    Elsewhere, and where the filter moves a free number of the base far, the windows' numbers stay, and half of what
+    both ways differ by counts as uncertain: the model's form is then wrong in something that the two weigh differently.
     """
     before = error_with(found, shooting, heldout)
     if not found.free.any():
