@@ -29,7 +29,9 @@ __all__ = ["command"]
     show_default=True,
     help="Address to serve on; others than this machine may come in with 0.0.0.0.",
 )
-@click.option("--port", type=click.IntRange(1, 65535), default=8080, show_default=True, help="Port of the web page.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Port of the web page; default: 8080 or the next free one.")
+@click.option("--fleet", help="Watch the robots of this fleet live.")
+@click.option("--connect", multiple=True, metavar="ENDPOINT", help="Where their bus listens, as 'safedpa up' tells.")
 @click.option("--no-browser", is_flag=True, help="Open no browser.")
 def command(
     model: str,
@@ -39,12 +41,15 @@ def command(
     out: Path,
     effects: Path | None,
     host: str,
-    port: int,
+    port: int | None,
+    fleet: str | None,
+    connect: tuple[str, ...],
     no_browser: bool,
 ) -> None:
     """Compare MODEL with recorded RUNs on a web page, see where it fails, add what it lacks, watch the error fall.
 
-    Without arguments the page asks for model and recordings. Everything is served from this machine.
+    Without arguments the page asks for model and recordings; with --fleet or --connect it watches driving robots as
+    well, at /live. Everything is served from this machine.
     """
     import importlib.util
 
@@ -54,8 +59,19 @@ def command(
     if importlib.util.find_spec("nicegui") is None:
         raise SafedpaError("workbench: NiceGUI is not installed; say: pip install 'safedpa[workbench]'")
     from safedpa_services.workbench.recordings import Choice
-    from safedpa_services.workbench.server import serve
+    from safedpa_services.workbench.server import chosen_port, serve
 
     if effects is not None:
         load_own_everywhere(effects)
-    serve(Choice(model, runs, columns, horizon), out, host, port, browser=not no_browser)
+    choice, port = Choice(model, runs, columns, horizon), chosen_port(host, port)
+    if not fleet and not connect:
+        serve(choice, out, host, port, browser=not no_browser)
+        return
+    import os
+
+    from safedpa.bus import Bus, ZenohSettings, ZenohTransport
+
+    os.nice(10)  # the loop that it looks at comes first
+    settings = ZenohSettings("client" if connect else "peer", connect=connect)
+    with Bus(ZenohTransport(settings), fleet or "fleet") as bus:
+        serve(choice, out, host, port, browser=not no_browser, bus=bus)

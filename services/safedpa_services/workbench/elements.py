@@ -41,7 +41,7 @@ def escaped(content: str) -> str:
 def named(element: _Element, title: str) -> _Element:
     """The control with a name for screen readers, on the part of it that takes the focus."""
     part = "input, textarea, .q-slider__track-container"
-    handler = f"(node) => node.el.querySelector('{part}')?.setAttribute('aria-label', {json.dumps(title)})"
+    handler = f"(node) => node.el?.querySelector?.('{part}')?.setAttribute('aria-label', {json.dumps(title)})"
     element.on("vnodeMounted", js_handler=handler)
     element.on("vnodeUpdated", js_handler=handler)
     return element

@@ -33,8 +33,8 @@ __all__ = ["Page"]
 class Page:
     """What one browser tab shows; its process ends with it."""
 
-    def __init__(self, choice: Choice, out: Path) -> None:
-        self._choice, self._out = choice, out
+    def __init__(self, choice: Choice, out: Path, *, live: bool = False) -> None:
+        self._choice, self._out, self._live = choice, out, live
         self._session: Session | None = None
         self._given: PhysicsModel | None = None
         self._worker = Worker()
@@ -50,6 +50,8 @@ class Page:
                 text("safedpa workbench", tag="h1")
                 self._what = text("", "what")
                 action("Open", self._ask, "o", hint="choose a model and recordings")
+                if self._live:
+                    action("Live", lambda: ui.navigate.to("/live"), "l", hint="the robots that drive now")
                 action("Dark", self._toggle_dark, "d", hint="dark or light page")
                 action("Keys", show_keys, "?", hint="list of keyboard shortcuts")
             self._verdict = text("", "verdict", "div").props('role=status aria-live=polite id="verdict"')
@@ -294,4 +296,5 @@ class Page:
             "o": self._ask,
             "d": self._toggle_dark,
             "?": show_keys,
+            **({"l": lambda: ui.navigate.to("/live")} if self._live else {}),
         }

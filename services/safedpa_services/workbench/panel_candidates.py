@@ -27,8 +27,14 @@ Decide = Callable[[str], Any]
 class CandidatesPanel:
     """One card a candidate; one of them is open."""
 
-    def __init__(self, on_add: Decide, on_reject: Decide, on_cancel: Callable[[], None]) -> None:
-        self._on_add, self._on_reject = on_add, on_reject
+    def __init__(
+        self,
+        on_add: Decide,
+        on_reject: Decide,
+        on_cancel: Callable[[], None],
+        words: tuple[str, str] = ("Add", "Reject"),
+    ) -> None:
+        self._on_add, self._on_reject, self._words = on_add, on_reject, words
         self._cards: list[Card] = []
         self.open = 0
         with panel(3, "What is missing"):
@@ -47,18 +53,23 @@ class CandidatesPanel:
 
     def show(self, session: Session | None) -> None:
         """Draws the candidates of the present version."""
-        self._cards = [] if session is None else session.cards()
-        self.open = 0
         proposed = None if session is None else session.proposed
+        cards = [] if session is None else session.cards()
         experiment = None if proposed is None else proposed.next_experiment
-        self._next.set_visibility(experiment is not None)
+        said = ""
         if experiment is not None:
             separates = ", ".join(experiment.separates).replace("_", " ")
             said = f"Next experiment: {experiment.manoeuvre}. It separates {separates}: {experiment.why}."
-            self._next.set_content(escaped(said))
-        nothing = proposed is not None and proposed.choice is None and bool(self._cards)
-        self._note.set_visibility(nothing or proposed is None)
-        self._note.set_content(_NOT_CONFIRMED if nothing else _SEARCHING)
+        nothing = proposed is not None and proposed.choice is None and bool(cards)
+        self.show_cards(cards, said, _NOT_CONFIRMED if nothing else (_SEARCHING if proposed is None else ""))
+
+    def show_cards(self, cards: list[Card], experiment: str, note: str) -> None:
+        """Draws cards, the first one open, with a note above and the proposed experiment below."""
+        self._cards, self.open = cards, 0
+        self._next.set_visibility(bool(experiment))
+        self._next.set_content(escaped(experiment))
+        self._note.set_visibility(bool(note))
+        self._note.set_content(escaped(note))
         self._draw()
 
     def move(self, by: int) -> None:
@@ -110,7 +121,9 @@ class CandidatesPanel:
                 text(line, "against", "li").props('aria-label="' + escaped(f"against: {line}") + '"')
         if card.equals:
             text(f"These data cannot tell it from {', '.join(card.equals).replace('_', ' ')}.", "problem", "div")
-        text(f"Without it: {card.signature}.", "quiet", "div")
+        if card.signature:
+            text(f"Without it: {card.signature}.", "quiet", "div")
         with ui.element("div").classes("row"):
-            action("Add", lambda: self._on_add(card.effect), "a", hint=f"add {card.effect}", main=True)
-            action("Reject", lambda: self._on_reject(card.effect), "x", hint=f"reject {card.effect}")
+            yes, no = self._words
+            action(yes, lambda: self._on_add(card.effect), "a", hint=f"{yes.lower()} {card.effect}", main=True)
+            action(no, lambda: self._on_reject(card.effect), "x", hint=f"{no.lower()} {card.effect}")

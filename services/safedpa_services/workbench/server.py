@@ -3,42 +3,96 @@
 from __future__ import annotations
 
 import contextlib
+import socket
+import threading
 from importlib.resources import files
 from pathlib import Path
 
 import click
 from nicegui import Client, app, ui
 
+from safedpa.bus import Bus
+from safedpa.bus.process import Stop
+from safedpa.errors import InputError
+from safedpa_services.workbench.live_link import LiveLink
+from safedpa_services.workbench.live_page import LivePage
 from safedpa_services.workbench.page import Page
 from safedpa_services.workbench.recordings import Choice
 
-__all__ = ["serve"]
+__all__ = ["DEFAULT_PORT", "chosen_port", "serve"]
+
+DEFAULT_PORT = 8080
+_MOST_PORTS = 50
+_LISTEN_SECONDS = 0.1
+_RECONNECT_SECONDS = 10.0
+"""s for which a page that lost its connection is kept."""
 
 
-def serve(choice: Choice, out: Path, host: str, port: int, *, browser: bool) -> None:
-    """Serves the page until it is interrupted."""
+def serve(
+    choice: Choice, out: Path, host: str, port: int, *, browser: bool, bus: Bus | None = None, stop: Stop | None = None
+) -> None:
+    """Serves the page until it is interrupted or ``stop``; with a bus the live page as well."""
     style = (files("safedpa_services.workbench") / "page.css").read_text(encoding="utf-8")
+    link = None if bus is None else LiveLink(bus)
 
     @ui.page("/", title="safedpa workbench")
-    async def index(client: Client) -> None:
+    async def recordings(client: Client) -> None:
         ui.add_css(style)
-        page = Page(choice, out)
+        page = Page(choice, out, live=link is not None)
         client.on_delete(page.close)
         await client.connected()
         await page.begin()
 
-    app.on_startup(lambda: click.echo(f"Workbench: http://{_named(host)}:{port}  (Ctrl-C ends it)"))
+    if link is not None:
+        _serve_live(link, style)
+    where = f"http://{_named(host)}:{port}" + ("" if link is None else "/live")
+    app.on_startup(lambda: click.echo(f"Workbench: {where}  (Ctrl-C ends it)"))
+    if stop is not None:
+        threading.Thread(target=_end_with, args=(stop,), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):  # which is how a person ends it
         ui.run(
             host=host,
             port=port,
             title="safedpa workbench",
             reload=False,
-            show=browser,
+            show="/live" if browser and link is not None else browser,
             show_welcome_message=False,
             tailwind=False,
-            reconnect_timeout=10.0,
+            reconnect_timeout=_RECONNECT_SECONDS,
         )
+
+
+def _serve_live(link: LiveLink, style: str) -> None:
+    @ui.page("/live", title="safedpa workbench, live")
+    async def live(client: Client) -> None:
+        ui.add_css(style)
+        page = LivePage(link)
+        await client.connected()
+        await page.begin()
+
+    app.timer(_LISTEN_SECONDS, link.listen)
+
+
+def _end_with(stop: Stop) -> None:
+    stop.wait()
+    app.shutdown()
+
+
+def chosen_port(host: str, port: int | None) -> int:
+    """The port asked for, or the first free one from 8080 on; raises InputError when it is taken."""
+    for number in [port] if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _MOST_PORTS):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, number))
+            except OSError as error:
+                if port is not None:
+                    raise InputError(
+                        f"--port {port}: cannot be served on ({error.strerror}); leave it out for the next free one"
+                    ) from error
+                continue
+            return number
+    raise InputError(f"--port: {DEFAULT_PORT} to {DEFAULT_PORT + _MOST_PORTS - 1} are all taken; name another one")
 
 
 def _named(host: str) -> str:

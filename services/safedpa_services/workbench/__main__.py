@@ -1,0 +1,39 @@
+"""``python -m safedpa_services.workbench``: the live page beside a running loop, as the supervisor starts it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa.errors import SafedpaError
+from safedpa_services.serving import service_parser
+
+
+def work(options: argparse.Namespace, stop: Stop) -> int:
+    """Serves until ``stop``; returns exit code 0."""
+    import importlib.util
+
+    os.nice(10)  # the loop comes first
+    if importlib.util.find_spec("nicegui") is None:
+        raise SafedpaError("workbench: NiceGUI is not installed; say: pip install 'safedpa[workbench]'")
+    from safedpa_services.workbench.recordings import Choice
+    from safedpa_services.workbench.server import chosen_port, serve
+
+    port = chosen_port(options.host, options.port)
+    with bus_from(options) as bus:
+        serve(Choice(options.model), Path(options.out), options.host, port, browser=False, bus=bus, stop=stop)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = service_parser("safedpa-workbench")
+    parser.add_argument("--out", default="workbench", metavar="DIR", help="folder for saved models")
+    parser.add_argument("--host", default="127.0.0.1", help="0.0.0.0 to look from other machines")
+    parser.add_argument("--port", type=int, default=None, help="default: 8080 or the next free one")
+    return parser
+
+
+if __name__ == "__main__":
+    run_process(work, _parser())

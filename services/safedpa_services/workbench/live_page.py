@@ -1,0 +1,241 @@
+"""The live page: the robots on the bus, what their diagnosis finds, and a person's decisions about it."""
+
+from __future__ import annotations
+
+import asyncio
+import getpass
+import time
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import events, ui
+
+from safedpa.bus import Request
+from safedpa_services.workbench.elements import action, escaped, named, panel, text
+from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
+from safedpa_services.workbench.help import show_keys
+from safedpa_services.workbench.live_book import RobotBook
+from safedpa_services.workbench.live_cards import live_cards
+from safedpa_services.workbench.live_link import LiveLink
+from safedpa_services.workbench.live_panels import change_lines, driven_lines, error_bars, field_legend
+from safedpa_services.workbench.look import DARK, LIGHT
+from safedpa_services.workbench.panel_candidates import CandidatesPanel
+
+__all__ = ["LivePage"]
+
+_PICTURE_SECONDS = 0.4
+_STATUS_SECONDS = 1.5
+
+
+class LivePage:
+    """What one browser tab shows of the fleet."""
+
+    def __init__(self, link: LiveLink) -> None:
+        self._link = link
+        self._robot = ""
+        self._look = LIGHT
+        self._accepted: tuple[str, ...] = ()
+        self._told = ""
+        self._drawn: Any = None
+        self._asking = False
+        self._build()
+
+    def _build(self) -> None:
+        self._dark = ui.dark_mode(None)
+        ui.keyboard(self._pressed, ignore=["input", "select", "textarea"])
+        with ui.element("main").classes("bench"):
+            ui.html('<a class="skip" href="#column-3">Skip to the candidates</a>', sanitize=False)
+            with ui.element("header").classes("top"):
+                text("safedpa workbench, live", tag="h1")
+                self._what = text("", "what")
+                text("robot", "quiet")
+                self._choice = named(ui.select([], on_change=self._chosen), "robot")
+                self._choice.props("dense outlined options-dense").classes("flat").style("width: 110px")
+                text("you", "quiet")
+                self._who = ui.input(value=_account()).props("dense outlined").classes("flat")
+                named(self._who, "your name, for the recording").style("width: 110px")
+                action("Recordings", lambda: ui.navigate.to("/"), "r", hint="work on recorded drives")
+                action("Dark", self._toggle_dark, "d", hint="dark or light page")
+                action("Keys", show_keys, "?", hint="list of keyboard shortcuts")
+            self._verdict = text("", "verdict", "div").props('role=status aria-live=polite id="verdict"')
+            self._problem = text("", "verdict problem", "div").props("role=alert")
+            with ui.element("div").classes("columns"):
+                self._panels()
+        self._problem.set_visibility(False)
+        ui.timer(_PICTURE_SECONDS, self.show)
+        ui.timer(_STATUS_SECONDS, self.ask_status)
+
+    def _panels(self) -> None:
+        with panel(1, "The robot and its prediction"):
+            self._filter = text("", "quiet", "div")
+            self._legend = ui.html(sanitize=False).classes("legend")
+            self._field = ui.plotly({"data": []}).classes("grow").props('role=img aria-label="robot in its field"')
+            self._driven = ui.html(sanitize=False)
+        with panel(2, "Where the model fails"):
+            self._where = text("", "quiet", "div")
+            self._error = ui.plotly({"data": []}).classes("grow").props('role=img aria-label="error and its band"')
+            self._evidence = ui.plotly({"data": []}).classes("still").style("height: 190px")
+            self._evidence.props('role=img aria-label="evidence and its threshold"')
+        self._candidates = CandidatesPanel(self._accept, self._reject, lambda: None, words=("Accept", "Reject"))
+        self._candidates.busy("")
+        with panel(4, "The error falls"):
+            self._bars = ui.html(sanitize=False)
+            text("changes of the model", "quiet")
+            self._changes = ui.html(sanitize=False).classes("cards")
+            with ui.element("div").classes("bottom"):
+                self._said = text("", "note", "div").props("role=status aria-live=polite")
+                with ui.element("div").classes("row"):
+                    action("Roll back", self._roll_back, "u", hint="back to the model before the last change")
+
+    async def begin(self) -> None:
+        """Chooses dark or light as the browser wishes."""
+        self._set_dark(bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=5.0)))
+        self.show()
+
+    # showing
+
+    @property
+    def _book(self) -> RobotBook | None:
+        return self._link.book.robots.get(self._robot)
+
+    def show(self) -> None:
+        """Draws what is known now."""
+        robots = sorted(self._link.book.robots)
+        if robots != self._choice.options:
+            self._choice.set_options(robots, value=self._robot if self._robot in robots else next(iter(robots), None))
+        book, link = self._book, self._link
+        self._what.set_content(escaped(f"fleet {link.fleet}, {len(robots)} robot{'s' * (len(robots) != 1)}"))
+        if book is None:
+            self._verdict.set_content(escaped(f"No robot of fleet {link.fleet} is heard. Start one with: safedpa up"))
+            self._trouble(link.book.last_refusal and f"Refused: {link.book.last_refusal}")
+            return
+        finding = book.finding
+        self._verdict.set_content(escaped(_capital(finding.sentence) if finding else "No finding was heard yet."))
+        self._trouble(book.silence(time.monotonic()) or book.mismatch() or (book.troubles[-1] if book.troubles else ""))
+        self._filter.set_content(escaped(book.verdict.sentence if book.verdict else ""))
+        self._where.set_content(escaped(_where(book)))
+        self._legend.set_content(field_legend(self._look))
+        self._driven.set_content(driven_lines(book))
+        self._field.update_figure(field_figure(book, self._look))
+        self._error.update_figure(error_figure(book, self._look))
+        self._evidence.update_figure(evidence_figure(book, self._look))
+        self._bars.set_content(error_bars(book))
+        self._changes.set_content(change_lines(book))
+        self._said.set_content(escaped(self._told or "Accepted models are taken over by all services at one tick."))
+        self._show_candidates(book)
+
+    def _trouble(self, sentence: str) -> None:
+        self._problem.set_visibility(bool(sentence))
+        self._problem.set_content(escaped(sentence))
+
+    def _show_candidates(self, book: RobotBook) -> None:
+        state = (self._robot, self._accepted, book.report_of, book.report is None)
+        if state == self._drawn:
+            return
+        self._drawn = state
+        kind = str((book.report or {}).get("robot", "car"))
+        cards, experiment = live_cards(kind, book.report, self._accepted)
+        note = "" if cards else "Nothing to decide: candidates stand here once a finding was searched."
+        self._candidates.show_cards(cards, experiment, note)
+
+    # asking
+
+    async def ask_status(self) -> None:
+        """Which effects can be accepted now, and what came of the last change."""
+        robot, book = self._robot, self._book
+        if book is None or self._asking or book.found is None:
+            return
+        self._asking = True
+        try:
+            told = await self._link.ask(robot, Request(do="status"))
+        finally:
+            self._asking = False
+        if robot != self._robot:
+            return
+        if told.answer is None:
+            self._accepted, self._told = (), told.sentence
+        else:
+            self._accepted = told.answer.candidates
+            pending = f" ({told.answer.pending} …)" if told.answer.pending else ""
+            self._told = told.sentence + pending
+
+    async def _ask(self, do: str, effect: str = "") -> None:
+        book = self._book
+        if book is None:
+            return
+        seen = book.finding
+        request = Request(
+            do=do,
+            effect=effect,
+            model=seen.model if seen else "",
+            finding=seen.number if seen else 0,
+            who=str(self._who.value or "workbench"),
+        )
+        told = await self._link.ask(self._robot, request)
+        self._told = told.sentence
+        ui.notify(told.sentence, type="positive" if told.ok else "negative", timeout=6000, multi_line=True)
+        await self.ask_status()
+
+    async def _accept(self, effect: str = "") -> None:
+        effect = effect or self._candidates.effect
+        if effect:
+            await self._ask("accept", effect)
+
+    async def _reject(self, effect: str = "") -> None:
+        effect = effect or self._candidates.effect
+        if effect:
+            await self._ask("reject", effect)
+
+    async def _roll_back(self) -> None:
+        await self._ask("roll_back")
+
+    # the page itself
+
+    def _chosen(self) -> None:
+        if self._choice.value and self._choice.value != self._robot:
+            self._robot, self._accepted, self._told, self._drawn = str(self._choice.value), (), "", None
+
+    def _toggle_dark(self) -> None:
+        self._set_dark(self._look is LIGHT)
+
+    def _set_dark(self, dark: bool) -> None:
+        self._dark.set_value(dark)
+        self._look = DARK if dark else LIGHT
+
+    async def _pressed(self, event: events.KeyEventArguments) -> None:
+        modifiers = event.modifiers
+        if not event.action.keydown or event.action.repeat or modifiers.ctrl or modifiers.alt or modifiers.meta:
+            return
+        keys: dict[str, Callable[[], Any]] = {
+            "a": self._accept,
+            "x": self._reject,
+            "u": self._roll_back,
+            "j": lambda: self._candidates.move(1),
+            "k": lambda: self._candidates.move(-1),
+            "d": self._toggle_dark,
+            "r": lambda: ui.navigate.to("/"),
+            "?": show_keys,
+        }
+        if str(event.key) in keys:
+            done = keys[str(event.key)]()
+            if asyncio.iscoroutine(done):
+                await done
+
+
+def _where(book: RobotBook) -> str:
+    finding = book.finding
+    if finding is None:
+        return ""
+    where = f"{finding.where}; " if finding.where else ""
+    return f"{where}{100 * finding.coverage:.1f} % of the steps stayed within the margin"
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
+
+
+def _account() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "workbench"
