@@ -88,7 +88,7 @@ def _rows(rows: list[dict[str, Any]]) -> Any:
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         every = "car, all logs" if row["part"] == "car" else row["part"]
-        left_out = f"car, without {row['name'].removesuffix('.csv')[-14:]}"
+        left_out = f"car, without {row['name'].removesuffix('.csv')[-8:]}"
         name = (left_out if row["part"] == "car" else row["name"]) if row["name"] else every
         unseen = f"{100 * row['unseen_change']:+.0f} %" if "unseen_change" in row else ""
         added = ", ".join(row["added"]) or row["verdict"].replace("_", " ")
