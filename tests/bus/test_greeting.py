@@ -70,8 +70,8 @@ class Indifferent(Curious):
 class SlowBus(Bus):
     """Answers come when the test says so."""
 
-    def request_into(self, inbox: Any, robot: str, request: Request, timeout: float) -> None:
-        self.asked = (inbox, robot, request, timeout)
+    def ask_model(self, inbox: Any, robot: str, who: str, timeout: float) -> None:
+        self.asked = (inbox, robot, who)
 
 
 class Clock:
@@ -121,6 +121,19 @@ def test_it_asks_once_before_the_first_step(service: Any, memory_bus: Any, state
     assert node.told == [("r", "agreed"), ("r", 0, True), ("r", 1, True), ("r", 2, True)]
 
 
+def test_without_a_diagnosis_other_services_tell_what_they_agreed_on(
+    service: Any, memory_bus: Any, state_at: Any, samples: Any
+) -> None:
+    node, loop, robot = service
+    memory_bus().answer_agreed(lambda name: None)
+    memory_bus().answer_agreed(lambda name: Answer(ok=True, sentence="", fingerprint=f"of {name}"))
+    memory_bus().answer_requests(lambda name, request: Answer(ok=False, sentence="refused: not known"))
+    robot.publish(STATE, "r", state_at(0))
+    robot.publish(LATENT, "r", latent_of(samples, state_at(0)))
+    loop.turn(0.0)
+    assert node.told == [("r", "of r"), ("r", 0, True)]
+
+
 def test_without_a_diagnosis_it_serves_at_once(service: Any, state_at: Any, samples: Any) -> None:
     node, loop, robot = service
     robot.publish(STATE, "r", state_at(0))
@@ -142,8 +155,8 @@ def test_what_came_while_it_waited_is_not_lost_and_others_do_not_wait(
         robot.publish(LATENT, "r", latent_of(samples, state_at(tick)))
         loop.turn(0.0)
     assert node.told == [], "it is still waiting"
-    inbox, name, request, _ = bus.asked
-    assert (name, request.do) == ("r", "status")
+    inbox, *asked = bus.asked
+    assert asked == ["r", "policy"]
     inbox.keep_answer(Answered("r", Answer(ok=True, sentence="", fingerprint="agreed")))
     loop.turn(0.0)
     assert node.told == [("r", "agreed"), ("r", 1, True)], "the newest tick, with its input"
@@ -158,11 +171,11 @@ def test_its_patience_ends_even_if_no_answer_ever_comes(broker: Any, clock: Cloc
     robot.publish(STATE, "r", state_at(0, lockstep=False))
     loop.turn(0.0)
     assert node.told == []
-    clock.now = 0.61
+    clock.now = 0.91
     loop.turn(0.0)
     loop.turn(0.0)
     assert node.told[0] == ("r", None)
-    clock.now = 0.7
+    clock.now = 1.0
     loop.turn(0.0)
     assert node.told[1] == ("r", 0, False)
 

@@ -173,6 +173,9 @@ class TransportContract(ABC):
         other.answer("safedpa/f/*/request", lambda key, payload: key.encode() + payload)
         assert until(lambda: one.ask("safedpa/f/r/request", b"?", PATIENCE) == b"safedpa/f/r/request?")
         assert one.ask("safedpa/f/r/state", b"?", 0.2) is None
+        other.answer("safedpa/f/*/agreed", lambda key, payload: None)
+        other.answer("safedpa/f/r/agreed", lambda key, payload: b"I know")
+        assert until(lambda: one.ask("safedpa/f/r/agreed", b"?", PATIENCE) == b"I know"), "one leaves it to the other"
         other.close()
         assert until(lambda: one.ask("safedpa/f/r/request", b"?", 0.2) is None)
         one.close()

@@ -199,9 +199,20 @@ def test_whoever_is_killed_amid_a_change_all_agree_in_the_end_and_the_car_is_saf
         loop.until(lambda moment=moment: any(getattr(message, "step", "") == moment for message in loop.said))
         loop.kill(name)
         loop.until(loop.agreed)
+    _restart_a_service_while_the_diagnosis_is_dead(loop)
     account = loop.end()
     assert account["collisions"] == 0
     assert account["ticks"] > 50
+
+
+def _restart_a_service_while_the_diagnosis_is_dead(loop: Loop) -> None:
+    """The others tell it what they agreed on."""
+    loop.running["diagnosis"].kill()
+    loop.running["diagnosis"].wait()
+    agreed = loop.using["policy"]
+    loop.kill("adaptation")
+    loop.until(lambda: loop.using.get("adaptation"))
+    assert loop.using["adaptation"] == agreed != loop._first["fingerprint"]
 
 
 def test_the_command_line_changes_the_model_and_takes_it_back(loop: Loop) -> None:

@@ -47,6 +47,7 @@ def test_everyone_changes_at_the_named_tick(fleet: Any) -> None:
     assert [answer.state for answer in fleet.heard] == ["ready"] * 3 + ["taken"] * 3
     assert {answer.tick for answer in fleet.heard if answer.state == "taken"} == {take.from_tick}
     assert fleet.changes.sentence == "change 1 (accept drag of finding 1): taken by everyone"
+    assert fleet.ask("status").candidates == (), "they were sought for the model that is gone"
 
 
 def test_what_one_cannot_load_is_dropped_by_all(fleet_of: Any, tmp_path: Path) -> None:
@@ -252,6 +253,9 @@ def test_a_robot_that_starts_anew_amid_a_change_begins_with_the_new_model(fleet:
     fleet.turn(3)
     assert "take" in steps(fleet)
     fleet.restart_robot()
+    fleet.turn(1)
+    assert fleet.tick < fleet.spoken[-1].from_tick
+    assert fleet.models == {"print drag"} == {fleet.changes.fingerprint}
     fleet.turn(30)
     assert fleet.models == {"print drag"}
     assert all(len(set(models)) == 1 for models in fleet.used)
@@ -267,9 +271,15 @@ def test_a_service_that_missed_the_decision_hears_it_again(fleet: Any) -> None:
     assert "taken by everyone" in fleet.changes.sentence
 
 
-def test_nothing_is_decided_that_cannot_be_kept(fleet_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("room_for", "told"), [(0, ["drop"]), (1, ["offer", "drop"])])
+def test_nothing_is_decided_that_cannot_be_kept(
+    fleet_of: Any, monkeypatch: pytest.MonkeyPatch, room_for: int, told: list[str]
+) -> None:
+    room = iter(range(room_for))
+
     def full(self: VersionFolder, kept: Kept) -> None:
-        raise RecordingError("folder: cannot be written (No space left on device); free space there")
+        if next(room, None) is None:
+            raise RecordingError("folder: cannot be written (No space left on device); free space there")
 
     fleet = fleet_of(Path("never/made"))
     monkeypatch.setattr(VersionFolder, "save", full)
@@ -277,7 +287,7 @@ def test_nothing_is_decided_that_cannot_be_kept(fleet_of: Any, monkeypatch: pyte
     fleet.propose("drag")
     fleet.ask("accept", "drag")
     fleet.turn(30)
-    assert steps(fleet) == ["drop"]
+    assert steps(fleet) == told
     assert "No space left" in fleet.changes.sentence
     assert fleet.models == {"first"}
 

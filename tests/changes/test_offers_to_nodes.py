@@ -208,6 +208,22 @@ def test_a_service_that_was_restarted_begins_with_what_is_in_force(driving_state
     assert ticking.node.model_of("r1") == NEW
 
 
+def test_services_tell_each_other_what_they_agreed_on(ticking: Ticking) -> None:
+    assert ticking.node.agreed("r1") is None, "nobody agreed on the model of its own options"
+    ticking.node.hear("r1", offer())
+    ticking.turn()
+    assert ticking.node.agreed("r1") is None, "an offer is no agreement"
+    ticking.node.hear("r1", decision("take"))
+    ticking.turn()
+    told = ticking.node.agreed("r1")
+    assert (told.ok, told.change, told.fingerprint, told.document) == (True, 1, NEW, DOCUMENT)
+    other = node_named(ticking.node.name)
+    other.welcome("r1", told)
+    assert other.model_of("r1") == NEW
+    other.hear("r1", decision("take"))
+    assert other._versions.answer("r1", ticking.state_of(9, 1)).state == "taken", "and knows which change it was"
+
+
 @pytest.mark.parametrize("name", NODES)
 def test_a_service_that_was_restarted_between_decision_and_change_does_both(driving_state: Any, name: str) -> None:
     ticking = Ticking(node_named(name), driving_state)

@@ -11,7 +11,7 @@ from types import TracebackType
 
 from safedpa.bus.codec import decode, encode
 from safedpa.bus.messages import Message
-from safedpa.bus.requests import Answer, Request, request_key, robot_of_request
+from safedpa.bus.requests import AGREED, Answer, Request, request_key, robot_of_request
 from safedpa.bus.topics import Topic, key_of, topic_of
 from safedpa.bus.transport import AbstractTransport
 from safedpa.errors import BusError, InputError, MessageError
@@ -105,6 +105,15 @@ class Inbox:
         return [_opened(key, payload, at) for key, payload, at in waiting]
 
 
+def _usable(payload: bytes | None) -> Answer | None:
+    """The answer, unless there is none or it is none; one that refuses to tell is as good as none."""
+    try:
+        answer = None if payload is None else decode(Answer, payload)
+    except InputError:
+        return None
+    return answer if answer is not None and answer.ok else None
+
+
 def _opened(key: str, payload: bytes, at: float) -> Received | Refused:
     robot = ""
     try:
@@ -151,17 +160,38 @@ class Bus:
         payload = self._transport.ask(request_key(self.fleet, robot), encode(request), timeout)
         return None if payload is None else decode(Answer, payload)
 
-    def request_into(self, inbox: Inbox, robot: str, request: Request, timeout: float) -> None:
-        """Asks without waiting: what comes of it, at the latest after ``timeout`` [s], is put into the inbox."""
+    def ask_model(self, inbox: Inbox, robot: str, who: str, timeout: float) -> None:
+        """Asks which model a robot's services agreed on, without waiting; the answer is put into the inbox.
 
-        def on_answer(payload: bytes | None) -> None:
+        First the diagnosis is asked, then, where it does not answer within ``timeout`` [s], the other services.
+        """
+        question = encode(Request(do="status", who=who))
+
+        def from_services(payload: bytes | None) -> None:
+            inbox.keep_answer(Answered(robot, _usable(payload)))
+
+        def from_diagnosis(payload: bytes | None) -> None:
+            answer = _usable(payload)
+            if answer is not None:
+                inbox.keep_answer(Answered(robot, answer))
+            else:
+                key = request_key(self.fleet, robot, AGREED)
+                self._transport.ask_soon(key, question, timeout, from_services)
+
+        self._transport.ask_soon(request_key(self.fleet, robot), question, timeout, from_diagnosis)
+
+    def answer_agreed(self, agreed: Callable[[str], Answer | None]) -> None:
+        """Tells other services what this one knows by ``agreed(robot)``, called on any thread; None: nothing."""
+
+        def on_question(key: str, payload: bytes) -> bytes | None:
+            del payload
             try:
-                answer = None if payload is None else decode(Answer, payload)
-            except InputError:  # no answer that we could use
-                answer = None
-            inbox.keep_answer(Answered(robot, answer))
+                answer = agreed(robot_of_request(key))
+            except InputError:
+                return None
+            return None if answer is None else encode(answer)
 
-        self._transport.ask_soon(request_key(self.fleet, robot), encode(request), timeout, on_answer)
+        self._transport.answer(request_key(self.fleet, "*", AGREED), on_question)
 
     def answer_requests(self, answer: Callable[[str, Request], Answer], robot: str = "*") -> None:
         """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.

@@ -2,7 +2,7 @@
 
 A service that was restarted would otherwise begin with the model of its own options while the others have moved on.
 Nobody waits long: without an answer the service begins with its own model, and the diagnosis offers the right one
-again.
+again. While no diagnosis answers, the other services tell what they agreed on.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 from safedpa.bus.bus import Bus, Inbox, Received
 from safedpa.bus.node import AbstractNode
-from safedpa.bus.requests import Answer, Request
+from safedpa.bus.requests import Answer
 from safedpa.bus.topics import MODEL, STATE, Topic
 
 __all__ = ["Greeting"]
 
 _PATIENCE_SECONDS = 0.3
-"""A process on the same machine answers in a few milliseconds; without a diagnosis the bus says so at once."""
+"""With the diagnosis, then with the other services. A process on the same machine answers in a few milliseconds, and
+where there is none the bus says so at once."""
 
 
 @dataclass
@@ -33,6 +34,8 @@ class Greeting:
 
     def __init__(self, node: AbstractNode, bus: Bus, inbox: Inbox, clock: Callable[[], float]) -> None:
         self._node, self._bus, self._inbox, self._clock = node, bus, inbox, clock
+        if MODEL in node.listens:
+            bus.answer_agreed(node.agreed)
         self._met: set[str] = set()
         self._waiting: dict[str, _Waiting] = {}
 
@@ -46,9 +49,8 @@ class Greeting:
             return True
         if item.topic is not STATE:
             return False
-        self._waiting[item.robot] = _Waiting({STATE: item}, self._clock() + 2.0 * _PATIENCE_SECONDS)
-        question = Request(do="status", who=self._node.name)
-        self._bus.request_into(self._inbox, item.robot, question, _PATIENCE_SECONDS)
+        self._waiting[item.robot] = _Waiting({STATE: item}, self._clock() + 3.0 * _PATIENCE_SECONDS)
+        self._bus.ask_model(self._inbox, item.robot, self._node.name, _PATIENCE_SECONDS)
         return True
 
     def ready(self) -> list[Received]:

@@ -51,9 +51,9 @@ class MemoryTransport(AbstractTransport):
         del timeout
         if self._closed:
             raise BusError(f"{key}: the bus was closed; open another one to ask")
-        answers = (on_question for _, expression, on_question in self._broker.answerers if _matches(expression, key))
-        on_question = next(answers, None)
-        return None if on_question is None else on_question(key, payload)
+        asked = [on_question for _, expression, on_question in self._broker.answerers if _matches(expression, key)]
+        answers = (on_question(key, payload) for on_question in asked)
+        return next((answer for answer in answers if answer is not None), None)
 
     def ask_soon(self, key: str, payload: bytes, timeout: float, on_answer: OnAnswer) -> None:  # noqa: D102
         on_answer(self.ask(key, payload, timeout))

@@ -32,6 +32,8 @@ class _Version(Generic[Held]):
     fingerprint: str
     margin: str = ""
     change: int = 0
+    document: str = ""
+    """Empty of the model of the process's own options, of which nobody told."""
 
 
 @dataclass
@@ -75,6 +77,21 @@ class ModelVersions(Generic[Held]):
         """What was offered and is ready, while it is not in force yet."""
         known = self._robots.get(robot)
         return None if known is None or known.prepared is None else known.prepared.held
+
+    def agreed(self, robot: str) -> Answer | None:
+        """For a service that was restarted while no diagnosis answers: the model in force, if others agreed on it."""
+        known = self._robots.get(robot)
+        version = None if known is None else known.version
+        if version is None or not version.document:
+            return None
+        return Answer(
+            ok=True,
+            sentence=f"as {self._service} has it",
+            change=version.change,
+            fingerprint=version.fingerprint,
+            document=version.document,
+            margin=version.margin,
+        )
 
     def hear(self, robot: str, message: ModelMessage) -> None:
         """Takes one step of a change; the answer comes from ``answer``."""
@@ -181,9 +198,10 @@ class ModelVersions(Generic[Held]):
     def _made(self, robot: str, known: _Robot[Held], offer: ModelMessage) -> _Version[Held] | None:
         for version in (known.version, self._first):
             if _same(version, offer.fingerprint, offer.margin):  # nothing to load: only the change gets its number
-                return _Version(version.held, offer.fingerprint, offer.margin, offer.change)
+                return _Version(version.held, offer.fingerprint, offer.margin, offer.change, offer.document)
         try:
-            return _Version(self._load(robot, offer), offer.fingerprint, offer.margin, offer.change)
+            held = self._load(robot, offer)
+            return _Version(held, offer.fingerprint, offer.margin, offer.change, offer.document)
         except Exception as error:  # noqa: BLE001  whatever a foreign document brings about, the robot drives on
             reason = " ".join(str(error).split()) or type(error).__name__
             known.answers.append((offer, "refused", reason[:_LONGEST_REASON]))

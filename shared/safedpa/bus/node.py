@@ -76,6 +76,14 @@ class AbstractNode(ABC):
         """
         del robot, status
 
+    def agreed(self, robot: str) -> Answer | None:
+        """What this service knows of the model that the robot's services agreed on, with its document; None: nothing.
+
+        Called on any thread, when another service was restarted and no diagnosis answers.
+        """
+        del robot
+        return None
+
     def model_of(self, robot: str) -> str:
         """Fingerprint of the model in force for a robot, for the health message; empty without one."""
         del robot

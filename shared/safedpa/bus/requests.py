@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from safedpa.bus.topics import STATE, key_of
 from safedpa.errors import InputError
 
-__all__ = ["Answer", "Request", "request_key", "robot_of_request"]
+__all__ = ["AGREED", "Answer", "Request", "request_key", "robot_of_request"]
 
-_NAME = "request"
+_REQUEST = "request"
+AGREED = "agreed"
+"""Last part of the key under which services tell each other what they agreed on, while no diagnosis is there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,17 +63,17 @@ class Answer:
     """Effects that can be accepted now, best first."""
 
 
-def request_key(fleet: str, robot: str) -> str:
-    """The key expression ``safedpa/{fleet}/{robot}/request``; ``*`` as robot: every one.
+def request_key(fleet: str, robot: str, name: str = _REQUEST) -> str:
+    """The key expression ``safedpa/{fleet}/{robot}/request`` (or ``agreed``); ``*`` as robot: every one.
 
     Raises InputError for names that the bus cannot carry.
     """
-    return key_of(fleet, robot, STATE).removesuffix(STATE.name) + _NAME
+    return key_of(fleet, robot, STATE).removesuffix(STATE.name) + name
 
 
 def robot_of_request(key: str) -> str:
     """The robot that a request is about. Raises InputError when the key names none, or more than one."""
     parts = key.split("/")
-    if len(parts) != 4 or parts[3] != _NAME or "*" in key:
-        raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{_NAME}")
+    if len(parts) != 4 or parts[3] not in (_REQUEST, AGREED) or "*" in key:
+        raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{_REQUEST}")
     return parts[2]

@@ -10,8 +10,9 @@ __all__ = ["AbstractTransport", "OnAnswer", "OnQuestion", "OnSample"]
 OnSample = Callable[[str, bytes], None]
 """Called with key and payload, on any thread; must return at once and raise nothing."""
 
-OnQuestion = Callable[[str, bytes], bytes]
-"""Called with key and payload of a question, on any thread; returns the answer soon and raises nothing."""
+OnQuestion = Callable[[str, bytes], bytes | None]
+"""Called with key and payload of a question, on any thread; returns the answer, or None to leave it to others, soon and
+raises nothing."""
 
 OnAnswer = Callable[[bytes | None], None]
 """Called once with the first answer, or None when there was none; on any thread."""

@@ -130,7 +130,9 @@ class ZenohTransport(AbstractTransport):
             with query:  # ends the answer, whatever happens
                 try:
                     payload = b"" if query.payload is None else query.payload.to_bytes()
-                    query.reply(query.key_expr, on_question(str(query.key_expr), payload))
+                    answer = on_question(str(query.key_expr), payload)
+                    if answer is not None:
+                        query.reply(query.key_expr, answer)
                 except zenoh.ZError:
                     return  # the asker is gone, or this session is being closed
                 except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, mute

@@ -96,6 +96,9 @@ class PolicyNode(AbstractNode):
     def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
         self._versions.welcome(robot, status)
 
+    def agreed(self, robot: str) -> Answer | None:  # noqa: D102
+        return self._versions.agreed(robot)
+
     def model_of(self, robot: str) -> str:  # noqa: D102
         return self._versions.fingerprint(robot)
 
