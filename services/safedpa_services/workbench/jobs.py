@@ -14,7 +14,7 @@ from safedpa.diagnosis.stepwise import Proposal, Step, first_step, proposal, wit
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 
-__all__ = ["Found", "Version", "opened", "search", "taken"]
+__all__ = ["Found", "Version", "compared", "opened", "search", "taken"]
 
 Tell = Callable[[float], None]
 """Told how much is done, from 0 to 1."""

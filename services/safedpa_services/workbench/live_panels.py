@@ -22,7 +22,8 @@ def error_bars(book: RobotBook) -> str:
     highest = max((value for _, value, _ in shown), default=1.0) or 1.0
     fall = ""
     if book.before and now is not None:
-        fall = f'<div class="number">{100 * (now / book.before - 1):+.0f} % since the change</div>'
+        change = f"{100 * (now / book.before - 1):+.0f} % since the change".replace("-", "−")
+        fall = f'<div class="number">{change}</div>'
     bars = "".join(_bar(name, value, 100.0 * value / highest, style) for name, value, style in shown)
     return f'<div class="stages"><div class="quiet">error over one second of driving</div>{bars}{fall}</div>'
 

@@ -1,0 +1,259 @@
+"""The live page's book of what was heard, its questions, and the page itself beside a diagnosis that is played."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from safedpa.bus import (
+    FINDING,
+    STATE,
+    Answer,
+    Bus,
+    FindingMessage,
+    HealthMessage,
+    MemoryBroker,
+    MemoryTransport,
+    ModelMessage,
+    Request,
+    StateMessage,
+    TakeoverMessage,
+)
+from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
+from safedpa_services.workbench.live_book import RobotBook
+from safedpa_services.workbench.live_cards import live_cards
+from safedpa_services.workbench.live_link import LiveLink
+from safedpa_services.workbench.live_panels import change_lines, error_bars
+from safedpa_services.workbench.look import LIGHT
+
+REPORT = {
+    "robot": "car",
+    "stages": [{"heldout_error": 0.6}],
+    "candidates": [
+        {
+            "stage": 0, "effect": "towed_load", "heldout_error": 0.1, "score": 8.0, "decision": "accepted",
+            "indistinguishable_from": ["payload"], "reason": "gain on unseen blocks 8.0 standard errors",
+            "parameters": {"mass_ratio": {"value": 0.8, "std": 0.05, "unit": "1"}},
+        },
+        {"stage": 0, "effect": "payload", "heldout_error": "no number"},
+        "no candidate at all",
+    ],
+    "next_experiment": {"manoeuvre": "coast down", "why": "they differ there"},
+}  # fmt: skip
+
+
+def stamp(tick, epoch=1):
+    return {"epoch": epoch, "tick": tick, "robot_time": 0.05 * tick, "publish_time": 0.0}
+
+
+def state(tick, epoch=1, **more):
+    return StateMessage(
+        **stamp(tick, epoch), values=(0.01 * tick, 0.0, 0.0, 1.0), applied=(1.0, 0.0), applied_by="filter",
+        period=0.05, lockstep=False, goal=(2.0, 2.0), obstacles=((1.0, 1.0, 0.3),), field=(-4.0, 4.0, -4.0, 4.0),
+        footprint=(0.1, 0.4, 0.15), **more,
+    )  # fmt: skip
+
+
+def finding(tick, stage="watching", error=0.05, report="", number=0):
+    return FindingMessage(
+        **stamp(tick), model="aaaa", stage=stage, sentence=f"the stage is {stage}", number=number, error=error,
+        band=0.06, evidence=1.0, threshold=13.8, coverage=0.99, where="speed", report=report,
+    )  # fmt: skip
+
+
+def model(tick, step):
+    return ModelMessage(
+        **stamp(tick), step=step, change=1, fingerprint="bbbb", replaces="aaaa", who="ann", why="accept"
+    )
+
+
+@pytest.fixture
+def book():
+    made = RobotBook("r1")
+    for tick in range(200):
+        made.take(state(tick), 0.05 * tick)
+    return made
+
+
+def test_a_change_is_told_with_the_error_before_and_after(book):
+    for tick in range(0, 100, 20):
+        book.take(finding(tick, "candidates", 0.5, number=1), 1.0)
+    book.take(model(100, "offer"), 1.0)
+    book.take(model(101, "take"), 1.0)
+    for tick in range(120, 200, 20):
+        book.take(finding(tick, error=0.1), 1.0)
+    assert book.before == 0.5
+    assert "−80 %" in error_bars(book)
+    assert "change 1, model bbbb is taken by ann: accept" in change_lines(book)
+    assert [mark.kind for mark in book.marks].count("model") == 2
+    for figure in (error_figure(book, LIGHT), evidence_figure(book, LIGHT), field_figure(book, LIGHT)):
+        assert json.loads(json.dumps(figure, allow_nan=False))
+
+
+def test_a_robot_that_starts_anew_begins_a_new_page(book):
+    book.take(finding(20, "candidates", number=1, report=json.dumps(REPORT)), 1.0)
+    book.take(state(0, epoch=2), 2.0)
+    assert (book.finding, book.report, len(book.path)) == (None, None, 1)
+
+
+def test_a_waiting_robot_that_repeats_itself_draws_one_point(book):
+    before = len(book.path)
+    book.take(state(199), 20.0)
+    assert len(book.path) == before
+
+
+def test_silence_is_said(book):
+    assert "No diagnosis is heard" in book.silence(10.0)
+    book.take(finding(199), 10.0)
+    book.seen = 10.0
+    assert book.silence(11.0) == ""
+    book.seen = 20.0
+    assert "diagnosis is silent since 10 s" in book.silence(20.0)
+    assert "heard last 15 s ago" in book.silence(35.0)
+
+
+def test_services_with_different_models_are_named(book):
+    for service, fingerprint in (("policy", "aaaa"), ("safety_filter", "aaaa"), ("adaptation", "aaaa")):
+        book.take(HealthMessage(**stamp(1), service=service, pid=1, state="running", model=fingerprint), 1.0)
+    assert book.mismatch() == ""
+    book.take(TakeoverMessage(**stamp(2), service="policy", change=1, fingerprint="bbbb", state="taken"), 1.0)
+    assert "policy bbbb" in book.mismatch()
+    refusal = TakeoverMessage(**stamp(3), service="policy", change=2, fingerprint="cccc", state="refused", reason="bad")
+    book.take(refusal, 1.0)
+    assert "policy refuses change 2: bad" in change_lines(book)
+
+
+@pytest.mark.parametrize("report", ["no json", "[]", '{"candidates": 3}'])
+def test_a_report_that_is_none_is_said_and_left_out(book, report):
+    book.take(finding(20, "candidates", number=1, report=report), 1.0)
+    assert book.report is None
+    assert "a report that is none" in book.troubles[-1]
+
+
+def test_cards_show_what_can_be_read_and_name_the_rest():
+    cards, experiment = live_cards("car", REPORT, ("towed_load", "payload", "own_effect"))
+    assert [card.effect for card in cards] == ["towed_load", "payload", "own_effect"]
+    assert cards[0].decision == "accepted"
+    assert cards[0].equals == ("payload",)
+    assert any("0.6 → 0.1" in line for line in cards[0].speaks_for)
+    assert cards[1].numbers == ()
+    assert "coast down" in experiment
+    assert live_cards("car", None, ()) == ([], "")
+
+
+def test_the_link_tells_answers_their_absence_and_nonsense_in_words():
+    broker = MemoryBroker()
+    link = LiveLink(Bus(MemoryTransport(broker), "fleet"))
+    other = MemoryTransport(broker)
+    told = asyncio.run(link.ask("r1", Request(do="status")))
+    assert not told.ok
+    assert "No diagnosis answers" in told.sentence
+    other.answer("safedpa/fleet/r1/request", lambda _key, _payload: b"\xc1 nonsense")
+    told = asyncio.run(link.ask("r1", Request(do="status")))
+    assert "an answer that is none" in told.sentence
+    sender = Bus(other, "fleet")
+    sender.answer_requests(lambda robot, request: Answer(ok=True, sentence=f"{robot} {request.do}"), "r2")
+    assert asyncio.run(link.ask("r2", Request(do="status"))).sentence == "r2 status"
+
+
+def test_garbage_on_the_bus_is_counted_and_robots_appear_with_their_states():
+    broker = MemoryBroker()
+    link = LiveLink(Bus(MemoryTransport(broker), "fleet"))
+    sender = MemoryTransport(broker)
+    robot = Bus(sender, "fleet")
+    sender.put("safedpa/fleet/r1/state", b"\x00garbage", never_drop=False)
+    robot.publish(FINDING, "r9", finding(1))
+    link.listen()
+    assert link.book.refused == 1
+    assert link.book.robots == {}
+    robot.publish(STATE, "r1", state(1))
+    link.listen()
+    sender.put("safedpa/fleet/r1/finding", b"\x00garbage", never_drop=False)
+    link.listen()
+    assert list(link.book.robots) == ["r1"]
+    assert "refused" in link.book.robots["r1"].troubles[-1]
+
+
+SERVER = """
+import json, sys, threading, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from live_messages import finding, model, state, REPORT
+from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
+from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.server import serve
+
+broker = MemoryBroker()
+bus, robot = Bus(MemoryTransport(broker), "fleet"), Bus(MemoryTransport(broker), "fleet")
+asked = []
+
+def answer(name, request):
+    if request.do == "status":
+        left = () if "accept" in asked else ("towed_load",)
+        return Answer(ok=True, sentence="the model is the one that the robot began with", candidates=left)
+    if request.model != "aaaa" or request.finding != 1:
+        return Answer(ok=False, sentence="refused: another model")
+    asked.append(request.do)
+    robot.publish(MODEL, "r1", model(tick[0], "take"))
+    return Answer(ok=True, sentence=f"change 1 is offered to {request.who}")
+
+tick = [0]
+def drive():
+    while True:
+        tick[0] += 1
+        robot.publish(STATE, "r1", state(tick[0]))
+        if tick[0] % 20 == 0:
+            done = "accept" in asked
+            message = finding(tick[0], "watching", 0.1) if done else finding(
+                tick[0], "candidates", 0.5, json.dumps(REPORT), 1)
+            robot.publish(FINDING, "r1", message)
+        time.sleep(0.01)
+
+robot.answer_requests(answer)
+threading.Thread(target=drive, daemon=True).start()
+serve(Choice(), Path(sys.argv[1]), "127.0.0.1", int(sys.argv[2]), browser=False, bus=bus)
+"""
+
+
+@pytest.mark.browser
+@pytest.mark.processes
+def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
+    source = Path(__file__).read_text(encoding="utf-8")
+    start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
+    header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage\n\n"
+    (tmp_path / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
+    environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+    command = [sys.executable, "-c", SERVER, str(tmp_path), str(free_port)]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    try:
+        assert "/live" in server.stdout.readline()
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        hosts, complaints = set(), []
+        page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
+        page.on("console", lambda message: complaints.append(message.text))
+        page.goto(f"http://127.0.0.1:{free_port}/live")
+        page.wait_for_selector(".candidate.open >> text=Accept", timeout=60_000)
+        assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
+        page.keyboard.press("a")
+        page.wait_for_selector("text=/change 1 is offered to/", timeout=20_000)
+        page.wait_for_selector("text=−80 % since the change", timeout=30_000)
+        assert page.locator(".candidate").count() == 0
+        assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+        page.close()
+        assert hosts == {f"127.0.0.1:{free_port}"}
+        assert complaints == []
+    finally:
+        server.send_signal(signal.SIGINT)
+        try:
+            server.wait(20)
+        finally:
+            server.kill()
+            server.wait()
+            server.stdout.close()
