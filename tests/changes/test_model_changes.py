@@ -88,6 +88,27 @@ def test_an_answer_for_another_model_is_no_answer(fleet: Any) -> None:
     assert fleet.models == {"first"}
 
 
+def test_a_late_answer_to_a_change_that_was_dropped_does_not_count_for_the_next(fleet: Any) -> None:
+    late: list[TakeoverMessage] = []
+
+    def away(message: Any) -> int:
+        if getattr(message, "service", "") != "policy":
+            return 1
+        late.append(message)
+        return 0
+
+    fleet.deliver = away
+    fleet.ask("accept", "drag")
+    fleet.turn(100)
+    fleet.ask("accept", "drag")
+    fleet.turn(3)
+    assert [(message.change, message.state) for message in late] == [(1, "ready"), (2, "ready")]
+    fleet.changes.hear(late[0])
+    fleet.turn(100)
+    assert steps(fleet) == ["offer", "drop"] * 2
+    assert fleet.models == {"first"}
+
+
 def test_roll_back_returns_to_the_version_before_and_no_further(fleet: Any) -> None:
     fleet.ask("accept", "drag")
     fleet.turn(30)
