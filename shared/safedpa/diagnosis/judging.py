@@ -12,7 +12,7 @@ from safedpa.diagnosis.heldout import HeldoutError
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, likeness
 
-__all__ = ["SIMPLER", "Stage", "inside", "judged", "likely", "passes", "preferred", "with_reason"]
+__all__ = ["MOST_MISSING", "SIMPLER", "Stage", "inside", "judged", "likely", "passes", "preferred", "with_reason"]
 
 SURE = 3.0
 """Standard errors of gain on unseen blocks that an addition needs, together with FALL."""
@@ -24,6 +24,8 @@ LITTLE_FALL = 0.004
 LIKELY = 1.5
 """Standard errors that do with FALL where the filter along whole recordings is certain: it knows lasting disturbances,
 so it sees what grows over a run, where blocks are too unlike each other to agree."""
+MOST_MISSING = 0.5
+"""Held-out rollout error, in units of the change over the horizon, from which most of the physics is missing."""
 SAME = 1.0
 """Standard errors within which two candidates cannot be told apart."""
 SIMPLER = 2.0
@@ -66,9 +68,10 @@ def likely(trial: Trial, stage: Stage, before: HeldoutError) -> bool:
     return error is not None and gain > LIKELY and error.value < (1.0 - FALL) * before.value
 
 
-def preferred(trials: Sequence[Trial], shooting: Shooting, null: Trial) -> Trial | None:
+def preferred(trials: Sequence[Trial], search: Search) -> Trial | None:
     """The best trial, or the simplest of those that cannot be told from it with certainty."""
-    better = [trial for trial in trials if trial.loss < null.loss and inside(trial, null)]
+    shooting = search.shooting
+    better = [trial for trial in trials if trial.loss < search.current.loss and inside(trial, search)]
     if not better:
         return None
     close = [trial for trial in better[:8] if block_gain(trial, better[0], shooting) < SIMPLER]
@@ -77,9 +80,12 @@ def preferred(trials: Sequence[Trial], shooting: Shooting, null: Trial) -> Trial
     return next(trial for trial in close if len(trial.fit.paths) == fewest)
 
 
-def inside(trial: Trial, null: Trial) -> bool:
-    """Whether none of its own parameters was pushed to a bound: what fits only there is something else."""
-    return bool(trial.fit.free[len(null.fit.paths) :].all())
+def inside(trial: Trial, search: Search) -> bool:
+    """Whether none of its own parameters was pushed to a bound: what fits only there is something else.
+
+    While MOST_MISSING, a bound is no proof of that: the next effects move the number back inside.
+    """
+    return search.error.value > MOST_MISSING or bool(trial.fit.free[len(search.current.fit.paths) :].all())
 
 
 def judged(search: Search, stage: Stage, trial: Trial, best: Trial | None, passed: bool) -> Judged:

@@ -17,7 +17,7 @@ from safedpa.diagnosis.judging import SIMPLER, passes, with_reason
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
-__all__ = ["exchange", "removals"]
+__all__ = ["bounded", "exchange", "removals"]
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
@@ -100,6 +100,20 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         _left_over(search, heldout)
 
 
+def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Accepted effects that still stand at a bound of a parameter are taken out: what fits only there is something
+    else."""
+    by_name = {item.name: item for item in library}
+    fitted = search.current.fit
+    held = {path.split(".")[0] for path, free in zip(fitted.paths, fitted.free, strict=True) if not free}
+    group = [name for name in search.added if name in held]
+    if group:
+        search.added = [name for name in search.added if name not in group]
+        search.current = _refit(search, [by_name[name] for name in search.added])
+        search.error = error_with(search.current.fit, search.shooting, heldout)
+        _take_back(search, group, "fits only at a bound")
+
+
 def _left_over(search: Search, heldout: Heldout) -> None:
     """What removals leave has to pass by itself: a pair may be confirmed of which one part alone would not be."""
     null = _refit(search, [])
@@ -124,10 +138,10 @@ def _groups(search: Search) -> list[tuple[str, ...]]:
     return [*singles, *found]
 
 
-def _take_back(search: Search, group: Sequence[str]) -> None:
+def _take_back(search: Search, group: Sequence[str], why: str = "no longer needed beside the others") -> None:
     for index, item in enumerate(search.candidates):
         gone = set(group) & set(item.trial.effects)
         if item.decision == "accepted" and gone:
             decision = "rejected" if gone == set(item.trial.effects) else "accepted"
-            reason = f"{' and '.join(sorted(gone))} no longer needed beside the others"
+            reason = f"{' and '.join(sorted(gone))} {why}"
             search.candidates[index] = with_reason(item, decision, reason)

@@ -15,10 +15,10 @@ from safedpa.diagnosis.final_numbers import with_final_numbers
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.judging import Stage, inside, judged, likely, preferred
+from safedpa.diagnosis.judging import MOST_MISSING, Stage, inside, judged, likely, preferred
 from safedpa.diagnosis.pairs import pairs_of
 from safedpa.diagnosis.patch import Patch, best_patch
-from safedpa.diagnosis.revision import exchange, removals
+from safedpa.diagnosis.revision import bounded, exchange, removals
 from safedpa.diagnosis.second_opinion import agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
@@ -57,6 +57,8 @@ def searched(
             break
     exchange(search, library, heldout)
     removals(search, library, heldout)
+    if search.first_error.value > MOST_MISSING:
+        bounded(search, library, heldout)
     if library:
         final, search.error = with_final_numbers(search.current.fit, search.shooting, heldout)
         search.current = replace(search.current, fit=final)
@@ -99,7 +101,7 @@ def addition(
     if not passed:
         pairs = pairs_of(null, trials, rest, shooting)
         two = _stage(search, number, pairs, heldout, at_most=len(pairs))
-        good = [t for t in pairs if inside(t, null) and two.passes(t, search.error)]
+        good = [t for t in pairs if inside(t, search) and two.passes(t, search.error)]
         chosen, refused = _agreed(search, two, sorted(good, key=lambda trial: trial.loss))
         best, passed, doubted = chosen or best, chosen is not None, doubted | refused
         every = sorted([*trials, *pairs], key=lambda trial: trial.loss)
@@ -132,9 +134,9 @@ def _stage(search: Search, number: int, trials: list[Trial], heldout: Heldout, a
 
 def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool, frozenset[tuple[str, ...]]]:
     """The single effect that is to be added, or the best one; whether it passed; and what passed but is doubted."""
-    best = preferred(stage.trials, search.shooting, search.current)
+    best = preferred(stage.trials, search)
     # the one that takes most off the windows may not help over the horizon: then another that does
-    others = [t for t in stage.trials if t is not best and t.effects in stage.errors and inside(t, search.current)]
+    others = [t for t in stage.trials if t is not best and t.effects in stage.errors and inside(t, search)]
     passing = [trial for trial in ([best] if best else []) + others if stage.passes(trial, search.error)]
     chosen, doubted = _agreed(search, stage, passing)
     return chosen or best, chosen is not None, doubted
