@@ -176,6 +176,15 @@ def test_a_dropped_offer_cannot_be_taken(ticking: Ticking) -> None:
     assert ticking.node.model_of("r1") == fingerprint(CAR)
 
 
+def test_a_decision_about_another_change_is_none(ticking: Ticking) -> None:
+    ticking.node.hear("r1", offer())
+    ticking.turn()
+    ticking.node.hear("r1", decision("take", change=2))
+    assert ticking.answer()[0] == "refused"
+    ticking.turn()
+    assert ticking.node.model_of("r1") == fingerprint(CAR)
+
+
 def test_a_drop_after_the_decision_is_too_late(ticking: Ticking) -> None:
     ticking.node.hear("r1", offer())
     ticking.turn()

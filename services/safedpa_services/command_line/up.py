@@ -31,7 +31,7 @@ CONTROLLERS = ("goal_seeker", "learned", "planner")
 @click.option("--rate", type=float, default=20.0, show_default=True, help="ticks per second")
 @click.option("--lockstep", is_flag=True, help="the robot waits for each action: repeats bit for bit")
 @click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
-@click.option("--headless", is_flag=True, help="no dashboard")
+@click.option("--headless", is_flag=True, help="no dashboard and no workbench")
 @click.option(
     "--diagnosis/--no-diagnosis",
     default=None,
@@ -51,7 +51,7 @@ CONTROLLERS = ("goal_seeker", "learned", "planner")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="for recordings")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def command(**options: Any) -> None:
-    """Drive: robot, adaptation, policy, safety filter, recorder, diagnosis and dashboard, each its own process."""
+    """Drive: robot, adaptation, policy, safety filter, recorder, diagnosis, dashboard, workbench: a process each."""
     from safedpa.bus.process import Stop
     from safedpa.dynamics import load_own_everywhere
 
@@ -99,6 +99,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         filtered=not options["unfiltered"],
         dashboard=not options["headless"],
         diagnosis=_is_diagnosed(options),
+        workbench_port=_workbench_port(options),
         change=options["change"] or "",
         change_after=options["change_after"],
         model=options["model"],
@@ -116,6 +117,16 @@ def _is_diagnosed(options: dict[str, Any]) -> bool:
     if options["diagnosis"] is not None:
         return bool(options["diagnosis"])
     return not (options["lockstep"] and options["headless"])
+
+
+def _workbench_port(options: dict[str, Any]) -> int:
+    """Where the page is served; 0 where nobody looks, nothing is diagnosed, or its framework is not installed."""
+    from importlib.util import find_spec
+
+    from safedpa_services.supervisor.plan import free_port
+
+    wanted = not options["headless"] and _is_diagnosed(options) and find_spec("nicegui") is not None
+    return free_port(range(8080, 8100)) if wanted else 0
 
 
 def _controller(model: PhysicsModel, name: str | None) -> str:
@@ -159,6 +170,8 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     from safedpa_services.supervisor.screen import screen
 
     hints = [f"recording {plan.recording}", f"others join with --connect {plan.endpoint} --fleet {plan.fleet}"]
+    if plan.workbench_port:
+        hints.append(f"workbench http://127.0.0.1:{plan.workbench_port}/live")
     if plan.diagnosis:
         where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")

@@ -33,6 +33,8 @@ class Child:
     log: Path
     essential: bool = True
     """Whether the loop ends when this one cannot be brought up; one that only looks on is left out then."""
+    heartbeat: bool = True
+    """Whether it tells its health on the bus."""
     restarts: int = 0
 
     def __post_init__(self) -> None:

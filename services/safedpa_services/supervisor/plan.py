@@ -26,11 +26,6 @@ class Plan:
     lockstep: bool
     filtered: bool
     dashboard: bool
-    diagnosis: bool
-    """Whether a diagnosis runs beside the loop."""
-    change: str
-    """What changes about the robot while it drives, and after how many seconds by its clock; empty: nothing."""
-    change_after: float
     model: str
     settings: str
     margin: str
@@ -40,6 +35,14 @@ class Plan:
     endpoint: str
     """Where the supervisor's own session listens; every process connects to it and learns of the others there."""
     folder: Path
+    diagnosis: bool = False
+    """Whether a diagnosis runs beside the loop."""
+    workbench_port: int = 0
+    """Where the workbench serves its page; 0: no workbench."""
+    change: str = ""
+    """What changes about the robot while it drives; empty: nothing."""
+    change_after: float = 0.0
+    """s until then, by the robot's clock."""
 
     @property
     def recording(self) -> Path:
@@ -80,7 +83,13 @@ class Plan:
             children.append(
                 self._child("dashboard", "safedpa_services.dashboard", *model, "--settings", self.settings, *saved)
             )
+        if self.workbench_port:
+            children.append(self._workbench())
         return children
+
+    def _workbench(self) -> Child:
+        page = ("--model", self.model, "--out", str(self.folder / "workbench"), "--port", str(self.workbench_port))
+        return self._child("workbench", "safedpa_services.workbench", *page, essential=False, heartbeat=False)
 
     def robot_process(self) -> Child:
         """The robot."""
@@ -90,9 +99,9 @@ class Plan:
         options += ["--lockstep"] if self.lockstep else self._scheduling
         return self._child("robot", "safedpa_sim.robots", *options)
 
-    def _child(self, name: str, module: str, *arguments: str, essential: bool = True) -> Child:
+    def _child(self, name: str, module: str, *arguments: str, essential: bool = True, heartbeat: bool = True) -> Child:
         bus = ("--fleet", self.fleet, "--connect", self.endpoint)
-        return Child(name, module, (*arguments, *bus), self.folder / f"{name}.log", essential)
+        return Child(name, module, (*arguments, *bus), self.folder / f"{name}.log", essential, heartbeat)
 
     @staticmethod
     def new_folder(parent: Path, name: str) -> Path:
@@ -110,9 +119,14 @@ class Plan:
         raise InputError(f"{parent}: holds a hundred runs of this second; choose another --out")
 
 
-def free_port() -> int:
-    """A TCP port of the loopback interface that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+def free_port(preferred: range = range(0)) -> int:
+    """A TCP port of the loopback interface that nobody listens on now: the first free one preferred, else any."""
+    for wanted in (*preferred, 0):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", wanted))
+            except OSError:
+                continue
+            port: int = probe.getsockname()[1]
+            return port
+    raise InputError("port: got none from the operating system; end some programs that listen")

@@ -68,6 +68,8 @@ def _row(watch: Watch, child: Child) -> tuple[str | Text, ...]:
     heard = watch.health.get(child.name)
     if child.exit_code is not None:
         state = Text("ended", style="red")
+    elif not child.heartbeat:
+        state = Text("running", style="green")
     elif heard is None:
         state = Text("starting", style="yellow")
     elif watch.silent_for(child.name) > _SILENT_SECONDS:

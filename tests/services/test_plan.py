@@ -1,0 +1,122 @@
+"""Which processes a loop consists of, and which of them it cannot do without."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from safedpa_services.command_line import up
+from safedpa_services.supervisor.child import Child
+from safedpa_services.supervisor.plan import Plan, free_port
+from safedpa_services.supervisor.supervisor import Supervisor
+from safedpa_sim.robots import CHANGES
+
+
+def planned(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *options: str) -> Plan:
+    """The plan that ``safedpa up`` makes of its options; nothing is started."""
+    seen: list[Plan] = []
+    summary: dict[str, Any] = {}
+
+    def drive(plan: Plan, *_: Any, **__: Any) -> dict[str, Any]:
+        seen.append(plan)
+        return summary
+
+    monkeypatch.setattr(up, "_drive", drive)
+    result = CliRunner().invoke(up.command, ["--json", "--out", str(tmp_path), *options])
+    assert result.exception is None, result.output
+    return seen[0]
+
+
+def named(plan: Plan) -> dict[str, Child]:
+    return {child.name: child for child in plan.services()}
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        ([], True),
+        (["--headless"], True),
+        (["--lockstep"], True),
+        (["--lockstep", "--headless"], False),
+        (["--lockstep", "--headless", "--diagnosis"], True),
+        (["--no-diagnosis"], False),
+    ],
+)
+def test_the_diagnosis_runs_unless_only_a_summary_is_wanted(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, options: list[str], wanted: bool
+) -> None:
+    children = named(planned(monkeypatch, tmp_path, *options))
+    assert ("diagnosis" in children) is wanted
+    assert ("workbench" in children) is (wanted and "--headless" not in options)
+
+
+def test_only_what_drives_is_essential_and_has_priority(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    children = named(planned(monkeypatch, tmp_path, "--margin", "car"))
+    assert {name for name, child in children.items() if "--realtime" in child.arguments} == {
+        "adaptation",
+        "policy",
+        "safety_filter",
+    }
+    assert not children["diagnosis"].essential
+    assert not children["workbench"].essential
+    assert all(children[name].essential for name in ("adaptation", "policy", "safety_filter", "recorder"))
+    words = children["diagnosis"].arguments
+    for option, value in (("--margin", "car"), ("--model", "car"), ("--settings", "car")):
+        assert words[words.index(option) + 1] == value
+    assert words[words.index("--versions") + 1].endswith("/models"), "what was agreed on outlives the process"
+
+
+def test_what_changes_is_the_robot_s_affair(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert up.CHANGES == CHANGES
+    robot = planned(monkeypatch, tmp_path, "--change", "hitch", "--change-after", "12").robot_process()
+    at = robot.arguments.index("--change")
+    assert robot.arguments[at : at + 4] == ("--change", "hitch", "--change-after", "12.0")
+    assert "--change" not in planned(monkeypatch, tmp_path).robot_process().arguments
+
+
+def test_a_time_of_the_change_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    result = CliRunner().invoke(up.command, ["--change-after", "-1", "--out", str(tmp_path)])
+    assert "--change-after: got -1.0" in str(result.exception)
+
+
+def test_a_port_that_is_taken_is_not_chosen() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        number = taken.getsockname()[1]
+        assert free_port(range(number, number + 1)) != number
+    assert free_port(range(number, number + 1)) == number
+
+
+class DeadChild(Child):
+    """Ended at once with the exit code of bad input."""
+
+    started = 0
+
+    def start(self) -> None:
+        type(self).started += 1
+
+    @property
+    def exit_code(self) -> int | None:
+        return 2
+
+
+class Deaf:
+    health: dict[str, Any] = {}  # noqa: RUF012
+
+    def listen(self, wait: float) -> None:
+        del wait
+
+
+def test_a_diagnosis_that_cannot_be_brought_up_ends_nothing(tmp_path: Path) -> None:
+    child = DeadChild("diagnosis", "none", (), tmp_path / "log", essential=False)
+    robot = Child("robot", "none", (), tmp_path / "robot.log")
+    turns = iter([False] * 5 + [True] * 50)
+    supervisor = Supervisor([child], robot, Deaf(), lambda: next(turns), lambda: None)  # type: ignore[arg-type]
+    robot.start = lambda: None  # type: ignore[method-assign]
+    assert supervisor.run() == 0
+    assert DeadChild.started == 1, "it is not tried again and again"
