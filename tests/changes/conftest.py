@@ -135,6 +135,10 @@ class Fleet:
     def restart_robot(self) -> None:
         self.epoch, self.tick = self.epoch + 1, 0
 
+    def state(self) -> StateMessage:
+        self.tick += 1
+        return state_at(self.tick, self.epoch)
+
     @property
     def models(self) -> set[str]:
         return {service.model for service in self.services.values()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from safedpa.errors import InputError, RecordingError
 SERVICES = ("adaptation", "policy", "safety_filter")
 QUIET = 1500
 """Ticks without a fault after which everything must have settled: the pauses between failed repairs included."""
+SOON = 150
+"""The same where no repair fails."""
 
 
 @pytest.fixture
@@ -208,7 +211,7 @@ def test_a_service_killed_at_any_moment_ends_on_the_model_of_the_others(fleet: A
     fleet.ask("accept", "drag")
     fleet.turn(after)
     fleet.restart_service(name)
-    fleet.turn(QUIET)
+    fleet.turn(SOON)
     assert len(fleet.models) == 1
     assert fleet.models == {fleet.changes.fingerprint}
     assert all(len(set(models)) <= 2 for models in fleet.used)
@@ -226,7 +229,7 @@ def test_a_coordinator_killed_at_any_moment_leaves_one_model(
     fleet.turn(after)
     decided = "take" in steps(fleet)
     fleet.restart_coordinator()
-    fleet.turn(QUIET)
+    fleet.turn(SOON)
     assert len(fleet.models) == 1
     assert fleet.models == {fleet.changes.fingerprint}
     if kept:
@@ -257,6 +260,38 @@ def test_a_service_that_nobody_told_is_repaired(fleet: Any) -> None:
     assert fleet.models == {"print drag"}
     assert fleet.spoken[-1].why.startswith("repair, adaptation uses first")
     assert [version.fingerprint for version in fleet.changes.versions] == ["first", "print drag"]
+
+
+def test_what_a_service_said_before_the_robot_started_anew_is_no_reason_to_repair(fleet: Any) -> None:
+    old = fleet._health(fleet.services["policy"])
+    fleet.turn(30)
+    fleet.restart_robot()
+    fleet.turn(20)
+    for tick in (500, 5):
+        fleet.changes.hear(dataclasses.replace(old, epoch=1, tick=tick, model="before"))
+        assert fleet.changes.step(fleet.state()) is None
+    fleet.changes.hear(dataclasses.replace(old, epoch=2, tick=5, model="before"))
+    assert fleet.changes.step(fleet.state()) is None, "it may not have reached the tick of the change"
+    fleet.changes.hear(dataclasses.replace(old, epoch=2, tick=30, model="before"))
+    offer = fleet.changes.step(fleet.state())
+    assert offer is not None
+    assert offer.why == "repair, policy uses before"
+
+
+def test_a_repair_that_comes_to_nothing_is_tried_again_less_and_less_often(fleet: Any) -> None:
+    fleet.deliver = lambda message: 0
+    stray = dataclasses.replace(fleet._health(fleet.services["policy"]), model="before")
+    offers = []
+    for _ in range(3000):
+        state = fleet.state()
+        fleet.changes.hear(dataclasses.replace(stray, epoch=state.epoch, tick=state.tick))
+        message = fleet.changes.step(state)
+        if message is not None and message.step == "offer":
+            offers.append(state.tick)
+    pauses = [later - sooner for sooner, later in itertools.pairwise(offers)]
+    assert len(offers) == 4
+    assert pauses[0] >= 200
+    assert all(later > 1.5 * sooner for sooner, later in itertools.pairwise(pauses))
 
 
 def test_when_a_restarted_service_cannot_use_the_new_model_everyone_goes_back(fleet: Any) -> None:

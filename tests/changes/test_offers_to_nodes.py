@@ -12,6 +12,7 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, TAKEOVER, WISH, Answer, LatentMessage, ModelMessage, WishMessage
 from safedpa.bus.codec import decode, encode
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
+from safedpa.dynamics.offered import offered_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.margin_text import margin_from_text, margin_text
@@ -121,6 +122,14 @@ def test_a_document_with_another_fingerprint_is_refused(ticking: Ticking) -> Non
     assert ticking.answer() == ("refused", f"fingerprint: the document has {NEW}, the offer says 0123456789ab")
 
 
+@pytest.mark.parametrize(("document_of", "current"), [("car_fix", "car_learned"), ("car", "car_learned")])
+def test_networks_do_not_travel(document_of: str, current: str) -> None:
+    """Other weights lie in the same folder, and could be loaded; but nobody checked this change for them."""
+    model = load_model(document_of)
+    with pytest.raises(InputError, match=r"networks\.digest: got .*, the model in force has"):
+        offered_model(offer(write_model(model), fingerprint(model)), load_model(current))
+
+
 def _altered(**changes: Any) -> str:
     return json.dumps({**json.loads(margin_text(GOOD_MARGIN)), **changes})
 
@@ -174,6 +183,23 @@ def test_a_dropped_offer_cannot_be_taken(ticking: Ticking) -> None:
     ticking.node.hear("r1", decision("take"))
     assert ticking.answer() == ("refused", "it was not offered before, or not to this process")
     assert ticking.node.model_of("r1") == fingerprint(CAR)
+
+
+def _memory_of(node: Any) -> Any:
+    """What the node would lose if it began anew with the robot."""
+    if isinstance(node, PolicyNode):
+        return node._controllers["r1"]
+    return getattr(node._robots["r1"], "estimator", None) or node._robots["r1"].filter
+
+
+def test_a_repair_of_others_disturbs_nobody_who_has_the_model_already(ticking: Ticking) -> None:
+    ticking.node.hear("r1", offer(write_model(CAR), fingerprint(CAR), ""))
+    before = _memory_of(ticking.node)
+    assert ticking.answer() == ("ready", "")
+    take = dataclasses.replace(decision("take"), fingerprint=fingerprint(CAR))
+    ticking.node.hear("r1", take)
+    assert ticking.answer() == ("taken", "")
+    assert _memory_of(ticking.node) is before
 
 
 def test_a_decision_about_another_change_is_none(ticking: Ticking) -> None:
