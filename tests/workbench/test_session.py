@@ -205,6 +205,27 @@ def test_saving_writes_the_model_with_final_numbers(searched, plain, runs, tmp_p
     assert not (tmp_path / "out" / "margin.toml").exists()
 
 
+def test_the_rerun_recording_begins_at_the_chosen_start(searched, tmp_path):
+    from rerun.chunk import RrdReader
+
+    from safedpa_services.workbench.rerun_view import write_view
+
+    searched.add(searched.settled("quadratic_drag"))
+    searched.start = 42
+    write_view(searched, tmp_path / "view.rrd")
+    rows: dict[str, int] = {}
+    begins: list[float] = []
+    for chunk in RrdReader(tmp_path / "view.rrd").stream():
+        rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
+        times = chunk.to_record_batch().to_pydict().get("t", [])
+        begins += [time.total_seconds() for time in times]
+    for name in ("measured", "given_model", "with_quadratic_drag"):
+        assert rows[f"/states/speed/{name}"] > 100
+        assert f"/plane/{name}" in rows
+    windows = searched.comparison.windows
+    assert min(begins) == pytest.approx(float(windows.time[windows.start[42]]))
+
+
 def test_a_folder_that_cannot_be_written_to_is_refused(versions, plain, runs, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(InputError, match="choose another folder"):

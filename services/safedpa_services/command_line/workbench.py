@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -32,20 +33,14 @@ __all__ = ["command"]
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the web page; default: 8080 or the next free one.")
 @click.option("--fleet", help="Watch the robots of this fleet live.")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="Where their bus listens, as 'safedpa up' tells.")
+@click.option(
+    "--pictures",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Take pictures of the page by a headless Chromium, write them there and end.",
+)
 @click.option("--no-browser", is_flag=True, help="Open no browser.")
-def command(
-    model: str,
-    runs: tuple[str, ...],
-    columns: str | None,
-    horizon: float,
-    out: Path,
-    effects: Path | None,
-    host: str,
-    port: int | None,
-    fleet: str | None,
-    connect: tuple[str, ...],
-    no_browser: bool,
-) -> None:
+def command(**options: Any) -> None:
     """Compare MODEL with recorded RUNs on a web page, see where it fails, add what it lacks, watch the error fall.
 
     Without arguments the page asks for model and recordings; with --fleet or --connect it watches driving robots as
@@ -58,20 +53,42 @@ def command(
 
     if importlib.util.find_spec("nicegui") is None:
         raise SafedpaError("workbench: NiceGUI is not installed; say: pip install 'safedpa[workbench]'")
+    if options["effects"] is not None:
+        load_own_everywhere(options["effects"])
+    if options["pictures"] is not None:
+        _take_pictures(options)
+    else:
+        _serve(options)
+
+
+def _serve(options: dict[str, Any]) -> None:
     from safedpa_services.workbench.recordings import Choice
     from safedpa_services.workbench.server import chosen_port, serve
 
-    if effects is not None:
-        load_own_everywhere(effects)
-    choice, port = Choice(model, runs, columns, horizon), chosen_port(host, port)
-    if not fleet and not connect:
-        serve(choice, out, host, port, browser=not no_browser)
+    choice = Choice(options["model"], options["runs"], options["columns"], options["horizon"])
+    host, out, browser = options["host"], options["out"], not options["no_browser"]
+    port = chosen_port(host, options["port"])
+    if not options["fleet"] and not options["connect"]:
+        serve(choice, out, host, port, browser=browser)
         return
     import os
 
     from safedpa.bus import Bus, ZenohSettings, ZenohTransport
 
     os.nice(10)  # the loop that it looks at comes first
-    settings = ZenohSettings("client" if connect else "peer", connect=connect)
-    with Bus(ZenohTransport(settings), fleet or "fleet") as bus:
-        serve(choice, out, host, port, browser=not no_browser, bus=bus)
+    settings = ZenohSettings("client" if options["connect"] else "peer", connect=options["connect"])
+    with Bus(ZenohTransport(settings), options["fleet"] or "fleet") as bus:
+        serve(choice, out, host, port, browser=browser, bus=bus)
+
+
+def _take_pictures(options: dict[str, Any]) -> None:
+    """This very command once more, behind a headless browser."""
+    from safedpa_services.workbench.pictures import take_pictures
+
+    live = bool(options["fleet"] or options["connect"])
+    arguments = [options["model"], *options["runs"]] if options["model"] else []
+    for name in ("columns", "horizon", "out", "effects", "fleet"):
+        arguments += [f"--{name}", str(options[name])] if options[name] is not None else []
+    arguments += [item for endpoint in options["connect"] for item in ("--connect", endpoint)]
+    for path in take_pictures(arguments, options["pictures"], live=live):
+        click.echo(str(path))

@@ -18,6 +18,8 @@ KEYS = {
     "c or Escape": "clear the selection",
     "w": "start the prediction where the error is largest",
     "←, →": "previous, next start",
+    "r": "the same in Rerun's viewer, at the same moment (live page: back to recordings)",
+    "l": "the robots that drive now, where the page is connected to their bus",
     "o": "open a model and recordings",
     "d": "dark or light page",
     "?": "this list",

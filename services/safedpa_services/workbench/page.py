@@ -23,6 +23,7 @@ from safedpa_services.workbench.panel_fall import FallPanel
 from safedpa_services.workbench.panel_path import PathPanel
 from safedpa_services.workbench.panel_where import WherePanel
 from safedpa_services.workbench.recordings import Choice, loaded
+from safedpa_services.workbench.rerun_view import RerunDoor
 from safedpa_services.workbench.saving import saved
 from safedpa_services.workbench.session import Session
 from safedpa_services.workbench.worker import StoppedError, Worker
@@ -33,8 +34,8 @@ __all__ = ["Page"]
 class Page:
     """What one browser tab shows; its process ends with it."""
 
-    def __init__(self, choice: Choice, out: Path, *, live: bool = False) -> None:
-        self._choice, self._out, self._live = choice, out, live
+    def __init__(self, choice: Choice, out: Path, door: RerunDoor, *, live: bool = False) -> None:
+        self._choice, self._out, self._door, self._live = choice, out, door, live
         self._session: Session | None = None
         self._given: PhysicsModel | None = None
         self._worker = Worker()
@@ -49,6 +50,7 @@ class Page:
             with ui.element("header").classes("top"):
                 text("safedpa workbench", tag="h1")
                 self._what = text("", "what")
+                action("Rerun", self._rerun, "r", hint="what is shown here, in Rerun's viewer at the same moment")
                 action("Open", self._ask, "o", hint="choose a model and recordings")
                 if self._live:
                     action("Live", lambda: ui.navigate.to("/live"), "l", hint="the robots that drive now")
@@ -203,6 +205,17 @@ class Page:
         ui.notify(said, type="positive", timeout=12000, multi_line=True, close_button="Close")
         self._look_for_more()
 
+    async def _rerun(self) -> None:
+        if self._session is None:
+            return
+        try:
+            origin = await ui.run_javascript("window.location.origin", timeout=5.0)
+            address = await self._door.open(self._session, str(origin))
+        except (SafedpaError, TimeoutError) as error:
+            ui.notify(str(error), type="negative", multi_line=True)
+            return
+        ui.navigate.to(address, new_tab=True)
+
     # looking
 
     def _start_at(self, window: int) -> None:
@@ -294,6 +307,7 @@ class Page:
             "Escape": lambda: self._select(None),
             "f": self._look_for_more,
             "o": self._ask,
+            "r": self._rerun,
             "d": self._toggle_dark,
             "?": show_keys,
             **({"l": lambda: ui.navigate.to("/live")} if self._live else {}),

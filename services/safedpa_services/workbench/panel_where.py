@@ -41,8 +41,8 @@ class WherePanel:
         self._session: Session | None = None
         with panel(2, "Where it fails"):
             with ui.element("div").classes("row tight"):
-                self._x = self._choice("across")
-                self._y = self._choice("up")
+                self._x = self._choice("across", "→")
+                self._y = self._choice("up", "↑")
                 action("Worst cell", self.worst, "m", hint="select the cell of the map with the largest error")
                 action("Clear", lambda: on_brush(None), "c", hint="clear the selection")
             self._map = ui.plotly({"data": []}).classes("grow")
@@ -55,8 +55,8 @@ class WherePanel:
             self._time.on("plotly_selected", self._boxed_time, js_handler=_RANGE)
             self._time.on("plotly_click", lambda e: on_moment(float(e.args["x"])), js_handler=_POINT)
 
-    def _choice(self, title: str) -> ui.select:
-        box = ui.select([], on_change=self._chosen).props(f'dense outlined options-dense prefix="{title}:"')
+    def _choice(self, title: str, sign: str) -> ui.select:
+        box = ui.select([], on_change=self._chosen).props(f'dense outlined options-dense prefix="{sign}"')
         return named(box.classes("axis-choice flat"), f"variable {title}")
 
     def _chosen(self) -> None:

@@ -18,6 +18,7 @@ from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_page import LivePage
 from safedpa_services.workbench.page import Page
 from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.rerun_view import RerunDoor
 
 __all__ = ["DEFAULT_PORT", "chosen_port", "serve"]
 
@@ -34,11 +35,12 @@ def serve(
     """Serves the page until it is interrupted or ``stop``; with a bus the live page as well."""
     style = (files("safedpa_services.workbench") / "page.css").read_text(encoding="utf-8")
     link = None if bus is None else LiveLink(bus)
+    door = RerunDoor()
 
     @ui.page("/", title="safedpa workbench")
     async def recordings(client: Client) -> None:
         ui.add_css(style)
-        page = Page(choice, out, live=link is not None)
+        page = Page(choice, out, door, live=link is not None)
         client.on_delete(page.close)
         await client.connected()
         await page.begin()

@@ -1,0 +1,153 @@
+"""What the page shows as a Rerun recording that begins at the chosen start, and the viewer for it, served from here."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import tempfile
+import urllib.parse
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fastapi import Response
+from fastapi.responses import FileResponse
+from nicegui import app
+
+from safedpa.diagnosis.rollout import rollout
+from safedpa.diagnosis.where import PLACE
+from safedpa.diagnosis.windows import Floats, Windows
+from safedpa.errors import RecordingError
+from safedpa_services.workbench.session import Session
+
+__all__ = ["RerunDoor", "write_view"]
+
+_SECONDS = 20.0
+"""That are played from the chosen start on."""
+_TIME_LINE = "t"
+_COLOURS = ((216, 94, 0), (138, 148, 160), (0, 114, 178))
+"""Of the given version, those between, the present one; of Okabe and Ito."""
+_MEASURED = (200, 200, 200)
+_POLICY = (
+    "default-src 'self' blob: data:; script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:; "
+    "style-src 'self' 'unsafe-inline'; connect-src 'self' blob: data:; worker-src 'self' blob:"
+)
+"""Of the viewer's page: the browser refuses every other host, which the viewer would ask for news and fonts."""
+
+
+def write_view(session: Session, path: Path) -> None:
+    """Writes measured and predicted states of the chosen run, from the chosen start on, started anew each horizon.
+
+    The time line is the run's own time; its first moment is the chosen start. Raises RecordingError when the file
+    cannot be written.
+    """
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    windows = _from_start(session)
+    stream = rr.RecordingStream("safedpa workbench")
+    try:
+        stream.set_sinks(rr.FileSink(path))
+    except (RuntimeError, ValueError, OSError) as error:
+        raise RecordingError(f"{path}: cannot be written ({error}); choose another folder with --out") from error
+    panels: list[Any] = [rrb.TimeSeriesView(origin=f"states/{v.name}", name=v.name) for v in windows.system.state]
+    if set(PLACE) <= set(windows.system.state_names):
+        panels.insert(0, rrb.Spatial2DView(origin="plane", name="plane"))
+    time = rrb.TimePanel(timeline=_TIME_LINE, play_state="paused")
+    around = rrb.SelectionPanel(state="collapsed"), rrb.BlueprintPanel(state="collapsed")
+    stream.send_blueprint(rrb.Blueprint(rrb.Grid(*panels), time, *around))
+    rows = [np.arange(start, end + 1) for start, end in zip(windows.start, windows.end, strict=True)]
+    at = np.concatenate(rows)
+    _log(stream, "measured", windows, windows.states[at], at, _MEASURED)
+    for number, version in enumerate(session.versions):
+        predicted = rollout(version.model, windows)
+        states = np.concatenate([predicted[: len(part), index] for index, part in enumerate(rows)])
+        colour = _COLOURS[2] if number == session.number else _COLOURS[min(number, 1)]
+        _log(stream, version.label.replace("+", "with").replace(" ", "_"), windows, states, at, colour)
+    stream.flush(timeout_sec=10.0)
+    stream.disconnect()  # closes the file
+
+
+def _from_start(session: Session) -> Windows:
+    """Windows of one horizon each, one after the other, from the chosen start on; no later than the stretch's end."""
+    windows = session.comparison.windows
+    first = session.start
+    begin, run = windows.begin[first], windows.run[first]
+    kept = [first]
+    for index in range(first + 1, len(windows)):
+        same = windows.begin[index] == begin and windows.run[index] == run
+        late = windows.time[windows.start[index]] - windows.time[windows.start[first]] > _SECONDS
+        if same and not late and windows.start[index] >= windows.end[kept[-1]]:
+            kept.append(index)
+    return windows.select(np.array(kept, dtype=np.int64))
+
+
+def _log(stream: Any, name: str, windows: Windows, states: Floats, at: Any, colour: tuple[int, int, int]) -> None:
+    import rerun as rr
+
+    time = rr.TimeColumn(_TIME_LINE, duration=windows.time[at])
+    for index, state in enumerate(windows.system.state):
+        path = f"states/{state.name}/{name}"
+        stream.log(path, rr.SeriesLines(colors=[colour], names=[name], widths=[2.0]), static=True)
+        stream.send_columns(path, [time], rr.Scalars.columns(scalars=states[:, index]))
+    if set(PLACE) <= set(windows.system.state_names):
+        place = [windows.system.state_names.index(key) for key in PLACE]
+        points = states[:, place] * np.array([1.0, -1.0])  # the viewer counts y downwards
+        ends = np.cumsum([step + 1 for step in windows.steps.tolist()])[:-1]
+        stream.log(f"plane/{name}", rr.LineStrips2D(np.split(points, ends), colors=[colour], radii=0.02), static=True)
+        dots = rr.Points2D.columns(positions=points, colors=[colour] * len(points), radii=[0.05] * len(points))
+        stream.send_columns(f"plane/{name}/now", [time], dots)
+
+
+class RerunDoor:
+    """Serves Rerun's own web viewer under this page's address, and the recordings that were written for it."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="safedpa-workbench-")
+        self._viewer = ""
+        app.on_shutdown(self._folder.cleanup)
+        app.get("/rerun/recordings/{name}", include_in_schema=False)(self._recording)
+        app.get("/rerun/{name:path}", include_in_schema=False)(self._file)
+
+    async def open(self, session: Session, origin: str) -> str:
+        """Writes the recording; returns the address at which the viewer shows it."""
+        name = f"{secrets.token_hex(8)}.rrd"
+        await asyncio.to_thread(write_view, session, Path(self._folder.name) / name)
+        if not self._viewer:
+            self._viewer = await asyncio.to_thread(_start_viewer)
+        recording = urllib.parse.quote(f"{origin}/rerun/recordings/{name}", safe="")
+        return f"/rerun/?url={recording}"
+
+    async def _recording(self, name: str) -> Response:
+        path = Path(self._folder.name) / Path(name).name
+        return FileResponse(path) if path.is_file() else Response(status_code=404)
+
+    async def _file(self, name: str) -> Response:
+        if not self._viewer or ".." in name:
+            return Response(status_code=404)
+        address = f"{self._viewer}/{urllib.parse.quote(name)}"
+        try:
+            content, kind = await asyncio.to_thread(_fetched, address)
+        except OSError:
+            return Response(status_code=404)
+        # said to be encoded already: to compress 40 MB would hold up every page for seconds
+        headers = {"Content-Security-Policy": _POLICY, "Content-Encoding": "identity"}
+        return Response(content, media_type=kind, headers=headers)
+
+
+def _start_viewer() -> str:
+    import socket
+
+    import rerun as rr
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    rr.serve_web_viewer(web_port=port, open_browser=False)
+    return f"http://127.0.0.1:{port}"
+
+
+def _fetched(address: str) -> tuple[bytes, str]:
+    with urllib.request.urlopen(address, timeout=20) as answer:
+        return answer.read(), answer.headers.get("Content-Type", "application/octet-stream")
