@@ -50,6 +50,17 @@ def test_nothing_is_carried_across_a_gap_or_a_state_that_cannot_be_believed(car,
         assert not any(item.start <= 50 <= item.end for item in ended)
 
 
+def test_a_robot_with_another_period_is_predicted_with_its_own(car):
+    running, state = Forecasts(car, 1.0, period=0.02), np.array([0.0, 0.0, 0.3, 1.0])
+    action = np.array([1.5, 0.1])
+    memory, ended = car.initial_memory(action), []
+    for tick in range(160):
+        ended += running.observe(tick, state, action, None)
+        state, memory = car.advance(state, action, memory, period=0.02)
+    assert {item.end - item.start for item in ended} == {50}
+    assert all(item.predicted == pytest.approx(item.measured, abs=1e-9) for item in ended)
+
+
 def test_a_horizon_of_one_period_is_refused(car):
     with pytest.raises(InputError, match="two periods"):
         Forecasts(car, 0.05)

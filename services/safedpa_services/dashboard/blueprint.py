@@ -40,14 +40,14 @@ def _tab(name: str, scene: Scene, look: Look) -> Any:
     origin = str(rr.new_entity_path(["robots", name]))
     left = rrb.Vertical(
         _world(origin, scene),
-        rrb.TextLogView(origin=f"{origin}/log", name="changes of the verdict", columns=_LOG_COLUMNS),
+        rrb.TextLogView(origin=f"{origin}/log", name="what changed", columns=_LOG_COLUMNS),
         row_shares=[4.2, 1],
     )
     middle = rrb.Vertical(
         _curves(f"{origin}/barrier", "h: now blue, predicted orange, margin pink", legend=False),
         *[_action(origin, variable) for variable in look.system.action],
         _lanes(f"{origin}/verdict", "verdict, diagnosis, model"),
-        row_shares=[1.3, *(1.3 for _ in look.system.action), 1.3],
+        row_shares=[1.2, *(1.2 for _ in look.system.action), 1.6],
     )
     right = rrb.Vertical(
         _curves(f"{origin}/latent", "latent, with one sigma"),

@@ -60,8 +60,9 @@ class _Adopted:
 class RobotDiagnosis:
     """Follows one robot; ``observe`` once a tick. The work that takes seconds goes to the worker.
 
-    ``document`` is the text of the model file in force, ``folder`` where the weights of a learned one are; ``number``
-    that of the robot's last finding, before it started anew.
+    ``document`` is the text of the model file in force, ``folder`` where the weights of a learned one are; ``period``
+    [s] that of the robot's ticks, by default the model's; ``number`` that of the robot's last finding, before it
+    started anew.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class RobotDiagnosis:
         worker: AbstractWorker,
         *,
         folder: Path | None = None,
+        period: float | None = None,
         horizon: float = 1.0,
         number: int = 0,
     ) -> None:
@@ -82,8 +84,9 @@ class RobotDiagnosis:
         model = parse_model(document, folder)
         self.fingerprint = fingerprint(model)
         """Of the model in force."""
-        self.watch = Watch(model, horizon)
-        self.history = History(model.system, model.period)
+        self._period = model.period if period is None else period
+        self.watch = Watch(model, horizon, period=self._period)
+        self.history = History(model.system, self._period)
         self.number = number
         """Of the newest finding; they are counted over all drives of the robot."""
         self._finding: _Finding | None = None
@@ -116,14 +119,14 @@ class RobotDiagnosis:
         model = parse_model(document, self._folder)
         self._adopted = _Adopted(self.time, self.watch.error)
         self._document, self.fingerprint = document, fingerprint(model)
-        self.watch = Watch(model, self._horizon, self.watch.scale)
+        self.watch = Watch(model, self._horizon, self.watch.scale, self._period)
         for tick, state, applied in self.history.last(_REPLAYED * self._horizon):
             self.watch.observe(tick, state, applied, None)
         self._close()
 
     def dismiss(self) -> None:
         """What was found is not wanted: how the model errs now is what is usual from here on."""
-        self.watch = Watch(self.watch.model, self._horizon, self.watch.scale)
+        self.watch = Watch(self.watch.model, self._horizon, self.watch.scale, self._period)
         self._close()
 
     def pause(self) -> None:

@@ -65,13 +65,17 @@ class _Last:
 
 @final
 class Forecasts:
-    """Follows one robot. Raises InputError for a horizon shorter than two periods of the model."""
+    """Follows one robot with a tick every ``period`` [s], by default the model's.
 
-    def __init__(self, model: PhysicsModel, horizon: float = 1.0) -> None:
+    Raises InputError for a horizon shorter than two periods.
+    """
+
+    def __init__(self, model: PhysicsModel, horizon: float = 1.0, period: float | None = None) -> None:
         self._model = model
-        self.steps = round(horizon / model.period)
+        self._period = model.period if period is None else period
+        self.steps = round(horizon / self._period)
         if self.steps < 2:
-            raise InputError(f"horizon: got {horizon} s, wanted at least two periods of {model.period:g} s")
+            raise InputError(f"horizon: got {horizon} s, wanted at least two periods of {self._period:g} s")
         self._last: _Last | None = None
 
     def observe(self, tick: int, state: Vector, applied: Vector, latent: Vector | None) -> list[Forecast]:
@@ -96,7 +100,7 @@ class Forecasts:
         change = np.zeros(len(applied)) if last.action is None else np.abs(applied - last.action)
         ended = []
         for own in last.running:
-            own.state, own.memory = model.advance(own.state, applied, own.memory, own.latent)
+            own.state, own.memory = model.advance(own.state, applied, own.memory, own.latent, period=self._period)
             own.summed = own.summed + applied
             own.variation = own.variation + change
             if tick - own.start >= self.steps:
@@ -104,7 +108,9 @@ class Forecasts:
                 ended.append(Forecast(own.start, tick, own.began, state, own.state, mean, own.variation))
         last.running = [own for own in last.running if tick - own.start < self.steps]
         # what the actuators remember does not depend on the state: one step of the model tells it
-        last.memory = model.advance(last.state, applied, memory, latent)[1] if memory else memory
+        if memory:
+            memory = model.advance(last.state, applied, memory, latent, period=self._period)[1]
+        last.memory = memory
         last.tick, last.state, last.action = tick, state, applied
         return ended
 

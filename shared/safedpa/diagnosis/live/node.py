@@ -87,7 +87,7 @@ class DiagnosisNode(AbstractNode):
         self._check(state)
         changes = self.changes_of(robot)
         change = changes.step(state)
-        known = self._robot(robot, changes)
+        known = self._robot(robot, changes, state.period)
         known.footprint = state.footprint
         if known.diagnosis.fingerprint != changes.version.fingerprint:
             known.diagnosis.adopt(changes.version.document)
@@ -132,11 +132,11 @@ class DiagnosisNode(AbstractNode):
             known.diagnosis.close()
             self.changes_of(robot).propose(known.diagnosis.number, {})
 
-    def _robot(self, robot: str, changes: ModelChanges) -> _Robot:
+    def _robot(self, robot: str, changes: ModelChanges, period: float) -> _Robot:
         if robot not in self._robots:
             number = self._numbers.get(robot, 0)
             diagnosis = RobotDiagnosis(
-                robot, changes.version.document, self._worker, folder=self._folder, number=number
+                robot, changes.version.document, self._worker, folder=self._folder, period=period, number=number
             )
             self._robots[robot] = _Robot(diagnosis)
         return self._robots[robot]

@@ -24,7 +24,7 @@ _LEARN = 40
 """Forecasts in which the robot moves, 20 s of them, from which the band is learned."""
 _SETTLE = 2
 """Forecasts left out at the start: actuators may remember what nobody saw."""
-_COVERED_TICKS = 400
+_COVERED_SECONDS = 20.0
 _KEPT = 80
 
 
@@ -41,20 +41,23 @@ class Decision:
 class Watch:
     """Follows one robot and one model; a new model needs a new watch.
 
-    ``scale`` (states,) is that of the watch before, so that errors of both models are told on one scale.
+    ``scale`` (states,) is that of the watch before, so that errors of both models are told on one scale; ``period`` [s]
+    that of the robot's ticks, by default the model's.
     """
 
-    def __init__(self, model: PhysicsModel, horizon: float = 1.0, scale: Vector | None = None) -> None:
+    def __init__(
+        self, model: PhysicsModel, horizon: float = 1.0, scale: Vector | None = None, period: float | None = None
+    ) -> None:
         self.model = model
         self.horizon = horizon
         self.band: Band | None = None
         """None while it is being learned."""
         self.evidence = Evidence()
-        self._forecasts = Forecasts(model, horizon)
+        self._forecasts = Forecasts(model, horizon, period)
         self._seen: deque[Forecast] = deque(maxlen=_KEPT)
         self._settling = _SETTLE
         self._judged_until = -1
-        self._covered: deque[bool] = deque(maxlen=_COVERED_TICKS)
+        self._covered: deque[bool] = deque(maxlen=round(_COVERED_SECONDS / (period or model.period)))
         self._decision: tuple[int, Decision] | None = None
         self._scale = scale
 
