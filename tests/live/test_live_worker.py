@@ -111,18 +111,19 @@ def test_a_work_ends_with_the_service_however_that_ended(tmp_path, prepare):
         "from safedpa_services.diagnosis.process_worker import ProcessWorker\n"
         "from safedpa_services.diagnosis.work_files import read_work\n"
         "worker = ProcessWorker(); worker.begin('r1', read_work(Path(sys.argv[1])))\n"
-        "print(worker.process_of('r1'), flush=True); sys.stdin.read()\n"
+        "print(worker.process_of('r1'), worker._jobs['r1'].folder, flush=True); sys.stdin.read()\n"
     )
     service = subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    pid = int(service.stdout.readline())
+    pid, folder = service.stdout.readline().split()
     service.kill()
     service.communicate()
     deadline = time.monotonic() + PATIENCE
-    while not gone(pid) and time.monotonic() < deadline:
+    while not gone(int(pid)) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert gone(pid)
+    assert gone(int(pid))
+    assert not Path(folder).exists()
 
 
 def test_the_margin_is_the_larger_one_of_everything_and_of_the_newest_half(car, prepare):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import shutil
 import sys
 import threading
 from pathlib import Path
@@ -28,12 +29,14 @@ def main() -> None:
     parser.add_argument("--settings", default="car")
     options = parser.parse_args()
     _yield_to_everyone()
-    threading.Thread(target=_watch_service, daemon=True).start()
+    writing = threading.Lock()
+    threading.Thread(target=_watch_service, args=(options.folder, writing), daemon=True).start()
     try:
         outcome = carried_out(read_work(options.folder), calibrate_with(options.settings))
     except Exception as error:  # noqa: BLE001 - whatever the numbers brought about, the service is to hear of it
         outcome = Outcome(failure=f"{type(error).__name__}: {' '.join(str(error).split())}")
-    write_outcome(outcome, options.folder)
+    with writing:
+        write_outcome(outcome, options.folder)
 
 
 def _yield_to_everyone() -> None:
@@ -42,9 +45,12 @@ def _yield_to_everyone() -> None:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
-def _watch_service() -> None:
+def _watch_service(folder: Path, writing: threading.Lock) -> None:
+    """Ends with the service, and takes away what that cannot take away any more."""
     while os.read(sys.stdin.fileno(), 4096):
         continue
+    writing.acquire()  # for good: nothing is written any more
+    shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
 
 
