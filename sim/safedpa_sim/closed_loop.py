@@ -67,9 +67,12 @@ def drive(
     with Bus(MemoryTransport(broker), fleet) as bus:
         inbox = bus.inbox((ACTION, VERDICT), _NAME)
         everything = None if hear is None else bus.inbox(tuple(TOPICS.values()), keep_all=True)
-        loops = [ServiceLoop(node, Bus(MemoryTransport(broker), fleet)) for node in nodes]
+        now = 0.0
+        # by the robot's clock: a node that thinks for long must not find that the robot was silent meanwhile
+        loops = [ServiceLoop(node, Bus(MemoryTransport(broker), fleet), clock=lambda: now) for node in nodes]
         for _ in range(ticks):
             state = robot.state_message()
+            now = state.robot_time
             bus.publish(STATE, _NAME, state)
             for loop in loops:
                 loop.turn(0.0)

@@ -8,12 +8,19 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from safedpa.bus import FINDING, MODEL, TAKEOVER
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import FINDING, MODEL, TAKEOVER, HealthMessage, Received
+from safedpa.dynamics import load_model
+from safedpa.policy import PolicyNode
 from safedpa.records.mcap_messages import read_messages
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_services.command_line.experiments.live import command
+from safedpa_sim.closed_loop import drive
 from safedpa_sim.experiments.live import LiveExperiment, live_experiment
 from safedpa_sim.experiments.live_drive import CASES, live_scene
 from safedpa_sim.experiments.live_record import record_drive
+from safedpa_sim.robots.core import CarRobot
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +85,22 @@ def test_bad_options_are_refused_with_a_reason(options, words, tmp_path: Path, m
     done = CliRunner().invoke(command, options)
     assert done.exception is not None
     assert words in str(done.exception) + done.output
+
+
+def test_services_in_one_process_live_by_the_robots_clock():
+    """However long the machine takes for a tick: nobody is taken for silent, and the same drive says the same."""
+    model = load_model("car_measured")
+    nodes = [
+        AdaptationNode(model),
+        PolicyNode(model),
+        SafetyFilterNode(model, settings_named("car"), margin_for(model)),
+    ]
+    beats: list[tuple[str, int]] = []
+
+    def hear(item: Received) -> None:
+        if isinstance(item.message, HealthMessage):
+            beats.append((item.message.service, item.message.tick))
+
+    for _ in drive(CarRobot(live_scene(1), 0.05), nodes, 41, hear=hear):
+        pass
+    assert [tick for service, tick in beats if service == "policy"] == list(range(0, 41, 5))

@@ -99,8 +99,8 @@ def _tell(result: dict[str, Any]) -> None:
         table = Table(
             title=f"the change comes after {result['change_after']:g} s; medians in s, errors over 1 s", box=None
         )
-        for column in ("case", "drives", "raised", "after", "named", "after", "first", "error", "then", "fell", "hits"):
-            table.add_column(column, justify="left" if column == "case" else "right")
+        for column in ("case", "n", "raised", "after", "named", "after", "first", "error", "then", "fell", "hits"):
+            table.add_column(column, justify="left" if column == "case" else "right", no_wrap=True)
         for row in result["rows"]:
             table.add_row(*_cells(row))
         Console().print(table)
