@@ -26,12 +26,14 @@ from safedpa.bus import (
     StateMessage,
     TakeoverMessage,
 )
+from safedpa.errors import InputError
 from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.live_book import RobotBook
 from safedpa_services.workbench.live_cards import live_cards
 from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_panels import change_lines, error_bars
 from safedpa_services.workbench.look import LIGHT
+from safedpa_services.workbench.replay_link import ReplayLink
 
 REPORT = {
     "robot": "car",
@@ -179,6 +181,39 @@ def test_garbage_on_the_bus_is_counted_and_robots_appear_with_their_states():
     link.listen()
     assert list(link.book.robots) == ["r1"]
     assert "refused" in link.book.robots["r1"].troubles[-1]
+
+
+def test_a_recording_plays_at_the_pace_of_the_robots_clock(tmp_path):
+    from safedpa.records import McapRecorder
+
+    now = [100.0]
+    path = tmp_path / "drive.mcap"
+    broker = MemoryBroker()
+    recorded = Bus(MemoryTransport(broker), "fleet")
+    inbox = recorded.inbox((STATE, FINDING), keep_all=True)
+    for tick in range(0, 100):
+        recorded.publish(STATE, "r1", state(tick))
+    recorded.publish(FINDING, "r1", finding(99, "candidates", 0.5, json.dumps(REPORT), 1))
+    with McapRecorder(path) as recorder:
+        for item in inbox.take(0.0):
+            recorder.write(item.key, item.payload, item.message.tick * 50_000_000, item.message.tick * 50_000_000)
+    link = ReplayLink(path, clock=lambda: now[0])
+    link.listen()
+    assert len(link.book.robots["r1"].path) == 1
+    now[0] += 2.0
+    link.listen()
+    assert link.book.robots["r1"].now == pytest.approx(2.0)
+    now[0] += 10.0
+    link.listen()
+    assert asyncio.run(link.ask("r1", Request(do="status"))).answer.candidates == ("towed_load",)
+    told = asyncio.run(link.ask("r1", Request(do="accept", effect="towed_load")))
+    assert not told.ok
+    assert "a recording" in told.sentence
+
+
+def test_a_recording_without_messages_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        ReplayLink(tmp_path / "none.mcap")
 
 
 SERVER = """

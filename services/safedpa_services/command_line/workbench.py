@@ -34,6 +34,12 @@ __all__ = ["command"]
 @click.option("--fleet", help="Watch the robots of this fleet live.")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="Where their bus listens, as 'safedpa up' tells.")
 @click.option(
+    "--replay",
+    type=click.Path(path_type=Path),
+    metavar="FILE.mcap",
+    help="Show a recording of the bus on the live page, as if it drove now.",
+)
+@click.option(
     "--pictures",
     type=click.Path(path_type=Path),
     metavar="DIR",
@@ -69,7 +75,7 @@ def _serve(options: dict[str, Any]) -> None:
     host, out, browser = options["host"], options["out"], not options["no_browser"]
     port = chosen_port(host, options["port"])
     if not options["fleet"] and not options["connect"]:
-        serve(choice, out, host, port, browser=browser)
+        serve(choice, out, host, port, browser=browser, bus=options["replay"])
         return
     import os
 
@@ -85,9 +91,9 @@ def _take_pictures(options: dict[str, Any]) -> None:
     """This very command once more, behind a headless browser."""
     from safedpa_services.workbench.pictures import take_pictures
 
-    live = bool(options["fleet"] or options["connect"])
+    live = bool(options["fleet"] or options["connect"] or options["replay"])
     arguments = [options["model"], *options["runs"]] if options["model"] else []
-    for name in ("columns", "horizon", "out", "effects", "fleet"):
+    for name in ("columns", "horizon", "out", "effects", "fleet", "replay"):
         arguments += [f"--{name}", str(options[name])] if options[name] is not None else []
     arguments += [item for endpoint in options["connect"] for item in ("--connect", endpoint)]
     for path in take_pictures(arguments, options["pictures"], live=live):

@@ -53,7 +53,8 @@ def error_figure(book: RobotBook, look: Look) -> dict[str, Any]:
         _line(t, band, look.given, 1.5, "end of its band", "dash"),
         _line(t, [entry[1] or None for entry in kept], look.present, 2.5, "error over 1 s"),
     ]
-    highest = max([entry[1] for entry in kept] + [value for value in band if value] + [1e-3])
+    known = [entry for entry in kept if entry[2] > 0] or kept  # while it learns what is usual, a start may be wild
+    highest = max([entry[1] for entry in known] + [value for value in band if value] + [1e-3])
     layout = frame(
         look,
         dragmode=False,

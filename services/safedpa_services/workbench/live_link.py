@@ -37,9 +37,9 @@ class LiveLink:
         self.book = LiveBook()
 
     @property
-    def fleet(self) -> str:
-        """Name of the fleet."""
-        return self._bus.fleet
+    def title(self) -> str:
+        """What is listened to."""
+        return f"fleet {self._bus.fleet}"
 
     def listen(self) -> None:
         """Takes in what arrived; never waits."""

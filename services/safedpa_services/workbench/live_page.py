@@ -20,6 +20,7 @@ from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_panels import change_lines, driven_lines, error_bars, field_legend
 from safedpa_services.workbench.look import DARK, LIGHT
 from safedpa_services.workbench.panel_candidates import CandidatesPanel
+from safedpa_services.workbench.replay_link import ReplayLink
 
 __all__ = ["LivePage"]
 
@@ -30,13 +31,14 @@ _STATUS_SECONDS = 1.5
 class LivePage:
     """What one browser tab shows of the fleet."""
 
-    def __init__(self, link: LiveLink) -> None:
+    def __init__(self, link: LiveLink | ReplayLink) -> None:
         self._link = link
         self._robot = ""
         self._look = LIGHT
         self._accepted: tuple[str, ...] = ()
         self._told = ""
         self._drawn: Any = None
+        self._shown: Any = None
         self._asking = False
         self._build()
 
@@ -104,9 +106,9 @@ class LivePage:
         if robots != self._choice.options:
             self._choice.set_options(robots, value=self._robot if self._robot in robots else next(iter(robots), None))
         book, link = self._book, self._link
-        self._what.set_content(escaped(f"fleet {link.fleet}, {len(robots)} robot{'s' * (len(robots) != 1)}"))
+        self._what.set_content(escaped(f"{link.title}, {len(robots)} robot{'s' * (len(robots) != 1)}"))
         if book is None:
-            self._verdict.set_content(escaped(f"No robot of fleet {link.fleet} is heard. Start one with: safedpa up"))
+            self._verdict.set_content(escaped(f"No robot is heard ({link.title}). Start one with: safedpa up"))
             self._trouble(link.book.last_refusal and f"Refused: {link.book.last_refusal}")
             return
         finding = book.finding
@@ -117,12 +119,20 @@ class LivePage:
         self._legend.set_content(field_legend(self._look))
         self._driven.set_content(driven_lines(book))
         self._field.update_figure(field_figure(book, self._look))
+        self._show_error(book)
+        self._said.set_content(escaped(self._told or "Accepted models are taken over by all services at one tick."))
+        self._show_candidates(book)
+
+    def _show_error(self, book: RobotBook) -> None:
+        """Once a second, when there is a new error: drawing is the browser's most expensive work here."""
+        state = (self._robot, book.epoch, book.errors[-1] if book.errors else None, len(book.marks), self._look)
+        if state == self._shown:
+            return
+        self._shown = state
         self._error.update_figure(error_figure(book, self._look))
         self._evidence.update_figure(evidence_figure(book, self._look))
         self._bars.set_content(error_bars(book))
         self._changes.set_content(change_lines(book))
-        self._said.set_content(escaped(self._told or "Accepted models are taken over by all services at one tick."))
-        self._show_candidates(book)
 
     def _trouble(self, sentence: str) -> None:
         self._problem.set_visibility(bool(sentence))

@@ -43,6 +43,7 @@ class CandidatesPanel:
                 self._progress = text("", "quiet grow").props("role=status aria-live=polite")
                 action("Cancel", on_cancel, hint="end the search")
             self._note = text("", "note", "div")
+            self._head = text("→ held-out error with it", "quiet right")
             self._list = ui.element("div").classes("cards").props('role=list aria-label="candidates"')
             self._next = text("", "note", "div")
 
@@ -70,6 +71,7 @@ class CandidatesPanel:
         self._next.set_content(escaped(experiment))
         self._note.set_visibility(bool(note))
         self._note.set_content(escaped(note))
+        self._head.set_visibility(bool(cards))
         self._draw()
 
     def move(self, by: int) -> None:

@@ -21,6 +21,8 @@ _PATIENCE = 300_000
 """ms; a search of a long recording takes a while."""
 _MOMENT = 1200
 """ms in which figures are drawn."""
+_LATER = 15_000
+"""ms after a change at which its picture is taken."""
 _SIZE = {"width": 1280, "height": 800}
 _HOLD_BACK = ("--no-sandbox", "--disable-background-networking")
 
@@ -29,10 +31,11 @@ def take_pictures(arguments: Sequence[str], folder: Path, *, live: bool) -> Iter
     """Starts ``safedpa workbench`` with arguments and yields each picture as it is written.
 
     Of recordings: workbench_where.png, workbench_candidates.png, workbench_added.png, workbench_open.png; of driving
-    robots workbench_live.png, once candidates are there. Raises SafedpaError where there is no browser to take them
-    with, or the page does not come so far.
+    robots workbench_live.png, once candidates are there; of a replay workbench_changed.png as well. Raises SafedpaError
+    where there is no browser to take them with, or the page does not come so far.
     """
     browser = _browser()
+    steps = (_REPLAYED if "--replay" in arguments else _LIVE) if live else _RECORDED
     from playwright.sync_api import Error, sync_playwright
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -42,7 +45,7 @@ def take_pictures(arguments: Sequence[str], folder: Path, *, live: bool) -> Iter
             page = started.new_page(viewport=_SIZE)  # type: ignore[arg-type]
             page.set_default_timeout(_PATIENCE)
             page.goto(address + ("/live" if live else ""))
-            for name, step in (_LIVE if live else _RECORDED).items():
+            for name, step in steps.items():
                 step(page)
                 page.wait_for_timeout(_MOMENT)
                 page.screenshot(path=folder / name)
@@ -116,4 +119,14 @@ _RECORDED: dict[str, Callable[[Any], None]] = {
     "workbench_added.png": _added,
     "workbench_open.png": _open,
 }
+
+
+def _changed(page: Any) -> None:
+    """Some seconds after the model was changed."""
+    page.wait_for_selector("text=/since the change/")
+    page.wait_for_timeout(_LATER)
+
+
 _LIVE: dict[str, Callable[[Any], None]] = {"workbench_live.png": _live}
+_REPLAYED: dict[str, Callable[[Any], None]] = {**_LIVE, "workbench_changed.png": _changed}
+"""In a recording somebody accepted; with a driving robot that is for the person before the page."""

@@ -18,6 +18,7 @@ from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_page import LivePage
 from safedpa_services.workbench.page import Page
 from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.replay_link import ReplayLink
 from safedpa_services.workbench.rerun_view import RerunDoor
 
 __all__ = ["DEFAULT_PORT", "chosen_port", "serve"]
@@ -30,11 +31,18 @@ _RECONNECT_SECONDS = 10.0
 
 
 def serve(
-    choice: Choice, out: Path, host: str, port: int, *, browser: bool, bus: Bus | None = None, stop: Stop | None = None
+    choice: Choice,
+    out: Path,
+    host: str,
+    port: int,
+    *,
+    browser: bool,
+    bus: Bus | Path | None = None,
+    stop: Stop | None = None,
 ) -> None:
-    """Serves the page until it is interrupted or ``stop``; with a bus the live page as well."""
+    """Serves the page until it is interrupted or ``stop``; with a bus, or a recording of one, the live page as well."""
     style = (files("safedpa_services.workbench") / "page.css").read_text(encoding="utf-8")
-    link = None if bus is None else LiveLink(bus)
+    link = None if bus is None else (ReplayLink(bus) if isinstance(bus, Path) else LiveLink(bus))
     door = RerunDoor()
 
     @ui.page("/", title="safedpa workbench")
@@ -64,7 +72,7 @@ def serve(
         )
 
 
-def _serve_live(link: LiveLink, style: str) -> None:
+def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
     @ui.page("/live", title="safedpa workbench, live")
     async def live(client: Client) -> None:
         ui.add_css(style)
