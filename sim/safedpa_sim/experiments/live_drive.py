@@ -52,7 +52,7 @@ class LiveDrive:
     changed: float | None = None
     raised: float | None = None
     found: float | None = None
-    """When the first search that names an effect was done."""
+    """When the last search before the model was changed was done."""
     effect: str = ""
     """Named first."""
     group: tuple[str, ...] = ()
