@@ -263,4 +263,4 @@ def test_controllers_that_do_not_exist_or_cannot_work_are_refused() -> None:
         controller_for(load_model("car"), "learned")
     with pytest.raises(InputError, match="no policy"):
         controller_for(learned_model(without_policy(weights())), "learned")
-    assert set(CONTROLLERS) == {"goal_seeker", "learned", "planner"}
+    assert set(CONTROLLERS) == {"goal_seeker", "learned", "planner", "random"}

@@ -150,7 +150,7 @@ def _left(folder: Path) -> list[int]:
         (("--seconds", "-1"), "--seconds"),
         (("--rate", "0"), "--rate"),
         (("--model", "no_such_model"), "no_such_model"),
-        (("--model", "dfki_pendulum"), "wanted a car"),
+        (("--model", "dfki_pendulum"), "wanted a car with target_speed, steer"),
         (("--load", "piano"), "piano"),
         (("--name", "a/b"), "a/b"),
     ],

@@ -16,19 +16,27 @@ if TYPE_CHECKING:
     from safedpa_services.supervisor.plan import Plan
 
 LOADS = ("none", "box", "chair", "large_chair")
+TASKS = ("balance", "swing")
+RATES = {"car": 20.0, "pendulum": 100.0}
+"""Kinds of robots, with their ticks per second."""
+_DRIVEN = {"car": ("target_speed", "steer"), "pendulum": ("torque",)}
+"""What the simulated ones take as their action."""
 CHANGES = ("hitch", "headwind", "steering_offset")
-CONTROLLERS = ("goal_seeker", "learned", "planner")
+CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 
 
 @click.command()
-@click.option("--robot", type=click.Choice(["car"]), default="car", show_default=True, help="kind of robot")
+@click.option("--robot", type=click.Choice(list(RATES)), default="car", show_default=True, help="kind of robot")
 @click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
 @click.option("--load", type=click.Choice(LOADS), default="none", show_default=True, help="what the car tows")
 @click.option("--change", type=click.Choice(CHANGES), help="what changes about the car while it drives")
 @click.option("--change-after", type=float, default=30.0, show_default=True, help="seconds until then, by its clock")
+@click.option("--task", type=click.Choice(TASKS), help="what the pendulum has to do; default: balance")
+@click.option("--wind", type=float, metavar="SPEED", help="m/s, on the pendulum; default: 0")
+@click.option("--wind-direction", type=float, metavar="DEGREES", help="where it blows to: 0 aside, 90 up; default: 0")
 @click.option("--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: until Ctrl-C")
 @click.option("--seed", type=int, default=0, show_default=True, help="scene: obstacles, start, goals")
-@click.option("--rate", type=float, default=20.0, show_default=True, help="ticks per second")
+@click.option("--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum")
 @click.option("--lockstep", is_flag=True, help="the robot waits for each action: repeats bit for bit")
 @click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
 @click.option("--headless", is_flag=True, help="no dashboard and no workbench")
@@ -37,14 +45,14 @@ CONTROLLERS = ("goal_seeker", "learned", "planner")
     default=None,
     help="watch over the model and search for what it lacks; default: yes, but not with --lockstep --headless",
 )
-@click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
+@click.option("--model", help="model file, or the name of one that ships; default: the robot's")
 @click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="effects of your own in the model")
-@click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
+@click.option("--settings", help="settings of the filter: a file or a name; default: the robot's")
 @click.option("--margin", default="", help="margin file; default: the shipped one of the model, if there is one")
 @click.option(
     "--controller",
     type=click.Choice(CONTROLLERS),
-    help="who wishes for actions; default: learned where the model's weights hold a policy, else goal_seeker",
+    help="who wishes for actions; default: learned where the model's weights hold a policy, else goal_seeker or random",
 )
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
 @click.option("--listen", default="", help="endpoint for others to join, such as tcp/0.0.0.0:7447")
@@ -78,18 +86,21 @@ def _plan(options: dict[str, Any]) -> Plan:
         raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
     if not 0.0 <= options["change_after"] < 1e9:
         raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
+    robot = options["robot"]
+    options = {**options, **{name: options[name] or robot for name in ("model", "settings")}}
+    options["rate"] = RATES[robot] if options["rate"] is None else options["rate"]
     if not 1.0 <= options["rate"] <= 500.0:
         raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
     model = load_model(options["model"])
     _check_rate(model, options["rate"])
     system = model.system
-    if system.name != options["robot"] or "target_speed" not in system.action_names:
+    if system.name != robot or system.action_names != _DRIVEN[robot]:
         raise InputError(
             f"--model {options['model']}: a {system.name} with {', '.join(system.action_names)}, "
-            "wanted a car with target_speed, steer"
+            f"wanted a {robot} with {', '.join(_DRIVEN[robot])}"
         )
     return Plan(
-        robot=options["robot"],
+        robot=robot,
         name=options["name"],
         load=options["load"],
         seconds=options["seconds"],
@@ -100,6 +111,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         dashboard=not options["headless"],
         diagnosis=_is_diagnosed(options),
         workbench_port=_workbench_port(options),
+        surroundings=_surroundings(options),
         change=options["change"] or "",
         change_after=options["change_after"],
         model=options["model"],
@@ -110,6 +122,23 @@ def _plan(options: dict[str, Any]) -> Plan:
         endpoint=options["listen"] or f"tcp/127.0.0.1:{free_port()}",
         folder=Plan.new_folder(options["out"], options["name"]),
     )
+
+
+def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
+    """Options of the robot's process that only a pendulum has; refuses those of the other robot."""
+    swings = options["robot"] == "pendulum"
+    own = ("task", "wind", "wind_direction")
+    foreign = [name for name in (("change",) if swings else own) if options[name] is not None]
+    if swings and options["load"] != "none":
+        foreign.append("load")
+    if foreign:
+        raise InputError(f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none")
+    if options["wind"] is not None and not 0.0 <= options["wind"] <= 15.0:
+        raise InputError(f"--wind: got {options['wind']}, wanted 0 to 15 m/s")
+    if options["wind_direction"] is not None and not -360.0 <= options["wind_direction"] <= 360.0:
+        raise InputError(f"--wind-direction: got {options['wind_direction']}, wanted -360 to 360 degrees")
+    given = [(name, options[name]) for name in own if options[name] is not None]
+    return tuple(f"--{name.replace('_', '-')}={value}" for name, value in given)
 
 
 def _is_diagnosed(options: dict[str, Any]) -> bool:

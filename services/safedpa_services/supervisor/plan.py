@@ -39,6 +39,8 @@ class Plan:
     """Whether a diagnosis runs beside the loop."""
     workbench_port: int = 0
     """Where the workbench serves its page; 0: no workbench."""
+    surroundings: tuple[str, ...] = ()
+    """Further options of the robot's process."""
     change: str = ""
     """What changes about the robot while it drives; empty: nothing."""
     change_after: float = 0.0
@@ -95,6 +97,7 @@ class Plan:
         """The robot."""
         options = ["--robot", self.robot, "--name", self.name, "--load", self.load, "--seed", str(self.seed)]
         options += ["--rate", repr(self.rate), "--seconds", repr(self.seconds), "--summary", str(self.summary)]
+        options += self.surroundings
         options += ["--change", self.change, "--change-after", repr(self.change_after)] if self.change else []
         options += ["--lockstep"] if self.lockstep else self._scheduling
         return self._child("robot", "safedpa_sim.robots", *options)

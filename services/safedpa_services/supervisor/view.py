@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from safedpa.bus import StateMessage
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.watch import Watch
 
@@ -37,13 +39,22 @@ def _headline(watch: Watch) -> Text:
         return Text("waiting for the robot")
     line = Text.assemble(
         (f"{state.robot_time:7.1f} s  ", "bold"),
-        f"{state.values[3]:+.2f} m/s  goals {state.goals_reached}  ",
+        f"{_motion(state)}  goals {state.goals_reached}  ",
         (f"collisions {state.collisions}  ", "bold red" if state.collisions else "green"),
     )
     if verdict is not None:
         line.append(f"{verdict.status:<9} ", style=_COLOURS.get(verdict.status, ""))
         line.append(f"h {verdict.h_now:+.2f}  margin {verdict.margin:.3f}  {verdict.microseconds:.0f} us")
     return line
+
+
+def _motion(state: StateMessage) -> str:
+    """The car's speed, the pendulum's angle, or of another robot the first entry of its state."""
+    if len(state.values) == 4:
+        return f"{state.values[3]:+.2f} m/s"
+    if state.corridor:
+        return f"{math.degrees(state.values[0]):+.1f} degrees"
+    return f"{state.values[0]:+.2f}"
 
 
 def _finding(watch: Watch) -> Text:

@@ -49,6 +49,10 @@ class EstimatorSettings:
             raise InputError(f"estimator settings: got {self}, wanted positive numbers")
 
 
+_SETTINGS = {"pendulum": EstimatorSettings(measurement_deviation=(0.001, 0.02))}
+"""Of robots whose state is not the car's; rad and rad/s."""
+
+
 @final
 class LatentEstimator(AbstractEstimator):
     """Estimates the free parameters of a model by the extended Kalman filter above."""
@@ -56,7 +60,7 @@ class LatentEstimator(AbstractEstimator):
     quick = False
 
     def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
-        settings = settings or EstimatorSettings()
+        settings = settings or _SETTINGS.get(model.system.name, EstimatorSettings())
         if len(settings.measurement_deviation) != len(model.system.state):
             raise InputError(
                 f"measurement_deviation: got {len(settings.measurement_deviation)} entries, "
@@ -67,7 +71,7 @@ class LatentEstimator(AbstractEstimator):
         chosen = [model.parameters[path] for path in model.latent_names]
         self._low = np.array([parameter.low for parameter in chosen])
         self._high = np.array([parameter.high for parameter in chosen])
-        self._typical = np.array([parameter.typical for parameter in chosen])
+        self._typical = np.array([parameter.typical or 0.1 * (parameter.high - parameter.low) for parameter in chosen])
         self._noise = np.diag(np.square(settings.measurement_deviation))
         self.latent: Vector = model.latent.copy()
         self._covariance = np.diag(np.square(settings.initial_deviation * self._typical))

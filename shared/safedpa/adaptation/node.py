@@ -88,7 +88,7 @@ class AdaptationNode(AbstractNode):
     share = 0.0
 
     def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
-        self._settings = settings or EstimatorSettings()
+        self._settings = settings
         self._robots: dict[str, _Memory] = {}
         first = _Held(model, fingerprint(model))
         self._estimator(first)  # says now, not at the first robot, that the settings do not fit

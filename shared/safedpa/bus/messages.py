@@ -58,19 +58,23 @@ class StateMessage(Message):
     lockstep: bool
     """True when the robot waits for the action of this tick, however long it takes."""
     goal: Vector
-    """(2,) m."""
+    """Car: (2,) m; pendulum: (1,) rad; empty without one."""
     obstacles: Rows
     """(obstacles, 3): x, y, radius in m."""
     field: Vector
-    """(4,): lowest x, highest x, lowest y, highest y in m."""
+    """(4,): lowest x, highest x, lowest y, highest y in m; empty of a robot that does not drive."""
     footprint: Vector
     """(3,): how far the body (and what it tows) reaches behind and ahead of the reference point along the heading, and
-    the radius around that line, in m."""
+    the radius around that line, in m; empty of a robot that does not drive."""
     load_pose: Vector = ()
     """(5,): x, y, yaw, length, width of a towed load, empty without one; for pictures only."""
     goals_reached: int = 0
     collisions: int = 0
-    """Contacts of body or load with an obstacle or the field's wall since the start, each counted once."""
+    """Contacts of body or load with an obstacle or the field's wall since the start, or times that the corridor was
+    left, each counted once."""
+    corridor: Vector = ()
+    """(2,) the angles between which the first entry of the state must stay, whose rate is the second; in rad, turns
+    counted. Empty of a robot without one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

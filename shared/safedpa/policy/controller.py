@@ -16,10 +16,11 @@ from safedpa.policy.compensation import SpeedCompensation
 from safedpa.policy.goal_seeker import GoalSeeker, GoalSeekerSettings
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.policy.network_latent import NetworkLatent
+from safedpa.policy.random_wishes import RandomWishes
 
 __all__ = ["CONTROLLERS", "CompensatedGoalSeeker", "Controller", "controller_for"]
 
-CONTROLLERS: Final = ("goal_seeker", "learned", "planner")
+CONTROLLERS: Final = ("goal_seeker", "learned", "planner", "random")
 """By name."""
 
 
@@ -59,12 +60,16 @@ def controller_for(
 ) -> Callable[[], Controller]:
     """What makes the controller of one robot; called anew for each. ``settings`` are the goal seeker's.
 
-    Without a name: the learned policy when the model's weights hold one, else the goal seeker. Raises InputError for a
-    name that does not exist, and for ``learned`` without a policy.
+    Without a name: the learned policy when the model's weights hold one, else the goal seeker, for a pendulum random
+    wishes. Raises InputError for a name that does not exist, for ``learned`` without a policy, and for a pendulum with
+    what only drives.
     """
     base = model.base
+    swings = model.system.name == "pendulum"
     if name is None:
-        name = "learned" if isinstance(base, LearnedBase) and base.weights.has("policy") else "goal_seeker"
+        name = _default(model)
+    if swings and name in ("goal_seeker", "planner"):
+        raise InputError(f"controller '{name}': got a pendulum, wanted a car; choose random or learned")
     if name == "goal_seeker":
         return lambda: CompensatedGoalSeeker(model, settings or GoalSeekerSettings())
     if name == "learned":
@@ -73,9 +78,19 @@ def controller_for(
                 "controller 'learned': the model has no networks, wanted one with a policy; choose another"
             )
         policy = NetworkLatent(LearnedPolicy(base.weights), model)
+        if swings:
+            return lambda: policy
         return lambda: BackingOff(policy)
+    if name == "random":
+        return lambda: RandomWishes(model)
     if name == "planner":
         from safedpa.policy.planner import Planner
 
         return lambda: Planner(model)
     raise InputError(f"controller '{name}': {did_you_mean(name, CONTROLLERS)}")
+
+
+def _default(model: PhysicsModel) -> str:
+    if isinstance(model.base, LearnedBase) and model.base.weights.has("policy"):
+        return "learned"
+    return "random" if model.system.name == "pendulum" else "goal_seeker"

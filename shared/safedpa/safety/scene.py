@@ -1,4 +1,4 @@
-"""The barriers of what a robot perceives: obstacles, field, its own speed limits."""
+"""The barriers of what a robot perceives: a car's obstacles, field and speed limits; a pendulum's corridor."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from safedpa.bus import StateMessage
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.settings import FilterSettings
 
 __all__ = ["SceneBarriers"]
@@ -20,12 +21,25 @@ class SceneBarriers:
         self._barriers: tuple[AbstractBarrier, ...] = ()
 
     def of(self, state: StateMessage) -> tuple[AbstractBarrier, ...] | str:
-        """The barriers around this robot, or a sentence about what cannot be a scene."""
-        scene = (state.obstacles, state.field, state.footprint)
+        """The barriers around this robot, or a sentence about what cannot be a scene.
+
+        A robot with a corridor has that one barrier; every other one is a car and has to say what is around it.
+        """
+        scene = (state.obstacles, state.field, state.footprint, state.corridor)
         if scene != self._scene:
             try:
-                self._barriers = tuple(car_barriers(self._settings, state.footprint, state.obstacles, state.field))
+                self._barriers = self._built(state)
             except InputError as error:
                 return f"scene ({error})"
             self._scene = scene
         return self._barriers
+
+    def _built(self, state: StateMessage) -> tuple[AbstractBarrier, ...]:
+        if not state.corridor:
+            return tuple(car_barriers(self._settings, state.footprint, state.obstacles, state.field))
+        if state.obstacles or state.field or state.footprint:
+            raise InputError("corridor: got one of a robot that drives between obstacles; wanted the one or the other")
+        if len(state.corridor) != 2:
+            raise InputError(f"corridor: got {len(state.corridor)} numbers, wanted 2: lower and upper edge")
+        low, high = state.corridor
+        return (CorridorBarrier(low, high, self._settings.corridor_seconds),)

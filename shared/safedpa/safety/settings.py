@@ -63,6 +63,8 @@ class FilterSettings:
     speed_low: float = -0.8
     """m/s; a little beyond the actuator's, so that driving at full speed is no conflict."""
     speed_high: float = 2.2
+    corridor_seconds: float = 0.25
+    """How far ahead, at its rate of now, an angle must be within its corridor."""
 
     def __post_init__(self) -> None:
         for name in ("action_low", "action_high", "weights", "backup_action"):
@@ -134,6 +136,7 @@ _POSITIVE = (
     "plausible_wish",
     "braking_deceleration",
     "braking_gain",
+    "corridor_seconds",
 )
 
 

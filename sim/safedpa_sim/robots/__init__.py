@@ -6,6 +6,10 @@ from safedpa_sim.robots.core import BRAKE, CarRobot
 from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.loads import LOADS, Load, load_named
+from safedpa_sim.robots.pendulum_robot import PendulumRobot, Violation
+from safedpa_sim.robots.pendulum_task import TASKS, PendulumTask, task_named
+from safedpa_sim.robots.pendulum_world import PendulumWorld, wind_towards
+from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
 from safedpa_sim.robots.world import CarWorld
 
@@ -14,13 +18,21 @@ __all__ = [
     "CHANGES",
     "GOAL_RADIUS",
     "LOADS",
+    "TASKS",
     "ActionGuard",
     "CarRobot",
     "CarWorld",
     "Collision",
     "Load",
+    "PendulumRobot",
+    "PendulumTask",
+    "PendulumWorld",
     "PlannedChange",
     "Scene",
+    "SimulatedRobot",
+    "Violation",
     "footprint",
     "load_named",
+    "task_named",
+    "wind_towards",
 ]

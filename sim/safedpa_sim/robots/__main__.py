@@ -16,33 +16,44 @@ from safedpa_sim.robots.claim import claim_name
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
+from safedpa_sim.robots.pendulum_robot import PendulumRobot
+from safedpa_sim.robots.pendulum_task import TASKS, task_named
+from safedpa_sim.robots.pendulum_world import wind_towards
 from safedpa_sim.robots.scene import Scene
 
 _EPOCH_BITS = 53
 """Whole numbers that every reader of a recording holds exactly."""
+_RATES = {"car": 20.0, "pendulum": 100.0}
+"""Ticks per second."""
 
 
 def robot_parser() -> argparse.ArgumentParser:
     """The options of a simulated robot."""
     parser = argparse.ArgumentParser(prog="safedpa-robot", description="a simulated robot on the bus")
     add_bus_options(parser)
-    parser.add_argument("--robot", choices=("car",), default="car", help="kind of robot")
+    parser.add_argument("--robot", choices=("car", "pendulum"), default="car", help="kind of robot")
     parser.add_argument("--name", default="r1", help="name on the bus; one robot each")
     parser.add_argument("--load", choices=("none", *LOADS), default="none", help="what it tows")
     parser.add_argument("--change", choices=("none", *CHANGES), default="none", help="what changes while it drives")
     parser.add_argument("--change-after", type=float, default=30.0, metavar="SECONDS", help="when, by its clock")
+    parser.add_argument("--task", choices=tuple(TASKS), default="balance", help="what the pendulum has to do")
+    parser.add_argument("--wind", type=float, default=0.0, metavar="SPEED", help="m/s, on the pendulum")
+    parser.add_argument(
+        "--wind-direction", type=float, default=0.0, metavar="DEGREES", help="where it blows to: 0 aside, 90 up"
+    )
     parser.add_argument("--seed", type=int, default=0, help="scene: obstacles, start, goals")
     parser.add_argument(
         "--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: for ever"
     )
     parser.add_argument("--lockstep", action="store_true", help="wait for each action: a run repeats bit for bit")
-    parser.add_argument("--rate", type=float, default=20.0, help="ticks per second")
+    parser.add_argument("--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum")
     parser.add_argument("--summary", type=Path, default=None, help="write the account of the run here")
     return parser
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Drives until the time is over or ``stop``; 0, or 1 when in lockstep nobody answered."""
+    options.rate = _RATES[options.robot] if options.rate is None else options.rate
     robot = _robot(options)
     if options.summary is not None:
         check_writable(options.summary)
@@ -67,7 +78,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     return code
 
 
-def _robot(options: argparse.Namespace) -> CarRobot:
+def _robot(options: argparse.Namespace) -> CarRobot | PendulumRobot:
     if not 1.0 <= options.rate <= 500.0:
         raise InputError(f"--rate: got {options.rate}, wanted 1 to 500 ticks per second")
     if not 0.0 <= options.seconds < 1e9:
@@ -76,10 +87,24 @@ def _robot(options: argparse.Namespace) -> CarRobot:
         raise InputError(f"--seed: got {options.seed}, wanted 0 or more")
     if not 0.0 <= options.change_after < 1e9:
         raise InputError(f"--change-after: got {options.change_after}, wanted 0 s or more")
+    epoch = secrets.randbits(_EPOCH_BITS)
+    if options.robot == "pendulum":
+        return _pendulum(options, epoch)
     scene = Scene.random(options.seed, options.load)
     change = None if options.change == "none" else PlannedChange(options.change, options.change_after)
-    epoch = secrets.randbits(_EPOCH_BITS)
     return CarRobot(scene, 1.0 / options.rate, options.lockstep, epoch=epoch, change=change)
+
+
+def _pendulum(options: argparse.Namespace, epoch: int) -> PendulumRobot:
+    if options.load != "none" or options.change != "none":
+        raise InputError("--load, --change: got one for a pendulum, wanted none; they are the car's")
+    if not 0.0 <= options.wind <= 15.0:
+        raise InputError(f"--wind: got {options.wind}, wanted 0 to 15 m/s")
+    if not -360.0 <= options.wind_direction <= 360.0:
+        raise InputError(f"--wind-direction: got {options.wind_direction}, wanted -360 to 360 degrees")
+    wind = wind_towards(options.wind, options.wind_direction)
+    task = task_named(options.task)
+    return PendulumRobot(task, wind, options.seed, 1.0 / options.rate, options.lockstep, epoch=epoch)
 
 
 if __name__ == "__main__":

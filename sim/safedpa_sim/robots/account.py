@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.errors import InputError, RecordingError
-from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["account_of", "check_writable", "percentile", "write_account"]
 
 
-def account_of(robot: CarRobot, latencies: list[float], overruns: int, end: str) -> dict[str, Any]:
+def account_of(robot: SimulatedRobot, latencies: list[float], overruns: int, end: str) -> dict[str, Any]:
     """The run in numbers: ticks, goals, collisions, watchdog, refusals, sense-to-act latency, hash of the states.
 
     ``latencies`` [s] run from the first publication of a state to the acceptance of its action; without any, both
@@ -25,8 +25,7 @@ def account_of(robot: CarRobot, latencies: list[float], overruns: int, end: str)
         "ticks": robot.tick,
         "robot_seconds": round(robot.tick * robot.period, 9),
         "lockstep": robot.lockstep,
-        "seed": robot.scene.seed,
-        "load": robot.scene.load.name if robot.scene.load else "none",
+        **robot.about,
         "goals_reached": robot.goals_reached,
         "collisions": len(robot.collisions),
         "collision_list": [asdict(collision) for collision in robot.collisions],

@@ -7,6 +7,7 @@ import struct
 import time
 from collections.abc import Callable
 from math import hypot
+from typing import Any
 
 from safedpa.bus.messages import ActionMessage, StateMessage
 from safedpa.errors import InputError
@@ -22,6 +23,9 @@ __all__ = ["BRAKE", "CarRobot"]
 
 BRAKE = (0.0, 0.0)
 """The watchdog's action: stop, wheels straight."""
+
+_STANDSTILL = 0.01
+"""m/s."""
 
 
 class CarRobot:
@@ -64,6 +68,16 @@ class CarRobot:
     def values(self) -> tuple[float, float, float, float]:
         """x, y, yaw, speed now."""
         return self.world.state
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What was asked for."""
+        return {"seed": self.scene.seed, "load": self.scene.load.name if self.scene.load else "none"}
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the car stands."""
+        return abs(self.values[3]) <= _STANDSTILL
 
     @property
     def collisions(self) -> list[Collision]:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from safedpa.bus import ACTION, HEALTH, STATE, Bus, Received
 from safedpa.bus.messages import ActionMessage, HealthMessage
 from safedpa.errors import BusError
-from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["NoActionError", "RobotLoop"]
 
@@ -24,8 +24,6 @@ _DEADLINE_SHARE = 0.9
 _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
 """The loop looks at ``stopped`` and its heartbeat at least so often."""
-_STANDSTILL = 0.01
-"""m/s."""
 _LONGEST_BRAKING_SECONDS = 5.0
 
 
@@ -38,7 +36,7 @@ class RobotLoop:
 
     def __init__(
         self,
-        robot: CarRobot,
+        robot: SimulatedRobot,
         bus: Bus,
         name: str,
         clock: Callable[[], float] = time.monotonic,
@@ -72,11 +70,11 @@ class RobotLoop:
                 begin = self._real_time_tick(begin)
 
     def brake(self, publish: bool) -> None:
-        """Drives on without accepting anything, so that the watchdog brakes, until the robot stands."""
+        """Drives on without accepting anything, so that the watchdog brakes, until the robot is at rest."""
         robot = self.robot
         last = robot.tick + round(_LONGEST_BRAKING_SECONDS / robot.period)
         begin = self._clock()
-        while abs(robot.values[3]) > _STANDSTILL and robot.tick < last:
+        while not robot.at_rest and robot.tick < last:
             if publish:
                 self._publish()
             begin += 0.0 if robot.lockstep else robot.period

@@ -1,0 +1,166 @@
+"""The pendulum robot without any bus: senses, judges torques, damps when there is none, swings, leaves its corridor."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import degrees
+from typing import Any, final
+
+from safedpa.bus.messages import ActionMessage, StateMessage
+from safedpa.errors import InputError
+from safedpa_sim.robots.guard import ActionGuard
+from safedpa_sim.robots.pendulum_task import PendulumTask
+from safedpa_sim.robots.pendulum_world import PendulumWorld
+
+__all__ = ["DAMPING", "PendulumRobot", "Violation"]
+
+DAMPING = 4.0
+"""N m s/rad of the watchdog. It knows neither model nor wind and cannot hold the pendulum up; it makes the fall slow:
+with the hinge's friction, from upright in still air, the angle grows by a factor of e in a second."""
+
+_CLOSE, _SLOW = 0.2, 1.0
+"""rad and rad/s; what counts as at the goal."""
+_HELD_SECONDS = 0.5
+"""For so long it has to be there before that counts."""
+
+
+@final
+@dataclass(frozen=True)
+class Violation:
+    """The corridor was left."""
+
+    time: float
+    """s since the robot's start."""
+    what: str
+    """``lower edge`` or ``upper edge``."""
+    angle: float
+    """rad; the farthest one in the period in which it was left."""
+
+    def __str__(self) -> str:
+        return f"{self.what} at t={self.time:.2f} s, {degrees(self.angle):.1f} degrees"
+
+
+@final
+class PendulumRobot:
+    """One period at a time: publish ``state_message()``, ``receive`` actions, ``advance``.
+
+    Where a swing ends it is put to its next start; a period is left out of the ticks there, so that nobody takes the
+    two states for neighbours. Raises InputError for a period that is none, or a wind that is no wind.
+    """
+
+    def __init__(
+        self,
+        task: PendulumTask,
+        wind: tuple[float, float] = (0.0, 0.0),
+        seed: int = 0,
+        period: float = 0.01,
+        lockstep: bool = True,
+        epoch: int = 1,
+        wall_clock: Callable[[], float] = time.time,
+    ) -> None:
+        if not 0.0 < period <= 0.1:
+            raise InputError(f"period: got {period} s, wanted more than 0 and at most 0.1 s")
+        if not max(abs(wind[0]), abs(wind[1])) <= 50.0:
+            raise InputError(f"wind: got {wind} m/s, wanted at most 50 m/s")
+        self.task, self.seed, self.period, self.lockstep = task, seed, period, lockstep
+        self._starts = task.drawn_starts(seed)
+        self.world = PendulumWorld(next(self._starts), wind)
+        limit = self.world.parameters.torque
+        self.guard = ActionGuard(epoch, (-limit,), (limit,))
+        self.tick = self.goals_reached = self.watchdog_ticks = self._held = 0
+        self.collisions: list[Violation] = []
+        """Every time that the corridor was left."""
+        self._outside = False
+        self._wall_clock = wall_clock
+        self._applied, self._applied_by = 0.0, "none"
+        self._hash = hashlib.sha256()
+        self._record()
+
+    @property
+    def values(self) -> tuple[float, float]:
+        """Angle [rad], turns counted, and rate [rad/s] now."""
+        return self.world.angle, self.world.rate
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What was asked for."""
+        return {"seed": self.seed, "task": self.task.name, "wind": list(self.world.wind)}
+
+    @property
+    def at_rest(self) -> bool:
+        """Always: a pendulum that is let go does not come to rest within its corridor, so nobody waits for that."""
+        return True
+
+    @property
+    def trajectory_hash(self) -> str:
+        """SHA-256 over all states so far, packed as little-endian doubles."""
+        return self._hash.hexdigest()
+
+    def state_message(self) -> StateMessage:
+        """State k, the corridor and the goal."""
+        return StateMessage(
+            epoch=self.guard.epoch,
+            tick=self.tick,
+            robot_time=self.tick * self.period,
+            publish_time=self._wall_clock(),
+            values=self.values,
+            applied=(self._applied,),
+            applied_by=self._applied_by,
+            period=self.period,
+            lockstep=self.lockstep,
+            goal=(self.task.goal,),
+            obstacles=(),
+            field=(),
+            footprint=(),
+            goals_reached=self.goals_reached,
+            collisions=len(self.collisions),
+            corridor=self.task.corridor,
+        )
+
+    def receive(self, message: ActionMessage) -> str | None:
+        """Accepts the action for this tick (None), or says why not."""
+        return self.guard.offer(message)
+
+    def advance(self) -> None:
+        """One period under the accepted torque, or under the watchdog's damping when none was accepted."""
+        accepted = self.guard.accepted
+        if accepted is None:
+            limit = self.world.parameters.torque
+            self._applied, self._applied_by = min(max(-DAMPING * self.world.rate, -limit), limit), "watchdog"
+            self.watchdog_ticks += 1
+        else:
+            self._applied, self._applied_by = accepted[0], "filter"
+        self._watch(*self.world.advance(self._applied, self.period))
+        self.tick += 1
+        if self._arrived():
+            self._begin_anew()
+        self.guard.begin(self.tick)
+        self._record()
+
+    def _watch(self, lowest: float, highest: float) -> None:
+        """Counts the corridor as left once, until the pendulum is back."""
+        low, high = self.task.corridor
+        outside = lowest < low or highest > high
+        if outside and not self._outside:
+            edge, angle = ("lower edge", lowest) if lowest < low else ("upper edge", highest)
+            self.collisions.append(Violation(self.tick * self.period, edge, angle))
+        self._outside = outside
+
+    def _arrived(self) -> bool:
+        there = abs(self.world.angle - self.task.goal) < _CLOSE and abs(self.world.rate) < _SLOW
+        self._held = self._held + 1 if there else 0
+        return self.task.ends and self._held >= round(_HELD_SECONDS / self.period)
+
+    def _begin_anew(self) -> None:
+        self.goals_reached += 1
+        self._held, self._outside = 0, False
+        self.tick += 1
+        self.world.put(next(self._starts))
+        self._applied, self._applied_by = 0.0, "none"
+
+    def _record(self) -> None:
+        self._hash.update(struct.pack("<2d", *self.values))
