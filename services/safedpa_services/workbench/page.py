@@ -141,14 +141,14 @@ class Page:
             background_tasks.create(self._search(self._session, self._session.number))
 
     async def _search(self, session: Session, number: int) -> None:
-        step = session.versions[number].step
+        version = session.versions[number]
         with self._columns:
             try:
-                found = await self._ask_worker("searching", jobs.search, step, session.runs, session.horizon)
+                found = await self._ask_worker("searching", jobs.search, version.step, session.runs, session.horizon)
             except SafedpaError as error:
                 self._failed(error)
                 return
-            if session is self._session:
+            if session is self._session and session.present is version:
                 session.propose(number, found)
                 self._show_candidates()
 
@@ -164,7 +164,7 @@ class Page:
         session, effect = self._session, effect or self._candidates.effect
         if session is None or session.proposed is None or not effect:
             return
-        version = session.settled(effect)
+        before, version = session.present, session.settled(effect)
         if version is None:
             arguments = session.present.step, session.proposed.proposal, effect, session.runs, session.horizon
             try:
@@ -172,6 +172,8 @@ class Page:
             except SafedpaError as error:
                 self._failed(error)
                 return
+        if session.present is not before or session is not self._session:
+            return  # another decision was quicker
         session.add(version)
         self._show()
         self._look_for_more()

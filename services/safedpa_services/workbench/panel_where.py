@@ -43,7 +43,7 @@ class WherePanel:
             with ui.element("div").classes("row tight"):
                 self._x = self._choice("across", "→")
                 self._y = self._choice("up", "↑")
-                action("Worst cell", self.worst, "m", hint="select the cell of the map with the largest error")
+                action("Worst", self.worst, "m", hint="select the cell of the map with the largest error")
                 action("Clear", lambda: on_brush(None), "c", hint="clear the selection")
             self._map = ui.plotly({"data": []}).classes("grow")
             self._map.props('role=img aria-label="Error map over two variables; drag a box to select"')
@@ -56,7 +56,8 @@ class WherePanel:
             self._time.on("plotly_click", lambda e: on_moment(float(e.args["x"])), js_handler=_POINT)
 
     def _choice(self, title: str, sign: str) -> ui.select:
-        box = ui.select([], on_change=self._chosen).props(f'dense outlined options-dense prefix="{sign}"')
+        text(sign, "quiet").props("aria-hidden=true")
+        box = ui.select([], on_change=self._chosen).props("dense outlined options-dense")
         return named(box.classes("axis-choice flat"), f"variable {title}")
 
     def _chosen(self) -> None:

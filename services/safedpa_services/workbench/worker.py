@@ -64,6 +64,7 @@ class Worker:
 
     def _started(self) -> Connection:
         if self._process is None or not self._process.is_alive() or self._connection is None:
+            os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the process to be: one search, one core
             context = multiprocessing.get_context("spawn")
             mine, theirs = context.Pipe()
             self._process = context.Process(target=_serve, args=(theirs,), daemon=True, name="safedpa workbench")
