@@ -9,10 +9,14 @@ import numpy as np
 
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import HeldoutError
+from safedpa.diagnosis.second_opinion import CLEAR_FALL, MUCH
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, likeness
 
-__all__ = ["MOST_MISSING", "SIMPLER", "Stage", "inside", "judged", "likely", "passes", "preferred", "with_reason"]
+__all__ = [
+    "MOST_MISSING", "SAME", "SIMPLER", "Stage", "farthest", "inside", "judged", "likely", "passes", "preferred",
+    "with_reason",
+]  # fmt: skip
 
 SURE = 3.0
 """Standard errors of gain on unseen blocks that an addition needs, together with FALL."""
@@ -78,6 +82,21 @@ def preferred(trials: Sequence[Trial], search: Search) -> Trial | None:
     close = close or better[:1]
     fewest = min(len(trial.fit.paths) for trial in close)
     return next(trial for trial in close if len(trial.fit.paths) == fewest)
+
+
+def farthest(passing: Sequence[Trial], stage: Stage, before: HeldoutError) -> list[Trial]:
+    """While much is missing, the trial that takes far more off the held-out error than the best in the windows first.
+
+    Windows weigh each state by its noise, so a small fault of the steer may lead there while the speed is all
+    wrong.
+    """
+    if before.value <= MUCH or len(passing) < 2:
+        return list(passing)
+    least = min(passing, key=lambda trial: stage.errors[trial.effects].value)
+    apart = stage.errors[passing[0].effects].value - stage.errors[least.effects].value
+    if apart <= CLEAR_FALL * before.value:
+        return list(passing)
+    return [least, *(trial for trial in passing if trial is not least)]
 
 
 def inside(trial: Trial, search: Search) -> bool:

@@ -5,7 +5,7 @@ Source: Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3 (exchange a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -13,14 +13,16 @@ import numpy as np
 from safedpa.diagnosis.fitting import fit, inverse_of, objective
 from safedpa.diagnosis.found import Judged, Search, given_names
 from safedpa.diagnosis.heldout import Heldout, error_with
-from safedpa.diagnosis.judging import SIMPLER, passes, with_reason
+from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
-__all__ = ["bounded", "exchange", "removals"]
+__all__ = ["bounded", "exchange", "removals", "united"]
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
+_ROUNDING = 0.002
+"""Share of a held-out error that is rounding."""
 _TOGETHER = 0.7
 """Correlation of their fitted numbers from which effects are also taken out together."""
 
@@ -98,6 +100,40 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         _take_back(search, group)
     if search.added != before:
         _left_over(search, heldout)
+
+
+def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
+    """Two accepted effects give way to one that predicts unseen data as well with as many numbers, and whether two did:
+    a payload and a rolling resistance are together exactly a towed load."""
+    by_name = {item.name: item for item in library}
+    for pair in combinations(list(search.added), 2):
+        rest = [by_name[name] for name in search.added if name not in pair]
+        for whole in _wholes(search, pair, by_name):
+            best = _refit(search, [*rest, whole])
+            if _as_good(best, search, heldout):
+                _replace(search, pair[0], whole.name, best, heldout)
+                search.added.remove(pair[1])
+                _take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
+                return True
+    return False
+
+
+def _wholes(search: Search, pair: Sequence[str], by_name: Mapping[str, AbstractEffect]) -> list[AbstractEffect]:
+    """The best rivals of two effects with as many numbers as both together.
+
+    Fewer would be no more than a removal and an exchange, which are tried before.
+    """
+    numbers = sum(len(by_name[name].parameters) for name in pair)
+    names = dict.fromkeys(rival for name in pair for rival in search.rivals.get(name, [])[:_EXCHANGED])
+    found = [by_name[name] for name in names if name not in search.added]
+    return [item for item in found if len(item.parameters) == numbers]
+
+
+def _as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
+    """Whether a trial within its bounds predicts unseen blocks and held-out rollouts no worse than the model does."""
+    if not trial.fit.free.all() or block_gain(trial, search.current, search.shooting) >= SAME:
+        return False
+    return error_with(trial.fit, search.shooting, heldout).value <= (1.0 + _ROUNDING) * search.error.value
 
 
 def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:

@@ -15,10 +15,10 @@ from safedpa.diagnosis.final_numbers import with_final_numbers
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.judging import MOST_MISSING, Stage, inside, judged, likely, preferred
+from safedpa.diagnosis.judging import MOST_MISSING, Stage, farthest, inside, judged, likely, preferred
 from safedpa.diagnosis.pairs import pairs_of
 from safedpa.diagnosis.patch import Patch, best_patch
-from safedpa.diagnosis.revision import bounded, exchange, removals
+from safedpa.diagnosis.revision import bounded, exchange, removals, united
 from safedpa.diagnosis.second_opinion import agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
@@ -57,6 +57,8 @@ def searched(
             break
     exchange(search, library, heldout)
     removals(search, library, heldout)
+    if united(search, library, heldout):
+        removals(search, library, heldout)  # what took the place of two may do what a third did
     if search.first_error.value > MOST_MISSING:
         bounded(search, library, heldout)
     if library:
@@ -138,6 +140,7 @@ def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool, frozenset[t
     # the one that takes most off the windows may not help over the horizon: then another that does
     others = [t for t in stage.trials if t is not best and t.effects in stage.errors and inside(t, search)]
     passing = [trial for trial in ([best] if best else []) + others if stage.passes(trial, search.error)]
+    passing = farthest(passing, stage, search.error)
     chosen, doubted = _agreed(search, stage, passing)
     return chosen or best, chosen is not None, doubted
 
