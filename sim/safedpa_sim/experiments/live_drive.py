@@ -52,7 +52,7 @@ class LiveDrive:
     changed: float | None = None
     raised: float | None = None
     found: float | None = None
-    """When the last search before the model was changed was done."""
+    """When the search was done that first named the effect that stands first."""
     effect: str = ""
     """Named first."""
     group: tuple[str, ...] = ()
@@ -204,7 +204,8 @@ class _Notes:
 
     def _take_down(self, diagnosis: RobotDiagnosis, effect: str, report: dict[str, Any]) -> None:
         found = self._found
-        found.found, found.effect = diagnosis.time, effect
+        if effect != found.effect:
+            found.found, found.effect = diagnosis.time, effect
         for item in report["candidates"]:
             if item["stage"] == 0 and item["effect"] == effect:
                 found.group = tuple(item["indistinguishable_from"])

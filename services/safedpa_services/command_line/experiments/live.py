@@ -99,7 +99,7 @@ def _tell(result: dict[str, Any]) -> None:
         table = Table(
             title=f"the change comes after {result['change_after']:g} s; medians in s, errors over 1 s", box=None
         )
-        for column in ("case", "n", "raised", "after", "named", "after", "first", "error", "then", "fell", "hits"):
+        for column in ("case", "raised", "after", "named", "after", "first", "error", "then", "fell", "hits"):
             table.add_column(column, justify="left" if column == "case" else "right", no_wrap=True)
         for row in result["rows"]:
             table.add_row(*_cells(row))
@@ -120,7 +120,6 @@ def _cells(row: dict[str, Any]) -> list[str]:
     count = row["drives"]
     return [
         row["case"],
-        str(count),
         f"{row['raised_in_time']}/{count}",
         number("seconds_to_finding", 1),
         f"{row['named_in_time']}/{count}",
