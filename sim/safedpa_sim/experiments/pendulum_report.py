@@ -6,17 +6,32 @@ import json
 from pathlib import Path
 from typing import Any
 
+from safedpa.safety import MarginCalibration
+
 __all__ = ["markdown_of", "write_report"]
 
 
 def write_report(result: dict[str, Any], out: Path) -> None:
-    """``pendulum.json``, ``pendulum.md`` and one PNG a figure in the folder ``out``."""
+    """``pendulum.json``, ``pendulum.md``, the learned model's ``margin.toml`` and one PNG a figure in the folder."""
     from safedpa_sim.experiments.pendulum_figures import write_figures
 
     out.mkdir(parents=True, exist_ok=True)
     (out / "pendulum.json").write_text(json.dumps(result) + "\n", encoding="utf-8")
     (out / "pendulum.md").write_text(markdown_of(result), encoding="utf-8")
+    _margin_of(result).save(out / "margin.toml")
     write_figures(result, out)
+
+
+def _margin_of(result: dict[str, Any]) -> MarginCalibration:
+    margin = result["margin"]
+    return MarginCalibration(
+        epsilon={"corridor": margin["epsilon"]},
+        coverage=margin["coverage"],
+        transitions=margin["transitions"],
+        date=result["date"],
+        fingerprint=margin["fingerprint"],
+        covered={"conformal.corridor": margin["fresh_coverage"]},
+    )
 
 
 def markdown_of(result: dict[str, Any]) -> str:

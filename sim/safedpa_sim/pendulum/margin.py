@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.dynamics import fingerprint
 from safedpa.safety import split_conformal_margin
 from safedpa_sim.pendulum.balancing import winds_and_starts
 from safedpa_sim.pendulum.methods import model_named
@@ -39,6 +40,7 @@ def measured_margin(folder: Path, seed: int) -> dict[str, Any]:
         "median_error": float(np.median(first)),
         "fresh_coverage": float((second <= epsilon).mean()),
         "fresh_transitions": len(second),
+        "fingerprint": fingerprint(model_named("learned", folder)),
     }
 
 
