@@ -56,7 +56,7 @@ class _Work:
 
 def pendulum_experiment(experiment: PendulumExperiment, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
     """Runs both questions for every method; the same winds, starts and draws for each."""
-    margin = measured_margin(experiment.models, experiment.seed)
+    margin = measured_margin(experiment.models, experiment.seed, experiment.directions)
     work = [_Work(1, method, experiment, margin["epsilon"]) for method in BALANCING_METHODS]
     work += [_Work(2, method, experiment, margin["epsilon"]) for method in HAZARD_METHODS]
     found: dict[str, Any] = {"balancing": {}, "hazard": {}}

@@ -16,10 +16,17 @@ def write_report(result: dict[str, Any], out: Path) -> None:
     from safedpa_sim.experiments.pendulum_figures import write_figures
 
     out.mkdir(parents=True, exist_ok=True)
-    (out / "pendulum.json").write_text(json.dumps(result) + "\n", encoding="utf-8")
+    (out / "pendulum.json").write_text(json.dumps(_without_points(result), indent=1) + "\n", encoding="utf-8")
     (out / "pendulum.md").write_text(markdown_of(result), encoding="utf-8")
     _margin_of(result).save(out / "margin.toml")
     write_figures(result, out)
+
+
+def _without_points(result: dict[str, Any]) -> dict[str, Any]:
+    """What was found, without the points that only the figures need."""
+    hazard = {name: {key: row[key] for key in row if key != "shown"} for name, row in result["hazard"].items()}
+    latent = {key: value for key, value in result["latent"].items() if key not in ("ends", "directions")}
+    return {**result, "hazard": hazard, "latent": latent}
 
 
 def _margin_of(result: dict[str, Any]) -> MarginCalibration:
