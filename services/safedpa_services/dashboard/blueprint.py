@@ -39,9 +39,9 @@ def blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
 def _tab(name: str, scene: Scene, look: Look) -> Any:
     origin = str(rr.new_entity_path(["robots", name]))
     left = rrb.Vertical(
-        _world(origin, scene),
+        *_planes(origin, scene, look),
         rrb.TextLogView(origin=f"{origin}/log", name="what changed", columns=_LOG_COLUMNS),
-        row_shares=[4.2, 1],
+        row_shares=[2.3, 1.9, 1] if look.is_pendulum else [4.2, 1],
     )
     middle = rrb.Vertical(
         _curves(f"{origin}/barrier", "h: now blue, predicted orange, margin pink", legend=False),
@@ -65,19 +65,29 @@ def _action(origin: str, variable: Variable) -> Any:
     return _curves(f"{origin}/action/{variable.name}", title, legend=False)
 
 
-def _world(origin: str, scene: Scene) -> Any:
+def _planes(origin: str, scene: Scene, look: Look) -> list[Any]:
+    if not look.is_pendulum:
+        return [_plane(origin, "world", "world from above [m]", scene)]
+    seconds = f"{look.corridor_seconds:g} s"
+    return [
+        _plane(origin, "world", "pendulum and the wind as estimated (ring: 5 m/s)", (-1.4, 1.4, -1.25, 1.4)),
+        _plane(origin, "phase", f"angle across, angle gained in {seconds} up [rad]; safe set orange", scene),
+    ]
+
+
+def _plane(origin: str, part: str, title: str, scene: Scene) -> Any:
     low_x, high_x, low_y, high_y = scene
     edge = 0.04 * max(high_x - low_x, high_y - low_y)
     trail = rrb.VisibleTimeRanges([_last_seconds()])
     return rrb.Spatial2DView(
         origin=origin,
-        contents=[f"{origin}/world/**"],
-        name="world from above [m]",
+        contents=[f"{origin}/{part}/**"],
+        name=title,
         background=_BACKGROUND,
         visual_bounds=rrb.VisualBounds2D(
             x_range=[low_x - edge, high_x + edge], y_range=[-high_y - edge, -low_y + edge]
         ),
-        overrides={f"{origin}/world/trail": [trail]},
+        overrides={f"{origin}/{part}/trail": [trail]},
     )
 
 

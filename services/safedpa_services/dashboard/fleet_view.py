@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from safedpa.bus import HEALTH, NO_ROBOT, STATE, HealthMessage, Received, Refused, StateMessage
 from safedpa_services.dashboard.look import Look
 from safedpa_services.dashboard.palette import ORANGE
+from safedpa_services.dashboard.pendulum import phase_bounds
 from safedpa_services.dashboard.robot_view import RobotView
 from safedpa_services.dashboard.shapes import Entry, Frame, Note
 from safedpa_services.dashboard.thinner import Pace, Thinner
@@ -22,7 +23,7 @@ _TOLD_REFUSALS = 20
 """Lines in the log about refused messages per robot; the rest is counted."""
 
 Scene = tuple[float, float, float, float]
-"""The field: lowest x, highest x, lowest y, highest y in m."""
+"""The field: lowest x, highest x, lowest y, highest y in m; of a pendulum, the bounds of its phase plane in rad."""
 
 
 @dataclass
@@ -100,7 +101,8 @@ class FleetView:
 
     def _know_field(self, name: str, state: StateMessage) -> None:
         if name not in self.fields:
-            self.fields[name] = field_of(state) or (-1.4, 1.4, -1.4, 1.4)
+            own = phase_bounds(state, self._look) if self._look.is_pendulum else field_of(state)
+            self.fields[name] = own or (-1.4, 1.4, -1.4, 1.4)
 
     def _refuse(self, item: Refused, now: float) -> Frame:
         self.refused += 1

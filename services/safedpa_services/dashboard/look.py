@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from safedpa.dynamics import PhysicsModel
 from safedpa.safety.braking import Braking
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems import System
+from safedpa_services.dashboard.wind import Wind, wind_reader
 
 __all__ = ["Look", "look_of"]
 
@@ -29,11 +31,20 @@ class Look:
     """m kept to obstacles beyond the radius of the footprint."""
     wheelbase: float
     """m; 0 for a robot without wheels."""
+    corridor_seconds: float
+    """How far ahead the filter looks for a corridor."""
+    wind: Callable[[Sequence[float]], Wind | None]
+    """The wind that a latent stands for."""
 
     @property
     def is_car(self) -> bool:
         """Whether the state is a pose on the plane."""
         return self.system.state_names[:3] == ("x", "y", "yaw")
+
+    @property
+    def is_pendulum(self) -> bool:
+        """Whether the state is an angle and its rate."""
+        return self.system.state_names == ("angle", "rate")
 
 
 def look_of(model: PhysicsModel, settings: FilterSettings) -> Look:
@@ -50,4 +61,6 @@ def look_of(model: PhysicsModel, settings: FilterSettings) -> Look:
         braking=Braking(settings.braking_deceleration, settings.braking_gain),
         clearance=settings.clearance,
         wheelbase=wheelbase.value if wheelbase else 0.0,
+        corridor_seconds=settings.corridor_seconds,
+        wind=wind_reader(model),
     )

@@ -66,7 +66,8 @@ class Painter:
         """Shows one tab for each robot; replaces what the viewer's user arranged."""
         for name in fields:
             # true coordinates are logged; the viewer counts y downwards, so the world is mirrored where it is shown
-            self._stream.log(["robots", name, "world"], rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+            for plane in ("world", "phase"):
+                self._stream.log(["robots", name, plane], rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
         self._stream.send_blueprint(blueprint_of(fields, self._look))
 
     def draw(self, frames: list[Frame]) -> None:

@@ -22,6 +22,13 @@ from safedpa_services.dashboard.findings import FindingBook
 from safedpa_services.dashboard.health import HealthBook
 from safedpa_services.dashboard.look import Look
 from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, UNKNOWN_STATUS, VERDICT_COLOURS
+from safedpa_services.dashboard.pendulum import (
+    phase_prediction,
+    phase_state,
+    phase_trail,
+    sector_entries,
+    wind_entry,
+)
 from safedpa_services.dashboard.residuals import ResidualBook
 from safedpa_services.dashboard.shapes import Entry, Note, States, StateSet
 from safedpa_services.dashboard.world import body_entries, prediction_entry, scene_entries, trail_entry
@@ -69,7 +76,7 @@ class RobotView:
         if isinstance(message, VerdictMessage):
             return self._take_verdict(message, draw)
         if isinstance(message, LatentMessage) and draw:
-            return latent_entries(message, self._look)
+            return [*latent_entries(message, self._look), *self._wind(message)]
         return []
 
     def _change_epoch(self, message: Message) -> None:
@@ -86,11 +93,14 @@ class RobotView:
         entries = self._in_force_change(state.applied_by)
         if not draw:
             return entries
-        scene = (state.field, state.obstacles, state.footprint, state.goal)
+        scene = (state.field, state.obstacles, state.footprint, state.goal, state.corridor)
         if scene != self._scene:
             self._scene = scene
-            entries += scene_entries(state, self._look)
+            drawn = sector_entries if self._look.is_pendulum else scene_entries
+            entries += drawn(state, self._look)
         entries += body_entries(state, self._look)
+        if self._look.is_pendulum:
+            entries += phase_state(state, self._look)
         entries += self._trail(state)
         if residual is not None:
             entries.append(residual_entry(residual))
@@ -99,10 +109,14 @@ class RobotView:
 
     def _trail(self, state: StateMessage) -> list[Entry]:
         before = self._drawn
-        if before is None or not self._look.is_car:
+        if before is None or not (self._look.is_car or self._look.is_pendulum):
             return []
         known = self._verdict is not None and state.tick - self._verdict.tick <= _LONGEST_GAP_TICKS
-        entry = trail_entry(before, state, self._verdict.status if self._verdict and known else "")
+        status = self._verdict.status if self._verdict and known else ""
+        if self._look.is_pendulum:
+            entry = phase_trail(before, state, status, self._look)
+        else:
+            entry = trail_entry(before, state, status)
         return [] if entry is None else [entry]
 
     def _take_verdict(self, verdict: VerdictMessage, draw: bool) -> list[Entry]:
@@ -117,7 +131,13 @@ class RobotView:
             entries.append(residual_entry(residual[1]))
         if self._look.is_car:
             entries.append(prediction_entry(verdict, self._position()))
+        elif self._look.is_pendulum:
+            entries.append(phase_prediction(verdict, self._look))
         return [*entries, *barrier_entries(verdict), *action_entries(verdict, self._look)]
+
+    def _wind(self, latent: LatentMessage) -> list[Entry]:
+        entry = wind_entry(latent, self._look) if self._look.is_pendulum else None
+        return [] if entry is None else [entry]
 
     def _position(self) -> tuple[float, float] | None:
         if self._drawn is None or len(self._drawn.values) < 2:

@@ -1,0 +1,162 @@
+"""The pendulum's own view: sector, wind as it is estimated, phase plane."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
+from safedpa.dynamics import load_model
+from safedpa.safety.shipped import settings_named
+from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.look import Look, look_of
+from safedpa_services.dashboard.pendulum import phase_bounds, wind_entry
+from safedpa_services.dashboard.robot_view import RobotView
+from safedpa_services.dashboard.shapes import Lines
+
+EDGE = math.pi / 4
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> Look:
+    return look_of(load_model("pendulum"), settings_named("pendulum"))
+
+
+def state(tick: int, angle: float = 0.1, rate: float = 0.4, **other: Any) -> StateMessage:
+    given: dict[str, Any] = {"corridor": (-EDGE, EDGE), "goal": (0.0,), **other}
+    return StateMessage(
+        epoch=3,
+        tick=tick,
+        robot_time=0.01 * tick,
+        publish_time=0.0,
+        values=(angle, rate),
+        applied=(1.0,),
+        applied_by="filter",
+        period=0.01,
+        lockstep=True,
+        obstacles=(),
+        field=(),
+        footprint=(),
+        **given,
+    )
+
+
+def verdict(tick: int) -> VerdictMessage:
+    return VerdictMessage(
+        epoch=3,
+        tick=tick,
+        robot_time=0.01 * tick,
+        publish_time=0.0,
+        status="corrected",
+        sentence="s",
+        action=(1.0,),
+        wish=(9.0,),
+        slack=0.0,
+        active=(),
+        h_now=0.3,
+        h_next=0.2,
+        margin=0.02,
+        solver="solved",
+        microseconds=300.0,
+        predicted=((0.11, 0.5), (0.12, 0.6)),
+    )
+
+
+def latent(*values: float) -> LatentMessage:
+    return LatentMessage(
+        epoch=3,
+        tick=1,
+        robot_time=0.01,
+        publish_time=0.0,
+        model="m",
+        values=values,
+        deviations=tuple(0.1 for _ in values),
+    )
+
+
+def paths(entries: list[Any]) -> set[str]:
+    return {"/".join(entry.path) for entry in entries}
+
+
+def test_states_and_verdicts_give_rod_sector_phase_plane_and_curves(pendulum: Look) -> None:
+    view = RobotView(pendulum)
+    assert "action/torque" in paths(view.start())
+    first = view.take(state(1), 0.0)
+    assert paths(first) >= {"world/rod", "world/tip", "world/sector", "world/goal", "phase/safe_set", "phase/now"}
+    assert paths(view.take(verdict(1), 0.0)) >= {"phase/predicted", "barrier", "action/torque"}
+    assert "phase/trail" in paths(view.take(state(2, 0.12), 0.0))
+    assert "phase/trail" not in paths(view.take(state(4, 5.0), 0.0)), "a new swing is no stretch of the last one"
+
+
+@pytest.mark.parametrize("other", [{"corridor": ()}, {"corridor": (1.0, -1.0)}, {"goal": (1.0, 2.0)}, {"goal": ()}])
+def test_a_strange_scene_is_drawn_as_far_as_it_goes(pendulum: Look, other: dict[str, Any]) -> None:
+    drawn = paths(RobotView(pendulum).take(state(1, **other), 0.0))
+    assert "world/rod" in drawn
+    assert ("phase/safe_set" in drawn) is ("corridor" not in other)
+
+
+def test_the_safe_set_is_where_the_filter_sees_it(pendulum: Look) -> None:
+    entries = RobotView(pendulum).take(state(1), 0.0)
+    outline = next(entry.shape for entry in entries if entry.path == ("phase", "safe_set"))
+    assert isinstance(outline, Lines)
+    for angle, ahead in outline.strips[0]:
+        assert -EDGE - 1e-12 <= angle <= EDGE + 1e-12
+        assert min(abs(angle + ahead - edge) for edge in (-EDGE, EDGE)) < 1e-12, "every corner lies on h = 0"
+    now = next(entry.shape for entry in entries if entry.path == ("phase", "now"))
+    assert now.centres == ((0.1, pytest.approx(0.25 * 0.4)),)
+
+
+def test_the_arrow_points_with_the_wind_and_positive_angles_lean_left(pendulum: Look) -> None:
+    entry = wind_entry(latent(3.0, -2.0), pendulum)
+    assert entry is not None
+    assert isinstance(entry.shape, Lines)
+    (x0, y0), (x1, y1) = entry.shape.strips[0]
+    assert x1 - x0 == pytest.approx(-0.26 / 5.0 * 3.0)
+    assert y1 - y0 == pytest.approx(-0.26 / 5.0 * 2.0)
+    assert "world/wind" in paths(_after_a_state(pendulum, latent(3.0, -2.0)))
+    assert "world/wind" not in paths(_after_a_state(pendulum, latent(3.0))), "a latent of another model is no wind"
+
+
+def _after_a_state(look: Look, message: LatentMessage) -> list[Any]:
+    view = RobotView(look)
+    view.take(state(1), 0.0)
+    return view.take(message, 0.0)
+
+
+def test_the_wind_is_read_from_the_latent_of_networks() -> None:
+    model = load_model("pendulum_learned")
+    look = look_of(model, settings_named("pendulum"))
+    base: Any = model.base
+    for wind in ((2.8, 2.8), (-4.0, 0.5), (0.0, -3.9)):
+        read = look.wind(tuple(base.networks.encode(wind).tolist()))
+        assert read is not None
+        assert math.dist(read, wind) < 0.5
+    assert look.wind((math.nan, 0.0)) is None
+
+
+def test_a_model_without_wind_has_no_arrow() -> None:
+    model = load_model("dfki_pendulum")
+    assert look_of(model, settings_named("pendulum")).wind(tuple(model.latent.tolist())) is None
+
+
+def test_the_phase_plane_shows_the_corridor(pendulum: Look) -> None:
+    bounds = phase_bounds(state(1), pendulum)
+    assert bounds is not None
+    assert bounds[0] < -EDGE < EDGE < bounds[1]
+    assert phase_bounds(state(1, corridor=()), pendulum) is None
+    assert FleetView(pendulum).fields == {}
+
+
+def test_the_painter_draws_it(pendulum: Look, tmp_path: Any) -> None:
+    from safedpa_services.dashboard.painter import Painter
+    from safedpa_services.dashboard.shapes import Frame
+
+    view = RobotView(pendulum)
+    painter = Painter(pendulum, "fleet", save=tmp_path / "p.rrd", bind="127.0.0.1", grpc_port=None)
+    painter.arrange({"r1": (-1.0, 1.0, -0.5, 0.5)})
+    painter.draw([Frame(0.0, tuple(view.start())), Frame(0.1, tuple(view.take(state(1), 0.0)))])
+    painter.draw([Frame(0.2, tuple(view.take(latent(3.0, -2.0), 0.0)))])
+    painter.close()
+    assert (tmp_path / "p.rrd").stat().st_size > 5_000
