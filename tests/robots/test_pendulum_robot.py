@@ -1,0 +1,154 @@
+"""The simulated pendulum: its physics, its watchdog, what it counts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.bus import ActionMessage
+from safedpa.dynamics import PhysicsModel, Setting, load_model
+from safedpa.errors import InputError
+from safedpa_sim.robots import PendulumRobot, PendulumWorld, task_named, wind_towards
+from safedpa_sim.robots.account import account_of
+
+MODEL = load_model("pendulum")
+
+
+def in_wind(wind: tuple[float, float]) -> PhysicsModel:
+    blowing = {"wind.speed": Setting(wind[0]), "wind.upward": Setting(wind[1])}
+    return MODEL.with_settings({**MODEL.settings, **blowing})
+
+
+def told(robot: PendulumRobot, torque: float, **other: Any) -> ActionMessage:
+    stamp = {"epoch": robot.guard.epoch, "tick": robot.tick, **other}
+    return ActionMessage(robot_time=0.0, publish_time=0.0, values=(torque,), **stamp)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    angle=st.floats(-4.0, 7.0),
+    direction=st.floats(-180.0, 180.0),
+    speed=st.floats(0.0, 5.0),
+    torques=st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=20),
+)
+def test_it_moves_as_the_published_equations_say(
+    angle: float, direction: float, speed: float, torques: list[float]
+) -> None:
+    wind = wind_towards(speed, direction)
+    world, model = PendulumWorld(angle, wind), in_wind(wind)
+    state = np.array((angle, 0.0))
+    for torque in torques:
+        world.advance(torque, 0.01)
+        state = model.step(state, np.array((torque,)))
+    assert world.angle == pytest.approx(state[0], abs=1e-3)
+    assert world.rate == pytest.approx(state[1], abs=1e-2)
+
+
+def test_wind_blows_to_where_it_is_said_to() -> None:
+    assert wind_towards(4.0, 90.0) == pytest.approx((0.0, 4.0), abs=1e-12)
+    assert wind_towards(4.0, 180.0) == pytest.approx((-4.0, 0.0), abs=1e-12)
+    world = PendulumWorld(0.0, wind_towards(4.0, 180.0))
+    world.advance(0.0, 0.1)
+    assert world.angle < 0.0
+
+
+def test_energy_is_kept_without_friction_and_air() -> None:
+    from safedpa_sim.robots.pendulum_world import PendulumParameters
+
+    world = PendulumWorld(0.5, parameters=PendulumParameters(friction=0.0, drag=0.0))
+    before = 9.81 * 0.5 * math.cos(0.5)
+    for _ in range(300):
+        world.advance(0.0, 0.01)
+    assert 0.5 * (0.5 * world.rate) ** 2 + 9.81 * 0.5 * math.cos(world.angle) == pytest.approx(before, abs=0.02)
+
+
+def test_the_watchdog_damps_and_slows_the_fall() -> None:
+    robot = PendulumRobot(task_named("balance"), seed=3)
+    start, limp = abs(robot.values[0]), PendulumWorld(robot.values[0])
+    for _ in range(50):
+        robot.advance()
+        limp.advance(0.0, 0.01)
+    assert robot.watchdog_ticks == 50
+    state = robot.state_message()
+    assert state.applied_by == "watchdog"
+    assert state.applied[0] * robot.values[1] < 0.0, "against the motion"
+    assert start < abs(robot.values[0]) < abs(limp.angle)
+    assert abs(robot.values[0]) < start * math.exp(0.5 * 1.2)
+
+
+def test_leaving_the_corridor_counts_once_until_it_is_back() -> None:
+    robot = PendulumRobot(task_named("balance"), seed=3)
+    for _ in range(60):
+        robot.receive(told(robot, 10.0))
+        robot.advance()
+    assert robot.values[0] > math.pi / 4
+    assert [item.what for item in robot.collisions] == ["upper edge"]
+    assert robot.state_message().collisions == 1
+    while abs(robot.values[0]) > 0.5:
+        robot.receive(told(robot, -10.0))
+        robot.advance()
+    while robot.values[0] > -math.pi / 4:
+        robot.receive(told(robot, -10.0))
+        robot.advance()
+    assert [item.what for item in robot.collisions] == ["upper edge", "lower edge"]
+    assert "lower edge at t=" in str(robot.collisions[1])
+
+
+def test_a_reached_goal_begins_a_new_swing_with_a_gap_in_the_ticks() -> None:
+    robot = PendulumRobot(task_named("swing"), seed=1)
+    assert robot.task.corridor[0] < robot.values[0] < robot.task.corridor[0] + 0.3
+    robot.world.put(robot.task.goal)
+    ticks = []
+    while robot.goals_reached == 0:
+        angle, rate = robot.values
+        ticks.append(robot.tick)
+        robot.receive(told(robot, max(-10.0, min(10.0, -20.0 * (angle - robot.task.goal) - 3.0 * rate))))
+        robot.advance()
+    assert len(ticks) == 50, "half a second upright"
+    assert robot.tick == ticks[-1] + 2
+    assert robot.values[0] < robot.task.corridor[0] + 0.3
+    assert robot.values[1] == 0.0
+    assert robot.state_message().applied_by == "none"
+    assert robot.collisions == []
+
+
+def test_the_last_gate_refuses_and_says_why() -> None:
+    robot = PendulumRobot(task_named("balance"))
+    assert robot.receive(told(robot, 10.1)) == "out of range"
+    assert robot.receive(told(robot, math.nan)) == "not finite"
+    assert robot.receive(told(robot, 1.0, epoch=2)) == "wrong epoch"
+    assert robot.receive(told(robot, 1.0)) is None
+    assert robot.receive(told(robot, 1.0)) == "repeated"
+
+
+def test_the_account_tells_task_wind_and_violations() -> None:
+    robot = PendulumRobot(task_named("balance"), wind_towards(4.0, 90.0), seed=5)
+    for _ in range(60):
+        robot.receive(told(robot, 10.0))
+        robot.advance()
+    account = account_of(robot, [0.001], 0, "time is over")
+    assert account["task"] == "balance"
+    assert account["wind"] == pytest.approx([0.0, 4.0], abs=1e-12)
+    assert account["seed"] == 5
+    assert account["collision_list"][0]["what"] == "upper edge"
+    assert robot.at_rest
+
+
+def test_seeds_draw_starts() -> None:
+    one, two = (PendulumRobot(task_named("balance"), seed=seed) for seed in (1, 2))
+    assert one.values != two.values
+    assert one.values == PendulumRobot(task_named("balance"), seed=1).values
+
+
+def test_what_is_no_pendulum_is_refused() -> None:
+    with pytest.raises(InputError, match="period"):
+        PendulumRobot(task_named("balance"), period=0.0)
+    with pytest.raises(InputError, match="wind"):
+        PendulumRobot(task_named("balance"), (math.nan, 0.0))
+    with pytest.raises(InputError, match="balance"):
+        task_named("balnce")

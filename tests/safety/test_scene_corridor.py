@@ -1,0 +1,84 @@
+"""What the filter makes of a corridor in a state message."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from safedpa.bus import StateMessage
+from safedpa.errors import InputError
+from safedpa.safety import CorridorBarrier, FilterSettings
+from safedpa.safety.scene import SceneBarriers
+from safedpa.safety.settings import parse_settings, write_settings
+from safedpa.safety.shipped import settings_named
+
+SETTINGS = settings_named("pendulum")
+
+
+def state(**other: Any) -> StateMessage:
+    given: dict[str, Any] = {"corridor": (-0.5, 0.7), "obstacles": (), "field": (), "footprint": (), **other}
+    return StateMessage(
+        epoch=1,
+        tick=0,
+        robot_time=0.0,
+        publish_time=0.0,
+        values=(0.1, 0.2),
+        applied=(0.0,),
+        applied_by="none",
+        period=0.01,
+        lockstep=True,
+        goal=(0.0,),
+        **given,
+    )
+
+
+def test_a_corridor_is_the_only_barrier_of_a_robot_that_does_not_drive() -> None:
+    barriers = SceneBarriers(SETTINGS).of(state())
+    assert not isinstance(barriers, str)
+    (barrier,) = barriers
+    assert isinstance(barrier, CorridorBarrier)
+    assert (barrier.low, barrier.high, barrier.time) == (-0.5, 0.7, 0.25)
+
+
+def test_it_is_kept_while_the_scene_stays_and_built_anew_when_it_changes() -> None:
+    scene = SceneBarriers(SETTINGS)
+    first = scene.of(state())
+    assert scene.of(state()) is first
+    other = scene.of(state(corridor=(-0.5, 0.8)))
+    assert not isinstance(other, str)
+    assert isinstance(other[0], CorridorBarrier)
+    assert other[0].high == 0.8
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"corridor": ()}, "footprint"),
+        ({"corridor": (0.1,)}, "wanted 2"),
+        ({"corridor": (0.5, 0.1)}, "low < high"),
+        ({"footprint": (0.1, 0.3, 0.1)}, "the one or the other"),
+        ({"obstacles": ((0.0, 0.0, 1.0),)}, "the one or the other"),
+        ({"field": (-1.0, 1.0, -1.0, 1.0)}, "the one or the other"),
+    ],
+)
+def test_what_is_no_scene_is_told_in_words_every_time(other: dict[str, Any], message: str) -> None:
+    scene = SceneBarriers(SETTINGS)
+    scene.of(state())
+    for _ in range(2):
+        answer = scene.of(state(**other))
+        assert isinstance(answer, str)
+        assert message in answer
+
+
+def test_the_settings_of_the_pendulum() -> None:
+    assert SETTINGS.action_low == (-10.0,)
+    assert SETTINGS.action_high == (10.0,)
+    assert SETTINGS.eta == 0.5
+    assert SETTINGS.epsilon == {"corridor": 0.02}
+    assert SETTINGS.resting_action.tolist() == [0.0]
+    assert parse_settings(write_settings(SETTINGS)) == SETTINGS
+    assert parse_settings("corridor_seconds = 0.4").corridor_seconds == 0.4
+    for wrong in (0.0, -1.0, float("nan")):
+        with pytest.raises(InputError, match="corridor_seconds"):
+            FilterSettings(corridor_seconds=wrong)
