@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import signal
@@ -150,19 +149,19 @@ def test_cards_show_what_can_be_read_and_name_the_rest():
     assert live_cards("car", None, ()) == ([], "")
 
 
-def test_the_link_tells_answers_their_absence_and_nonsense_in_words():
+def test_the_link_tells_answers_their_absence_and_nonsense_in_words(finished):
     broker = MemoryBroker()
     link = LiveLink(Bus(MemoryTransport(broker), "fleet"))
     other = MemoryTransport(broker)
-    told = asyncio.run(link.ask("r1", Request(do="status")))
+    told = finished(link.ask("r1", Request(do="status")))
     assert not told.ok
     assert "No diagnosis answers" in told.sentence
     other.answer("safedpa/fleet/r1/request", lambda _key, _payload: b"\xc1 nonsense")
-    told = asyncio.run(link.ask("r1", Request(do="status")))
+    told = finished(link.ask("r1", Request(do="status")))
     assert "an answer that is none" in told.sentence
     sender = Bus(other, "fleet")
     sender.answer_requests(lambda robot, request: Answer(ok=True, sentence=f"{robot} {request.do}"), "r2")
-    assert asyncio.run(link.ask("r2", Request(do="status"))).sentence == "r2 status"
+    assert finished(link.ask("r2", Request(do="status"))).sentence == "r2 status"
 
 
 def test_garbage_on_the_bus_is_counted_and_robots_appear_with_their_states():
@@ -183,7 +182,7 @@ def test_garbage_on_the_bus_is_counted_and_robots_appear_with_their_states():
     assert "refused" in link.book.robots["r1"].troubles[-1]
 
 
-def test_a_recording_plays_at_the_pace_of_the_robots_clock(tmp_path):
+def test_a_recording_plays_at_the_pace_of_the_robots_clock(tmp_path, finished):
     from safedpa.records import McapRecorder
 
     now = [100.0]
@@ -205,8 +204,8 @@ def test_a_recording_plays_at_the_pace_of_the_robots_clock(tmp_path):
     assert link.book.robots["r1"].now == pytest.approx(2.0)
     now[0] += 10.0
     link.listen()
-    assert asyncio.run(link.ask("r1", Request(do="status"))).answer.candidates == ("towed_load",)
-    told = asyncio.run(link.ask("r1", Request(do="accept", effect="towed_load")))
+    assert finished(link.ask("r1", Request(do="status"))).answer.candidates == ("towed_load",)
+    told = finished(link.ask("r1", Request(do="accept", effect="towed_load")))
     assert not told.ok
     assert "a recording" in told.sentence
 

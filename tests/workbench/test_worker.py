@@ -50,7 +50,7 @@ def worker():
 
 
 @pytest.mark.processes
-def test_results_progress_errors_and_restarts(worker, jobs):
+def test_results_progress_errors_and_restarts(worker, jobs, finished):
     told = []
 
     async def story():
@@ -66,5 +66,5 @@ def test_results_progress_errors_and_restarts(worker, jobs):
         both = await asyncio.gather(worker.ask(jobs.doubled, 1), worker.ask(jobs.doubled, 2))
         assert both == [2, 4]
 
-    asyncio.run(asyncio.wait_for(story(), 60.0))
+    finished(story())
     assert told == [0.5]
