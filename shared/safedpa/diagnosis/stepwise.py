@@ -39,8 +39,8 @@ __all__ = [
 LONGEST_WINDOW = 2.0
 """s; disturbances add up over longer ones."""
 _ROUNDS = 2
-"""Fits about the model with an effect: the trial was one about the model without it, to first order, which a large effect
-leaves."""
+"""Fits about the model with an effect: the trial was one about the model without it, to first order, and a large effect
+lies beyond that."""
 
 
 @dataclass(frozen=True)
