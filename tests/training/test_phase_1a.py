@@ -160,7 +160,7 @@ def test_a_checkpoint_is_written_along_the_way(tmp_path: Path, monkeypatch: pyte
 def test_a_checkpoint_of_another_configuration_is_not_gone_on_from(tmp_path: Path) -> None:
     first, _ = train_affine(with_pairs(4 * 256), tmp_path / "alone")
     other = replace(with_pairs(8 * 256, checkpoint_seconds=0.0), seed=3)
-    training = phase_1a._Training.begin(other, "1a", torch.device("cpu"))
+    training = phase_1a._Training.begin(other, "1a", torch.device("cpu"), None)
     training.run(0, tmp_path / "checkpoint_1a.pt", phase_1a.silent)
     again, _ = train_affine(with_pairs(4 * 256), tmp_path)
     assert same(first, again)

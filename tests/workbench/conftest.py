@@ -84,9 +84,9 @@ def runs(drives: tuple[Path, list[Path]], plain: PhysicsModel) -> list[Run]:
     return [load_run(path, plain.system) for path in drives[1]]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Headless Chromium; skips where there is none."""
+    """Headless Chromium; skips where there is none. Ends with its file: while it lives, no other loop runs here."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("no Chromium; install it (Debian: apt-get install chromium)")

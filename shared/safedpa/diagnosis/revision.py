@@ -14,6 +14,7 @@ from safedpa.diagnosis.fitting import fit, inverse_of, objective
 from safedpa.diagnosis.found import Judged, Search, given_names
 from safedpa.diagnosis.heldout import Heldout, error_with
 from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
+from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
@@ -83,7 +84,8 @@ def _replace(search: Search, name: str, new: str, best: Trial, heldout: Heldout)
 
 def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Accepted effects, and groups of effects with numbers that go together, without which unseen blocks are predicted
-    as well are taken out again: the least needed first, until all are needed."""
+    as well are taken out again: the least needed first, until all are needed. Few blocks say little: what the held-out
+    error clearly asks for stays."""
     by_name = {item.name: item for item in library}
     before = list(search.added)
     while len(search.added) > 1:
@@ -93,10 +95,11 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
             without[group] = less, block_gain(less, search.current, search.shooting)
         group = min(without, key=lambda names: without[names][1])
         less, gain = without[group]
-        if gain >= SIMPLER:
+        error = error_with(less.fit, search.shooting, heldout)
+        if gain >= SIMPLER or search.error.value < (1.0 - CLEAR_FALL) * error.value:
             break
         search.added = [name for name in search.added if name not in group]
-        search.current, search.error = less, error_with(less.fit, search.shooting, heldout)
+        search.current, search.error = less, error
         _take_back(search, group)
     if search.added != before:
         _left_over(search, heldout)
@@ -151,10 +154,15 @@ def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout)
 
 
 def _left_over(search: Search, heldout: Heldout) -> None:
-    """What removals leave has to pass by itself: a pair may be confirmed of which one part alone would not be."""
+    """What removals leave has to pass by itself: a pair may be confirmed of which one part alone would not be.
+
+    A clear fall of the held-out error does with what a removal would have to lose.
+    """
     null = _refit(search, [])
     gain = block_gain(null, search.current, search.shooting)
-    if not passes(gain, search.error, error_with(null.fit, search.shooting, heldout)):
+    before = error_with(null.fit, search.shooting, heldout)
+    clear = gain > SIMPLER and search.error.value < (1.0 - CLEAR_FALL) * before.value
+    if not (clear or passes(gain, search.error, before)):
         _take_back(search, search.added)
         search.added, search.current, search.error = [], search.first, search.first_error
 
