@@ -135,6 +135,7 @@ def _altered(**changes: Any) -> str:
 
 
 BROKEN_MARGINS = {
+    "none": ("", "got none, the one in force was calibrated"),
     "no JSON": ("{", "margin: "),
     "a list": ("[1]", "margin: "),
     "another key": (_altered(more=1), "margin: "),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -69,6 +70,12 @@ def test_what_is_no_scene_is_told_in_words_every_time(other: dict[str, Any], mes
         answer = scene.of(state(**other))
         assert isinstance(answer, str)
         assert message in answer
+
+
+def test_a_car_cannot_name_a_corridor_in_place_of_its_obstacles() -> None:
+    answer = SceneBarriers(SETTINGS).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
+    assert isinstance(answer, str)
+    assert "wanted a robot of angle and rate alone" in answer
 
 
 def test_the_settings_of_the_pendulum() -> None:

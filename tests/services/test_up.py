@@ -98,7 +98,7 @@ def robot_has_started(folder: Path) -> None:
 
 @pytest.mark.parametrize("service", SERVICES)
 def test_a_killed_service_comes_back_and_nothing_is_hit(tmp_path: Path, service: str) -> None:
-    with driving(tmp_path, 12.0) as process:
+    with driving(tmp_path, 8.0) as process:
         robot_has_started(tmp_path)
         os.kill(pid_of(tmp_path, f"safedpa_services.{service}"), signal.SIGKILL)
         output, errors = process.communicate(timeout=60)

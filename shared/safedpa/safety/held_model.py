@@ -16,6 +16,10 @@ from safedpa.safety.shipped import margin_for
 __all__ = ["HeldModel", "checked_calibration", "held_offer", "uncalibrated"]
 
 
+_NEVER = "never"
+"""In place of the date of a calibration."""
+
+
 @dataclass(frozen=True)
 class HeldModel:
     """What the filter needs of a model."""
@@ -28,7 +32,7 @@ class HeldModel:
 
 def uncalibrated(settings: FilterSettings, fingerprint: str) -> MarginCalibration:
     """The margins of the settings, which no data stand behind."""
-    return MarginCalibration(dict(settings.epsilon), 0.99, 1, "never", fingerprint)
+    return MarginCalibration(dict(settings.epsilon), 0.99, 1, _NEVER, fingerprint)
 
 
 def checked_calibration(calibration: MarginCalibration, own: str, settings: FilterSettings) -> MarginCalibration:
@@ -49,6 +53,10 @@ def held_offer(offer: ModelMessage, current: HeldModel, settings: FilterSettings
     model = offered_model(offer, current.model)
     own = offer.fingerprint
     sent = margin_from_text(offer.margin) if offer.margin else margin_for(model)
+    if sent is None and current.calibration.date != _NEVER:
+        raise InputError(
+            "margin: got none, the one in force was calibrated; calibrate one for the offered model too"
+        )
     calibration = checked_calibration(sent or uncalibrated(settings, own), own, settings)
     if calibration.coverage < current.calibration.coverage:
         raise InputError(

@@ -39,6 +39,10 @@ class SceneBarriers:
             return tuple(car_barriers(self._settings, state.footprint, state.obstacles, state.field))
         if state.obstacles or state.field or state.footprint:
             raise InputError("corridor: got one of a robot that drives between obstacles; wanted the one or the other")
+        if len(state.values) != 2:  # a car must not get rid of its obstacles by naming a corridor
+            raise InputError(
+                f"corridor: got one and {len(state.values)} states, wanted a robot of angle and rate alone"
+            )
         if len(state.corridor) != 2:
             raise InputError(f"corridor: got {len(state.corridor)} numbers, wanted 2: lower and upper edge")
         low, high = state.corridor
