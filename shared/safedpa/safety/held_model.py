@@ -54,9 +54,7 @@ def held_offer(offer: ModelMessage, current: HeldModel, settings: FilterSettings
     own = offer.fingerprint
     sent = margin_from_text(offer.margin) if offer.margin else margin_for(model)
     if sent is None and current.calibration.date != _NEVER:
-        raise InputError(
-            "margin: got none, the one in force was calibrated; calibrate one for the offered model too"
-        )
+        raise InputError("margin: got none, the one in force was calibrated; calibrate one for the offered model too")
     calibration = checked_calibration(sent or uncalibrated(settings, own), own, settings)
     if calibration.coverage < current.calibration.coverage:
         raise InputError(
