@@ -1,0 +1,148 @@
+"""What happened, one structured line each on standard error, for people and for programs that collect logs.
+
+A line is a JSON object: ``time`` [s since 1970], ``level``, ``kind`` (dotted, stable: what programs look for),
+``sentence``, and where they apply ``robot``, ``tick``, ``service`` and whatever else the event carries. With
+``SAFEDPA_LOG=text`` it is one readable line instead.
+
+A flood costs one line a second: of events of the same kind, robot and service within a second only the first is
+written, and the line that closes the second carries ``repeated``, the number of those that were left out, beside the
+newest of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import threading
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["EventLog", "counted_events", "log_event"]
+
+_LEAST_SECONDS = 1.0
+_MOST_WATCHED = 512
+"""Kinds times robots times services whose rate is watched; names may come from an attacker, memory is ours."""
+_LONGEST_TEXT = 400
+"""Characters of one value."""
+
+Later = Callable[[float, Callable[[], None]], object]
+
+
+@dataclass
+class _Watched:
+    opened: float
+    """s, by the clock; when the last line was written."""
+    left_out: int = 0
+    newest: dict[str, Any] | None = None
+
+
+def _on_a_timer(seconds: float, work: Callable[[], None]) -> None:
+    timer = threading.Timer(seconds, work)
+    timer.daemon = True
+    timer.start()
+
+
+def _to_standard_error(line: str) -> None:
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, broken, or never there
+        sys.stderr.write(line)
+        sys.stderr.flush()
+
+
+class EventLog:
+    """Writes events to ``write``; ``clock`` measures the second, ``later`` closes it."""
+
+    def __init__(
+        self,
+        write: Callable[[str], object] = _to_standard_error,
+        clock: Callable[[], float] = time.monotonic,
+        later: Later = _on_a_timer,
+    ) -> None:
+        self._write, self._clock, self._later = write, clock, later
+        self._lock = threading.Lock()
+        self._watched: OrderedDict[tuple[str, str, str], _Watched] = OrderedDict()
+        self._counts: Counter[str] = Counter()
+
+    def log(self, event: dict[str, Any]) -> None:
+        """Writes one event, or keeps it back and counts it where the like of it was written within the second."""
+        key = (event["kind"], event.get("robot", ""), event.get("service", ""))
+        now = self._clock()
+        with self._lock:
+            self._counts[event["kind"]] += 1
+            watched = self._watched.get(key)
+            if watched is not None and now - watched.opened < _LEAST_SECONDS:
+                watched.newest, watched.left_out = event, watched.left_out + 1
+                if watched.left_out == 1:
+                    self._later(_LEAST_SECONDS - (now - watched.opened), lambda: self._close(key))
+                return
+            self._watched[key] = _Watched(now)
+            self._watched.move_to_end(key)
+            while len(self._watched) > _MOST_WATCHED:
+                self._watched.popitem(last=False)
+        self._write(_line(event))
+
+    def counts(self) -> dict[str, int]:
+        """How many events there were of each kind, written or not."""
+        with self._lock:
+            return dict(self._counts)
+
+    def _close(self, key: tuple[str, str, str]) -> None:
+        """Writes what was left out of the second that is over."""
+        with self._lock:
+            watched = self._watched.get(key)
+            if watched is None or watched.newest is None:
+                return
+            event = watched.newest if watched.left_out == 1 else {**watched.newest, "repeated": watched.left_out}
+            watched.opened, watched.left_out, watched.newest = self._clock(), 0, None
+        self._write(_line(event))
+
+
+def _line(event: dict[str, Any]) -> str:
+    short = {name: _short(value) for name, value in event.items()}
+    if os.environ.get("SAFEDPA_LOG") != "text":
+        return json.dumps(short) + "\n"
+    stamp = time.strftime("%H:%M:%S", time.localtime(short.pop("time")))
+    about = ", ".join(f"{name} {_on_one_line(value)}" for name, value in short.items() if name not in _HEAD)
+    tail = f" ({about})" if about else ""
+    return f"{stamp} {short['level']} {short['kind']}: {_on_one_line(short['sentence'])}{tail}\n"
+
+
+_HEAD = ("level", "kind", "sentence")
+
+
+def _short(value: Any) -> Any:
+    if type(value) in (bool, int, float) or value is None:
+        return value
+    text = str(value)
+    return text if len(text) <= _LONGEST_TEXT else text[: _LONGEST_TEXT - 3] + "..."
+
+
+def _on_one_line(value: Any) -> str:
+    """Readable and on one line whatever an attacker put into a name."""
+    return "".join(character if character.isprintable() else "?" for character in str(value))
+
+
+_LOG = EventLog()
+
+
+def log_event(
+    kind: str, sentence: str, *, level: str = "info", robot: str = "", tick: int = -1, service: str = "", **more: Any
+) -> None:
+    """Writes one line about something that happened; never raises.
+
+    ``kind`` is dotted and stable, such as ``bus.denied``; ``level`` is ``info``, ``warning`` or ``error``; ``robot``,
+    ``tick`` and ``service`` are left out of the line where they are not given; ``more`` is what else belongs to it.
+    """
+    event: dict[str, Any] = {"time": round(time.time(), 3), "level": level, "kind": kind, "sentence": sentence}
+    event |= {name: value for name, value in (("robot", robot), ("service", service)) if value}
+    event |= {"tick": tick} if tick >= 0 else {}
+    _LOG.log(event | more)
+
+
+def counted_events() -> dict[str, int]:
+    """How many events of each kind this process had, for status and metrics."""
+    return _LOG.counts()
