@@ -132,6 +132,11 @@ class VerdictMessage(Message):
     """Time that the decision took."""
     predicted: Rows = ()
     """(steps, states) predicted under the action held, the first one period ahead."""
+    coverage: float = -1.0
+    """Share of the last 500 steps at most after which no barrier value lay below its prediction by more than the
+    margin, the least of all kinds of barrier; -1: no step was watched yet."""
+    promised: float = -1.0
+    """Share that the margin was calibrated for; -1: not told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,6 +157,12 @@ class HealthMessage(Message):
     """Time of the last step."""
     model: str = ""
     """Fingerprint of the model in force for this robot; empty of a service without one."""
+    software: str = ""
+    """Version of safedpa that the service runs; empty: not told."""
+    acknowledged: int = 0
+    """Recorder: messages that are known to be on disk."""
+    free_bytes: int = 0
+    """Recorder: room left where it writes; 0: not told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
