@@ -11,6 +11,7 @@ from safedpa_sim.robots.pendulum_task import TASKS, PendulumTask, task_named
 from safedpa_sim.robots.pendulum_world import PendulumWorld, wind_towards
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
+from safedpa_sim.robots.trace import LivedPeriod, Trace, read_trace
 from safedpa_sim.robots.world import CarWorld
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "CarRobot",
     "CarWorld",
     "Collision",
+    "LivedPeriod",
     "Load",
     "PendulumRobot",
     "PendulumTask",
@@ -30,9 +32,11 @@ __all__ = [
     "PlannedChange",
     "Scene",
     "SimulatedRobot",
+    "Trace",
     "Violation",
     "footprint",
     "load_named",
+    "read_trace",
     "task_named",
     "wind_towards",
 ]

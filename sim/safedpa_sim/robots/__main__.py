@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import secrets
 import sys
@@ -20,6 +21,7 @@ from safedpa_sim.robots.pendulum_robot import PendulumRobot
 from safedpa_sim.robots.pendulum_task import TASKS, task_named
 from safedpa_sim.robots.pendulum_world import wind_towards
 from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.trace import Trace
 
 _EPOCH_BITS = 53
 """Whole numbers that every reader of a recording holds exactly."""
@@ -48,6 +50,7 @@ def robot_parser() -> argparse.ArgumentParser:
     parser.add_argument("--lockstep", action="store_true", help="wait for each action: a run repeats bit for bit")
     parser.add_argument("--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum")
     parser.add_argument("--summary", type=Path, default=None, help="write the account of the run here")
+    parser.add_argument("--trace", type=Path, default=None, help="append what was done in every period here")
     return parser
 
 
@@ -57,9 +60,10 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     robot = _robot(options)
     if options.summary is not None:
         check_writable(options.summary)
-    with bus_from(options) as bus:
+    with bus_from(options) as bus, contextlib.ExitStack() as files:
         claim_name(bus, options.name)
-        loop = RobotLoop(robot, bus, options.name)
+        trace = None if options.trace is None else files.enter_context(Trace(options.trace))
+        loop = RobotLoop(robot, bus, options.name, trace=trace)
         code = 0
         try:
             loop.run(stop, round(options.seconds * options.rate))

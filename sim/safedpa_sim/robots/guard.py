@@ -47,6 +47,11 @@ class ActionGuard:
             self.refusals[reason] += 1
         return reason
 
+    def withdraw(self, reason: str) -> None:
+        """Takes back what was accepted for this tick, and counts why."""
+        self._accepted = None
+        self.refusals[reason] += 1
+
     def refuse(self, reason: str) -> None:
         """Counts what did not even become a message."""
         self.refusals[reason] += 1

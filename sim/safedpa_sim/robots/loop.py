@@ -11,9 +11,10 @@ import time
 from collections.abc import Callable
 
 from safedpa.bus import ACTION, HEALTH, STATE, Bus, Received
-from safedpa.bus.messages import ActionMessage, HealthMessage
+from safedpa.bus.messages import ActionMessage, HealthMessage, StateMessage
 from safedpa.errors import BusError
 from safedpa_sim.robots.robot import SimulatedRobot
+from safedpa_sim.robots.trace import LivedPeriod, Trace
 
 __all__ = ["NoActionError", "RobotLoop"]
 
@@ -21,6 +22,9 @@ _REPEAT_SECONDS = 0.1
 _PATIENCE_SECONDS = 60.0
 _DEADLINE_SHARE = 0.9
 """Of the period, after which an action is late."""
+_LARGEST_AGE_PERIODS = 2.0
+"""Between a state and the moment in which its action begins to act; a process that was held up must not act on what it
+saw before."""
 _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
 """The loop looks at ``stopped`` and its heartbeat at least so often."""
@@ -41,6 +45,7 @@ class RobotLoop:
         name: str,
         clock: Callable[[], float] = time.monotonic,
         patience: float = _PATIENCE_SECONDS,
+        trace: Trace | None = None,
     ) -> None:
         self.robot = robot
         self.latencies: list[float] = []
@@ -52,7 +57,10 @@ class RobotLoop:
         self._clock = clock
         self._patience = patience
         self._inbox = bus.inbox((ACTION,), name)
+        self._trace = trace
         self._published = 0.0
+        self._sent: StateMessage | None = None
+        self._accepted: ActionMessage | None = None
         self._next_heartbeat = clock()
         self._detail = ""
         self._step_microseconds = 0.0
@@ -116,9 +124,33 @@ class RobotLoop:
         return following
 
     def _advance(self) -> None:
+        began = self._clock()
+        guard = self.robot.guard
+        too_old = began - self._published > _LARGEST_AGE_PERIODS * self.robot.period
+        if guard.accepted is not None and too_old and not self.robot.lockstep:
+            guard.withdraw("too old")
+            self._accepted = None
         started = time.perf_counter()
         self.robot.advance()
         self._step_microseconds = 1e6 * (time.perf_counter() - started)
+        if self._trace is not None and self._sent is not None:
+            self._trace.write(self._lived(self._sent, began))
+        self._sent = self._accepted = None
+
+    def _lived(self, sent: StateMessage, began: float) -> LivedPeriod:
+        now, accepted = self.robot.state_message(), self._accepted
+        return LivedPeriod(
+            epoch=sent.epoch,
+            tick=sent.tick,
+            published=self._published,
+            applied_at=began,
+            action_epoch=-1 if accepted is None else accepted.epoch,
+            action_tick=-1 if accepted is None else accepted.tick,
+            applied=now.applied,
+            applied_by=now.applied_by,
+            values=sent.values,
+            collisions=now.collisions,
+        )
 
     def _wait(self, until: float) -> None:
         """Takes what comes until then, at least once: what is there already counts."""
@@ -127,8 +159,8 @@ class RobotLoop:
             self._take(until - self._clock())
 
     def _publish(self) -> float:
-        self._published = self._clock()
-        self._bus.publish(STATE, self._name, self.robot.state_message())
+        self._published, self._sent = self._clock(), self.robot.state_message()
+        self._bus.publish(STATE, self._name, self._sent)
         return self._published
 
     def _take(self, longest_wait: float) -> None:
@@ -138,8 +170,9 @@ class RobotLoop:
                 self.robot.guard.refuse("malformed")
             else:
                 reason = self.robot.receive(item.message)
-            if reason is None and isinstance(item, Received):
-                self.latencies.append(item.at - self._published)
+                if reason is None:
+                    self._accepted = item.message
+                    self.latencies.append(item.at - self._published)
             self._detail = f"refused: {reason}" if reason else ""
         if self._clock() >= self._next_heartbeat:
             self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS

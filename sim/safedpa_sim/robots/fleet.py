@@ -1,0 +1,82 @@
+"""``python -m safedpa_sim.robots.fleet``: many simulated cars in one process, for measuring what serves them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import secrets
+import sys
+from pathlib import Path
+from typing import Any
+
+from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.errors import InputError
+from safedpa_sim.robots.account import check_writable, write_account
+from safedpa_sim.robots.claim import claim_names
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.fleet_loop import FleetLoop
+from safedpa_sim.robots.loads import LOADS
+from safedpa_sim.robots.scene import Scene
+
+_EPOCH_BITS = 53
+_SWITCH_SECONDS = 0.0005
+"""After so long the physics gives way to the network's thread, which stamps what arrives."""
+
+
+def fleet_parser() -> argparse.ArgumentParser:
+    """The options of a fleet of simulated cars."""
+    parser = argparse.ArgumentParser(prog="safedpa-robots", description="many simulated cars on the bus")
+    add_bus_options(parser)
+    parser.add_argument("--robots", type=int, default=10, help="how many")
+    parser.add_argument("--loads", default="none", metavar="LOAD,...", help=f"in turn: none, {', '.join(LOADS)}")
+    parser.add_argument("--rate", type=float, default=20.0, help="ticks per second")
+    parser.add_argument("--seconds", type=float, default=20.0, help="that are counted")
+    parser.add_argument("--warm-seconds", type=float, default=3.0, help="before the counting begins")
+    parser.add_argument("--in-step", action="store_true", help="all sense at once; else spread over the period")
+    parser.add_argument("--seed", type=int, default=0, help="of the first car's scene; the others count up")
+    parser.add_argument("--begun", type=Path, required=True, help="written when the counting begins")
+    parser.add_argument("--summary", type=Path, required=True, help="write the account of the run here")
+    return parser
+
+
+def work(options: argparse.Namespace, stop: Stop) -> int:
+    """Drives until the time is over or ``stop``."""
+    sys.setswitchinterval(_SWITCH_SECONDS)
+    robots = _robots(options)
+    check_writable(options.summary)
+    check_writable(options.begun)
+    with bus_from(options) as bus:
+        claim_names(bus, list(robots))
+        loop = FleetLoop(robots, bus, in_step=options.in_step)
+        loop.run(stop, options.warm_seconds)
+        loop.begin_counting()
+        before = os.times()
+        write_account({"pid": os.getpid()}, options.begun)
+        loop.run(stop, options.seconds)
+        after = os.times()
+        write_account({**loop.account(), "cpu_seconds": _spent(before, after)}, options.summary)
+        stop.wait()  # whoever started us still reads our memory
+    return 0
+
+
+def _spent(before: Any, after: Any) -> float:
+    return round(after.user + after.system - before.user - before.system, 3)
+
+
+def _robots(options: argparse.Namespace) -> dict[str, CarRobot]:
+    loads = options.loads.split(",")
+    if not 1 <= options.robots <= 1000:
+        raise InputError(f"--robots: got {options.robots}, wanted 1 to 1000")
+    if not 1.0 <= options.rate <= 500.0:
+        raise InputError(f"--rate: got {options.rate}, wanted 1 to 500 ticks per second")
+    cars = {}
+    for index in range(options.robots):
+        scene = Scene.random(options.seed + index, loads[index % len(loads)])
+        epoch = secrets.randbits(_EPOCH_BITS)
+        cars[f"car{index:04d}"] = CarRobot(scene, 1.0 / options.rate, lockstep=False, epoch=epoch)
+    return cars
+
+
+if __name__ == "__main__":
+    run_process(work, fleet_parser())

@@ -1,0 +1,159 @@
+"""Many robots in one process, in real time: each senses at its own moment of the period and waits for its own action.
+
+A robot's period begins when its state is published. Its action must be there after 0.9 of the period; otherwise the
+watchdog brakes and the tick is late. The world moves as soon as the action is known, since an action acts over the
+whole period that follows its state. What this process itself is late by is measured apart: a state that goes out late
+is a fault of the simulation, not of those who answer it.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, Received
+from safedpa.bus.messages import ActionMessage
+from safedpa_sim.robots.durations import Durations
+from safedpa_sim.robots.robot import SimulatedRobot
+
+__all__ = ["FleetLoop"]
+
+_DEADLINE_SHARE = 0.9
+"""Of the period, after which an action is late."""
+_HELD_UP_SHARE = 0.1
+"""Of the period, by which a state goes out late before the tick counts as one in which this process was held up."""
+_HEARTBEAT_SECONDS = 0.25
+_LONGEST_WAIT_SECONDS = 0.1
+
+
+@dataclass
+class _Turning:
+    """One robot, and where it is in its period."""
+
+    robot: SimulatedRobot
+    due: float
+    """s; when its state of this tick should go out."""
+    published: float = 0.0
+    held_up: bool = False
+
+
+@final
+class FleetLoop:
+    """Turns ``robots`` by name on one bus. With ``in_step`` all sense at the same moment, else spread over the period."""
+
+    def __init__(
+        self,
+        robots: Mapping[str, SimulatedRobot],
+        bus: Bus,
+        *,
+        in_step: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._bus, self._clock = bus, clock
+        self._inbox = bus.inbox((ACTION,), clock=clock)
+        begin = clock()
+        self._turning = {
+            name: _Turning(robot, begin + (0.0 if in_step else index / len(robots) * robot.period))
+            for index, (name, robot) in enumerate(robots.items())
+        }
+        self._events = [(turning.due, name, turning.robot.tick, True) for name, turning in self._turning.items()]
+        """When each robot has to sense (True), or when its action of a tick is late."""
+        heapq.heapify(self._events)
+        self.begin_counting()
+
+    def begin_counting(self) -> None:
+        """Forgets what was counted so far: the fleet is warm."""
+        self.latency, self.lateness = Durations(), Durations()
+        self.ticks = self.late = self.late_held_up = self.held_up = self.overruns = 0
+        self.late_of: Counter[str] = Counter()
+
+    def run(self, stopped: Callable[[], bool], seconds: float) -> None:
+        """Turns for ``seconds``, or until ``stopped``."""
+        end = self._clock() + seconds
+        while not stopped() and self._clock() < end:
+            self._take(min(self._events[0][0], end))
+            while self._events[0][0] <= self._clock():
+                _, name, tick, senses = heapq.heappop(self._events)
+                self._take(0.0)  # what is there already counts
+                turning = self._turning[name]
+                if senses:
+                    self._sense(name, turning)
+                elif turning.robot.tick == tick:
+                    self._move(name, turning, late=True)
+
+    def _sense(self, name: str, turning: _Turning) -> None:
+        robot = turning.robot
+        self._bus.publish(STATE, name, robot.state_message())
+        turning.published = self._clock()
+        lateness = turning.published - turning.due
+        self.lateness.add(lateness)
+        turning.held_up = lateness > _HELD_UP_SHARE * robot.period
+        heapq.heappush(self._events, (turning.published + _DEADLINE_SHARE * robot.period, name, robot.tick, False))
+        if robot.tick % max(1, round(_HEARTBEAT_SECONDS / robot.period)) == 0:
+            self._tell_health(name, robot)
+
+    def _take(self, until: float) -> None:
+        """Takes actions; waits for the first one at most until then."""
+        wait = min(max(until - self._clock(), 0.0), _LONGEST_WAIT_SECONDS)
+        for item in self._inbox.take(wait):
+            turning = self._turning.get(item.robot)
+            if turning is None:
+                continue
+            if not isinstance(item, Received) or not isinstance(item.message, ActionMessage):
+                turning.robot.guard.refuse("malformed")
+            elif turning.robot.receive(item.message) is None:
+                self.latency.add(item.at - turning.published)
+                self._move(item.robot, turning, late=False)
+
+    def _move(self, name: str, turning: _Turning, *, late: bool) -> None:
+        robot = turning.robot
+        robot.advance()
+        self.ticks += 1
+        self.held_up += turning.held_up
+        if late:
+            self.late += 1
+            self.late_held_up += turning.held_up
+            self.late_of[name] += 1
+        turning.due += robot.period
+        if turning.due < self._clock():  # periods that were slept through are not made up in a hurry
+            self.overruns += 1
+            turning.due = self._clock()
+        heapq.heappush(self._events, (turning.due, name, robot.tick, True))
+
+    def _tell_health(self, name: str, robot: SimulatedRobot) -> None:
+        message = HealthMessage(
+            epoch=robot.guard.epoch,
+            tick=robot.tick,
+            robot_time=robot.tick * robot.period,
+            publish_time=time.time(),
+            service="robot",
+            pid=os.getpid(),
+            state="running",
+            steps=robot.tick,
+            stale=robot.watchdog_ticks,
+            refused=sum(robot.guard.refusals.values()),
+        )
+        self._bus.publish(HEALTH, name, message, "robot")
+
+    def account(self) -> dict[str, Any]:
+        """What was counted: robot-ticks, late ones, sense to act and the own lateness in microseconds."""
+        robots = [turning.robot for turning in self._turning.values()]
+        return {
+            "robots": len(robots),
+            "robot_ticks": self.ticks,
+            "late_ticks": self.late,
+            "late_while_held_up": self.late_held_up,
+            "robots_with_late_ticks": len(self.late_of),
+            "sense_to_act_us": self.latency.summary(),
+            "own_lateness_us": self.lateness.summary(),
+            "held_up_ticks": self.held_up,
+            "overruns": self.overruns,
+            "goals_reached": sum(robot.goals_reached for robot in robots),
+            "collisions": sum(len(robot.collisions) for robot in robots),
+            "refusals": dict(sum((robot.guard.refusals for robot in robots), Counter[str]())),
+        }
