@@ -13,7 +13,18 @@ from pathlib import Path
 from types import ModuleType
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import STATE, TOPICS, AbstractNode, Answer, Message, Request, Topic, messages, requests
+from safedpa.bus import (
+    STATE,
+    TOPICS,
+    AbstractNode,
+    Answer,
+    ComputedMessage,
+    Message,
+    Request,
+    Topic,
+    messages,
+    requests,
+)
 from safedpa.diagnosis.live.node import DiagnosisNode
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
@@ -66,7 +77,7 @@ def flow() -> str:
 
 def fields() -> str:
     """Every message with its fields, types and meaning."""
-    return _fields_of([Message, *(topic.message for topic in TOPICS.values())], messages)
+    return _fields_of([Message, ComputedMessage, *(topic.message for topic in TOPICS.values())], messages)
 
 
 def asked() -> str:

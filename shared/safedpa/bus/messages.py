@@ -11,11 +11,14 @@ from dataclasses import dataclass
 
 __all__ = [
     "ActionMessage",
+    "AskedMessage",
+    "ComputedMessage",
     "FindingMessage",
     "HealthMessage",
     "LatentMessage",
     "Message",
     "ModelMessage",
+    "SetupMessage",
     "StateMessage",
     "TakeoverMessage",
     "VerdictMessage",
@@ -78,7 +81,21 @@ class StateMessage(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LatentMessage(Message):
+class ComputedMessage(Message):
+    """What a service computed in one step, and from what: so a recording can be replayed through the same code."""
+
+    step: int = 0
+    """Counts the service's steps for this robot since it met the robot, from 1; 0: not told. A number that is left out
+    in a recording is a message that was lost on the way to it."""
+    consumed: Rows = ()
+    """(inputs, 2): of each input besides the state, in the order in which the service names them, the age in ticks of
+    what was used and its publish time. A stale one has the age alone and 0; the age is -1 where there never was one."""
+    skipped: Vector = ()
+    """Ticks since the last step whose states the service took up, but did not step: a newer one came first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatentMessage(ComputedMessage):
     """The adaptation's estimate of the model's free parameters."""
 
     model: str
@@ -90,12 +107,14 @@ class LatentMessage(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WishMessage(Message):
+class WishMessage(ComputedMessage):
     """What the policy would do."""
 
     values: Vector
     """(actions,)."""
     controller: str
+    model: str = ""
+    """Fingerprint of the model in force; empty: not told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +126,7 @@ class ActionMessage(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VerdictMessage(Message):
+class VerdictMessage(ComputedMessage):
     """Why the action is what it is."""
 
     status: str
@@ -137,6 +156,8 @@ class VerdictMessage(Message):
     margin, the least of all kinds of barrier; -1: no step was watched yet."""
     promised: float = -1.0
     """Share that the margin was calibrated for; -1: not told."""
+    model: str = ""
+    """Fingerprint of the model in force; empty: not told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -235,3 +256,45 @@ class TakeoverMessage(Message):
     """``ready`` (loaded and checked), ``taken`` (in use from the stamp's tick on) or ``refused``."""
     reason: str = ""
     """Why it was refused."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetupMessage(Message):
+    """With what a process runs: said at its start and every five seconds, byte for byte the same."""
+
+    service: str
+    instance: str
+    """Drawn anew at each start of the process."""
+    pid: int
+    software: str
+    """Versions of safedpa and of what its numbers depend on, as JSON text."""
+    options: str
+    """The command line's options, as JSON text."""
+    fingerprint: str = ""
+    """Of the model with which it begins; empty of a process without one."""
+    document: str = ""
+    """That model's file. Weights of networks are named in it, with their digest."""
+    settings: str = ""
+    """Safety filter: its settings, as TOML text."""
+    margin: str = ""
+    """Safety filter: the margin for that model, as JSON text; empty: none was calibrated."""
+    controller: str = ""
+    """Policy: the name of its controller; empty: the one that the model allows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskedMessage(Message):
+    """A request that the diagnosis was asked, and its answer, refused or not; ``status`` is left out."""
+
+    do: str
+    """``accept``, ``reject`` or ``roll_back``; empty of what was no request."""
+    ok: bool
+    sentence: str
+    """What is done, or why it is refused."""
+    effect: str = ""
+    model: str = ""
+    """Fingerprint of the model that the asker saw in force."""
+    finding: int = 0
+    who: str = ""
+    change: int = 0
+    """Number of the change that the answer is about."""

@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 
 from safedpa.bus.bus import Bus, Received, Refused
 from safedpa.bus.greeting import Greeting
-from safedpa.bus.messages import HealthMessage, Message, StateMessage
+from safedpa.bus.messages import HealthMessage, Message, SetupMessage, StateMessage
 from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
-from safedpa.bus.topics import HEALTH, STATE, Topic
+from safedpa.bus.topics import HEALTH, SETUP, STATE, Topic
+from safedpa.bus.trace import Trace, consumed
 from safedpa.errors import InputError
 
 __all__ = ["NO_ROBOT", "ServiceLoop"]
@@ -26,6 +27,8 @@ NO_ROBOT = "-"
 """Stands for the robot in the health key of a service that serves none yet."""
 
 _HEARTBEAT_SECONDS = 0.25
+_SETUP_SECONDS = 5.0
+"""Between two tellings of the setup: whoever joins late knows it soon."""
 _SILENCE_SECONDS = 0.3
 """A robot that was silent for so long may start anew under its name; one that speaks is not replaced."""
 
@@ -52,6 +55,10 @@ class _Slot:
     """When the step of the state's tick ended, while what comes afterwards is still to be done."""
     prepared: bool = False
     """Whether the node was shown the state before its step."""
+    trace: Trace = field(default_factory=Trace)
+    """Of the newest step."""
+    skipped: list[float] = field(default_factory=list)
+    """Ticks since then whose states the node was shown, but did not step."""
 
 
 @dataclass
@@ -68,7 +75,12 @@ class ServiceLoop:
     """Runs one node for every robot that appears in the bus's fleet (or for one robot by name)."""
 
     def __init__(
-        self, node: AbstractNode, bus: Bus, robot: str = "*", clock: Callable[[], float] = time.monotonic
+        self,
+        node: AbstractNode,
+        bus: Bus,
+        robot: str = "*",
+        clock: Callable[[], float] = time.monotonic,
+        setup: SetupMessage | None = None,
     ) -> None:
         self._node = node
         self._bus = bus
@@ -78,6 +90,7 @@ class ServiceLoop:
         self._slots: dict[str, _Slot] = {}
         self._counts = _Counts()
         self._next_heartbeat = clock()
+        self._setup, self._next_setup = setup, clock()
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Turns until ``stopped`` says so; looks at it at least four times a second."""
@@ -102,6 +115,7 @@ class ServiceLoop:
             self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
             self._forget_silent()
             self._tell_health()
+            self._tell_setup()
 
     def _patience(self, longest_wait: float) -> float:
         now = self._clock()
@@ -150,6 +164,8 @@ class ServiceLoop:
         elif state.tick > slot.state.tick:
             if slot.unfinished_since is not None:
                 self._finish(item.robot, slot)
+            if slot.outputs is None and slot.prepared:
+                slot.skipped.append(float(slot.state.tick))
             slot.state, slot.arrived, slot.heard = state, item.at, item.at
             slot.outputs, slot.prepared = None, False
         else:
@@ -182,9 +198,11 @@ class ServiceLoop:
 
     def _step(self, robot: str, slot: _Slot) -> None:
         inputs = self._inputs(slot)
+        read = consumed(self._node.inputs, inputs, slot.state)
+        slot.trace, slot.skipped = Trace(slot.trace.step + 1, read, tuple(slot.skipped)), []
         started = time.perf_counter()
         try:
-            slot.outputs = self._node.step(robot, slot.state, inputs)
+            slot.outputs = slot.trace.on(self._node.step(robot, slot.state, inputs))
             self._counts.microseconds = 1e6 * (time.perf_counter() - started)
             self._publish(robot, slot.outputs)
         except InputError as error:  # what one robot says must not end the service of the others
@@ -204,7 +222,7 @@ class ServiceLoop:
     def _finish(self, robot: str, slot: _Slot) -> None:
         """What nobody waits for; in real time a little later, when the processor is not needed by those on the way."""
         slot.unfinished_since = None
-        further = self._node.afterwards(robot)
+        further = slot.trace.on(self._node.afterwards(robot))
         self._publish(robot, further)
         slot.outputs = {**(slot.outputs or {}), **further}
 
@@ -225,6 +243,11 @@ class ServiceLoop:
     def _refuse(self, reason: str) -> None:
         self._counts.refused += 1
         self._counts.detail = f"refused: {reason}"
+
+    def _tell_setup(self) -> None:
+        if self._setup is not None and self._clock() >= self._next_setup:
+            self._next_setup = self._clock() + _SETUP_SECONDS
+            self._bus.publish(SETUP, NO_ROBOT, self._setup, self._node.name)
 
     def _tell_health(self) -> None:
         counts = self._counts

@@ -10,11 +10,13 @@ from typing import Literal
 
 from safedpa.bus.messages import (
     ActionMessage,
+    AskedMessage,
     FindingMessage,
     HealthMessage,
     LatentMessage,
     Message,
     ModelMessage,
+    SetupMessage,
     StateMessage,
     TakeoverMessage,
     VerdictMessage,
@@ -24,10 +26,12 @@ from safedpa.errors import InputError, did_you_mean
 
 __all__ = [
     "ACTION",
+    "ASKED",
     "FINDING",
     "HEALTH",
     "LATENT",
     "MODEL",
+    "SETUP",
     "STATE",
     "TAKEOVER",
     "TOPICS",
@@ -74,9 +78,12 @@ HEALTH = Topic("health", HealthMessage, "*", "latest", 40)
 FINDING = Topic("finding", FindingMessage, "diagnosis", "all", 40, _DOCUMENT_BYTES)
 MODEL = Topic("model", ModelMessage, "diagnosis", "all", 0, _DOCUMENT_BYTES)
 TAKEOVER = Topic("takeover", TakeoverMessage, "*", "all", 0)
+ASKED = Topic("asked", AskedMessage, "diagnosis", "all", 0)
+SETUP = Topic("setup", SetupMessage, "*", "all", 0, _DOCUMENT_BYTES)
 
 TOPICS: dict[str, Topic] = {
-    topic.name: topic for topic in (STATE, LATENT, WISH, ACTION, VERDICT, HEALTH, FINDING, MODEL, TAKEOVER)
+    topic.name: topic
+    for topic in (STATE, LATENT, WISH, ACTION, VERDICT, HEALTH, FINDING, MODEL, TAKEOVER, ASKED, SETUP)
 }
 """Every topic, by name."""
 

@@ -81,6 +81,7 @@ class PolicyNode(AbstractNode):
             publish_time=time.time(),
             values=values,
             controller=controller,
+            model=held.fingerprint,
         )
         return {WISH: message}
 

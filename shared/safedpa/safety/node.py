@@ -115,7 +115,7 @@ class SafetyFilterNode(AbstractNode):
         state, latent, verdict = memory.decision
         predicted, memory.expected_memory = memory.predicted(state, verdict, latent)
         memory.margin.expect(np.array(predicted[0]) if predicted else None)
-        outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted)}
+        outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory.held.fingerprint)}
         answer = self._versions.answer(robot, state)
         return outputs if answer is None else {**outputs, TAKEOVER: answer}
 
@@ -149,7 +149,9 @@ def _stamp(state: StateMessage) -> _Stamp:
     return _Stamp(epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=time.time())
 
 
-def _report(state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...]) -> VerdictMessage:
+def _report(
+    state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], model: str
+) -> VerdictMessage:
     return VerdictMessage(
         **_stamp(state),
         status=verdict.status.value,
@@ -164,4 +166,5 @@ def _report(state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float,
         solver=verdict.solver,
         microseconds=verdict.microseconds,
         predicted=predicted,
+        model=model,
     )

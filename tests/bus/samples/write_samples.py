@@ -1,6 +1,6 @@
 """Writes one message of every topic, as version 1 puts it on the wire: ``python tests/bus/samples/write_samples.py``.
 
-Files of a version that was released are never written again; a new version gets new files beside them.
+Files that exist are never written again; a new version gets new files beside them.
 """
 
 from __future__ import annotations
@@ -9,11 +9,13 @@ from pathlib import Path
 
 from safedpa.bus import (
     ActionMessage,
+    AskedMessage,
     FindingMessage,
     HealthMessage,
     LatentMessage,
     Message,
     ModelMessage,
+    SetupMessage,
     StateMessage,
     TakeoverMessage,
     VerdictMessage,
@@ -105,13 +107,39 @@ SAMPLES: dict[str, Message] = {
         state="refused",
         reason="the fingerprint differs",
     ),
+    "asked": AskedMessage(
+        **_STAMP,
+        do="accept",
+        ok=False,
+        sentence="refused: change 3 is under way",
+        effect="towed_load",
+        model="0123456789ab",
+        finding=2,
+        who="engineer at the workbench",
+        change=3,
+    ),
+    "setup": SetupMessage(
+        **_STAMP,
+        service="safety_filter",
+        instance="0f3a",
+        pid=4711,
+        software='{"safedpa": "0.1.0"}',
+        options='{"model": "car"}',
+        fingerprint="0123456789ab",
+        document="format = 1",
+        settings="format = 1",
+        margin='{"coverage": 0.99}',
+        controller="",
+    ),
 }
 
 
 def main() -> None:
     """Writes the files of this version beside this script."""
     for name, message in SAMPLES.items():
-        Path(__file__).with_name(f"{name}.v{VERSION}.msgpack").write_bytes(encode(message))
+        path = Path(__file__).with_name(f"{name}.v{VERSION}.msgpack")
+        if not path.exists():
+            path.write_bytes(encode(message))
 
 
 if __name__ == "__main__":
