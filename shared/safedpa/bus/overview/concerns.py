@@ -1,0 +1,130 @@
+"""What is not as it should be in a fleet, in words, and whether it is trouble or only worth a look."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from safedpa.bus.overview.fleet import FleetOverview
+from safedpa.bus.overview.robot import RobotOverview
+from safedpa.bus.overview.service import ServiceOverview
+
+__all__ = ["Concern", "concerns_of", "fleet_concerns"]
+
+_SILENT_SECONDS = 1.5
+"""Heartbeats come four times a second, the recorder's twice."""
+_LATE_SHARE = 0.01
+_MISSED_COVERAGE = 0.02
+"""Less coverage than promised by so much: of 500 steps at 99 % chance alone brings 0.4 % (one standard deviation)."""
+_LITTLE_ROOM_BYTES = 1 << 30
+_LOOP = ("adaptation", "policy", "safety_filter")
+
+
+@dataclass(frozen=True, slots=True)
+class Concern:
+    """One thing that is not as it should be."""
+
+    level: Literal["trouble", "attention"]
+    """``trouble``: not healthy; ``attention``: a person may want to look."""
+    sentence: str
+    robot: str = ""
+    service: str = ""
+
+
+def concerns_of(robot: RobotOverview, now: float) -> list[Concern]:
+    """Everything about one robot at the time ``now`` [s], trouble first."""
+    own = robot.health.get("robot")
+    if own is not None and own[0].state == "braked" and robot.silent_for(now) > 0.5:
+        return [Concern("attention", "ended in order", robot.name)]
+    found = [*_about_driving(robot, now), *_about_services(robot, now), *_about_model(robot)]
+    return sorted(found, key=lambda concern: concern.level != "trouble")
+
+
+def fleet_concerns(fleet: FleetOverview) -> list[Concern]:
+    """Everything about the fleet and each of its robots now, trouble first."""
+    now = fleet.clock()
+    found = [concern for robot in fleet.robots.values() for concern in concerns_of(robot, now)]
+    found += [concern for service in fleet.services.values() for concern in _about_process(service, now, fleet)]
+    if not any(service.name == "recorder" for service in fleet.services.values()):
+        found.append(Concern("attention", "nobody records", service="recorder"))
+    versions = sorted({known.health.software for known in fleet.services.values() if known.health.software})
+    if len(versions) > 1:
+        found.append(Concern("attention", f"processes of different versions: {', '.join(versions)}"))
+    return sorted(found, key=lambda concern: (concern.level != "trouble", concern.robot))
+
+
+def _about_driving(robot: RobotOverview, now: float) -> Iterator[Concern]:
+    state, verdict, name = robot.state, robot.verdict, robot.name
+    patience = _SILENT_SECONDS if state is None else max(_SILENT_SECONDS, 5.0 * state.period)
+    if robot.silent_for(now) > patience:
+        yield Concern("trouble", f"silent for {robot.silent_for(now):.0f} s", name)
+        return
+    if state is None or now - robot.state_at > patience:
+        yield Concern("trouble", "alive, but it tells no state", name)
+    if verdict is None or now - robot.verdict_at > patience:
+        yield Concern("trouble", "no verdict: nobody filters", name, "safety_filter")
+    else:
+        yield from _about_verdict(robot, now)
+    late = robot.recent_ticks.share("watchdog", now)
+    if late > 0.0:
+        level: Literal["trouble", "attention"] = "trouble" if late > _LATE_SHARE else "attention"
+        yield Concern(level, f"{100.0 * late:.1f} % of the last ticks were late: the robot braked by itself", name)
+    if state is not None and state.collisions:
+        yield Concern("attention", f"{state.collisions} collisions", name)
+
+
+def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Concern]:
+    verdict, name = robot.verdict, robot.name
+    assert verdict is not None
+    if verdict.status == "disabled":
+        yield Concern("trouble", "the filter is switched off", name, "safety_filter")
+    elif verdict.status == "stopped":
+        yield Concern("attention", verdict.sentence, name, "safety_filter")
+    elif verdict.status == "fallback":
+        yield Concern("trouble", verdict.sentence, name, "safety_filter")
+    elif verdict.h_now < 0.0:
+        yield Concern("trouble", f"outside the safe set: h {verdict.h_now:+.3f}", name, "safety_filter")
+    for status in ("fallback", "relaxed"):
+        share = robot.recent_verdicts.share(status, now)
+        if share > 0.0 and verdict.status != "fallback":
+            yield Concern("attention", f"{100.0 * share:.1f} % of the last verdicts {status}", name, "safety_filter")
+    if 0.0 <= verdict.coverage < verdict.promised - _MISSED_COVERAGE:
+        told, wanted = 100.0 * verdict.coverage, 100.0 * verdict.promised
+        yield Concern("attention", f"the margin held in {told:.1f} % of the steps, promised {wanted:.1f} %", name)
+
+
+def _about_services(robot: RobotOverview, now: float) -> Iterator[Concern]:
+    for service in _LOOP:
+        heard = robot.health.get(service)
+        if heard is None:
+            yield Concern("trouble", f"{service}: no heartbeat", robot.name, service)
+        elif now - heard[1] > _SILENT_SECONDS:
+            yield Concern("trouble", f"{service}: silent for {now - heard[1]:.0f} s", robot.name, service)
+        elif heard[0].state == "failing":
+            yield Concern("trouble", f"{service}: failing, {heard[0].detail}", robot.name, service)
+    models = {service: robot.health[service][0].model for service in _LOOP if service in robot.health}
+    if len({model for model in models.values() if model}) > 1:
+        told = ", ".join(f"{service} {model}" for service, model in models.items())
+        yield Concern("trouble", f"not all use one model: {told}", robot.name)
+
+
+def _about_model(robot: RobotOverview) -> Iterator[Concern]:
+    finding = robot.finding
+    if finding is not None and finding.stage not in ("learning", "watching"):
+        yield Concern("attention", f"{finding.stage}: {finding.sentence}", robot.name, "diagnosis")
+
+
+def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -> Iterator[Concern]:
+    name, health, told = service.name, service.health, service.name not in _LOOP
+    if service.age(now) > _SILENT_SECONDS:
+        replaced = any(other.name == name and other.at > service.at for other in fleet.services.values())
+        if told and not replaced:
+            level: Literal["trouble", "attention"] = "trouble" if name == "recorder" else "attention"
+            yield Concern(level, f"{name}: silent for {service.age(now):.0f} s", service=name)
+    elif told and health.state == "failing":
+        yield Concern("trouble", f"{name}: failing, {health.detail}", service=name)
+    elif name == "recorder" and 0 < health.free_bytes < _LITTLE_ROOM_BYTES:
+        yield Concern("attention", f"recorder: {health.free_bytes / 1e6:.0f} MB of disk left", service=name)
+    elif name == "router" and health.refused:
+        yield Concern("attention", f"router: {health.refused} refused or denied", service=name)
