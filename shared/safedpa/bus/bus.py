@@ -11,7 +11,7 @@ from types import TracebackType
 
 from safedpa.bus.codec import decode, encode
 from safedpa.bus.messages import Message
-from safedpa.bus.requests import AGREED, Answer, Request, request_key, robot_of_request
+from safedpa.bus.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
 from safedpa.bus.topics import Topic, key_of, topic_of
 from safedpa.bus.transport import AbstractTransport
 from safedpa.errors import BusError, InputError, MessageError
@@ -178,7 +178,7 @@ class Bus:
                 key = request_key(self.fleet, robot, AGREED)
                 self._transport.ask_soon(key, question, timeout, from_services)
 
-        self._transport.ask_soon(request_key(self.fleet, robot), question, timeout, from_diagnosis)
+        self._transport.ask_soon(request_key(self.fleet, robot, STATUS), question, timeout, from_diagnosis)
 
     def answer_agreed(self, agreed: Callable[[str], Answer | None]) -> None:
         """Tells other services what this one knows by ``agreed(robot)``, called on any thread; None: nothing."""
@@ -193,19 +193,34 @@ class Bus:
 
         self._transport.answer(request_key(self.fleet, "*", AGREED), on_question)
 
-    def answer_requests(self, answer: Callable[[str, Request], Answer], robot: str = "*") -> None:
+    def answer_requests(
+        self,
+        answer: Callable[[str, Request], Answer],
+        robot: str = "*",
+        tell: Callable[[str, Request | None, Answer], None] | None = None,
+    ) -> None:
         """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.
 
-        What is no request, and what ``answer`` refuses by InputError, is answered with the reason.
+        What is no request, and what ``answer`` refuses by InputError, is answered with the reason; so is all but
+        ``status`` under the key where nothing else may be asked. ``tell`` hears of every request (None: it was none) and
+        its answer before the asker does.
         """
 
         def on_question(key: str, payload: bytes) -> bytes:
+            about, request = "", None
             try:
-                return encode(answer(robot_of_request(key), decode(Request, payload)))
+                about, request = robot_of_request(key), decode(Request, payload)
+                if key.endswith(f"/{STATUS}") and request.do != STATUS:
+                    raise MessageError(f"'{request.do}': got it under '{key}', wanted it under '.../{REQUEST}'")
+                given = answer(about, request)
             except InputError as error:
-                return encode(Answer(ok=False, sentence=f"refused: {error}"))
+                given = Answer(ok=False, sentence=f"refused: {error}")
+            if tell is not None:
+                tell(about, request, given)
+            return encode(given)
 
-        self._transport.answer(request_key(self.fleet, robot), on_question)
+        for kind in (REQUEST, STATUS):
+            self._transport.answer(request_key(self.fleet, robot, kind), on_question)
 
     def announce(self, robot: str, service: str, instance: str) -> None:
         """Shows that ``service`` lives; for services of the whole fleet the robot is ``-``."""

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from safedpa.bus.topics import STATE, key_of
 from safedpa.errors import InputError
 
-__all__ = ["AGREED", "Answer", "Request", "request_key", "robot_of_request"]
+__all__ = ["AGREED", "REQUEST", "STATUS", "Answer", "Request", "request_key", "robot_of_request"]
 
-_REQUEST = "request"
+REQUEST = "request"
+"""Last part of the key under which the diagnosis is asked to change a model, or about it."""
+STATUS = "status"
+"""The same, but only ``status`` may be asked: the services of the loop may ask what is, and change nothing."""
 AGREED = "agreed"
 """Last part of the key under which services tell each other what they agreed on, while no diagnosis is there."""
 
@@ -63,7 +66,7 @@ class Answer:
     """Effects that can be accepted now, best first."""
 
 
-def request_key(fleet: str, robot: str, name: str = _REQUEST) -> str:
+def request_key(fleet: str, robot: str, name: str = REQUEST) -> str:
     """The key expression ``safedpa/{fleet}/{robot}/request`` (or ``agreed``); ``*`` as robot: every one.
 
     Raises InputError for names that the bus cannot carry.
@@ -74,6 +77,6 @@ def request_key(fleet: str, robot: str, name: str = _REQUEST) -> str:
 def robot_of_request(key: str) -> str:
     """The robot that a request is about. Raises InputError when the key names none, or more than one."""
     parts = key.split("/")
-    if len(parts) != 4 or parts[3] not in (_REQUEST, AGREED) or "*" in key:
-        raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{_REQUEST}")
+    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, AGREED) or "*" in key:
+        raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{REQUEST}")
     return parts[2]

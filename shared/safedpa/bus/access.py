@@ -1,0 +1,210 @@
+"""Who may do what on the bus: one table of roles, and from it and the table of topics the router's access control.
+
+A role is the common name of a certificate. Who may put under a topic is that topic's writer, under the names of the
+fleet's own robots and nobody else's; health and takeover are put under the own service name only. What no line
+allows is denied, in both directions: whoever may not read a topic is sent nothing of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from safedpa.bus.requests import AGREED, REQUEST, STATUS, request_key
+from safedpa.bus.topics import (
+    ACTION,
+    HEALTH,
+    LATENT,
+    MODEL,
+    STATE,
+    TAKEOVER,
+    TOPICS,
+    VERDICT,
+    WISH,
+    Topic,
+    key_of,
+)
+from safedpa.errors import InputError
+
+__all__ = ["NOBODY", "ROBOT", "ROLES", "ROUTER", "Role", "access_control", "role_of_robot", "roles_of", "size_limits"]
+
+NOBODY = "-"
+"""Stands for the robot in the keys of a service that serves the whole fleet."""
+ROBOT = "robot"
+ROUTER = "router"
+_IN, _OUT = "ingress", "egress"
+_ALL_MESSAGES = (
+    "put",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+"""All but delete, which nobody may."""
+_EVERYTHING = tuple(TOPICS.values())
+
+
+@dataclass(frozen=True)
+class Role:
+    """What a kind of process does on the bus besides writing the topics whose writer it is."""
+
+    name: str
+    reads: tuple[Topic, ...]
+    """Topics; of every robot, but a robot those of its own alone."""
+    asks: tuple[str, ...] = ()
+    """Kinds of questions."""
+    answers: tuple[str, ...] = ()
+    lives: bool = True
+    """Whether it announces itself and sends heartbeats."""
+    looks: bool = False
+    """Whether it may ask who lives."""
+    takes_over: bool = False
+    """Whether it holds models, which change while it runs."""
+
+
+_LOOP = {"asks": (STATUS, AGREED), "answers": (AGREED,), "takes_over": True}
+
+ROLES: dict[str, Role] = {
+    role.name: role
+    for role in (
+        Role(ROBOT, (STATE, ACTION), looks=True),
+        Role("adaptation", (STATE, MODEL), **_LOOP),  # type: ignore[arg-type]
+        Role("policy", (STATE, LATENT, MODEL), **_LOOP),  # type: ignore[arg-type]
+        Role("safety_filter", (STATE, LATENT, WISH, MODEL), **_LOOP),  # type: ignore[arg-type]
+        Role("diagnosis", (STATE, LATENT, VERDICT, HEALTH, TAKEOVER), answers=(REQUEST, STATUS)),
+        Role("recorder", _EVERYTHING),
+        Role("dashboard", _EVERYTHING, looks=True),
+        Role("workbench", _EVERYTHING, asks=(REQUEST, STATUS), looks=True),
+        Role("operator", _EVERYTHING, asks=(REQUEST, STATUS), lives=False, looks=True),
+        Role("healthcheck", (HEALTH,), lives=False, looks=True),
+    )
+}
+"""Every role but the router's own; a robot reads its own topics alone."""
+
+
+@dataclass(frozen=True)
+class _Right:
+    """One kind of right of one role, as Zenoh names it: messages that may flow one way under keys."""
+
+    what: str
+    messages: tuple[str, ...]
+    flow: str
+    """``ingress``: what the router takes from it; ``egress``: what the router sends to it."""
+    keys: tuple[str, ...]
+
+
+def role_of_robot(name: str) -> str:
+    """Common name of a robot's certificate."""
+    return f"{ROBOT}.{name}"
+
+
+def roles_of(robots: Iterable[str]) -> tuple[str, ...]:
+    """Every role of a fleet, the router's among them: whose certificates there are."""
+    return (*map(role_of_robot, robots), *(name for name in ROLES if name != ROBOT), ROUTER)
+
+
+def access_control(fleet: str, robots: Iterable[str]) -> dict[str, Any]:
+    """Zenoh's ``access_control`` for the router of a fleet with these robots.
+
+    Raises InputError for names that the bus cannot carry, or a robot named twice.
+    """
+    names = tuple(robots)
+    if len(set(names)) < len(names):
+        raise InputError(f"--robot: got {', '.join(names)}, wanted every robot once")
+    rules: list[dict[str, Any]] = []
+    policies = []
+    for subject, rights in _subjects(fleet, names):
+        own = [_rule(f"{subject} {right.what}", right) for right in rights if right.keys]
+        rules += own
+        policies.append({"rules": [rule["id"] for rule in own], "subjects": [subject]})
+    return {
+        "enabled": True,  # left out, everything is allowed, and Zenoh says nothing
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in roles_of(names)],
+        "policies": policies,
+    }
+
+
+def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_Right]]]:
+    for robot in robots:
+        yield role_of_robot(robot), _rights(ROLES[ROBOT], fleet, (robot,), robot)
+    for role in ROLES.values():
+        if role.name != ROBOT:
+            yield role.name, _rights(role, fleet, (*robots, NOBODY), "*")
+    yield ROUTER, _rights_of_a_router(fleet)
+
+
+def _rule(name: str, right: _Right) -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "messages": list(right.messages),
+        "flows": [right.flow],
+        "key_exprs": list(right.keys),
+    }
+
+
+def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) -> list[_Right]:
+    """Of one role that writes for some robots and reads of one, or with ``*`` of all."""
+    puts = tuple(
+        key_of(fleet, robot, topic, role.name)
+        for topic in TOPICS.values()
+        for robot in writes_for
+        if _may_write(role, topic, robot)
+    )
+    reads = tuple(key_of(fleet, reads_of, topic, "*") for topic in role.reads)
+    asks = tuple(request_key(fleet, reads_of, kind) for kind in role.asks)
+    answers = tuple(request_key(fleet, reads_of, kind) for kind in role.answers)
+    lives = (_alive(fleet, writes_for[-1], role.name),) if role.lives else ()
+    looks = (_alive(fleet, reads_of, role.name if reads_of != "*" else "*"),) if role.looks else ()
+    return [
+        _Right("puts", ("put",), _IN, puts),
+        _Right("learns who reads", ("declare_subscriber",), _OUT, puts),
+        _Right("subscribes", ("declare_subscriber",), _IN, reads),
+        _Right("reads", ("put",), _OUT, reads),
+        _Right("asks", ("query",), _IN, asks),
+        _Right("is answered", ("reply", "declare_queryable"), _OUT, asks),
+        _Right("answers", ("reply", "declare_queryable"), _IN, answers),
+        _Right("is asked", ("query",), _OUT, answers),
+        _Right("lives", ("liveliness_token",), _IN, lives),
+        _Right("looks", ("liveliness_query", "declare_liveliness_subscriber"), _IN, looks),
+        _Right("sees", ("liveliness_token",), _OUT, looks),
+    ]
+
+
+def _may_write(role: Role, topic: Topic, robot: str) -> bool:
+    if not topic.per_service:
+        return role.name == topic.writer and robot != NOBODY
+    return role.takes_over if topic is TAKEOVER else role.lives
+
+
+def _alive(fleet: str, robot: str, service: str) -> str:
+    return f"safedpa/{fleet}/{robot}/alive/{service}/*"
+
+
+def _rights_of_a_router(fleet: str) -> list[_Right]:
+    """Another router of the same fleet has judged its own clients; nobody deletes, not even it."""
+    everything = (f"safedpa/{fleet}/**",)
+    return [_Right("brings", _ALL_MESSAGES, _IN, everything), _Right("takes away", _ALL_MESSAGES, _OUT, everything)]
+
+
+def size_limits(fleet: str) -> list[dict[str, Any]]:
+    """Zenoh's ``low_pass_filter``: what is larger than its topic allows goes no further than the router."""
+    by_size: dict[int, list[str]] = {}
+    for topic in TOPICS.values():
+        by_size.setdefault(topic.largest_bytes, []).append(key_of(fleet, "*", topic, "*"))
+    return [
+        {
+            "id": f"at most {size} bytes",
+            "flows": [_IN],
+            "messages": ["put"],
+            "key_exprs": keys,
+            "size_limit": size,
+        }
+        for size, keys in by_size.items()
+    ]
