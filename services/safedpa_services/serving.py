@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import gc
-import uuid
 
-from safedpa.bus import NO_ROBOT, AbstractNode, ServiceLoop
+from safedpa.bus import NO_ROBOT, AbstractNode, ServiceLoop, SetupMessage
 from safedpa.bus.process import Stop, add_bus_options, bus_from
 
 __all__ = ["serve", "service_parser"]
@@ -21,11 +20,11 @@ def service_parser(program: str) -> argparse.ArgumentParser:
     return parser
 
 
-def serve(node: AbstractNode, options: argparse.Namespace, stop: Stop) -> int:
-    """Runs the node on the bus until ``stop``; returns exit code 0."""
+def serve(node: AbstractNode, options: argparse.Namespace, stop: Stop, setup: SetupMessage) -> int:
+    """Runs the node on the bus until ``stop``, and tells its setup; returns exit code 0."""
     with bus_from(options) as bus:
         gc.collect()
         gc.freeze()  # what lives now lives for ever; the collector need not look at it in the middle of a tick
-        bus.announce(NO_ROBOT, node.name, uuid.uuid4().hex[:12])
-        ServiceLoop(node, bus, options.robot).run(stop)
+        bus.announce(NO_ROBOT, node.name, setup.instance)
+        ServiceLoop(node, bus, options.robot, setup=setup).run(stop)
     return 0

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
-import uuid
 from pathlib import Path
 
-from safedpa.bus import NO_ROBOT, ServiceLoop
+from safedpa.bus import ASKED, NO_ROBOT, Answer, Bus, Request, ServiceLoop
+from safedpa.bus.asked import asked_message
 from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa.bus.requests import STATUS
+from safedpa.bus.setup import setup_message
 from safedpa.diagnosis.live.change import ModelChanges
 from safedpa.diagnosis.live.node import DiagnosisNode
 from safedpa.diagnosis.live.versions import Version, VersionFolder
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
+from safedpa.dynamics.model_setup import model_setup
+from safedpa.errors import BusError
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.shipped import margin_for
 from safedpa_services.diagnosis.process_worker import ProcessWorker
@@ -26,12 +31,20 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     node = _node(options, worker)
     try:
         with bus_from(options) as bus:
-            bus.answer_requests(node.answer, options.robot)
-            bus.announce(NO_ROBOT, node.name, uuid.uuid4().hex[:12])
-            ServiceLoop(node, bus, options.robot).run(stop)
+            bus.answer_requests(node.answer, options.robot, lambda *asked: _tell(bus, *asked))
+            setup = model_setup(setup_message(node.name, vars(options)), load_model(options.model))
+            bus.announce(NO_ROBOT, node.name, setup.instance)
+            ServiceLoop(node, bus, options.robot, setup=setup).run(stop)
     finally:
         worker.close()
     return 0
+
+
+def _tell(bus: Bus, robot: str, request: Request | None, answer: Answer) -> None:
+    """What was asked and what came of it, for the recording; who only looks is left out."""
+    if request is None or request.do != STATUS:
+        with contextlib.suppress(BusError):  # closed meanwhile: then nobody waits for the answer either
+            bus.publish(ASKED, robot or NO_ROBOT, asked_message(request, answer))
 
 
 def _node(options: argparse.Namespace, worker: ProcessWorker) -> DiagnosisNode:

@@ -7,8 +7,12 @@ import dataclasses
 import sys
 
 from safedpa.bus.process import Stop, run_process
+from safedpa.bus.setup import setup_message
 from safedpa.dynamics import load_model
+from safedpa.dynamics.model_setup import model_setup
+from safedpa.safety.margin_text import margin_text
 from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.settings import write_settings
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_services.serving import serve, service_parser
 
@@ -21,7 +25,12 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     margin = margin_for(model, options.margin)
     if margin is None:
         sys.stderr.write("margin: none was calibrated for this model; the settings' epsilon stands in for it\n")
-    return serve(SafetyFilterNode(model, settings, margin), options, stop)
+    setup = dataclasses.replace(
+        model_setup(setup_message(SafetyFilterNode.name, vars(options)), model),
+        settings=write_settings(settings),
+        margin="" if margin is None else margin_text(margin),
+    )
+    return serve(SafetyFilterNode(model, settings, margin), options, stop, setup)
 
 
 if __name__ == "__main__":
