@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import click
 
 from safedpa.errors import InputError
 
+_JSON = click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+_RATE = click.option("--rate", type=float, default=20.0, show_default=True, help="ticks per second")
 
-@click.command()
-@click.argument("what", type=click.Choice(["latency"]), default="latency")
+
+@click.group(invoke_without_command=True)
+@click.pass_context
+def command(context: click.Context) -> None:
+    """Measure how fast the services are; by default the latency of one robot."""
+    if context.invoked_subcommand is None:
+        context.invoke(latency)
+
+
+@command.command()
 @click.option("--seconds", type=float, default=20.0, show_default=True, help="for each of the two measurements")
-@click.option("--rate", type=float, default=20.0, show_default=True, help="ticks per second")
-@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
-def command(what: str, seconds: float, rate: float, *, as_json: bool) -> None:
-    """Measure sense to act over Zenoh, every service its own process, beside a bare chain of relays."""
+@_RATE
+@_JSON
+def latency(seconds: float, rate: float, *, as_json: bool) -> None:
+    """Sense to act over Zenoh, every service its own process, beside a bare chain of relays."""
     from safedpa_services.benchmarks.latency import latency_benchmark
 
-    del what  # one so far
-    if not (1.0 <= seconds <= 3600.0 and 1.0 <= rate <= 500.0):
-        raise InputError(f"got --seconds {seconds} --rate {rate}, wanted 1 to 3600 s and 1 to 500 ticks per second")
+    _check(seconds, rate)
     result = latency_benchmark(seconds, rate)
     if as_json:
         click.echo(json.dumps(result))
@@ -30,3 +39,73 @@ def command(what: str, seconds: float, rate: float, *, as_json: bool) -> None:
     click.echo(f"  real loop   p50 {loop['p50']:7.0f}   p99 {loop['p99']:7.0f}   watchdog {loop['watchdog_ticks']}")
     click.echo(f"  bare chain  p50 {bare['p50']:7.0f}   p99 {bare['p99']:7.0f}")
     click.echo(f"  ratio       p50 {result['ratio_p50']:7.2f}   p99 {result['ratio_p99']:7.2f}")
+
+
+@command.command()
+@click.option("--robots", type=int, default=50, show_default=True, help="simulated cars, all in one process")
+@click.option("--seconds", type=float, default=20.0, show_default=True, help="for each fleet")
+@_RATE
+@click.option("--loads", default="none,box,chair,large_chair", show_default=True, help="what they tow, in turn")
+@click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
+@click.option("--controller", default="", help="the policy's; by default the one that the model allows")
+@click.option("--in-step", is_flag=True, help="all robots sense at the same moment; else spread over the period")
+@click.option("--realtime", is_flag=True, help="ask for real-time scheduling, as 'safedpa up' does")
+@click.option("--find-largest", is_flag=True, help="double and bisect, from --robots on, for the largest that holds")
+@_JSON
+def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **options: Any) -> None:
+    """Many robots through one process of each service: late ticks, sense to act, processor time, memory."""
+    from safedpa_services.benchmarks.fleet import FleetTrial, fleet_benchmark, largest_fleet
+    from safedpa_services.benchmarks.latency import bare_chain
+
+    _check(seconds, options["rate"])
+    if not 1 <= robots <= 1000:
+        raise InputError(f"got --robots {robots}, wanted 1 to 1000")
+    trial = FleetTrial(robots, seconds, **options)
+    bare = bare_chain(min(seconds, 5.0), trial.rate)
+    results: list[dict[str, Any]] = []
+
+    def measured(result: dict[str, Any]) -> None:
+        results.append(result)
+        if not as_json:
+            _show(result)
+
+    if not as_json:
+        click.echo(f"bare chain of as many processes, one robot: p50 {bare['p50']:.0f}, p99 {bare['p99']:.0f} us")
+    largest = largest_fleet(trial, measured, fleet_benchmark) if find_largest else None
+    if not find_largest:
+        measured(fleet_benchmark(trial))
+    if as_json:
+        found = {} if largest is None else {"largest_fleet": largest}
+        click.echo(json.dumps({"bare_chain_us": bare, **found, "trials": results}))
+    elif largest is not None:
+        click.echo(f"largest fleet with at most 0.1 % late ticks at {trial.rate:g} Hz: {largest} robots")
+
+
+def _check(seconds: float, rate: float) -> None:
+    if not (1.0 <= seconds <= 3600.0 and 1.0 <= rate <= 500.0):
+        raise InputError(f"got --seconds {seconds} --rate {rate}, wanted 1 to 3600 s and 1 to 500 ticks per second")
+
+
+def _show(result: dict[str, Any]) -> None:
+    """One fleet as a few lines."""
+    sense, own = result["sense_to_act_us"], result["own_lateness_us"]
+    click.echo(
+        f"{result['robots']} robots at {result['rate_hz']:g} Hz for {result['seconds']:g} s: "
+        f"{result['late_ticks']} of {result['robot_ticks']} ticks late ({100.0 * result['late_share']:.3f} %, "
+        f"{result['late_while_held_up']} of them while the simulation itself was late), "
+        f"load average {result['load_average'][0]} to {result['load_average'][1]}"
+    )
+    for name, times in (("sense to act, us", sense), ("states sent late by, us", own)):
+        told = "   ".join(f"{key} {_number(times[key])}" for key in ("p50", "p99", "p999", "longest"))
+        click.echo(f"  {name:24} {told}")
+    for name, used in result["processes"].items():
+        if used is not None:
+            click.echo(
+                f"  {name:24} {100.0 * used['cores']:5.1f} % of a core   {used['us_per_robot_tick']:6.0f} us a "
+                f"robot-tick   {used['mib_begin']:.1f} to {used['mib_end']:.1f} MiB"
+            )
+    click.echo(f"  goals {result['goals_reached']}, collisions {result['collisions']}, refused {result['refusals']}")
+
+
+def _number(value: float | None) -> str:
+    return "     -" if value is None else f"{value:6d}"

@@ -25,20 +25,32 @@ def claim_name(bus: Bus, name: str, clock: Callable[[], float] = time.monotonic)
     claim_names(bus, (name,), clock)
 
 
-def claim_names(bus: Bus, names: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
-    """Announces several robots of one process at once; as ``claim_name`` for each, in the time that one takes."""
+def claim_names(
+    bus: Bus, names: Sequence[str], clock: Callable[[], float] = time.monotonic, listener: Bus | None = None
+) -> None:
+    """Announces several robots of one process at once; as ``claim_name`` for each, in the time that one takes.
+
+    ``listener`` hears whether another one speaks, the bus itself where it is None: what it subscribed to stays.
+    """
     instance = f"{time.time_ns():016x}-{uuid.uuid4().hex[:8]}"
-    inboxes = {name: bus.inbox((STATE,), name) for name in names}
+    inbox = (listener or bus).inbox((STATE,), names[0] if len(names) == 1 else "*")
     for name in names:
         bus.claim(name, "robot", instance)
     end = clock() + _SETTLE_SECONDS
     while clock() < end:
-        for position, (name, inbox) in enumerate(inboxes.items()):
-            heard = inbox.take(_LOOK_SECONDS if position == 0 else 0.0)
+        speaking = {item.robot for item in inbox.take(_LOOK_SECONDS)}
+        for name in _perhaps_taken(bus, names, instance, speaking):
             earlier = [other for other in bus.instances(name, "robot") if other < instance]
-            if heard or earlier:
+            if name in speaking or earlier:
                 raise BusError(
                     f"robot '{name}' of fleet '{bus.fleet}' lives already"
                     f"{f' (instance {earlier[0]})' if earlier else ''}; choose another --name, or end the other one "
                     "first"
                 )
+
+
+def _perhaps_taken(bus: Bus, names: Sequence[str], instance: str, speaking: set[str]) -> Sequence[str]:
+    """The names to look at: all where robots of other processes live that are older, else those that speak."""
+    if len(names) == 1 or any(other < instance for other in bus.instances("*", "robot")):
+        return names
+    return [name for name in names if name in speaking]

@@ -30,7 +30,7 @@ class Durations:
         self.longest = max(self.longest, seconds)
 
     def percentile(self, share: float) -> float | None:
-        """Upper edge [s] of the bin that holds the smallest entry that ``share`` of all do not exceed; None of nothing."""
+        """The smallest entry [s] that ``share`` of all do not exceed, rounded up to its bin; None of nothing."""
         wanted, seen = share * self.count, 0
         for index, count in enumerate(self._counts):
             seen += count

@@ -44,7 +44,7 @@ class _Turning:
 
 @final
 class FleetLoop:
-    """Turns ``robots`` by name on one bus. With ``in_step`` all sense at the same moment, else spread over the period."""
+    """Turns ``robots`` by name. With ``in_step`` all sense at the same moment, else spread over the period."""
 
     def __init__(
         self,

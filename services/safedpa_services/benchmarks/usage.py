@@ -1,0 +1,39 @@
+"""What a process has used so far, as the kernel counts it: robust where the machine is busy with other things."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+__all__ = ["Usage", "load_average", "usage_of"]
+
+
+@final
+@dataclass(frozen=True)
+class Usage:
+    """Processor time [s] of all threads, and the memory that is in use now [MiB]."""
+
+    cpu_seconds: float
+    resident_mib: float
+
+
+def usage_of(pid: int) -> Usage | None:
+    """Of a running process; None where it is gone, or where the system has no /proc."""
+    try:
+        # the name in brackets may hold anything, so the fields are counted from behind it
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
+        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
+    except (OSError, IndexError):
+        return None
+    ticks = int(fields[11]) + int(fields[12])
+    return Usage(ticks / os.sysconf("SC_CLK_TCK"), pages * os.sysconf("SC_PAGE_SIZE") / 2**20)
+
+
+def load_average() -> float | None:
+    """Processes that wanted to run over the last minute; None where the system does not tell."""
+    try:
+        return round(os.getloadavg()[0], 2)
+    except OSError:
+        return None
