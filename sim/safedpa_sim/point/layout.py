@@ -1,0 +1,97 @@
+"""Where robot, goal and hazards lie: drawn uniformly in the field, kept apart, many layouts at once.
+
+Source: level 1 of the benchmark's goal task (Safety Gymnasium, NeurIPS 2023): 8 hazards of radius 0.2 m and a goal of
+radius 0.3 m in a field of 3 m x 3 m. Each thing has a radius to keep out of; two are at least the sum of theirs apart.
+The vase of that level, which costs nothing, is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FIELD", "GOAL_RADIUS", "HAZARDS", "HAZARD_RADIUS", "Layout", "draw_goals", "draw_layouts"]
+
+Floats = NDArray[np.float64]
+
+HAZARDS: Final = 8
+HAZARD_RADIUS: Final = 0.2
+GOAL_RADIUS: Final = 0.3
+FIELD: Final = 1.5
+"""m; the field reaches from -1.5 to 1.5 in x and y."""
+
+_KEEP_ROBOT, _KEEP_GOAL, _KEEP_HAZARD = 0.4, 0.305, 0.18
+_TRIES = 100
+
+
+@dataclass
+class Layout:
+    """Positions [m] in ``count`` worlds."""
+
+    robot: Floats
+    """(count, 2)."""
+    goal: Floats
+    """(count, 2)."""
+    hazards: Floats
+    """(count, 8, 2)."""
+
+
+def draw_layouts(count: int, random: np.random.Generator) -> Layout:
+    """``count`` layouts, independent of each other."""
+    layout = Layout(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, HAZARDS, 2)))
+    left = np.arange(count)
+    while len(left):
+        places, found = _draw(len(left), random)
+        done = left[found]
+        layout.robot[done], layout.goal[done], layout.hazards[done] = (
+            places[found, 0],
+            places[found, 1],
+            places[found, 2:],
+        )
+        left = left[~found]
+    return layout
+
+
+def draw_goals(robot: Floats, hazards: Floats, random: np.random.Generator) -> Floats:
+    """New goals (count, 2), away from hazards and from where the robots are now."""
+    others = np.concatenate((robot[:, None], hazards), axis=1)
+    keep = np.array([_KEEP_ROBOT] + [_KEEP_HAZARD] * hazards.shape[1])
+    goals = np.zeros_like(robot)
+    left = np.arange(len(robot))
+    while len(left):
+        place = _somewhere(len(left), _KEEP_GOAL, random)
+        found = _is_free(place, _KEEP_GOAL, others[left], keep)
+        goals[left[found]] = place[found]
+        left = left[~found]
+    return goals
+
+
+def _draw(count: int, random: np.random.Generator) -> tuple[Floats, NDArray[np.bool_]]:
+    """Places (count, 2 + hazards, 2), one thing after the other, and in which worlds all of them found room."""
+    keep = np.array([_KEEP_ROBOT, _KEEP_GOAL] + [_KEEP_HAZARD] * HAZARDS)
+    places = np.zeros((count, len(keep), 2))
+    complete = np.ones(count, bool)
+    for index, radius in enumerate(keep):
+        left = np.arange(count)
+        for _ in range(_TRIES):
+            place = _somewhere(len(left), radius, random)
+            found = _is_free(place, radius, places[left, :index], keep[:index])
+            places[left[found], index] = place[found]
+            left = left[~found]
+            if not len(left):
+                break
+        complete[left] = False
+    return places, complete
+
+
+def _somewhere(count: int, keep: float, random: np.random.Generator) -> Floats:
+    return random.uniform(-FIELD + keep, FIELD - keep, (count, 2))
+
+
+def _is_free(place: Floats, keep: float, others: Floats, others_keep: Floats) -> NDArray[np.bool_]:
+    apart = np.linalg.norm(place[:, None] - others, axis=2)
+    free: NDArray[np.bool_] = np.all(apart >= keep + others_keep, axis=1)
+    return free

@@ -1,0 +1,116 @@
+"""The task: reach the goal, then the next one, for 1000 steps; every step within a hazard costs 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa_sim.point.body import POINT_BODY
+from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS, draw_goals, draw_layouts
+from safedpa_sim.point.observation import goal_seen, hazard_lidar
+from safedpa_sim.point.simulation import PointSimulation
+
+__all__ = ["EPISODE_STEPS", "PointTask", "Stepped", "control_of"]
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+EPISODE_STEPS: Final = 1000
+_GOAL_REWARD = 1.0
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """What one step brought, one entry a robot."""
+
+    reward: Floats
+    """m by which the goal came nearer, and 1 where it was reached."""
+    cost: Floats
+    """1 where the hinge, the robot's middle, lies within a hazard."""
+    reached: Flags
+    timed_out: Flags
+    """The episode's last step."""
+
+
+def control_of(action: Floats, stock: bool = False) -> Floats:
+    """Controls (2, count) of actions (count, 2) in [-1, 1].
+
+    The thrust's control is a twentieth of the action, so that it never saturates and the body is affine in it; with
+    ``stock`` the action itself, as in the benchmark: beyond a twentieth of its range the thrust is full.
+    """
+    scale = np.array([1.0 if stock else POINT_BODY.force_limit, 1.0])
+    return (np.clip(action, -1.0, 1.0) * scale).T
+
+
+class PointTask:
+    """``count`` robots, each in a layout and a wind of its own; the same seed gives the same episodes."""
+
+    def __init__(self, count: int, seed: int, *, largest_force: float = 0.0, stock: bool = False) -> None:
+        self.count = count
+        self.simulation = PointSimulation(count)
+        self.largest_force = largest_force
+        """N; winds are drawn within that disc at each restart."""
+        self._stock = stock
+        self._random = np.random.default_rng(seed)
+        self.layout = draw_layouts(count, self._random)
+        self.steps = np.zeros(count, int)
+        self.control = np.zeros((2, count))
+        self._distance = np.zeros(count)
+        self.restart(np.arange(count))
+
+    def restart(self, which: NDArray[np.intp]) -> None:
+        """New layouts, headings and winds for the robots of those indices, at rest."""
+        drawn = draw_layouts(len(which), self._random)
+        self.layout.robot[which], self.layout.goal[which] = drawn.robot, drawn.goal
+        self.layout.hazards[which] = drawn.hazards
+        simulation = self.simulation
+        simulation.pose[:2, which] = drawn.robot.T
+        simulation.pose[2, which] = self._random.uniform(0.0, 2.0 * np.pi, len(which))
+        simulation.velocity[:, which] = 0.0
+        direction = self._random.uniform(0.0, 2.0 * np.pi, len(which))
+        strength = self.largest_force * np.sqrt(self._random.uniform(0.0, 1.0, len(which)))
+        simulation.force[:, which] = strength * np.stack((np.cos(direction), np.sin(direction)))
+        self.control[:, which] = 0.0
+        self.steps[which] = 0
+        self._distance[which] = self._goal_distance()[which]
+
+    def advance(self, action: Floats) -> Stepped:
+        """One step under actions (count, 2) in [-1, 1]; a goal that is reached is put elsewhere."""
+        self.control = control_of(action, self._stock)
+        self.simulation.advance(self.control)
+        self.steps += 1
+        distance = self._goal_distance()
+        reward = self._distance - distance
+        reached = distance <= GOAL_RADIUS
+        reward[reached] += _GOAL_REWARD
+        which = np.flatnonzero(reached)
+        if len(which):
+            place = self.simulation.pose[:2, which].T
+            self.layout.goal[which] = draw_goals(place, self.layout.hazards[which], self._random)
+            distance[which] = self._goal_distance()[which]
+        self._distance = distance
+        cost = (self.hazard_distance() <= 0.0).astype(float)
+        return Stepped(reward, cost, reached, self.steps >= EPISODE_STEPS)
+
+    def hazard_distance(self) -> Floats:
+        """(count,) m from the robot's middle to the edge of the nearest hazard, negative within."""
+        apart = self.layout.hazards - self.simulation.pose[:2].T[:, None]
+        nearest: Floats = np.linalg.norm(apart, axis=2).min(axis=1) - HAZARD_RADIUS
+        return nearest
+
+    def observation(self) -> Floats:
+        """(count, 31): 12 of the sensors, 3 of the goal, 16 of the lidar; the wind or a latent is not among them."""
+        pose = self.simulation.pose
+        seen = (
+            self.simulation.sensors(self.control).T,
+            goal_seen(pose, self.layout.goal),
+            hazard_lidar(pose, self.layout.hazards),
+        )
+        return np.concatenate(seen, axis=1)
+
+    def _goal_distance(self) -> Floats:
+        apart: Floats = np.linalg.norm(self.layout.goal - self.simulation.pose[:2].T, axis=1)
+        return apart
