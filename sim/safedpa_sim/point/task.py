@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,14 +35,15 @@ class Stepped:
     """The episode's last step."""
 
 
-def control_of(action: Floats, stock: bool = False) -> Floats:
+def control_of(action: NDArray[np.floating[Any]], stock: bool = False) -> Floats:
     """Controls (2, count) of actions (count, 2) in [-1, 1].
 
     The thrust's control is a twentieth of the action, so that it never saturates and the body is affine in it; with
     ``stock`` the action itself, as in the benchmark: beyond a twentieth of its range the thrust is full.
     """
     scale = np.array([1.0 if stock else POINT_BODY.force_limit, 1.0])
-    return (np.clip(action, -1.0, 1.0) * scale).T
+    control: Floats = (np.clip(action, -1.0, 1.0) * scale).T
+    return control
 
 
 class PointTask:
@@ -77,7 +78,7 @@ class PointTask:
         self.steps[which] = 0
         self._distance[which] = self._goal_distance()[which]
 
-    def advance(self, action: Floats) -> Stepped:
+    def advance(self, action: NDArray[np.floating[Any]]) -> Stepped:
         """One step under actions (count, 2) in [-1, 1]; a goal that is reached is put elsewhere."""
         self.control = control_of(action, self._stock)
         self.simulation.advance(self.control)

@@ -78,7 +78,8 @@ class PointEnvironment(VecEnv):
         self._whole[which] = True
 
     def _seen(self) -> Floats:
-        return (self.task.observation() / _SCALE).astype(np.float32)
+        seen: Floats = (self.task.observation() / _SCALE).astype(np.float32)
+        return seen
 
     def close(self) -> None:
         """Nothing is open."""
