@@ -12,8 +12,8 @@ from safedpa.errors import InputError, SafedpaError, did_you_mean
 __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
-    "accept", "add", "bench", "calibrate", "compare", "diagnose", "effects", "experiment", "export", "predict",
-    "reject", "roll-back", "screenshot", "train", "up", "workbench",
+    "accept", "add", "bench", "calibrate", "certificates", "compare", "diagnose", "effects", "experiment", "export",
+    "predict", "reject", "roll-back", "screenshot", "status", "train", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 

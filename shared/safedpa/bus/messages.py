@@ -184,6 +184,9 @@ class HealthMessage(Message):
     """Recorder: messages that are known to be on disk."""
     free_bytes: int = 0
     """Recorder: room left where it writes; 0: not told."""
+    latencies: Vector = ()
+    """Robot: s from publishing a state to accepting its action, by its own clock, of each tick since the last heartbeat
+    (of the newest 100 at most)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,6 +19,7 @@ from safedpa.bus.messages import HealthMessage, Message, SetupMessage, StateMess
 from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
 from safedpa.bus.topics import HEALTH, SETUP, STATE, Topic
 from safedpa.bus.trace import Trace, consumed
+from safedpa.bus.version import software_version
 from safedpa.errors import InputError
 
 __all__ = ["NO_ROBOT", "ServiceLoop"]
@@ -267,6 +268,7 @@ class ServiceLoop:
                 refused=counts.refused,
                 step_microseconds=counts.microseconds,
                 model=self._node.model_of(robot) if slot else "",
+                software=software_version(),
             )
             self._bus.publish(HEALTH, robot, message, self._node.name)
 

@@ -62,12 +62,19 @@ class OnlineMargin:
         self.calibrated, self._target, self._rate = calibrated, 1.0 - coverage, rate
         self._level = self._target
         self._errors: deque[float] = deque(maxlen=window)
+        self._missed: deque[bool] = deque(maxlen=window)
         self.value = calibrated
         """The margin in force."""
+
+    @property
+    def coverage(self) -> float | None:
+        """Share of the last ``window`` errors that did not exceed the margin then in force; None before the first."""
+        return 1.0 - sum(self._missed) / len(self._missed) if self._missed else None
 
     def update(self, error: float) -> float:
         """The margin after one more error was seen; an error that is not finite counts as a miss and is not kept."""
         missed = not error <= self.value
+        self._missed.append(missed)
         self._level += self._rate * (self._target - float(missed))
         if isfinite(error):
             self._errors.append(error)

@@ -34,7 +34,14 @@ class WatchedMargin:
             kind: OnlineMargin(calibrated, calibration.coverage, _RATE, _WINDOW)
             for kind, calibrated in calibration.epsilon.items()
         }
+        self.promised = calibration.coverage if calibration.date != "never" else -1.0
+        """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""
         self._expected: Values | None = None
+
+    @property
+    def coverage(self) -> float:
+        """Share of the last steps in which the margin held, the least of all kinds of barrier; -1 before the first."""
+        return min((told for margin in self._margins.values() if (told := margin.coverage) is not None), default=-1.0)
 
     @property
     def epsilon(self) -> dict[str, float]:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 from safedpa.bus import ACTION, HEALTH, STATE, Bus, Received
 from safedpa.bus.messages import ActionMessage, HealthMessage, StateMessage
+from safedpa.bus.version import software_version
 from safedpa.errors import BusError
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.trace import LivedPeriod, Trace
@@ -29,6 +30,7 @@ _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
 """The loop looks at ``stopped`` and its heartbeat at least so often."""
 _LONGEST_BRAKING_SECONDS = 5.0
+_MOST_TOLD_LATENCIES = 100
 
 
 class NoActionError(BusError):
@@ -64,6 +66,7 @@ class RobotLoop:
         self._next_heartbeat = clock()
         self._detail = ""
         self._step_microseconds = 0.0
+        self._told_latencies = 0
 
     def run(self, stopped: Callable[[], bool], ticks: int) -> None:
         """Drives until ``stopped`` or for ``ticks`` periods (0: for ever).
@@ -183,6 +186,7 @@ class RobotLoop:
 
     def _tell_health(self, state: str) -> None:
         robot = self.robot
+        told, self._told_latencies = self._told_latencies, len(self.latencies)
         message = HealthMessage(
             epoch=robot.guard.epoch,
             tick=robot.tick,
@@ -196,5 +200,7 @@ class RobotLoop:
             stale=robot.watchdog_ticks,
             refused=sum(robot.guard.refusals.values()),
             step_microseconds=self._step_microseconds,
+            software=software_version(),
+            latencies=tuple(self.latencies[max(told, len(self.latencies) - _MOST_TOLD_LATENCIES) :]),
         )
         self._bus.publish(HEALTH, self._name, message, "robot")

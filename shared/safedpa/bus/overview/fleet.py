@@ -10,7 +10,7 @@ from safedpa.bus.bus import Bus, Received
 from safedpa.bus.messages import HealthMessage
 from safedpa.bus.overview.robot import RobotOverview
 from safedpa.bus.overview.service import ServiceOverview
-from safedpa.bus.topics import ACTION, FINDING, HEALTH, STATE, VERDICT
+from safedpa.bus.topics import FINDING, HEALTH, STATE, VERDICT
 
 __all__ = ["FleetOverview"]
 
@@ -33,7 +33,7 @@ class FleetOverview:
     """What arrived and was no message of this project."""
 
     def __post_init__(self) -> None:
-        topics = (STATE, ACTION, VERDICT, HEALTH, FINDING)
+        topics = (STATE, VERDICT, HEALTH, FINDING)
         self._inbox = self.bus.inbox(topics, self.robot, keep_all=True, clock=self.clock)
         self._fleet_wide = None
         if self.robot != "*":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
-from safedpa.bus.messages import ActionMessage, FindingMessage, HealthMessage, Message, StateMessage, VerdictMessage
+from safedpa.bus.messages import FindingMessage, HealthMessage, Message, StateMessage, VerdictMessage
 from safedpa.bus.overview.recent import Recent
 
 __all__ = ["RobotOverview"]
@@ -37,11 +37,9 @@ class RobotOverview:
     recent_ticks: Recent = field(default_factory=Recent)
     """Kinds: who chose the action that was in force (``filter``, ``watchdog``, ``none``)."""
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT_LATENCIES))
-    """s from the arrival of a state at this listener to the arrival of its action, newest last."""
+    """s from publishing a state to accepting its action, as the robot measured it, newest last."""
     new_latencies: list[float] = field(default_factory=list)
     """The same since somebody emptied the list; for histograms."""
-    acted: tuple[int, int] = (0, -1)
-    """Epoch and tick of the newest action."""
 
     def heard_at(self) -> float:
         """s; when anything came last that the robot itself said."""
@@ -56,12 +54,12 @@ class RobotOverview:
         """Takes one message about this robot that came at the time ``at`` [s]; repetitions count once."""
         if isinstance(message, StateMessage):
             self._hear_state(message, at)
-        elif isinstance(message, ActionMessage):
-            self._hear_action(message, at)
         elif isinstance(message, VerdictMessage):
             self._hear_verdict(message, at)
         elif isinstance(message, HealthMessage):
             self.health[message.service] = (message, at)
+            self.latencies.extend(message.latencies)
+            self.new_latencies.extend(message.latencies)
         elif isinstance(message, FindingMessage):
             self.finding = message
 
@@ -73,14 +71,6 @@ class RobotOverview:
         self.ticks += 1
         self.late_ticks += message.applied_by == "watchdog"
         self.recent_ticks.add(message.applied_by, at)
-
-    def _hear_action(self, message: ActionMessage, at: float) -> None:
-        state, which = self.state, (message.epoch, message.tick)
-        if state is None or which != (state.epoch, state.tick) or which == self.acted:
-            return
-        self.acted = which
-        self.latencies.append(max(0.0, at - self.state_at))
-        self.new_latencies.append(self.latencies[-1])
 
     def _hear_verdict(self, message: VerdictMessage, at: float) -> None:
         known = self.verdict

@@ -1,0 +1,202 @@
+"""The document of a fleet's state as a picture for a terminal: what fits its width, the worst first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+__all__ = ["picture_of"]
+
+_COLOURS = {
+    "well": "green",
+    "attention": "yellow",
+    "trouble": "bold red",
+    "passed": "green",
+    "corrected": "yellow",
+    "relaxed": "magenta",
+    "fallback": "red",
+    "stopped": "yellow",
+    "disabled": "red",
+    "raised": "yellow",
+    "searching": "yellow",
+    "candidates": "yellow",
+}
+_FEWEST_ROWS = 5
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Column:
+    title: str
+    width: int
+    """Characters that it is given; what is longer is cut."""
+    text: Callable[[Row], str]
+    least_width: int = 0
+    """Of the terminal, below which it is left out."""
+    left: bool = False
+
+
+def _number(name: str, form: str, scale: float = 1.0) -> Callable[[Row], str]:
+    return lambda row: "" if row[name] is None else format(row[name] if scale == 1.0 else scale * row[name], form)
+
+
+def _model(row: Row) -> str:
+    models = row["models"]
+    return str(models.get("safety_filter") or next(iter(models.values()), ""))
+
+
+def _more(row: Row) -> str:
+    if row["service"] != "recorder":
+        return str(row["detail"])
+    told = [f"{row['steps']} messages written"]
+    told += [f"{row['acknowledged']} acknowledged"] if row["acknowledged"] else []
+    told += [f"{row['free_bytes'] / 1e9:.1f} GB of disk left"] if row["free_bytes"] else []
+    return ", ".join([*told, *([row["detail"]] if row["detail"] else [])])
+
+
+_ROBOTS = (
+    _Column("robot", 12, lambda row: row["robot"], left=True),
+    _Column("health", 9, lambda row: row["health"], left=True),
+    _Column("Hz", 5, _number("rate", ".1f")),
+    _Column("verdict", 9, lambda row: row["verdict"], left=True),
+    _Column("h", 6, _number("h", "+.2f")),
+    _Column("corr %", 6, _number("corrected", ".1f", 100.0)),
+    _Column("fall %", 6, _number("fallback", ".1f", 100.0)),
+    _Column("late %", 6, _number("late", ".2f", 100.0)),
+    _Column("p99 ms", 6, _number("sense_to_act_p99", ".1f", 1e3), 90),
+    _Column("held %", 6, _number("coverage", ".1f", 100.0), 100),
+    _Column("diagnosis", 10, lambda row: row["diagnosis"], 115, left=True),
+    _Column("age s", 5, _number("age", ".2f"), 125),
+    _Column("of Hz", 5, _number("wanted_rate", ".0f"), 135),
+    _Column("p50 ms", 6, _number("sense_to_act_p50", ".1f", 1e3), 145),
+    _Column("time s", 8, _number("time", ".1f"), 155),
+    _Column("goals", 5, _number("goals", "d"), 165),
+    _Column("hits", 4, _number("collisions", "d"), 172),
+    _Column("model", 12, _model, 190, left=True),
+)
+_SERVICES = (
+    _Column("process", 14, lambda row: row["service"], left=True),
+    _Column("health", 9, lambda row: row["health"], left=True),
+    _Column("state", 8, lambda row: row["state"], left=True),
+    _Column("robots", 6, _number("robots", "d")),
+    _Column("steps/s", 7, _number("steps_per_second", ".1f")),
+    _Column("step us", 7, _number("step_microseconds", ".0f")),
+    _Column("stale", 6, _number("stale", "d")),
+    _Column("refused", 7, _number("refused", "d")),
+    _Column("age s", 5, _number("age", ".2f"), 95),
+    _Column("pid", 7, _number("pid", "d"), 105),
+    _Column("version", 8, lambda row: row["software"], 115, left=True),
+    _Column("", 70, _more, 150, left=True),
+)
+
+
+def picture_of(document: dict[str, Any], width: int, height: int = 0) -> Group:
+    """Headline, concerns, robots and processes in ``width`` columns; with a ``height`` in so many rows at most."""
+    robots, services, concerns = document["robots"], document["services"], document["concerns"]
+    rows = _rows(height, len(robots), len(services), len(concerns))
+    parts: list[Any] = [_headline(document)]
+    parts += _told(concerns, rows[2], width)
+    if robots:
+        parts += [Text(""), _table(_ROBOTS, robots[: rows[0]], width), *_folded(robots[rows[0] :])]
+    if services:
+        parts += [Text(""), _table(_SERVICES, services[: rows[1]], width), *_more_processes(services[rows[1] :])]
+    parts += _recording(services, width)
+    return Group(*parts)
+
+
+def _rows(height: int, robots: int, services: int, concerns: int) -> tuple[int, int, int]:
+    """How many rows each part gets; without a height twenty robots, all processes and twelve concerns."""
+    if not height:
+        return 20, services, 12
+    rest = height - 9  # headline, titles, empty lines, folded lines, the recorder's line
+    told = min(concerns, max(2, rest // 4))
+    processes = min(services, max(3, (rest - told) // 2))
+    return max(_FEWEST_ROWS, min(robots, rest - told - processes)), processes, told
+
+
+def _headline(document: dict[str, Any]) -> Text:
+    robots, services = document["robots"], document["services"]
+    counts = {level: sum(row["health"] == level for row in robots) for level in ("trouble", "attention", "well")}
+    parts: list[str | tuple[str, str]] = [
+        (f"fleet {document['fleet']}  ", "bold"),
+        ("healthy" if document["healthy"] else "not healthy", "bold green" if document["healthy"] else "bold red"),
+        f"  {len(robots)} robots",
+    ]
+    parts += [(f"  {count} {level}", _COLOURS[level]) for level, count in counts.items() if count]
+    return Text.assemble(*parts, f"  {len(services)} processes", no_wrap=True, overflow="ellipsis")
+
+
+def _told(concerns: Sequence[Row], most: int, width: int) -> list[Text]:
+    lines = []
+    for concern in _grouped(concerns)[:most]:
+        about = f"{concern['robot']}: " if concern["robot"] else ""
+        line = Text.assemble((about + concern["sentence"], _COLOURS[concern["level"]]))
+        line.truncate(width, overflow="ellipsis")
+        lines.append(line)
+    left = len(_grouped(concerns)) - len(lines)
+    return lines + ([Text(f"and {left} more", style="dim")] if left > 0 else [])
+
+
+def _grouped(concerns: Sequence[Row]) -> list[Row]:
+    """The same sentence about many robots as one line."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for concern in concerns:
+        names.setdefault((concern["level"], concern["sentence"]), []).append(concern["robot"])
+    return [
+        {"level": level, "sentence": sentence, "robot": _listed(robots)} for (level, sentence), robots in names.items()
+    ]
+
+
+def _listed(robots: Sequence[str]) -> str:
+    shown = ", ".join(robots[:4])
+    return shown if len(robots) <= 4 else f"{shown} and {len(robots) - 4} more"
+
+
+def _table(columns: Sequence[_Column], rows: Sequence[Row], width: int) -> Table:
+    shown = [column for column in columns if width >= column.least_width]
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for column in shown:
+        table.add_column(
+            column.title,
+            justify="left" if column.left else "right",
+            max_width=column.width,
+            no_wrap=True,
+            overflow="ellipsis",
+        )
+    for row in rows:
+        cells = [column.text(row) for column in shown]
+        table.add_row(*(Text(cell, style=_COLOURS.get(cell, "")) for cell in cells))
+    return table
+
+
+def _folded(rest: Sequence[Row]) -> list[Text]:
+    """What is not shown, in one line."""
+    if not rest:
+        return []
+    worst = {level: sum(row["health"] == level for row in rest) for level in ("trouble", "attention", "well")}
+    told = ", ".join(f"{count} {level}" for level, count in worst.items() if count)
+    late = max(row["late"] for row in rest)
+    slowest = max((row["sense_to_act_p99"] or 0.0) for row in rest)
+    least = min((row["h"] for row in rest if row["h"] is not None), default=0.0)
+    numbers = f"least h {least:+.2f}, late at most {100.0 * late:.2f} %, p99 at most {1e3 * slowest:.1f} ms"
+    return [Text(f"{len(rest)} further robots ({told}): {numbers}", style="dim")]
+
+
+def _more_processes(rest: Sequence[Row]) -> list[Text]:
+    return [Text(f"{len(rest)} further processes", style="dim")] if rest else []
+
+
+def _recording(services: Sequence[Row], width: int) -> list[Text]:
+    """What the recorders say, where the table has no room for it."""
+    if width >= 150:
+        return []
+    return [
+        Text(f"{row['service']}: {_more(row)}", style="dim")
+        for row in services
+        if row["service"] in ("recorder", "router")
+    ]
