@@ -19,7 +19,7 @@ from safedpa.errors import InputError
 
 if TYPE_CHECKING:
     from cryptography import x509
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
 
 __all__ = ["HOSTS", "Authority"]
 
@@ -56,7 +56,7 @@ class Authority:
         from cryptography.hazmat.primitives import hashes
 
         key = _new_key()
-        builder = _builder(_name(role, self.fleet), self._certificate.subject, key, days)
+        builder = _builder(_name(role, self.fleet), self._certificate.subject, key.public_key(), days)
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         builder = builder.add_extension(_usage(bool(hosts)), critical=False)
         if hosts:
@@ -66,13 +66,29 @@ class Authority:
             _write_pair(path, builder.sign(self._key, hashes.SHA256()), key)
         return path
 
+    def sign(self, request: bytes, role: str, days: float) -> bytes:
+        """The certificate (PEM) of ``role`` for the key of a certificate signing request (PEM), good for ``days``.
+
+        The names in the request count for nothing: who asks, the caller knows. Raises InputError when it is no request,
+        is not signed with the key that it brings, or that key is none on P-256.
+        """
+        _check(role, days)
+        from cryptography import x509
+        from cryptography.hazmat.primitives import hashes
+
+        key = _key_of(request)
+        builder = _builder(_name(role, self.fleet), self._certificate.subject, key, days)
+        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        builder = builder.add_extension(_usage(False), critical=False)
+        return _pem(builder.sign(self._key, hashes.SHA256()))
+
     def _make(self) -> None:
         from cryptography import x509
         from cryptography.hazmat.primitives import hashes
 
         key = _new_key()
         name = _name(f"{self.fleet} authority", self.fleet)
-        builder = _builder(name, name, key, _AUTHORITY_DAYS)
+        builder = _builder(name, name, key.public_key(), _AUTHORITY_DAYS)
         builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         _write_pair(self.folder / f"{AUTHORITY}.pem", builder.sign(key, hashes.SHA256()), key)
 
@@ -115,6 +131,23 @@ def _new_key() -> EllipticCurvePrivateKey:
     return ec.generate_private_key(ec.SECP256R1())
 
 
+def _key_of(request: bytes) -> EllipticCurvePublicKey:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, EllipticCurvePublicKey
+
+    wanted = "wanted a certificate signing request in PEM, signed with its own key on P-256"
+    try:
+        asked = x509.load_pem_x509_csr(request)
+        key = asked.public_key()
+    except ValueError as error:
+        raise InputError(f"request: got {len(request)} bytes that are none; {wanted}") from error
+    if not isinstance(key, EllipticCurvePublicKey) or not isinstance(key.curve, SECP256R1):
+        raise InputError(f"request: got another kind of key; {wanted}")
+    if not asked.is_signature_valid:
+        raise InputError(f"request: its signature does not fit its key; {wanted}")
+    return key
+
+
 def _name(common: str, fleet: str) -> x509.Name:
     from cryptography import x509
     from cryptography.x509.oid import NameOID
@@ -124,7 +157,7 @@ def _name(common: str, fleet: str) -> x509.Name:
     )
 
 
-def _builder(subject: x509.Name, issuer: x509.Name, key: EllipticCurvePrivateKey, days: float) -> Any:
+def _builder(subject: x509.Name, issuer: x509.Name, key: EllipticCurvePublicKey, days: float) -> Any:
     from cryptography import x509
 
     now = datetime.datetime.now(datetime.UTC)
@@ -132,7 +165,7 @@ def _builder(subject: x509.Name, issuer: x509.Name, key: EllipticCurvePrivateKey
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(issuer)
-        .public_key(key.public_key())
+        .public_key(key)
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - _SKEW)
         .not_valid_after(now + datetime.timedelta(days=days))
@@ -167,7 +200,13 @@ def _write_pair(path: Path, certificate: x509.Certificate, key: EllipticCurvePri
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     _write(path.with_suffix(".key.pem"), private, 0o600)
-    _write(path, certificate.public_bytes(serialization.Encoding.PEM), 0o644)
+    _write(path, _pem(certificate), 0o644)
+
+
+def _pem(certificate: x509.Certificate) -> bytes:
+    from cryptography.hazmat.primitives import serialization
+
+    return certificate.public_bytes(serialization.Encoding.PEM)
 
 
 def _write(path: Path, content: bytes, mode: int) -> None:
