@@ -157,6 +157,11 @@ def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) 
         for robot in writes_for
         if _may_write(role, topic, robot)
     )
+    written = tuple(
+        key_of(fleet, "*", topic, "*")  # as readers subscribe to it: a publisher who hears of no reader sends nothing
+        for topic in TOPICS.values()
+        if any(_may_write(role, topic, robot) for robot in writes_for)
+    )
     reads = tuple(key_of(fleet, reads_of, topic, "*") for topic in role.reads)
     asks = tuple(request_key(fleet, reads_of, kind) for kind in role.asks)
     answers = tuple(request_key(fleet, reads_of, kind) for kind in role.answers)
@@ -164,7 +169,7 @@ def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) 
     looks = (_alive(fleet, reads_of, role.name if reads_of != "*" else "*"),) if role.looks else ()
     return [
         _Right("puts", ("put",), _IN, puts),
-        _Right("learns who reads", ("declare_subscriber",), _OUT, puts),
+        _Right("learns who reads", ("declare_subscriber",), _OUT, written),
         _Right("subscribes", ("declare_subscriber",), _IN, reads),
         _Right("reads", ("put",), _OUT, reads),
         _Right("asks", ("query",), _IN, asks),

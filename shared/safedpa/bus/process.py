@@ -15,13 +15,15 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 
 from safedpa.bus.bus import Bus
+from safedpa.bus.certificates import Certificates
 from safedpa.bus.zenoh_transport import ZenohSettings, ZenohTransport
-from safedpa.errors import SafedpaError
+from safedpa.errors import BusError, SafedpaError
 
-__all__ = ["Stop", "add_bus_options", "bus_from", "run_process"]
+__all__ = ["Stop", "add_bus_options", "bus_from", "run_process", "settings_from"]
 
 EXIT_CRASHED = 70
 EXIT_BAD_INPUT = 2
@@ -59,15 +61,30 @@ class Stop:
 def add_bus_options(parser: argparse.ArgumentParser) -> None:
     """The options by which a process joins a fleet."""
     parser.add_argument("--fleet", default="fleet", help="name of the fleet")
-    parser.add_argument("--mode", choices=("peer", "client", "router"), default="peer")
+    parser.add_argument("--mode", choices=("peer", "client", "router"), help="default: peer, with certificates client")
     parser.add_argument("--listen", action="append", default=[], metavar="ENDPOINT", help="such as tcp/0.0.0.0:7447")
-    parser.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help="such as tcp/10.0.0.1:7447")
+    parser.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help="such as tls/router:7447")
+    parser.add_argument(
+        "--certificates", type=Path, metavar="DIR", help="prove by the certificates there who this is; see --role"
+    )
+    parser.add_argument("--role", default="", help="whose certificate to show, such as robot.r1 or safety_filter")
 
 
 def bus_from(options: argparse.Namespace) -> Bus:
     """The bus that the options describe. Raises BusError when it cannot be opened."""
-    settings = ZenohSettings(options.mode, tuple(options.listen), tuple(options.connect))
-    return Bus(ZenohTransport(settings), options.fleet)
+    return Bus(ZenohTransport(settings_from(options)), options.fleet)
+
+
+def settings_from(options: argparse.Namespace) -> ZenohSettings:
+    """How the options say that this process joins the network.
+
+    Raises BusError when the certificates are not there, or do not fit the rest.
+    """
+    if options.certificates is None and options.role:
+        raise BusError(f"--role {options.role}: got no --certificates, wanted the folder of that role's certificate")
+    certificates = None if options.certificates is None else Certificates(options.certificates, options.role)
+    mode = options.mode or ("peer" if certificates is None else "client")
+    return ZenohSettings(mode, tuple(options.listen), tuple(options.connect), certificates)
 
 
 def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argparse.ArgumentParser) -> None:

@@ -1,19 +1,24 @@
 """The bus over eclipse-zenoh.
 
 By default every process is a peer on this machine: nothing to install or start. Over several machines the topology is
-static and explicit: ``client`` sessions that connect to a router. What the settings below defend against was measured:
+static and explicit: ``client`` sessions that connect to a router, over mutual TLS where there are certificates. Peers
+would speak past the router that enforces who may say what. What the settings below defend against was measured:
 a lease of 0.5 s instead of 10 s, so that a partition is noticed and no burst of old commands arrives after it; direct
 callbacks that only append to a queue; no shared memory; sends that drop rather than wait.
 """
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import sys
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
+from safedpa.bus.certificates import Certificates
+from safedpa.bus.log import log_event
 from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample
 from safedpa.errors import BusError
 
@@ -31,17 +36,45 @@ class ZenohSettings:
     """How this process joins the network.
 
     Without endpoints a peer listens on the loopback interface and finds others there by multicast. With ``connect`` it
-    finds the others through those endpoints (and what they know), without multicast.
+    finds the others through those endpoints (and what they know), without multicast. With ``certificates`` every
+    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and nobody is found who was not named. ``access`` and
+    ``limits`` are a router's: Zenoh's ``access_control`` and ``low_pass_filter``.
+
+    Raises BusError for certificates with a peer, or with an endpoint that is not TLS.
     """
 
     mode: Literal["peer", "client", "router"] = "peer"
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
+    certificates: Certificates | None = None
+    access: Mapping[str, Any] | None = None
+    limits: tuple[Mapping[str, Any], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.certificates is None:
+            return
+        if self.mode == "peer":
+            raise BusError(
+                "bus: got certificates for a peer, wanted --mode client: peers speak past the router, which alone "
+                "enforces who may say what"
+            )
+        for endpoint in (*self.listen, *self.connect):
+            if not endpoint.startswith("tls/"):
+                raise BusError(f"bus: got endpoint '{endpoint}' with certificates, wanted tls/HOST:PORT")
+
+    @property
+    def plain_endpoints(self) -> tuple[str, ...]:
+        """Endpoints that other machines can reach and where anybody can listen and speak."""
+        return tuple(
+            endpoint
+            for endpoint in (*self.listen, *self.connect)
+            if not endpoint.startswith("tls/") and not _is_loopback(endpoint)
+        )
 
     def configuration(self) -> dict[str, Any]:
         """The Zenoh configuration as paths and values."""
         alone = not self.listen and not self.connect
-        listen = self.listen or (() if self.mode == "client" else ("tcp/127.0.0.1:0",))
+        listen = self.listen or (("tcp/127.0.0.1:0",) if self.mode == "peer" else ())
         return {
             "mode": self.mode,
             "listen/endpoints": list(listen),
@@ -51,11 +84,44 @@ class ZenohSettings:
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 1.5},
             "scouting/multicast/enabled": alone,
             "scouting/multicast/interface": "lo",
+            "scouting/gossip/enabled": self.mode == "peer",
             "scouting/delay": 200 if alone else 0,
             "timestamping/enabled": True,
             "transport/link/tx/lease": _LEASE_MILLISECONDS,
             "transport/shared_memory/enabled": False,
+            **({} if self.certificates is None else _tls(self.certificates)),
+            **({} if self.access is None else {"access_control": dict(self.access)}),
+            **({"low_pass_filter": [dict(limit) for limit in self.limits]} if self.limits else {}),
         }
+
+
+def _tls(certificates: Certificates) -> dict[str, Any]:
+    """Mutual TLS and nothing else; a connection ends when one of its certificates does."""
+    certificate, key = str(certificates.certificate), str(certificates.key)
+    return {
+        "transport/link/protocols": ["tls"],
+        "transport/link/tls": {
+            "root_ca_certificate": str(certificates.authority),
+            "enable_mtls": True,
+            "listen_private_key": key,
+            "listen_certificate": certificate,
+            "connect_private_key": key,
+            "connect_certificate": certificate,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+        },
+    }
+
+
+def _is_loopback(endpoint: str) -> bool:
+    """Whether an endpoint like ``tcp/127.0.0.1:7447`` can be reached from this machine alone."""
+    host = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 @final
@@ -65,6 +131,13 @@ class ZenohTransport(AbstractTransport):
     def __init__(self, settings: ZenohSettings) -> None:
         import zenoh
 
+        if settings.plain_endpoints:
+            log_event(
+                "bus.plain_text",
+                f"the bus is plain text on {', '.join(settings.plain_endpoints)}: whoever reaches that network reads "
+                "and commands every robot; make certificates with 'safedpa certificates', name them by --certificates",
+                level="warning",
+            )
         configuration = zenoh.Config()
         try:
             for path, value in settings.configuration().items():

@@ -1,0 +1,48 @@
+"""``safedpa certificates``: an authority of the fleet's own, and a certificate for every role."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.option("--fleet", default="fleet", show_default=True, help="name of the fleet")
+@click.option("--robot", "robots", multiple=True, metavar="NAME", help="a robot of the fleet; repeatable")
+@click.option("--host", "hosts", multiple=True, metavar="NAME", help="host name or address of a router; repeatable")
+@click.option("--router", "routers", multiple=True, metavar="NAME", help="one more router, as router.NAME; repeatable")
+@click.option("--days", type=float, default=90.0, show_default=True, help="how long the certificates are good")
+@click.option("--renew", is_flag=True, help="make those anew that are there already")
+def command(
+    folder: Path,
+    fleet: str,
+    robots: tuple[str, ...],
+    hosts: tuple[str, ...],
+    routers: tuple[str, ...],
+    days: float,
+    renew: bool,
+) -> None:
+    """Make in DIR an authority for the fleet, and a certificate with key for each of its roles.
+
+    Certificates that are there already stay, so that a robot can be added later. authority.key.pem is what makes
+    certificates: keep it away from robots and services, each of which needs authority.pem and its own two files alone.
+    """
+    from safedpa.bus import STATE, key_of
+    from safedpa.bus.access import ROUTER, role_of_robot, roles_of
+    from safedpa.bus.authority import HOSTS, Authority
+
+    for robot in (fleet, *robots):
+        key_of(robot, robot, STATE)  # refuses names that the bus cannot carry
+    authority = Authority(folder, fleet)
+    click.echo(f"{folder / 'authority.pem'}: {'made' if authority.is_new else 'there already'}, for fleet '{fleet}'")
+    further = tuple(f"{ROUTER}.{name}" for name in routers)
+    for role in (*roles_of(robots), *further):
+        if (folder / f"{role}.pem").exists() and not renew:
+            click.echo(f"{role}: there already")
+            continue
+        names = (*HOSTS, *hosts) if role.split(".")[0] == ROUTER and role != role_of_robot(ROUTER) else ()
+        authority.issue(role, days, names)
+        where = f", accepts connections as {', '.join(dict.fromkeys(names))}" if names else ""
+        click.echo(f"{role}: made, good for {days:g} days{where}")

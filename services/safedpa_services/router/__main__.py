@@ -1,0 +1,68 @@
+"""``python -m safedpa_services.router``: passes messages on between the processes of a fleet that may exchange them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from safedpa.bus import Bus, ZenohSettings, ZenohTransport
+from safedpa.bus.access import ROUTER, access_control, size_limits
+from safedpa.bus.certificates import Certificates
+from safedpa.bus.log import log_event
+from safedpa.bus.process import Stop, run_process
+from safedpa.errors import InputError
+from safedpa_services.router.router import Router
+
+
+def work(options: argparse.Namespace, stop: Stop) -> int:
+    """Routes until ``stop``; returns the exit code."""
+    settings = _settings(options)
+    with Bus(ZenohTransport(settings), options.fleet) as bus:
+        log_event(
+            "router.open",
+            f"routes fleet '{options.fleet}' on {', '.join(settings.listen)}"
+            f"{', plain text, nobody is denied anything' if options.plain else ''}",
+            level="warning" if options.plain else "info",
+            service=ROUTER,
+            robots=", ".join(options.robot),
+        )
+        Router(bus).run(stop)
+    return 0
+
+
+def _settings(options: argparse.Namespace) -> ZenohSettings:
+    listen, connect = tuple(options.listen), tuple(options.connect)
+    if not listen:
+        raise InputError("--listen: got none, wanted where to accept connections, such as tls/0.0.0.0:7447")
+    limits = tuple(size_limits(options.fleet))
+    if options.plain:
+        if options.certificates is not None:
+            raise InputError("--plain: got it together with --certificates, wanted one of them")
+        return ZenohSettings("router", listen, connect, limits=limits)
+    if options.certificates is None:
+        raise InputError("--certificates: got none, wanted the folder of 'safedpa certificates' (or --plain)")
+    certificates = Certificates(options.certificates, options.role)
+    access = access_control(options.fleet, options.robot)
+    return ZenohSettings("router", listen, connect, certificates, access, limits)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="safedpa-router")
+    parser.add_argument("--fleet", default="fleet", help="name of the fleet")
+    parser.add_argument("--listen", action="append", default=[], metavar="ENDPOINT", help="such as tls/0.0.0.0:7447")
+    parser.add_argument(
+        "--connect", action="append", default=[], metavar="ENDPOINT", help="another router of the fleet"
+    )
+    parser.add_argument("--certificates", type=Path, metavar="DIR", help="of 'safedpa certificates'")
+    parser.add_argument("--role", default=ROUTER, help="whose certificate to show; default: router")
+    parser.add_argument(
+        "--robot", action="append", default=[], metavar="NAME", help="a robot that may join; repeatable"
+    )
+    parser.add_argument(
+        "--plain", action="store_true", help="no certificates: everybody who connects may do everything"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    run_process(work, _parser())
