@@ -20,7 +20,7 @@ from types import TracebackType
 
 from safedpa.bus.bus import Bus
 from safedpa.bus.certificates import Certificates
-from safedpa.bus.zenoh_transport import ZenohSettings, ZenohTransport
+from safedpa.bus.zenoh_transport import Mode, ZenohSettings, ZenohTransport
 from safedpa.errors import BusError, SafedpaError
 
 __all__ = ["Stop", "add_bus_options", "bus_from", "run_process", "settings_from"]
@@ -83,7 +83,7 @@ def settings_from(options: argparse.Namespace) -> ZenohSettings:
     if options.certificates is None and options.role:
         raise BusError(f"--role {options.role}: got no --certificates, wanted the folder of that role's certificate")
     certificates = None if options.certificates is None else Certificates(options.certificates, options.role)
-    mode = options.mode or ("peer" if certificates is None else "client")
+    mode: Mode = options.mode or ("peer" if certificates is None else "client")
     return ZenohSettings(mode, tuple(options.listen), tuple(options.connect), certificates)
 
 

@@ -25,7 +25,9 @@ from safedpa.errors import BusError
 if TYPE_CHECKING:
     import zenoh
 
-__all__ = ["ZenohSettings", "ZenohTransport"]
+__all__ = ["Mode", "ZenohSettings", "ZenohTransport"]
+
+Mode = Literal["peer", "client", "router"]
 
 _LEASE_MILLISECONDS = 500
 _ALIVE_TIMEOUT_SECONDS = 1.0
@@ -43,7 +45,7 @@ class ZenohSettings:
     Raises BusError for certificates with a peer, or with an endpoint that is not TLS.
     """
 
-    mode: Literal["peer", "client", "router"] = "peer"
+    mode: Mode = "peer"
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
     certificates: Certificates | None = None
