@@ -18,7 +18,7 @@ from safedpa.records.table import require_file
 if TYPE_CHECKING:
     from mcap.records import Channel
 
-__all__ = ["read_messages"]
+__all__ = ["read_messages", "read_payloads"]
 
 _MAGIC = b"\x89MCAP0\r\n"
 _LARGEST_RECORD_BYTES = 64 * 1024 * 1024
@@ -33,33 +33,40 @@ def read_messages(
     ``topics`` limits what is decoded. A file that was cut off or damaged is read up to there. What was found (cut off,
     messages that could not be decoded) is appended to ``findings``. Raises RunError when the file is no MCAP file.
     """
-    from mcap.records import Channel
-    from mcap.records import Message as Record
-
-    path = Path(path)
-    require_file(path)
     found = findings if findings is not None else []
-    channels: dict[int, tuple[str, Topic] | None] = {}
     refused: Counter[str] = Counter()
-    for record in _records(path, found):
-        if isinstance(record, Channel):
-            channels[record.id] = _known(record)
-        elif isinstance(record, Record):
-            entry = channels.get(record.channel_id)
-            if entry is None or (topics is not None and entry[1] not in topics):
-                continue
-            try:
-                message = decode(entry[1].message, record.data)
-            except MessageError as error:
-                refused[str(error)] += 1
-                continue
-            yield entry[0], record.log_time, message
+    for key, at, topic, payload in read_payloads(path, found, topics):
+        try:
+            message = decode(topic.message, payload)
+        except MessageError as error:
+            refused[str(error)] += 1
+            continue
+        yield key, at, message
     if refused:
         reason, _ = refused.most_common(1)[0]
         total = sum(refused.values())
         found.append(
             Finding("unreadable_message", f"{total} messages could not be decoded ({reason}); left out", total)
         )
+
+
+def read_payloads(
+    path: str | Path, findings: list[Finding] | None = None, topics: Collection[Topic] | None = None
+) -> Iterator[tuple[str, int, Topic, bytes]]:
+    """(key, log time in ns, topic, bytes as on the bus) of a recording: as ``read_messages``, but not decoded."""
+    from mcap.records import Channel
+    from mcap.records import Message as Record
+
+    path = Path(path)
+    require_file(path)
+    channels: dict[int, tuple[str, Topic] | None] = {}
+    for record in _records(path, findings if findings is not None else []):
+        if isinstance(record, Channel):
+            channels[record.id] = _known(record)
+        elif isinstance(record, Record):
+            entry = channels.get(record.channel_id)
+            if entry is not None and (topics is None or entry[1] in topics):
+                yield entry[0], record.log_time, entry[1], record.data
 
 
 def _known(channel: Channel) -> tuple[str, Topic] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from safedpa.bus import AbstractNode, SetupMessage
 from safedpa.dynamics import PhysicsModel, parse_model, shipped_models
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
+from safedpa.replay.tape import options_of
 from safedpa.safety.margin_text import margin_from_text
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.settings import parse_settings
@@ -62,6 +62,5 @@ def model_of_document(document: str, folders: tuple[Path, ...] = ()) -> PhysicsM
 
 def _own_folder(setup: SetupMessage) -> tuple[Path, ...]:
     """Where the model file of the service's options lies, if that is on this machine."""
-    source = json.loads(setup.options or "{}").get("model", "")
-    path = Path(str(source))
+    path = Path(str(options_of(setup).get("model", "")))
     return (path.parent,) if path.suffix == ".toml" and path.is_file() else ()

@@ -1,0 +1,206 @@
+"""Drives the node of one service once more through the steps that a recording says it took.
+
+Each recorded output names the state that it is about, the inputs that the step had, and how many steps went before. So
+the node is called as the service's loop called it: ``prepare`` alone for states that were passed over, ``step``,
+``afterwards``, ``forget`` when the robot started anew, a new node when the process did, and the steps of a change of
+the model where the service answered them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import final
+
+from safedpa.bus import (
+    AbstractNode,
+    ComputedMessage,
+    Inputs,
+    Message,
+    Outputs,
+    SetupMessage,
+    Stale,
+    StateMessage,
+    Topic,
+)
+from safedpa.errors import InputError
+from safedpa.replay.models import ModelChange
+from safedpa.replay.tape import Entry, Tape
+
+__all__ = ["Driven", "Driver", "Overrule"]
+
+_SETUP_DELAY_NS = 6_000_000_000
+"""A process tells its setup every five seconds: one that was recorded so soon after an output may be its sender's."""
+_LOOK_BACK_TICKS = 200
+
+
+@dataclass(frozen=True)
+class Driven:
+    """One step: as it was recorded, and as it came out again."""
+
+    state: StateMessage
+    recorded: ComputedMessage | None
+    """None of a step whose output was lost on the way to the recording."""
+    outputs: Outputs
+    """Empty when the node refused the state."""
+    unknown: str = ""
+    """Why the service's memory or an input is not known from this step on; empty where nothing new is unknown."""
+
+
+class Overrule:
+    """What the node shall see in place of what was recorded. This one changes nothing."""
+
+    def state(self, state: StateMessage) -> StateMessage:
+        """The state to be shown."""
+        return state
+
+    def message(self, recorded: Message) -> Message:
+        """The input to be used."""
+        return recorded
+
+    def done(self, state: StateMessage, outputs: Outputs) -> None:
+        """Hears what came out."""
+        del state, outputs
+
+
+@final
+class Driver:
+    """Replays one service of one robot; ``build`` makes its node from a setup. Raises what ``build`` raises."""
+
+    def __init__(
+        self,
+        tape: Tape,
+        service: str,
+        build: Callable[[SetupMessage], AbstractNode],
+        overrule: Overrule | None = None,
+        *,
+        follow_models: bool = True,
+    ) -> None:
+        self._tape, self._service, self._build = tape, service, build
+        self._overrule = overrule or Overrule()
+        self._changes = ModelChange(tape, service) if follow_models else None
+        self._setups = tape.setups.get(service, [])
+        self._setup = -1
+        self._node: AbstractNode | None = None
+        self._previous: ComputedMessage | None = None
+
+    def run(self) -> Iterator[Driven]:
+        """Every step, in the order of the recording."""
+        for entry in self._tape.computed[self._service]:
+            message = entry.message
+            state = self._tape.states.get((message.epoch, message.tick))
+            if state is None:
+                continue  # lost on the way to the recording: counts as a missing step
+            unknown = ""
+            if self._is_anew(message):
+                unknown = self._begin(entry)
+            else:
+                lost = self._lost(message)
+                yield from (self._step(between, None, "") for between in lost)
+                unknown = self._gap(message, len(lost))
+            yield self._step(state, message, unknown)
+            self._previous = message
+
+    def _is_anew(self, message: ComputedMessage) -> bool:
+        """Whether the service's memory of the robot began with this step, or is not in the recording before it."""
+        previous = self._previous
+        if previous is None or message.epoch != previous.epoch:
+            return True
+        return 0 < message.step <= previous.step
+
+    def _begin(self, entry: Entry) -> str:
+        """A new node, or a memory made empty, as in the recorded service; returns what is not known."""
+        message = entry.message
+        if self._node is None or self._is_new_process(entry):
+            self._node = self._build(self._setups[self._setup][1])
+        else:
+            self._node.forget(self._tape.robot)
+        missing = ""
+        if self._changes is not None:
+            missing = self._changes.begin(self._node, self._tape.robot, _model(message))
+        first = message.step == 1 if message.step else message.tick == 0
+        return missing or ("" if first else f"the first {max(message.step - 1, 0) or 'few'} steps were not recorded")
+
+    def _is_new_process(self, entry: Entry) -> bool:
+        """Whether another instance of the service had begun; its setup is in force then."""
+        begun = [number for number, (at, _) in enumerate(self._setups) if at <= entry.at]
+        newest = max(begun, default=0)
+        if newest > self._setup:
+            self._setup = newest
+            return True
+        previous, following = self._previous, self._setup + 1
+        if previous is None or previous.epoch != entry.message.epoch:
+            return previous is None
+        if following < len(self._setups) and self._setups[following][0] <= entry.at + _SETUP_DELAY_NS:
+            self._setup = following
+        return True
+
+    def _lost(self, message: ComputedMessage) -> list[StateMessage]:
+        """States of the steps whose outputs are not in the recording, if it is certain which they are."""
+        previous = self._previous
+        if previous is None or not message.step:
+            return []
+        passed_over = set(message.skipped)
+        ticks = [tick for tick in range(previous.tick + 1, message.tick) if float(tick) not in passed_over]
+        found = [self._tape.states.get((message.epoch, tick)) for tick in ticks]
+        known = [state for state in found if state is not None]
+        return known if len(known) == len(ticks) == message.step - previous.step - 1 else []
+
+    def _gap(self, message: ComputedMessage, made_up: int) -> str:
+        previous = self._previous
+        missing = message.step - previous.step - 1 - made_up if previous is not None and message.step else 0
+        return f"{missing} steps before it were not recorded" if missing > 0 else ""
+
+    def _step(self, state: StateMessage, message: ComputedMessage | None, unknown: str) -> Driven:
+        node, robot = self._node, self._tape.robot
+        assert node is not None
+        for tick in () if message is None else message.skipped:
+            passed_over = self._tape.states.get((state.epoch, int(tick)))
+            if passed_over is not None:
+                node.prepare(robot, self._overrule.state(passed_over))
+        if self._changes is not None and message is not None:
+            unknown = unknown or self._changes.follow(node, robot, state, _model(message))
+        inputs, missing = self._inputs(node, state, message)
+        shown = self._overrule.state(state)
+        outputs: dict[Topic, Message] = {}
+        try:
+            outputs.update(node.step(robot, shown, inputs))
+        except InputError:  # as the service's loop does: it goes on with the next state
+            return Driven(state, message, outputs, unknown or missing)
+        if self._changes is not None:
+            self._changes.answer(node, robot, shown)
+        outputs.update(node.afterwards(robot))
+        self._overrule.done(state, outputs)
+        return Driven(state, message, outputs, unknown or missing)
+
+    def _inputs(self, node: AbstractNode, state: StateMessage, message: ComputedMessage | None) -> tuple[Inputs, str]:
+        """The inputs of a step, and what is not known of them."""
+        found: dict[Topic, Message | Stale] = {}
+        missing = ""
+        for index, topic in enumerate(node.inputs):
+            told = message.consumed[index] if message is not None and message.consumed else None
+            item = self._of_tick(topic, state) if told is None else self._told(topic, state, *told)
+            if item is None:
+                missing = f"the {topic.name} that it used was not recorded"
+                item = self._of_tick(topic, state)
+            found[topic] = item if isinstance(item, Stale) else self._overrule.message(item)
+        return found, missing
+
+    def _told(self, topic: Topic, state: StateMessage, age: float, published: float) -> Message | Stale | None:
+        """The input that a step says it used; None when it is not in the recording."""
+        if published == 0.0:
+            return Stale(topic, None if age < 0 else int(age))
+        return self._tape.named.get((topic, state.epoch, state.tick - int(age), published))
+
+    def _of_tick(self, topic: Topic, state: StateMessage) -> Message | Stale:
+        """What a step will have used that does not say it: the input of its tick, if that was recorded."""
+        for tick in range(state.tick, max(state.tick - _LOOK_BACK_TICKS, -1), -1):
+            item = self._tape.newest.get((topic, state.epoch, tick))
+            if item is not None:
+                return item if tick == state.tick else Stale(topic, state.tick - tick)
+        return Stale(topic, None)
+
+
+def _model(message: ComputedMessage) -> str:
+    """Fingerprint of the model with which a message was computed; empty where an older program did not tell."""
+    return str(getattr(message, "model", ""))

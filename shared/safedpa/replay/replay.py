@@ -1,0 +1,171 @@
+"""A recording through the real nodes: does every latent, wish, action and verdict come out again?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from safedpa.bus import ACTION, LATENT, VERDICT, WISH, ActionMessage, Message, Topic, VerdictMessage
+from safedpa.replay.comparison import TOLERANCE, Difference, differences
+from safedpa.replay.driver import Driven, Driver
+from safedpa.replay.setups import REPLAYED, node_of
+from safedpa.replay.tape import Tape
+
+__all__ = ["Replay", "ServiceReplay", "Span", "replay"]
+
+_AGREED = 20
+"""Outputs in a row that agree, after which a memory that was not known counts as known again."""
+
+
+@dataclass
+class Span:
+    """Steps whose memory was not known, because something was not recorded."""
+
+    reason: str
+    epoch: int
+    tick: int
+    robot_time: float
+    agrees_from: int | None = None
+    """Tick from which on all came out as recorded again; None: it did not until the end."""
+    steps: int = 0
+    """Not compared."""
+
+
+@dataclass
+class ServiceReplay:
+    """What became of one service's outputs."""
+
+    service: str
+    compared: dict[str, int] = field(default_factory=dict)
+    """Messages by topic."""
+    identical: dict[str, int] = field(default_factory=dict)
+    """Of these, the ones in which every field is the same bit for bit."""
+    differing: list[Difference] = field(default_factory=list)
+    """Beyond the tolerance."""
+    rounded: int = 0
+    """Fields that differ within the tolerance."""
+    spans: list[Span] = field(default_factory=list)
+    lost: int = 0
+    """Outputs that the service sent and that are not in the recording."""
+    restarts: int = 0
+
+
+@dataclass
+class Replay:
+    """The whole, service by service."""
+
+    services: list[ServiceReplay]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether everything that can be compared came out as recorded, and nothing stayed unknown to the end."""
+        unsettled = any(span.agrees_from is None for part in self.services for span in part.spans)
+        return not unsettled and not any(part.differing for part in self.services)
+
+    @property
+    def exact(self) -> bool:
+        """Whether it did so bit for bit."""
+        return self.agrees and not any(part.rounded for part in self.services)
+
+
+def replay(
+    tape: Tape,
+    window: tuple[float, float] = (float("-inf"), float("inf")),
+    tolerance: float = TOLERANCE,
+    folders: tuple[Path, ...] = (),
+    tell: Callable[[Driven], None] = lambda _: None,
+) -> Replay:
+    """Replays every service with a setup and outputs; compares what has a robot time in ``window`` [s].
+
+    The steps before the window are replayed as well: they make the memory. ``tell`` hears of every step. Raises
+    InputError when a setup is broken or a learned model's weights are not to be found.
+    """
+    found = []
+    for service in REPLAYED:
+        if tape.computed[service] and tape.setups.get(service):
+            steps = Driver(tape, service, lambda setup: node_of(setup, folders)).run()
+            found.append(_Judge(tape, service, window, tolerance).judged(steps, tell))
+    return Replay(found)
+
+
+class _Judge:
+    """Holds the steps of one service against the recording."""
+
+    def __init__(self, tape: Tape, service: str, window: tuple[float, float], tolerance: float) -> None:
+        self._tape, self._window, self._tolerance = tape, window, tolerance
+        self._found = ServiceReplay(service)
+        self._span: Span | None = None
+        self._in_a_row = 0
+        self._pending: list[tuple[Span, int]] = []
+
+    def judged(self, steps: Iterator[Driven], tell: Callable[[Driven], None]) -> ServiceReplay:
+        for step in steps:
+            tell(step)
+            if step.unknown:
+                self._open(step)
+            if step.recorded is None:
+                self._found.lost += 1
+            else:
+                self._judge(step, list(self._pairs(step)))
+        return self._found
+
+    def _open(self, step: Driven) -> None:
+        if self._span is None:
+            state = step.state
+            self._span = Span(step.unknown, state.epoch, state.tick, state.robot_time)
+            self._found.spans.append(self._span)
+        self._in_a_row = 0
+
+    def _judge(self, step: Driven, pairs: list[tuple[Topic, Message, Message | None]]) -> None:
+        found = [self._differences(topic, one, other) for topic, one, other in pairs]
+        same = not any(not item.exact_only for items in found for item in items)
+        if self._span is not None:
+            self._settle(step, same=same)
+            if self._span is not None:
+                self._span.steps += 1
+                return
+        if self._window[0] <= step.state.robot_time <= self._window[1]:
+            for (topic, _, _), items in zip(pairs, found, strict=True):
+                self._count(topic, items)
+
+    def _settle(self, step: Driven, *, same: bool) -> None:
+        assert self._span is not None
+        if not same:
+            self._in_a_row, self._span.agrees_from = 0, None
+            return
+        self._in_a_row += 1
+        if self._in_a_row == 1:
+            self._span.agrees_from = step.state.tick
+        if self._in_a_row >= _AGREED:
+            self._span = None
+
+    def _differences(self, topic: Topic, recorded: Message, replayed: Message | None) -> list[Difference]:
+        if replayed is None:
+            stamp = (recorded.epoch, recorded.tick, recorded.robot_time)
+            return [Difference(*stamp, topic.name, "message", "sent", "none", exact_only=False)]
+        told = self._tape.fields[topic.message]
+        return list(differences(topic.name, recorded, replayed, told, self._tolerance))
+
+    def _count(self, topic: Topic, items: list[Difference]) -> None:
+        found = self._found
+        found.compared[topic.name] = found.compared.get(topic.name, 0) + 1
+        found.identical[topic.name] = found.identical.get(topic.name, 0) + (not items)
+        found.differing += [item for item in items if not item.exact_only]
+        found.rounded += sum(item.exact_only for item in items)
+
+    def _pairs(self, step: Driven) -> Iterator[tuple[Topic, Message, Message | None]]:
+        """Topic, recorded and replayed message of a step; the action belongs to its verdict."""
+        recorded = step.recorded
+        topic = {"adaptation": LATENT, "policy": WISH, "safety_filter": VERDICT}[self._found.service]
+        assert recorded is not None
+        yield topic, recorded, step.outputs.get(topic)
+        if isinstance(recorded, VerdictMessage):
+            action = self._action(recorded)
+            if action is not None:
+                yield ACTION, action, step.outputs.get(ACTION)
+
+    def _action(self, verdict: VerdictMessage) -> ActionMessage | None:
+        """The recorded action to which a verdict belongs; of two processes that answered a tick, the right one's."""
+        known = self._tape.actions.get((verdict.epoch, verdict.tick), [])
+        return next((action for action in known if action.values == verdict.action), known[0] if known else None)

@@ -1,0 +1,196 @@
+"""A recording of one robot, sorted for replay: states by tick, and what each service computed, in its own order.
+
+Messages of one sender stand in a recording in the order in which they were sent; those of different senders do not.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+from safedpa.bus import (
+    LATENT,
+    VERDICT,
+    WISH,
+    ActionMessage,
+    AskedMessage,
+    ComputedMessage,
+    LatentMessage,
+    Message,
+    ModelMessage,
+    SetupMessage,
+    StateMessage,
+    TakeoverMessage,
+    Topic,
+    VerdictMessage,
+    WishMessage,
+    decode,
+    topic_of,
+)
+from safedpa.errors import MessageError, RunError, did_you_mean
+from safedpa.records import Finding
+from safedpa.records.mcap_messages import read_payloads
+
+__all__ = ["Entry", "Stamp", "Tape", "files_of", "options_of", "read_tape"]
+
+Stamp = tuple[int, int]
+"""Epoch and tick."""
+
+_SENDERS: dict[type[Message], tuple[str, Topic]] = {
+    LatentMessage: ("adaptation", LATENT),
+    WishMessage: ("policy", WISH),
+    VerdictMessage: ("safety_filter", VERDICT),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One message of a service, and when it was recorded [ns since 1970]."""
+
+    at: int
+    message: ComputedMessage
+
+
+@dataclass
+class Tape:
+    """What was recorded of one robot."""
+
+    robot: str
+    files: tuple[Path, ...]
+    states: dict[Stamp, StateMessage] = field(default_factory=dict)
+    computed: dict[str, list[Entry]] = field(default_factory=lambda: {name: [] for name, _ in _SENDERS.values()})
+    """By service, each step once, in the order of the steps."""
+    actions: dict[Stamp, list[ActionMessage]] = field(default_factory=dict)
+    named: dict[tuple[Topic, int, int, float], ComputedMessage] = field(default_factory=dict)
+    """By topic, epoch, tick and publish time: a service that was restarted may answer a tick again."""
+    newest: dict[tuple[Topic, int, int], ComputedMessage] = field(default_factory=dict)
+    """By topic, epoch and tick."""
+    models: list[ModelMessage] = field(default_factory=list)
+    takeovers: dict[str, list[TakeoverMessage]] = field(default_factory=dict)
+    setups: dict[str, list[tuple[int, SetupMessage]]] = field(default_factory=dict)
+    """By service, with the time of recording, each instance once."""
+    asked: list[AskedMessage] = field(default_factory=list)
+    fields: dict[type[Message], frozenset[str]] = field(default_factory=dict)
+    """Which fields the recorded messages have: older programs had fewer."""
+    findings: list[Finding] = field(default_factory=list)
+
+    def add(self, at: int, message: Message) -> None:
+        """Takes one message; repetitions are left out."""
+        stamp = (message.epoch, message.tick)
+        if isinstance(message, StateMessage):
+            self.states.setdefault(stamp, message)
+        elif isinstance(message, ActionMessage):
+            known = self.actions.setdefault(stamp, [])
+            known += [] if message in known else [message]
+        elif isinstance(message, ComputedMessage):
+            self._add_computed(at, message)
+        elif isinstance(message, ModelMessage):
+            self.models.append(message)
+        elif isinstance(message, TakeoverMessage):
+            self.takeovers.setdefault(message.service, []).append(message)
+        elif isinstance(message, AskedMessage):
+            self.asked.append(message)
+
+    def _add_computed(self, at: int, message: ComputedMessage) -> None:
+        sender, topic = _SENDERS[type(message)]
+        entries = self.computed[sender]
+        if entries and entries[-1].message.publish_time == message.publish_time and entries[-1].message == message:
+            return
+        entries.append(Entry(at, message))
+        self.named[topic, message.epoch, message.tick, message.publish_time] = message
+        self.newest[topic, message.epoch, message.tick] = message
+
+    def add_setup(self, at: int, setup: SetupMessage) -> None:
+        """Takes what a process said of itself, if it serves this robot."""
+        known = self.setups.setdefault(setup.service, [])
+        if all(setup.instance != other.instance for _, other in known):
+            known.append((at, setup))
+
+    def seconds(self) -> tuple[float, float]:
+        """First and last robot time [s]."""
+        times = [state.robot_time for state in self.states.values()]
+        return min(times), max(times)
+
+
+def files_of(runs: Sequence[Path]) -> tuple[Path, ...]:
+    """The recordings named, in order; of a folder those in it, oldest first. Raises RunError when one has none."""
+    found: list[Path] = []
+    for run in runs:
+        inside = sorted(run.glob("*.mcap"), key=lambda path: (len(path.stem), path.stem)) if run.is_dir() else [run]
+        if not inside:
+            raise RunError(f"{run}: no recording (.mcap) in it; name the folder of a run, or a recording")
+        found += inside
+    return tuple(found)
+
+
+def read_tape(runs: Sequence[Path], robot: str | None = None) -> Tape:
+    """What the recordings hold of one robot. Raises RunError when they hold none, or several and none was named."""
+    files = files_of(runs)
+    tapes: dict[str, Tape] = {}
+    setups: list[tuple[int, str, SetupMessage]] = []
+    findings: list[Finding] = []
+    fields: dict[type[Message], frozenset[str]] = {}
+    for name, at, message in _messages(files, findings, fields):
+        if isinstance(message, SetupMessage):
+            setups.append((at, name, message))
+        else:
+            tapes.setdefault(name, Tape(name, files)).add(at, message)
+    tape = _chosen(files, {name: tape for name, tape in tapes.items() if tape.states}, robot)
+    tape.fields, tape.findings = fields, findings
+    for at, name, setup in setups:
+        if name == tape.robot or _serves(setup, tape.robot):
+            tape.add_setup(at, setup)
+    return tape
+
+
+def _serves(setup: SetupMessage, robot: str) -> bool:
+    """Whether a service of the fleet serves the robot: all of them, or this one by name."""
+    return options_of(setup).get("robot", "*") in ("*", robot)
+
+
+def options_of(setup: SetupMessage) -> dict[str, Any]:
+    """The command line's options with which a process runs; empty where they are not readable."""
+    try:
+        options = json.loads(setup.options)
+    except ValueError:
+        return {}
+    return options if isinstance(options, dict) else {}
+
+
+def _messages(
+    files: Iterable[Path], findings: list[Finding], fields: dict[type[Message], frozenset[str]]
+) -> Iterator[tuple[str, int, Message]]:
+    """(robot, log time, message) of all files."""
+    refused = 0
+    for path in files:
+        for key, at, topic, payload in read_payloads(path, findings):
+            try:
+                message = decode(topic.message, payload)
+            except MessageError:
+                refused += 1
+                continue
+            _note_fields(fields, topic, payload)
+            yield topic_of(key)[1], at, message
+    if refused:
+        findings.append(Finding("unreadable_message", f"{refused} messages could not be decoded; left out", refused))
+
+
+def _note_fields(fields: dict[type[Message], frozenset[str]], topic: Topic, payload: bytes) -> None:
+    if topic.message not in fields:
+        fields[topic.message] = frozenset(msgpack.unpackb(payload))
+
+
+def _chosen(files: tuple[Path, ...], tapes: dict[str, Tape], robot: str | None) -> Tape:
+    where = files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+    if not tapes:
+        raise RunError(f"{where}: no robot's states in it; wanted a recording of a drive")
+    if robot is None and len(tapes) > 1:
+        raise RunError(f"{where}: holds {len(tapes)} robots: {', '.join(sorted(tapes))}; name one with --robot")
+    if robot is not None and robot not in tapes:
+        raise RunError(f"{where}: robot '{robot}': {did_you_mean(robot, tapes)}")
+    return tapes[robot] if robot is not None else next(iter(tapes.values()))
