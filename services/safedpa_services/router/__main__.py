@@ -11,13 +11,19 @@ from safedpa.bus.certificates import Certificates
 from safedpa.bus.log import log_event
 from safedpa.bus.process import Stop, run_process
 from safedpa.errors import InputError
+from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals
 from safedpa_services.router.router import Router
+from safedpa_services.router.zenoh_log import capture_zenoh_log
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Routes until ``stop``; returns the exit code."""
     settings = _settings(options)
-    with Bus(ZenohTransport(settings), options.fleet) as bus:
+    refusals = Refusals()
+    capture_zenoh_log(LOG_DIRECTIVES, refusals.hear)
+    transport = ZenohTransport(settings)
+    refusals.name_of = transport.name_of
+    with Bus(transport, options.fleet) as bus:
         log_event(
             "router.open",
             f"routes fleet '{options.fleet}' on {', '.join(settings.listen)}"
@@ -26,7 +32,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
             service=ROUTER,
             robots=", ".join(options.robot),
         )
-        Router(bus).run(stop)
+        Router(bus, refusals).run(stop)
     return 0
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from safedpa.bus import HEALTH, NO_ROBOT, Bus, HealthMessage
 from safedpa.bus.access import ROUTER
+from safedpa_services.router.refusals import Refusals
 
 __all__ = ["Router"]
 
@@ -16,10 +17,10 @@ _HEARTBEAT_SECONDS = 0.25
 
 
 class Router:
-    """Sends the heartbeats of a router's own session; ``refused`` tells how many messages it kept from passing."""
+    """Sends the heartbeats of a router's own session, with the number and the newest of its refusals."""
 
-    def __init__(self, bus: Bus, refused: Callable[[], int] = lambda: 0) -> None:
-        self._bus, self._refused = bus, refused
+    def __init__(self, bus: Bus, refusals: Refusals) -> None:
+        self._bus, self._refusals = bus, refusals
         self._beats = 0
 
     def run(self, stopped: Callable[[], bool]) -> None:
@@ -41,6 +42,7 @@ class Router:
             pid=os.getpid(),
             state="ready",
             steps=self._beats,
-            refused=self._refused(),
+            detail=self._refusals.newest,
+            refused=self._refusals.total,
         )
         self._bus.publish(HEALTH, NO_ROBOT, message, ROUTER)

@@ -240,6 +240,13 @@ class ZenohTransport(AbstractTransport):
 
         threading.Thread(target=ask, daemon=True).start()
 
+    def name_of(self, session: str) -> str:
+        """Common name of the certificate with which the session of that Zenoh id is linked to this one; or nothing."""
+        for link in self._session.info.links():
+            if str(link.zid) == session:
+                return str(link.auth_identifier or "")
+        return ""
+
     def close(self) -> None:  # noqa: D102
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
