@@ -1,0 +1,107 @@
+"""The certificate authority of a fleet in containers: makes the services' certificates, signs those of the robots.
+
+Each service finds its own key and nobody else's in a volume of its own, ``/issued/ROLE``. A robot makes its key itself,
+where it stays, and sends a request for a certificate over the network that it shares with this container alone. Who it
+is, the request does not say: the engine's name service tells which container has the sender's address, and
+``PROJECT_robot_3`` gets a certificate for ``robot.robot-3``. A container without privileges cannot take another address.
+Whoever may start containers on this machine may also read every key; docs/compose.md says what a real deployment does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import re
+import shutil
+import socketserver
+from pathlib import Path
+
+from container_name import container_at, number_in
+
+from safedpa.bus.access import ROUTER, roles_of
+from safedpa.bus.authority import HOSTS, Authority
+from safedpa.bus.log import log_event
+from safedpa.errors import SafedpaError
+
+PORT = 7448
+READY = Path("/tmp/ready")
+LARGEST_REQUEST = 8192
+_PATIENCE_SECONDS = 5.0
+
+
+def issue_to_services(authority: Authority, issued: Path, days: float) -> None:
+    """Gives every service of the fleet its certificate, key, and the authority's certificate, unless it has good ones."""
+    for role in roles_of(()):
+        folder = issued / role
+        if not folder.is_dir() or _is_good(folder / f"{role}.pem", authority.folder / "authority.pem", days):
+            continue
+        authority.issue(role, days, HOSTS if role == ROUTER else ())
+        for name in (f"{role}.key.pem", f"{role}.pem"):
+            shutil.move(authority.folder / name, folder / name)
+        shutil.copy(authority.folder / "authority.pem", folder / "authority.pem")
+        log_event("authority.issued", f"a certificate for {role}, good for {days:g} days", service=role)
+
+
+def _is_good(certificate: Path, authority: Path, days: float) -> bool:
+    """Whether it is there, of this authority, and two thirds of its time are not over."""
+    from cryptography import x509
+
+    beside = certificate.with_name("authority.pem")
+    if not certificate.exists() or not beside.exists() or beside.read_bytes() != authority.read_bytes():
+        return False
+    ends = x509.load_pem_x509_certificate(certificate.read_bytes()).not_valid_after_utc
+    return ends - datetime.datetime.now(datetime.UTC) > datetime.timedelta(days=days / 3.0)
+
+
+class Enrolment(socketserver.StreamRequestHandler):
+    """Answers one robot's request with its certificate, or with nothing."""
+
+    timeout = _PATIENCE_SECONDS
+    authority: Authority
+    days: float
+
+    def handle(self) -> None:
+        """Reads the request, asks who sent it, signs."""
+        address = str(self.client_address[0])
+        try:
+            role = robot_role(container_at(address))
+            request = self.rfile.read(LARGEST_REQUEST)
+            self.wfile.write(self.authority.sign(request, role, self.days))
+        except (OSError, ValueError, SafedpaError) as error:
+            log_event("authority.refused", f"a request from {address}: {error}", level="warning", address=address)
+            return
+        log_event("authority.issued", f"a certificate for {role}, good for {self.days:g} days", service=role)
+
+
+def robot_role(container: str) -> str:
+    """The role that a container of this name may have. Raises ValueError when it is no robot's."""
+    if re.search(r"[_-]robot[_-]\d+$", container.split(".")[0]) is None:
+        raise ValueError(f"container '{container}' is no robot")
+    return f"robot.robot-{number_in(container)}"
+
+
+class Server(socketserver.ThreadingTCPServer):
+    """One thread a request."""
+
+    allow_reuse_address = True
+    daemon_threads = True
+
+
+def main() -> None:
+    """Makes what is missing, then serves for ever."""
+    parser = argparse.ArgumentParser(prog="safedpa-authority")
+    parser.add_argument("--fleet", default="fleet")
+    parser.add_argument("--folder", type=Path, default=Path("/authority"), help="where its own key lies")
+    parser.add_argument("--issued", type=Path, default=Path("/issued"), help="one folder a role")
+    parser.add_argument("--days", type=float, default=90.0)
+    options = parser.parse_args()
+    authority = Authority(options.folder, options.fleet)
+    issue_to_services(authority, options.issued, options.days)
+    Enrolment.authority, Enrolment.days = authority, options.days
+    with Server(("0.0.0.0", PORT), Enrolment) as server:
+        READY.touch()  # for the health check: who depends on certificates may start
+        server.serve_forever()
+
+
+if __name__ == "__main__":
+    main()
