@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import gc
+from collections.abc import Callable
 
-from safedpa.bus import NO_ROBOT, AbstractNode, ServiceLoop, SetupMessage
+from safedpa.bus import NO_ROBOT, AbstractNode, Bus, ServiceLoop, SetupMessage
 from safedpa.bus.process import Stop, add_bus_options, bus_from
 
 __all__ = ["serve", "service_parser"]
@@ -20,9 +21,19 @@ def service_parser(program: str) -> argparse.ArgumentParser:
     return parser
 
 
-def serve(node: AbstractNode, options: argparse.Namespace, stop: Stop, setup: SetupMessage) -> int:
-    """Runs the node on the bus until ``stop``, and tells its setup; returns exit code 0."""
+def serve(
+    node: AbstractNode,
+    options: argparse.Namespace,
+    stop: Stop,
+    setup: SetupMessage,
+    joined: Callable[[Bus], None] = lambda _bus: None,
+) -> int:
+    """Runs the node on the bus until ``stop``, and tells its setup; returns exit code 0.
+
+    ``joined`` is called once, before the first tick, for what else the service does on the bus.
+    """
     with bus_from(options) as bus:
+        joined(bus)
         gc.collect()
         gc.freeze()  # what lives now lives for ever; the collector need not look at it in the middle of a tick
         bus.announce(NO_ROBOT, node.name, setup.instance)

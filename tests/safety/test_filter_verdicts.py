@@ -351,8 +351,8 @@ def test_active_names_come_tightest_first() -> None:
 
 
 def test_statuses_have_sentences() -> None:
-    assert {status.value for status in Status} == {"passed", "corrected", "relaxed", "fallback", "disabled"}
-    assert len({status.sentence for status in Status}) == 5
+    assert {status.value for status in Status} == {"passed", "corrected", "relaxed", "fallback", "disabled", "stopped"}
+    assert len({status.sentence for status in Status}) == 6
     assert all(status.sentence.endswith(".") for status in Status)
 
 

@@ -19,7 +19,7 @@ _BARRIER = (("h now", SKY, 2.5), ("h predicted", ORANGE, 1.5), ("margin", PURPLE
 _ACTION = (("wish", ORANGE, 2.5), ("filtered", SKY, 1.5), ("lowest", GREY, 1.0), ("highest", GREY, 1.0))
 """Name, colour, width of the curves of one pane, in the order of their values."""
 
-_WITHOUT_BARRIER = ("fallback", "disabled")
+_WITHOUT_BARRIER = ("fallback", "disabled", "stopped")
 
 
 def style_entries(look: Look) -> list[Entry]:

@@ -43,6 +43,7 @@ VERDICT_COLOURS: Final = {
     Status.relaxed.value: ORANGE,
     Status.fallback.value: VERMILLION,
     Status.disabled.value: PURPLE,
+    Status.stopped.value: YELLOW,
 }
 HEALTH_COLOURS: Final = {"ready": SKY, "running": GREEN, "failing": VERMILLION, "silent": GREY}
 IN_FORCE_COLOURS: Final = {"filter": GREEN, "watchdog": VERMILLION, "none": GREY}

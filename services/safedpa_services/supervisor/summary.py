@@ -13,7 +13,7 @@ from safedpa_services.supervisor.child import Child
 
 __all__ = ["summary_of"]
 
-_UNTOUCHED = ("passed", "disabled")
+_UNTOUCHED = ("passed", "disabled", "stopped")
 
 
 def summary_of(

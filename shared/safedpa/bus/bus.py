@@ -152,12 +152,13 @@ class Bus:
             self._transport.subscribe(key_of(self.fleet, robot, topic, "*"), accept)
         return inbox
 
-    def request(self, robot: str, request: Request, timeout: float = 1.0) -> Answer | None:
-        """Asks the diagnosis about one robot; None when nobody answers within ``timeout`` [s].
+    def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
+        """Asks about one robot; None when nobody answers within ``timeout`` [s].
 
-        Raises MessageError when the answer is none.
+        Of the default kind the diagnosis is asked, of ``ORDER`` the safety filter. Raises MessageError when the answer
+        is none.
         """
-        payload = self._transport.ask(request_key(self.fleet, robot), encode(request), timeout)
+        payload = self._transport.ask(request_key(self.fleet, robot, kind), encode(request), timeout)
         return None if payload is None else decode(Answer, payload)
 
     def ask_model(self, inbox: Inbox, robot: str, who: str, timeout: float) -> None:
@@ -198,12 +199,13 @@ class Bus:
         answer: Callable[[str, Request], Answer],
         robot: str = "*",
         tell: Callable[[str, Request | None, Answer], None] | None = None,
+        kinds: tuple[str, ...] = (REQUEST, STATUS),
     ) -> None:
         """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.
 
         What is no request, and what ``answer`` refuses by InputError, is answered with the reason; so is all but
-        ``status`` under the key where nothing else may be asked. ``tell`` hears of every request (None: it was none) and
-        its answer before the asker does.
+        ``status`` under the key where nothing else may be asked. ``tell`` hears of every request (None: it was none)
+        and its answer before the asker does.
         """
 
         def on_question(key: str, payload: bytes) -> bytes:
@@ -219,7 +221,7 @@ class Bus:
                 tell(about, request, given)
             return encode(given)
 
-        for kind in (REQUEST, STATUS):
+        for kind in kinds:
             self._transport.answer(request_key(self.fleet, robot, kind), on_question)
 
     def announce(self, robot: str, service: str, instance: str) -> None:

@@ -89,6 +89,15 @@ class AbstractNode(ABC):
         del robot
         return ""
 
+    def wind_up(self) -> None:
+        """Told once when the process shall end: what must be done before is begun; the loop goes on meanwhile."""
+        return
+
+    def at_rest(self, robot: str) -> bool:
+        """Asked after ``wind_up``: whether nothing is left to do for a robot."""
+        del robot
+        return True
+
     def forget(self, robot: str) -> None:
         """Drops what is remembered of a robot: it started anew, or left."""
         del robot

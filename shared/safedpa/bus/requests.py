@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from safedpa.bus.topics import STATE, key_of
 from safedpa.errors import InputError
 
-__all__ = ["AGREED", "REQUEST", "STATUS", "Answer", "Request", "request_key", "robot_of_request"]
+__all__ = ["AGREED", "ORDER", "REQUEST", "STATUS", "Answer", "Request", "request_key", "robot_of_request"]
 
 REQUEST = "request"
 """Last part of the key under which the diagnosis is asked to change a model, or about it."""
 STATUS = "status"
 """The same, but only ``status`` may be asked: the services of the loop may ask what is, and change nothing."""
+ORDER = "order"
+"""The same of the safety filter, which is told to stop robots or to let them drive: ``stop``, ``go`` or ``status``."""
 AGREED = "agreed"
 """Last part of the key under which services tell each other what they agreed on, while no diagnosis is there."""
 
@@ -77,6 +79,6 @@ def request_key(fleet: str, robot: str, name: str = REQUEST) -> str:
 def robot_of_request(key: str) -> str:
     """The robot that a request is about. Raises InputError when the key names none, or more than one."""
     parts = key.split("/")
-    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, AGREED) or "*" in key:
+    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, ORDER, AGREED) or "*" in key:
         raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{REQUEST}")
     return parts[2]

@@ -36,6 +36,9 @@ _SILENCE_SECONDS = 0.3
 _FINISH_SHARE = 0.1
 """Of the period: the pause after a step before what nobody waits for; the tick is usually over by then."""
 
+_LONGEST_END_SECONDS = 5.0
+"""A car brakes from full speed to a stand in 1.2 s; a container gets 10 s before it is killed."""
+_END_TURN_SECONDS = 0.05
 _FORGET_SECONDS = 30.0
 """A robot that was silent for so long has left."""
 
@@ -94,9 +97,22 @@ class ServiceLoop:
         self._setup, self._next_setup = setup, clock()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Turns until ``stopped`` says so; looks at it at least four times a second."""
+        """Turns until ``stopped`` says so, then until the node may end, 5 s at most; looks four times a second."""
         while not stopped():
             self.turn(_HEARTBEAT_SECONDS)
+        self._wind_up()
+
+    def _wind_up(self) -> None:
+        """Goes on until nothing is left to do for any robot that still speaks, but not for ever."""
+        self._node.wind_up()
+        end = self._clock() + _LONGEST_END_SECONDS
+        while self._clock() < end and any(map(self._needs_us, self._slots)):
+            self.turn(_END_TURN_SECONDS)
+
+    def _needs_us(self, robot: str) -> bool:
+        slot = self._slots[robot]
+        speaks = self._clock() - slot.heard <= max(_SILENCE_SECONDS, 3.0 * slot.state.period)
+        return speaks and not self._node.at_rest(robot)
 
     def turn(self, longest_wait: float) -> None:
         """Takes what arrived, steps what is due, sends a heartbeat when it is time."""

@@ -100,7 +100,13 @@ class Decision:
         action, status = self._backup_action(), Status.fallback
         if self._wish is not None and not self._tools.settings.enabled:
             action, status = self._within(self._wish), Status.disabled
-        reason = f"Reason: {reason}."
+        return self._unchecked(status, action, f"Reason: {reason}.", solver)
+
+    def stopped(self, reason: str) -> Verdict:
+        """The backup action because somebody ordered it, and of what it leads to whatever can be computed."""
+        return self._unchecked(Status.stopped, self._backup_action(), f"Reason: {reason}.", "not run")
+
+    def _unchecked(self, status: Status, action: Values, reason: str, solver: str) -> Verdict:
         try:
             conditions = self._conditions or self._posed()
             return self._verdict(status, conditions.outcome(action), reason, solver)

@@ -65,6 +65,11 @@ class FilteredRobot:
             WatchedMargin(held.calibration),
         )
 
+    @property
+    def speeds(self) -> tuple[int, ...]:
+        """Which entries of the state are a speed that braking takes away."""
+        return tuple(index for index, name in enumerate(self.held.model.system.state_names) if name == "speed")
+
     def watch_margin(self, state: StateMessage) -> None:
         """Holds the last prediction against the measured state."""
         if state.tick != self.tick + 1 or state.applied_by != "filter":
@@ -116,7 +121,7 @@ class FilteredRobot:
         state, latent = decided.state, self.held.model.latent
         verdict = self.filter.decide(
             state.values,
-            decided.verdict.wish,
+            decided.verdict.action if decided.verdict.status is Status.stopped else decided.verdict.wish,
             latent,
             memory=self.memory,
             barriers=barriers,

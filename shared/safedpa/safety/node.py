@@ -34,10 +34,14 @@ from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.filtered_robot import Decided, FilteredRobot
 from safedpa.safety.held_model import HeldModel, checked_calibration, held_offer, uncalibrated
+from safedpa.safety.orders import Orders
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.verdict import Verdict
+from safedpa.safety.verdict import Status, Verdict
 
 __all__ = ["SafetyFilterNode"]
+
+_STANDS = 0.02
+"""m/s; slower than that a car stands."""
 
 
 class _Stamp(TypedDict):
@@ -67,7 +71,10 @@ class SafetyFilterNode(AbstractNode):
         model: PhysicsModel,
         settings: FilterSettings | None = None,
         calibration: MarginCalibration | None = None,
+        orders: Orders | None = None,
     ) -> None:
+        self.orders = orders or Orders()
+        """Who is to stop."""
         self._settings = settings or FilterSettings()
         known = calibration or uncalibrated(self._settings, fingerprint(model))
         first = HeldModel(model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings))
@@ -96,15 +103,19 @@ class SafetyFilterNode(AbstractNode):
             stale.append(f"the wish ({wish.sentence})")
         if isinstance(memory.barriers, str):
             stale.append(f"the {memory.barriers}")
-        verdict = memory.filter.decide(
-            state.values,
-            wish.values if isinstance(wish, WishMessage) else None,
-            latent,
-            memory=memory.memory,
-            barriers=() if isinstance(memory.barriers, str) else memory.barriers,
-            epsilon=memory.margin.epsilon,
-            stale=stale,
-        )
+        barriers = () if isinstance(memory.barriers, str) else memory.barriers
+        known: dict[str, Any] = {
+            "memory": memory.memory,
+            "barriers": barriers,
+            "epsilon": memory.margin.epsilon,
+            "stale": stale,
+        }
+        ordered = self.orders.reason(robot)
+        if ordered:
+            verdict = memory.filter.stop(ordered, state.values, latent, stands=not state.corridor, **known)
+        else:
+            wished = wish.values if isinstance(wish, WishMessage) else None
+            verdict = memory.filter.decide(state.values, wished, latent, **known)
         memory.decision = Decided(state, latent, verdict)
         return {ACTION: ActionMessage(**_stamp(state), values=tuple(verdict.action.tolist()))}
 
@@ -115,7 +126,7 @@ class SafetyFilterNode(AbstractNode):
         state, latent, verdict = memory.decision
         predicted, memory.expected_memory = memory.predicted(state, verdict, latent)
         memory.margin.expect(np.array(predicted[0]) if predicted else None)
-        outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory.held.fingerprint)}
+        outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory)}
         answer = self._versions.answer(robot, state)
         return outputs if answer is None else {**outputs, TAKEOVER: answer}
 
@@ -131,6 +142,18 @@ class SafetyFilterNode(AbstractNode):
 
     def model_of(self, robot: str) -> str:  # noqa: D102
         return self._versions.fingerprint(robot)
+
+    def wind_up(self) -> None:  # noqa: D102
+        self.orders.end("the safety filter is about to end")
+
+    def at_rest(self, robot: str) -> bool:
+        """Whether the robot stands by an order; at once of one that has no speed to lose, and so cannot stand."""
+        memory = self._robots.get(robot)
+        if memory is None or memory.decision is None:
+            return False
+        state, _, verdict = memory.decision
+        speeds = [state.values[index] for index in memory.speeds if index < len(state.values)]
+        return verdict.status is Status.stopped and all(abs(speed) <= _STANDS for speed in speeds)
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
@@ -150,7 +173,7 @@ def _stamp(state: StateMessage) -> _Stamp:
 
 
 def _report(
-    state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], model: str
+    state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot
 ) -> VerdictMessage:
     return VerdictMessage(
         **_stamp(state),
@@ -166,5 +189,7 @@ def _report(
         solver=verdict.solver,
         microseconds=verdict.microseconds,
         predicted=predicted,
-        model=model,
+        coverage=memory.margin.coverage,
+        promised=memory.margin.promised,
+        model=memory.held.fingerprint,
     )

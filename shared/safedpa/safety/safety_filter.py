@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -26,7 +27,7 @@ from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.verdict import Verdict
+from safedpa.safety.verdict import Status, Verdict
 
 __all__ = ["SafetyFilter"]
 
@@ -117,6 +118,43 @@ class SafetyFilter:
             return decision.fallback(str(failure), failure.solver)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and the robot must still brake
             return decision.fallback(f"{type(error).__name__}: {error}", "not run")
+
+    def stop(
+        self,
+        reason: str,
+        state: Any,
+        latent: Any = None,
+        *,
+        memory: Any = None,
+        barriers: Sequence[AbstractBarrier] | None = None,
+        epsilon: Mapping[str, float] | None = None,
+        stale: Sequence[str] = (),
+        stands: bool = True,
+    ) -> Verdict:
+        """The verdict while the robot is to stop for ``reason``, whatever is wished; other arguments as in ``decide``.
+
+        Where the backup action brings the robot to rest (``stands``) it is taken as it is: braking straight lowers no
+        h, and a robot that was stopped must not be led anywhere. A robot that has no stand, such as a pendulum, would
+        leave its corridor: there the resting action is wished, and the filter changes it as it would any wish; the
+        verdict is ``stopped`` where that keeps every condition, and says what else came out where it does not.
+        """
+        scene = self._barriers if barriers is None else barriers
+        if stands:
+            wish = self._tools.resting_action
+            request = Request(state, wish, latent, memory, scene, epsilon or {}, stale)
+            return replace(Decision(self._tools, request).stopped(reason), wish=None)
+        verdict = self.decide(
+            state,
+            self._tools.resting_action,
+            latent,
+            memory=memory,
+            barriers=scene,
+            epsilon=epsilon,
+            stale=stale,
+        )
+        if verdict.status not in (Status.passed, Status.corrected):
+            return verdict
+        return replace(verdict, status=Status.stopped, reason=f"Reason: {reason}. The barriers are kept.")
 
 
 def _latent_range(model: AbstractDynamics) -> Plausible:

@@ -21,6 +21,7 @@ class Status(Enum):
     relaxed = "relaxed"
     fallback = "fallback"
     disabled = "disabled"
+    stopped = "stopped"
 
     @property
     def sentence(self) -> str:
@@ -34,6 +35,7 @@ _SENTENCES = {
     Status.relaxed: "No action was found that keeps every barrier condition; the less unsafe one is taken.",
     Status.fallback: "No decision could be computed; the backup action is taken.",
     Status.disabled: "The filter is switched off; the wish is handed on within the actuator limits.",
+    Status.stopped: "The robot is to stop; no wish is handed on.",
 }
 
 
