@@ -22,6 +22,8 @@ class AbstractBase(ABC):
     source: ClassVar[str]
     system: System
     parameters: tuple[Parameter, ...]
+    straight: ClassVar[bool] = True
+    """Whether the equations are the same arithmetic on named scalars whatever their values."""
 
     @abstractmethod
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:

@@ -29,6 +29,7 @@ class LearnedBase(AbstractBase):
     kind = "learned"
     equation = "x' = f(x, z) + g(x, z) a"
     source = "Xiao, He, Dolan, Shi, Safe Deep Policy Adaptation, ICRA 2024"
+    straight = False
 
     def __init__(self, nominal: AbstractBase, weights: Weights) -> None:
         described, system = weights.description, nominal.system

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, final
@@ -13,6 +14,7 @@ from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
 from safedpa.dynamics.settings import Setting, base_default, check_effects, check_settings
+from safedpa.dynamics.straight import StraightStep, StraightSteps, straight_step
 from safedpa.dynamics.tangent import batched_difference, forward_mode, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
@@ -106,12 +108,14 @@ class PhysicsModel(AbstractDynamics):
         period: float | None = None,
         time: float = 0.0,
     ) -> tuple[Array, Any]:
+        used = self.period if period is None else period
+        quick = self._quick(state, action, memory, latent, used, time)
+        if quick is not None:
+            return quick
         operations = common_operations(state, action, latent)
         true = self._restored(state, values := self._values(latent, state))
         named = dict(zip(self.system.action_names, columns(action, state), strict=True))
-        entries, memory = self._advance(
-            true, named, memory, values, self.period if period is None else period, time, operations
-        )
+        entries, memory = self._advance(true, named, memory, values, used, time, operations)
         return joined(entries, operations), memory
 
     def affine(  # noqa: D102
@@ -129,11 +133,20 @@ class PhysicsModel(AbstractDynamics):
         values = self._values(latent, state)
         true = self._restored(state, values)
         names = self.system.action_names
+        measured, free = columns(state, state), columns(self.latent if latent is None else latent, state)
         if memory is None:
             memory = self._settled(dict(zip(names, columns(around, state), strict=True)), values, operations)
 
         def entries(action: Sequence[Scalar], operations: Operations) -> list[Scalar]:
             named = dict(zip(names, action, strict=True))
+            quick = self._straight.of(self.period, operations)
+            if quick is not None:
+                felt = action
+                with contextlib.suppress(ValueError, ArithmeticError):  # answered below
+                    if self._commands:
+                        named = dict(zip(names, action, strict=True))
+                        felt = list(self._felt(named, memory, values, self.period, operations)[0].values())
+                    return quick(measured, felt, free, time)
             return self._advance(true, named, memory, values, self.period, time, operations)[0]
 
         if operations is FLOATS:
@@ -162,6 +175,12 @@ class PhysicsModel(AbstractDynamics):
         """The measured entries and the memory after one period, from the true state."""
         if self._commands:
             action, memory = self._felt(action, memory, values, period, operations)
+        return self._integrated(state, action, values, period, time, operations), memory
+
+    def _integrated(
+        self, state: Named, action: Named, values: _Values, period: float, time: Scalar, operations: Operations
+    ) -> list[Scalar]:
+        """The measured entries after one period, from the true state and what the mechanics feel of the action."""
         base, known = values["base"], self.base.rates
         effects = [(item.modify, values[item.name]) for item in self._rates]
 
@@ -186,7 +205,45 @@ class PhysicsModel(AbstractDynamics):
                 )
         for sensor in reversed(self._sensors):
             after = sensor.measure(after, values[sensor.name])
-        return [after[name] for name in self.system.state_names], memory
+        return [after[name] for name in self.system.state_names]
+
+    def _quick(
+        self, state: Array, action: Array, memory: Any, latent: Array | None, period: float, time: float
+    ) -> tuple[Array, Any] | None:
+        """The same step for one robot as a straight line of arithmetic; None where the reference has to answer."""
+        if not _single(state, action, latent) or (step := self._straight.floats(period)) is None:
+            return None
+        try:
+            felt = action.tolist()
+            if self._commands:
+                named = dict(zip(self.system.action_names, felt, strict=True))
+                after, memory = self._felt(named, memory, self._values(latent, state), period, FLOATS)
+                felt = after.values()
+            free = (self.latent if latent is None else latent).tolist()
+            return np.array(step(state.tolist(), felt, free, time)), memory
+        except (ValueError, ArithmeticError):  # numbers that Python's math refuses, or of another length
+            return None
+
+    @cached_property
+    def _straight(self) -> StraightSteps:
+        """The project's own equations can be recorded; a user's may do what a recording does not see."""
+        straight = self._takes_complex and self.base.straight
+        return StraightSteps(self._recorded if straight else None)
+
+    def _recorded(self, period: float) -> dict[str, StraightStep] | None:
+        def equations(
+            state: Sequence[Scalar],
+            action: Sequence[Scalar],
+            latent: Sequence[Scalar],
+            time: Scalar,
+            operations: Operations,
+        ) -> Sequence[Scalar]:
+            values = self._with_free(latent) if latent else self._fixed
+            measured = dict(zip(self.system.state_names, state, strict=True))
+            felt = dict(zip(self.system.action_names, action, strict=True))
+            return self._integrated(self._true(measured, values), felt, values, period, time, operations)
+
+        return straight_step(equations, self.system.state_names, self.system.action_names, self.latent_names)
 
     def _felt(
         self, action: Named, memory: Any, values: _Values, period: float, operations: Operations
@@ -208,7 +265,10 @@ class PhysicsModel(AbstractDynamics):
         return tuple(memory)
 
     def _restored(self, state: Array, values: _Values) -> Named:
-        named: Named = dict(zip(self.system.state_names, columns(state, state), strict=True))
+        return self._true(dict(zip(self.system.state_names, columns(state, state), strict=True)), values)
+
+    def _true(self, named: Named, values: _Values) -> Named:
+        """The true state behind a measured one."""
         for sensor in self._sensors:
             named = sensor.restore(named, values[sensor.name])
         return named
@@ -222,8 +282,11 @@ class PhysicsModel(AbstractDynamics):
                 f"latent: got {latent.shape[-1]} entries, wanted {len(self.latent_names)}: "
                 f"{', '.join(self.latent_names)}"
             )
+        return self._with_free(columns(latent, state))
+
+    def _with_free(self, entries: Sequence[Scalar]) -> _Values:
+        """Every parameter's value, the free ones as given."""
         owners: dict[str, Named] = dict(self._fixed)
-        entries = columns(latent, state)
         for owner, free in self._free.items():
             owners[owner] = {**owners[owner], **{name: entries[index] for name, index in free}}
         return owners
@@ -257,3 +320,11 @@ class PhysicsModel(AbstractDynamics):
     @cached_property
     def _ranges(self) -> tuple[float, ...]:
         return tuple((self.system.action_high - self.system.action_low).tolist())
+
+
+def _single(state: Array, action: Array, latent: Array | None) -> bool:
+    """Whether all are vectors of ordinary floats: one robot."""
+    return all(
+        type(part) is np.ndarray and part.ndim == 1 and part.dtype == np.float64
+        for part in ((state, action) if latent is None else (state, action, latent))
+    )

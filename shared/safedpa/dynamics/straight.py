@@ -1,0 +1,203 @@
+"""Equations recorded once and replayed as straight-line Python: the fast road for one robot.
+
+Base and effects are written over named scalars: dictionaries, calls and contexts cost ten times what the arithmetic
+costs. So their equations are run once with numbers that only write down what is done to them; what is written down
+becomes one function of plain local variables. It does the same operations on the same numbers in the same order, hence
+the same result to the last bit; what occurs several times (the tangent of one steering angle in four stages of an
+integrator) is computed once. Equations that branch on a number cannot be recorded and keep the road of dictionaries,
+which is the reference: ``PhysicsModel`` takes it wherever this one has no answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, final
+
+from safedpa.operations import COMPLEX, FLOATS, Operations
+
+__all__ = ["StraightStep", "StraightSteps", "straight_step"]
+
+StraightStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
+"""Entries after one period from the entries of state, felt action and latent, and the time [s]."""
+
+Equations = Callable[[Sequence[Any], Sequence[Any], Sequence[Any], Any, Operations], Sequence[Any]]
+"""The same, with the table that the equations take their functions from."""
+
+_WORTHWHILE = 200
+"""Steps of one period, after which recording (a few milliseconds) pays: a fit tries thousands of models briefly."""
+_MOST_PERIODS = 8
+"""Services see one period; recordings with irregular sampling see any number."""
+
+_FLOAT_FORMS = {
+    "absolute": "abs({0})",
+    "sign": "float(({0} > 0) - ({0} < 0))",
+    "minimum": "({1} if {1} < {0} else {0})",
+    "maximum": "({1} if {1} > {0} else {0})",
+    "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
+    "where": "({1} if {0} else {2})",
+}
+"""What the table of floats does, without a call; the other functions are called under their names."""
+
+_FUNCTIONS = tuple(field.name for field in fields(Operations))
+
+
+class _NotStraightError(TypeError):
+    """The equations ask for the value of a number while they are recorded."""
+
+
+@final
+class _Tape:
+    """What was done so far: one line for each operation, the same operation on the same numbers only once."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, str, tuple[str, ...]]] = []
+        """(name, form, operands); the form has a place for each operand, or is a function's name."""
+        self._known: dict[tuple[str, tuple[str, ...]], _Recorded] = {}
+
+    def record(self, form: str, *operands: Any) -> _Recorded:
+        names = tuple(_written(operand) for operand in operands)
+        if (form, names) not in self._known:
+            name = f"n{len(self.lines)}"
+            self.lines.append((name, form, names))
+            self._known[form, names] = _Recorded(self, name)
+        return self._known[form, names]
+
+    def operations(self) -> Operations:
+        """A table whose functions write themselves down."""
+        table = {name: lambda *operands, name=name: self.record(name, *operands) for name in _FUNCTIONS}
+        return Operations(**table)
+
+
+@final
+class _Recorded:
+    """A number that is not known yet, by the name of the variable that will hold it."""
+
+    def __init__(self, tape: _Tape, name: str) -> None:
+        self.tape, self.name = tape, name
+
+    def __bool__(self) -> bool:
+        raise _NotStraightError("the equations branch on a number")
+
+    def __float__(self) -> float:
+        raise _NotStraightError("the equations turn a number into a float")
+
+    __int__ = __index__ = __float__
+    __hash__ = None  # type: ignore[assignment]
+
+    def __neg__(self) -> _Recorded:
+        return self.tape.record("-{0}", self)
+
+    def __pos__(self) -> _Recorded:
+        return self.tape.record("+{0}", self)
+
+    def __abs__(self) -> _Recorded:
+        return self.tape.record("abs({0})", self)
+
+
+def _binary(form: str, *, swapped: bool = False) -> Callable[[_Recorded, Any], _Recorded]:
+    def operation(self: _Recorded, other: Any) -> _Recorded:
+        first, second = (other, self) if swapped else (self, other)
+        return self.tape.record(form, first, second)
+
+    return operation
+
+
+for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "**"}.items():
+    setattr(_Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
+    setattr(_Recorded, f"__r{_name}__", _binary(f"{{0}} {_sign} {{1}}", swapped=True))
+for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}.items():
+    setattr(_Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
+
+
+def _written(operand: Any) -> str:
+    """The variable's name, or the constant exactly as it is."""
+    if isinstance(operand, _Recorded):
+        return operand.name
+    if isinstance(operand, bool) or not isinstance(operand, (float, int)):
+        raise _NotStraightError(f"got a {type(operand).__name__} among numbers")
+    return f"({operand!r})" if isinstance(operand, int) else f"({float(operand)!r})"
+
+
+@final
+class StraightSteps:
+    """The straight-line functions of one model, by period, recorded once they are worth it.
+
+    ``record(period)`` makes them, ``floats`` and ``complex``, or None where the equations cannot be recorded.
+    """
+
+    def __init__(self, record: Callable[[float], dict[str, StraightStep] | None] | None) -> None:
+        self._record = record
+        self._asked: dict[float, int] = {}
+        self._floats: dict[float, StraightStep] = {}
+        self._complex: dict[float, StraightStep] = {}
+
+    def floats(self, period: float) -> StraightStep | None:
+        """For Python floats; None: take the other road."""
+        return self._floats.get(period) or self._considered(period)
+
+    def of(self, period: float, operations: Operations) -> StraightStep | None:
+        """For the numbers that the table is made for; None: take the other road."""
+        if operations is FLOATS:
+            return self.floats(period)
+        return self._complex.get(period) if operations is COMPLEX else None
+
+    def _considered(self, period: float) -> StraightStep | None:
+        if self._record is None or (period not in self._asked and len(self._asked) >= _MOST_PERIODS):
+            return None
+        asked = self._asked[period] = self._asked.get(period, 0) + 1
+        if asked == _WORTHWHILE:
+            made = self._record(period)
+            if made is None:
+                self._record = None
+                return None
+            self._floats[period], self._complex[period] = made["floats"], made["complex"]
+        return self._floats.get(period)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Functions made here do not travel to another process; they are made there again."""
+        return {**self.__dict__, "_asked": {}, "_floats": {}, "_complex": {}}
+
+
+def straight_step(
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+) -> dict[str, StraightStep] | None:
+    """The equations as straight-line functions, ``floats`` and ``complex``; None where they cannot be recorded.
+
+    Of the names only the number counts.
+    """
+    tape = _Tape()
+    state, action, latent = (
+        [_Recorded(tape, f"{letter}{index}") for index in range(len(names))]
+        for letter, names in (("s", states), ("a", actions), ("z", latents))
+    )
+    try:
+        after = equations(state, action, latent, _Recorded(tape, "time"), tape.operations())
+        names = [_written(entry) for entry in after]
+    except TypeError:  # among them what a recorded number cannot do
+        return None
+    head = [
+        f"[{', '.join(number.name for number in numbers)}] = {whole}"
+        for whole, numbers in (("state", state), ("action", action), ("latent", latent))
+    ]
+    return {
+        "floats": _compiled(head, tape, names, _FLOAT_FORMS, FLOATS),
+        "complex": _compiled(head, tape, names, {}, COMPLEX),
+    }
+
+
+def _compiled(
+    head: Sequence[str], tape: _Tape, after: Sequence[str], forms: Mapping[str, str], table: Operations
+) -> StraightStep:
+    lines = ["def step(state, action, latent, time):", *head]
+    for name, form, operands in tape.lines:
+        called = f"{form}({', '.join(operands)})"
+        written = forms.get(form) if form in _FUNCTIONS else form
+        lines.append(f"{name} = {called if written is None else written.format(*operands)}")
+    lines.append(f"return [{', '.join(after)}]")
+    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan}
+    scope.update({name: getattr(table, name) for name in _FUNCTIONS})
+    exec("\n    ".join(lines), scope)  # arithmetic on names of our own, nothing from outside
+    step: StraightStep = scope["step"]
+    return step

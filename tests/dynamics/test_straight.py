@@ -1,0 +1,154 @@
+"""The straight-line road of a model against the road of dictionaries: equal to the last bit, or not taken at all."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting, load_model
+from safedpa.dynamics.straight import StraightSteps
+from safedpa.effects import Context, Parameter, RateEffect, Stage
+from safedpa.effects.library import effects_of
+
+MODELS = ("car", "car_measured", "dart_car", "pendulum", "dfki_pendulum", "point")
+
+
+def quick(model: PhysicsModel) -> PhysicsModel:
+    """The model, asked often enough to have recorded its equations."""
+    zeros = np.zeros(len(model.system.state)), np.zeros(len(model.system.action))
+    memory = model.initial_memory(zeros[1])
+    for _ in range(250):
+        model.advance(*zeros, memory, model.latent)
+    return model
+
+
+def reference(model: PhysicsModel) -> PhysicsModel:
+    """The same model, which never takes the straight road."""
+    plain = copy.copy(model)
+    plain.__dict__["_straight"] = StraightSteps(None)
+    return plain
+
+
+def has_recorded(model: PhysicsModel) -> bool:
+    return model._straight.floats(model.period) is not None
+
+
+def with_every_effect(robot: str) -> list[PhysicsModel]:
+    """The robot's smallest model with each single effect of the library, all its parameters free."""
+    plain = {"car": load_model("car"), "pendulum": load_model("pendulum"), "point": load_model("point")}[robot]
+    bare = PhysicsModel(plain.base, (), {k: v for k, v in plain.settings.items() if k.startswith("base.")})
+    models = []
+    for item in effects_of(robot).values():
+        if set(item.needs) <= set(bare.system.action_names):
+            models.append(bare.with_effect(item, {p.name: Setting(p.start, free=True) for p in item.parameters}))
+    return models
+
+
+ALL = [load_model(name) for name in MODELS] + [
+    model for robot in ("car", "pendulum", "point") for model in with_every_effect(robot)
+]
+
+
+def agree(model: PhysicsModel, draw: np.random.Generator) -> None:
+    """Four steps and tangents in a row from random numbers, by both roads."""
+    fast, slow, system = model, reference(model), model.system
+    state = draw.normal(size=len(system.state)) * draw.choice((0.0, 1e-3, 1.0, 30.0))
+    action = draw.uniform(system.action_low, system.action_high) * draw.choice((0.0, 1.0, 1.5))
+    parameters = [model.parameters[path] for path in model.latent_names]
+    latent = np.array([draw.choice((p.low, p.high, p.start, draw.uniform(p.low, p.high))) for p in parameters])
+    ours, theirs = fast.initial_memory(action), slow.initial_memory(action)
+    here = there = state
+    for step in range(4):
+        for got, wanted in zip(
+            fast.affine(here, latent, around=action, memory=ours, time=0.1),
+            slow.affine(there, latent, around=action, memory=theirs, time=0.1),
+            strict=True,
+        ):
+            assert got.tobytes() == wanted.tobytes() or (np.isnan(got) == np.isnan(wanted)).all()
+        here, ours = fast.advance(here, action, ours, latent, time=0.1 * step)
+        there, theirs = slow.advance(there, action, theirs, latent, time=0.1 * step)
+        np.testing.assert_array_equal(here, there)
+        assert ours == theirs
+
+
+@pytest.mark.parametrize(
+    "model", ALL, ids=lambda model: "+".join(item.name for item in model.effects) or model.base.kind
+)
+def test_both_roads_give_the_same_bits(model: PhysicsModel) -> None:
+    quick(model)
+    for seed in range(8):
+        agree(model, np.random.default_rng(seed))
+
+
+def test_every_equation_of_the_project_can_be_recorded() -> None:
+    assert [model.effects for model in ALL if not has_recorded(quick(model))] == []
+
+
+CAR = quick(load_model("car"))
+
+
+@settings(max_examples=60, deadline=None)
+@given(numbers=st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=8, max_size=8))
+def test_numbers_beyond_all_bounds_end_alike(numbers: list[float]) -> None:
+    model = CAR
+    state, action, latent = np.array(numbers[:4]), np.array(numbers[4:6]), np.array(numbers[6:8])
+    latent = latent[: len(model.latent_names)]
+    with np.errstate(all="ignore"):
+        np.testing.assert_array_equal(
+            model.advance(state, action, (), latent)[0], reference(model).advance(state, action, (), latent)[0]
+        )
+
+
+class Bump(RateEffect):
+    """A user's effect that branches on a number, as Python allows."""
+
+    name = "bump"
+    robot = "car"
+    stage = Stage.RESISTANCE
+    equation = "one way or the other"
+    parameters = (Parameter("size", "m/s2", 0.0, 5.0, 1.0),)
+    signature = "none"
+    source = "this test"
+
+    def modify(self, rates: Any, parameters: Any, context: Context) -> Any:
+        if context.state["x"] > 0.0:
+            return {**rates, "speed": rates["speed"] - parameters["size"]}
+        return rates
+
+
+def test_a_users_effect_that_branches_is_heeded_on_both_sides() -> None:
+    plain = load_model("car")
+    base = {k: v for k, v in plain.settings.items() if k.startswith("base.")}
+    model = quick(PhysicsModel(plain.base, (Bump(),), {**base, "bump.size": Setting(2.0)}))
+    assert not has_recorded(model)
+    left, right = (model.step(np.array([x, 0.0, 0.0, 1.0]), np.array([1.0, 0.0]))[3] for x in (-1.0, 1.0))
+    assert left - right == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_branch_in_equations_that_are_recorded_is_refused_and_not_guessed() -> None:
+    class Branching(KinematicBicycle):
+        def rates(self, state: Any, action: Any, parameters: Any, operations: Any) -> Any:
+            found = super().rates(state, action, parameters, operations)
+            return {**found, "speed": 0.0 * state["speed"]} if state["x"] > 0.0 else found
+
+    Branching.__module__ = "safedpa.dynamics.branching"  # as if it were the project's own
+    plain = load_model("car")
+    base = {k: v for k, v in plain.settings.items() if k.startswith("base.")}
+    model = quick(PhysicsModel(Branching(), (), base))
+    assert not has_recorded(model)
+    stopped, moving = (model.step(np.array([x, 0.0, 0.0, 1.0]), np.array([1.5, 0.0]))[3] for x in (1.0, -1.0))
+    assert stopped == 1.0 < moving
+
+
+def test_a_model_that_was_used_travels_to_another_process() -> None:
+    model = quick(load_model("car"))
+    assert has_recorded(model)
+    other = pickle.loads(pickle.dumps(model))
+    state, action = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1.0, 0.1])
+    assert other.step(state, action).tobytes() == model.step(state, action).tobytes()
