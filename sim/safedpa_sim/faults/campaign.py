@@ -1,0 +1,190 @@
+"""Runs faults one after another on driving fleets, and says of each what it did."""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from safedpa_sim.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
+from safedpa_sim.faults.fault import Fault
+from safedpa_sim.faults.recorded import Recorded, read_recorded
+from safedpa_sim.faults.world import ROBOT, World, WorldSettings
+from safedpa_sim.robots.trace import LivedPeriod, read_trace
+
+__all__ = ["Outcome", "as_rows", "run_faults"]
+
+_PERIOD = 0.05
+_FAST = 1.0
+"""m/s; a fault comes while the car is at least this fast,"""
+_FAST_PATIENCE_SECONDS = 5.0
+"""or after so long as it is."""
+_DRIVING_PATIENCE_SECONDS = 20.0
+_AFTERWARDS_SECONDS = 1.0
+"""Driving that still belongs to the fault."""
+_LARGEST_DISTURBED_SHARE = 0.05
+"""Of periods, where the loop must not notice: a busy machine costs one now and then."""
+_LEAST_DRIVEN_SHARE = 0.3
+"""Of periods, where it must go on driving."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one fault did, from its beginning to a second after the loop drove again."""
+
+    name: str
+    sentence: str
+    held: bool
+    """Whether every invariant held."""
+    broken: tuple[str, ...]
+    """Those that did not, in words."""
+    speed: float
+    """m/s when it struck."""
+    collisions: int
+    stale_actions: int
+    """Applied, and older than allowed or of another state."""
+    periods: int
+    watchdog: int
+    """Periods in which the robot braked by itself."""
+    fallbacks: int
+    """Periods in which the filter braked for want of an input."""
+    recovery_seconds: float | None
+    """From the recovery until the loop drove again; 0 when it had never stopped, None when it did not."""
+    whole_seconds: float | None
+    """From the recovery until every process had told its health again; None when one did not."""
+    states_not_recorded: int
+    verdicts_not_recorded: int
+    """Of those that were heard on the bus."""
+
+
+@dataclass(frozen=True)
+class _Lived:
+    """A fault that is over, before its world has ended."""
+
+    fault: Fault
+    episode: Episode
+    speed: float
+    back: float | None
+    """s until every process was heard again."""
+    troubles: tuple[str, ...]
+    """What was not as it must be; empty ones are none."""
+
+
+def run_faults(
+    faults: Sequence[Fault],
+    seed: int = 1,
+    folder: Path | None = None,
+    tell: Callable[[str, int, int], None] = lambda _name, _done, _all: None,
+) -> list[Outcome]:
+    """Every fault in turn, on one fleet as long as it drives on; a fleet that does not recover is replaced.
+
+    ``folder`` keeps what the processes wrote. Raises SafedpaError when a fleet does not come up at all.
+    """
+    with tempfile.TemporaryDirectory(prefix="safedpa-faults-") as own:
+        outcomes: list[Outcome] = []
+        waiting = list(faults)
+        for number in itertools.count():
+            if not waiting:
+                return outcomes
+            settings = WorldSettings(seed=seed + number, diagnosis=waiting[0].diagnosis)
+            world = World((folder or Path(own)) / f"world-{number}", settings)
+            lived: list[_Lived] = []
+            with world:
+                for fault in _of_one_world(waiting):
+                    tell(fault.name, len(outcomes) + len(lived), len(faults))
+                    lived.append(_run(fault, world))
+                    if not world.drives():
+                        break
+            waiting = waiting[len(lived) :]
+            outcomes += _judged(world, lived)
+    return outcomes
+
+
+def _of_one_world(faults: Sequence[Fault]) -> Iterator[Fault]:
+    return itertools.takewhile(lambda fault: fault.diagnosis == faults[0].diagnosis, faults)
+
+
+def _run(fault: Fault, world: World) -> _Lived:
+    fault.set_up(world)
+    world.until(world.drives, _DRIVING_PATIENCE_SECONDS)
+    world.until(lambda: _speed(world) >= _FAST and world.drives(), _FAST_PATIENCE_SECONDS)
+    speed, struck = _speed(world), time.monotonic()
+    fault.strike(world)
+    world.listen(fault.seconds)
+    seen = fault.look(world)
+    mended = time.monotonic()
+    fault.mend(world)
+    whole = world.until(lambda: not world.missing(mended), fault.recovers_within)
+    absent = [] if whole else [f"{name} is not back" for name in world.missing(mended)]
+    back = time.monotonic() - mended if whole else None
+    world.until(lambda: world.drives(mended), fault.recovers_within)
+    checked = fault.check(world, Episode(struck, mended, time.monotonic()))
+    world.listen(_AFTERWARDS_SECONDS)
+    lived = _Lived(fault, Episode(struck, mended, time.monotonic()), speed, back, (*absent, seen, checked))
+    fault.clean_up(world)
+    world.until(world.drives, _DRIVING_PATIENCE_SECONDS)
+    return lived
+
+
+def _speed(world: World) -> float:
+    state = world.observer.states.get(world.observer.newest)
+    return 0.0 if state is None else float(state.values[3])
+
+
+def _judged(world: World, lived: Sequence[_Lived]) -> list[Outcome]:
+    """After the world has ended: the trace is whole and the recordings are closed."""
+    observer = world.observer
+    evidence = Evidence(list(read_trace(world.trace)), observer.verdicts, observer.actions, _PERIOD)
+    recorded = read_recorded(world.recordings, ROBOT)
+    return [_outcome(one, evidence, recorded) for one in lived]
+
+
+def _outcome(lived: _Lived, evidence: Evidence, recorded: Recorded) -> Outcome:
+    fault, episode = lived.fault, lived.episode
+    periods = evidence.within(episode.struck, episode.ended)
+    stamps = {(one.epoch, one.tick) for one in periods}
+    lost = recorded.lost(stamps, stamps & set(evidence.verdicts))
+    recovery = recovery_of(evidence, episode)
+    stale = stale_in(periods, evidence)
+    collisions = collisions_in(periods)
+    broken = [f"{collisions} collisions"] if collisions else []
+    broken += stale[:3]
+    if recovery is None or recovery > fault.recovers_within:
+        broken.append(f"does not drive {fault.recovers_within:.0f} s after the recovery")
+    broken += [words for words in (*lived.troubles, _meanwhile(fault, episode, evidence)) if words]
+    return Outcome(
+        name=fault.name,
+        sentence=fault.sentence,
+        held=not broken,
+        broken=tuple(broken),
+        speed=round(lived.speed, 2),
+        collisions=collisions,
+        stale_actions=len(stale),
+        periods=len(periods),
+        watchdog=sum(one.applied_by == "watchdog" for one in periods),
+        fallbacks=sum(one.applied_by == "filter" and evidence.is_fallback(one) for one in periods),
+        recovery_seconds=None if recovery is None else round(recovery, 3),
+        whole_seconds=None if lived.back is None else round(lived.back, 3),
+        states_not_recorded=lost[0],
+        verdicts_not_recorded=lost[1],
+    )
+
+
+def _meanwhile(fault: Fault, episode: Episode, evidence: Evidence) -> str:
+    """How what the loop had to do during the fault was missed; empty when it was not."""
+    end = episode.ended if fault.meanwhile == "undisturbed" else episode.mended
+    during: list[LivedPeriod] = evidence.within(episode.struck, end)
+    if fault.meanwhile == "anything" or not during:
+        return ""
+    share = sum(evidence.is_driven(one) for one in during) / len(during)
+    wanted = 1.0 - _LARGEST_DISTURBED_SHARE if fault.meanwhile == "undisturbed" else _LEAST_DRIVEN_SHARE
+    return "" if share >= wanted else f"{share:.0%} of the periods were driven, wanted {wanted:.0%}"
+
+
+def as_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """For JSON."""
+    return [asdict(outcome) for outcome in outcomes]

@@ -1,0 +1,102 @@
+"""From the robot's own trace and what was heard on the bus: what a fault did, in numbers. Pure functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from safedpa.bus import VerdictMessage
+from safedpa_sim.robots.trace import LivedPeriod
+
+__all__ = ["LARGEST_AGE_PERIODS", "Episode", "Evidence", "collisions_in", "recovery_of", "stale_in"]
+
+Stamp = tuple[int, int]
+
+LARGEST_AGE_PERIODS = 2.0
+"""Between a state and the moment in which its action begins to act."""
+_TOLERANCE = 1e-12
+_IN_A_ROW = 10
+"""Periods driven, before the loop counts as driving again."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """When a fault began, when it was mended, when the loop was left to itself again; monotonic, s."""
+
+    struck: float
+    mended: float
+    ended: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The robot's trace, what was heard of the filter, and the robot's period [s]."""
+
+    periods: Sequence[LivedPeriod]
+    verdicts: Mapping[Stamp, VerdictMessage]
+    actions: Mapping[Stamp, set[tuple[float, ...]]]
+    period: float
+
+    def within(self, begin: float, end: float) -> list[LivedPeriod]:
+        """Periods that began to be driven in [begin, end)."""
+        return [lived for lived in self.periods if begin <= lived.applied_at < end]
+
+    def is_fallback(self, lived: LivedPeriod) -> bool:
+        """Whether the filter braked for want of an input; False where its verdict was not heard."""
+        verdict = self.verdicts.get((lived.epoch, lived.tick))
+        return verdict is not None and verdict.status == "fallback"
+
+    def is_driven(self, lived: LivedPeriod) -> bool:
+        """Whether the filter, with everything that it needs, chose what was done."""
+        return lived.applied_by == "filter" and not self.is_fallback(lived)
+
+
+def collisions_in(periods: Iterable[LivedPeriod]) -> int:
+    """New contacts during these periods; a robot that starts anew begins with none."""
+    count, before = 0, dict[int, int]()
+    for lived in periods:
+        count += lived.collisions - before.get(lived.epoch, lived.collisions)
+        before[lived.epoch] = lived.collisions
+    return count
+
+
+def stale_in(periods: Iterable[LivedPeriod], evidence: Evidence) -> list[str]:
+    """Every action that was applied and must not have been, in words.
+
+    Those that are of another state than that of their period, that began to act more than ``LARGEST_AGE_PERIODS`` after
+    it, or that the filter never sent for it (where it was heard at all).
+    """
+    found = []
+    for lived in periods:
+        if lived.applied_by != "filter":
+            continue
+        if (lived.action_epoch, lived.action_tick) != (lived.epoch, lived.tick):
+            found.append(f"tick {lived.tick}: action of tick {lived.action_tick}")
+        elif lived.age > LARGEST_AGE_PERIODS * evidence.period:
+            found.append(f"tick {lived.tick}: action began to act after {lived.age:.3f} s")
+        elif not _was_sent(lived, evidence.actions.get((lived.epoch, lived.tick))):
+            found.append(f"tick {lived.tick}: the filter never sent {lived.applied}")
+    return found
+
+
+def _was_sent(lived: LivedPeriod, sent: set[tuple[float, ...]] | None) -> bool:
+    if not sent:
+        return True  # the observer's own link was down
+    return any(max(abs(a - b) for a, b in zip(lived.applied, one, strict=True)) <= _TOLERANCE for one in sent)
+
+
+def recovery_of(evidence: Evidence, episode: Episode) -> float | None:
+    """s from the recovery until the loop drives again, for half a second at least; 0 when it had never stopped.
+
+    None when it does not drive again before the episode's end.
+    """
+    after = [lived for lived in evidence.periods if episode.mended <= lived.applied_at < episode.ended]
+    before = [lived for lived in evidence.periods if episode.struck <= lived.applied_at < episode.mended]
+    run: list[LivedPeriod] = []
+    for lived in after:
+        run = [*run, lived] if evidence.is_driven(lived) else []
+        if len(run) == _IN_A_ROW:
+            never_stopped = run[0] is after[0] and (not before or evidence.is_driven(before[-1]))
+            soon = run[0].applied_at - episode.mended <= LARGEST_AGE_PERIODS * evidence.period
+            return 0.0 if never_stopped and soon else run[0].applied_at - episode.mended
+    return None

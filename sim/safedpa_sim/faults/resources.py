@@ -1,0 +1,181 @@
+"""Disks that are full, clocks that jump, processors that are wanted by others."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import final
+
+from safedpa.errors import SafedpaError
+from safedpa_sim.faults.fault import Fault
+from safedpa_sim.faults.world import FLEET, World
+
+__all__ = ["clocks", "disks", "overload"]
+
+_LIBRARY = "faketime/libfaketime.so.1"
+_SECONDS = 3.0
+_HOUR = 3600
+_CLOCK = "clock"
+"""File by which the library is told how late it is."""
+_JUMPS = (
+    ("robot", _HOUR),
+    ("safety_filter", -_HOUR),
+    ("safety_filter", _HOUR),
+    ("recorder", -_HOUR),
+    ("router", _HOUR),
+)
+
+
+def disks() -> list[Fault]:
+    """The recorder cannot write any more; then it can again."""
+    return [
+        Fault(
+            "disk recorder",
+            "no file of the recorder may grow (RLIMIT_FSIZE), for 3 s",
+            strike=lambda world: _limit(world, world.recordings[-1].stat().st_size),
+            mend=lambda world: _limit(world, resource.RLIM_INFINITY),
+            seconds=_SECONDS,
+            look=_says_so,
+            meanwhile="undisturbed",
+            clean_up=lambda world: world.members["recorder"].restart(),
+            small=True,
+        )
+    ]
+
+
+def _limit(world: World, size: int) -> None:
+    resource.prlimit(world.members["recorder"].pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+
+
+def _says_so(world: World) -> str:
+    health, _ = world.observer.health["recorder"]
+    return "" if health.state == "failing" and health.detail else f"the recorder's health is '{health.state}'"
+
+
+def clocks() -> list[Fault]:
+    """The wall clock of one process jumps by an hour, and back. Its monotonic clock goes on, as clocks do when set.
+
+    Without libfaketime (Debian: libfaketime) there are none.
+    """
+    if _faketime() is None:
+        return []
+    return [_clock_fault(name, step) for name, step in _JUMPS]
+
+
+def _clock_fault(name: str, step: int) -> Fault:
+    return Fault(
+        f"clock {name} {step:+d}",
+        f"the wall clock of {name} jumps by {step:+d} s, and back after {_SECONDS:.0f} s",
+        strike=lambda world: _set_clock(world, step),
+        mend=lambda world: _set_clock(world, 0),
+        seconds=_SECONDS,
+        meanwhile="drives",
+        set_up=lambda world: _under_faketime(world, name),
+        clean_up=lambda world: _as_before(world, name),
+    )
+
+
+def _set_clock(world: World, step: int) -> None:
+    (world.folder / _CLOCK).write_text(f"{step:+d}s\n")
+
+
+def _faketime() -> Path | None:
+    return next(iter(sorted(Path("/usr/lib").glob(f"*/{_LIBRARY}"))), None)
+
+
+def _under_faketime(world: World, name: str) -> None:
+    library = _faketime()
+    if library is None:
+        raise SafedpaError("clock: libfaketime is not installed; say: apt-get install libfaketime")
+    _set_clock(world, 0)
+    world.members[name].environment = {
+        "LD_PRELOAD": str(library),
+        "FAKETIME_TIMESTAMP_FILE": str(world.folder / _CLOCK),
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        "FAKETIME_DONT_RESET": "1",
+        "FAKETIME_CACHE_DURATION": "1",
+    }
+    world.members[name].restart()
+
+
+def _as_before(world: World, name: str) -> None:
+    world.members[name].environment = {}
+    world.members[name].restart()
+
+
+def overload() -> list[Fault]:
+    """A filter with too little of a processor, and one with too many robots."""
+    starved, flooded = _Starved(), _Flooded()
+    return [
+        Fault(
+            "starve safety_filter",
+            f"the filter gets only what a competitor on its core leaves over, for {_SECONDS:.0f} s",
+            strike=starved.strike,
+            mend=starved.mend,
+            seconds=_SECONDS,
+        ),
+        Fault(
+            "flood services",
+            f"eight robots that do not exist send 100 states a second each, for {_SECONDS:.0f} s",
+            strike=flooded.strike,
+            mend=flooded.mend,
+            seconds=_SECONDS,
+        ),
+    ]
+
+
+@final
+class _Starved:
+    """Puts the filter behind everything else on one core, and a process there that never rests."""
+
+    def __init__(self) -> None:
+        self._before: dict[int, tuple[int, os.sched_param]] = {}
+        self._competitor: subprocess.Popen[bytes] | None = None
+
+    def strike(self, world: World) -> None:
+        """Takes the processor away."""
+        core = max(os.sched_getaffinity(0))
+        self._competitor = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+        os.sched_setaffinity(self._competitor.pid, {core})
+        for thread in world.members["safety_filter"].threads():
+            with contextlib.suppress(ProcessLookupError):  # threads come and go
+                self._before[thread] = os.sched_getscheduler(thread), os.sched_getparam(thread)
+                os.sched_setscheduler(thread, os.SCHED_IDLE, os.sched_param(0))
+                os.sched_setaffinity(thread, {core})
+
+    def mend(self, world: World) -> None:
+        """Gives it back."""
+        del world
+        for thread, (policy, parameters) in self._before.items():
+            with contextlib.suppress(ProcessLookupError):
+                os.sched_setaffinity(thread, os.sched_getaffinity(0))
+                os.sched_setscheduler(thread, policy, parameters)
+        self._before = {}
+        if self._competitor is not None:
+            self._competitor.kill()
+            self._competitor.wait()
+
+
+@final
+class _Flooded:
+    """Robots that nobody drives, in a process of their own."""
+
+    def __init__(self) -> None:
+        self._flood: subprocess.Popen[bytes] | None = None
+
+    def strike(self, world: World) -> None:
+        """Begins to send."""
+        bus = ["--fleet", FLEET, "--mode", "client", "--connect", world.router_endpoint]
+        command = [sys.executable, "-m", "safedpa_sim.faults.flood", *bus]
+        self._flood = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+
+    def mend(self, world: World) -> None:
+        """Ends it."""
+        del world
+        if self._flood is not None:
+            self._flood.terminate()
+            self._flood.wait()
