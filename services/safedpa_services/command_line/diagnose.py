@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from safedpa_services.command_line.options import folder_option, given_model, loaded_runs, run_options
+from safedpa.errors import InputError
+from safedpa_services.command_line.fleet_diagnosis import diagnosed_fleet, fleet_options, wants_fleet
+from safedpa_services.command_line.options import (
+    as_json_option,
+    columns_option,
+    effects_option,
+    folder_option,
+    given_model,
+    horizon_option,
+    loaded_runs,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,9 +41,36 @@ FINDINGS = 6
 
 @click.command(name="diagnose")
 @click.argument("model")
-@run_options
+@click.argument("runs", metavar="RUN...", nargs=-1)
+@columns_option
+@horizon_option()
+@effects_option
+@as_json_option
 @folder_option("report.json, report.html, diagnosis.rrd, model.toml and margin.toml")
-def command(
+@fleet_options
+def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
+    """Find out which physical effect MODEL lacks, by recorded RUNs.
+
+    Fits every effect of the library, alone and in pairs, and adds those that predict data which the fit did not see.
+    Says as well when nothing is missing, when the data cannot tell effects apart, and when no effect explains the rest.
+
+    With --fleet FOLDER, or runs of many robots and --by: one diagnosis a robot, and which effect is missing in which
+    robots. Writes fleet.html, fleet.json and a folder for each robot; what was done before is not done again.
+    """
+    if wants_fleet(options["fleet"], options["by"]):
+        return diagnosed_fleet(model, runs, **options)
+    unused = [name for name in ("jobs", "ray") if options[name] is not None] + ["anew"] * options["anew"]
+    if unused:
+        raise InputError(f"--{unused[0]}: got no fleet; name its folder with --fleet, or what a robot is with --by")
+    if not runs:
+        raise InputError("runs: got none; wanted recordings of a robot, or --fleet FOLDER")
+    _diagnosed(
+        model, runs, options["columns"], options["horizon"], options["out"], options["effects"], options["as_json"]
+    )
+    return 0
+
+
+def _diagnosed(
     model: str,
     runs: tuple[str, ...],
     columns: str | None,
@@ -42,11 +79,7 @@ def command(
     effects: Path | None,
     as_json: bool,
 ) -> None:
-    """Find out which physical effect MODEL lacks, by recorded RUNs.
-
-    Fits every effect of the library, alone and in pairs, and adds those that predict data which the fit did not see.
-    Says as well when nothing is missing, when the data cannot tell effects apart, and when no effect explains the rest.
-    """
+    """One robot's diagnosis: read, searched, written, told."""
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.output import writable
     from safedpa.diagnosis.report import as_document

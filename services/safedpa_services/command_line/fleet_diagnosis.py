@@ -1,0 +1,186 @@
+"""``safedpa diagnose`` over a fleet: which effect is missing in which robots."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from safedpa.errors import InputError
+
+if TYPE_CHECKING:
+    from safedpa.diagnosis.fleet import Found, Workers
+
+__all__ = ["diagnosed_fleet", "fleet_options", "wants_fleet"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Job = TypeVar("Job")
+Answer = TypeVar("Answer")
+
+LOCAL = "local"
+"""The address of a Ray instance that the command starts for itself."""
+_NAMES = 8
+"""Robots of a group whose names are printed; all stand in fleet.json."""
+
+
+def fleet_options(command: Command) -> Command:
+    """--fleet, --by, --jobs, --ray and --anew, in this order on the help page."""
+    for option in (
+        click.option("--anew", is_flag=True, help="Of a fleet: do every robot again, also those that are done."),
+        click.option(
+            "--ray",
+            is_flag=False,
+            flag_value=LOCAL,
+            metavar="[ADDRESS]",
+            help="Of a fleet: work on the Ray cluster at ADDRESS ('auto': the one of this machine); without "
+            "ADDRESS on a local instance.",
+        ),
+        click.option("--jobs", type=int, metavar="N", help="Of a fleet: robots at a time; by default one a core."),
+        click.option(
+            "--by",
+            type=click.Choice(["auto", "folder", "file", "robot"]),
+            default="auto",
+            show_default=True,
+            help="What a robot of a fleet is: a folder of recordings, a file, or a name inside MCAP recordings.",
+        ),
+        click.option(
+            "--fleet",
+            type=click.Path(path_type=Path),
+            metavar="FOLDER",
+            help="Diagnose every robot whose recordings lie in FOLDER, FOLDER/ROBOT/*.csv, say, and compare them.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def wants_fleet(fleet: Path | None, by: str) -> bool:
+    """Whether many robots were asked for: by --fleet, or by runs and --by."""
+    return fleet is not None or by != "auto"
+
+
+def diagnosed_fleet(model: str, runs: Sequence[str], **options: Any) -> int:
+    """Diagnoses a fleet and tells; the exit code: 0, or 2 where no robot's recordings could be used."""
+    from safedpa.diagnosis.fleet import Fleet, Options, diagnose_fleet
+    from safedpa.diagnosis.output import writable
+    from safedpa_services.progress import progress
+
+    out: Path = options["out"]
+    effects: Path | None = options["effects"]
+    if effects is not None:
+        from safedpa.dynamics import load_own_everywhere
+
+        load_own_everywhere(effects)
+    found = _found(runs, options)
+    writable(out, create=True)
+    columns = _absolute(options["columns"]) if options["columns"] else None
+    own = str(effects.resolve()) if effects else None
+    known = Options(_absolute(model), columns, options["horizon"], own)
+    with progress(f"diagnosing {len(found.robots)} robots") as tell:
+        document = diagnose_fleet(Fleet(found, known, out.resolve()), _workers(options), tell, anew=options["anew"])
+    if options["as_json"]:
+        click.echo(json.dumps(document, allow_nan=False))
+    else:
+        _show(document, out)
+    usable = document["counts"]
+    if usable["unreadable"] == len(document["robots"]):
+        reason = document["robots"][0]["reason"]
+        raise InputError(f"no robot's recordings can be used; the first: {reason}")
+    return 0
+
+
+def _absolute(name: str) -> str:
+    """A file by its full path, for workers that stand elsewhere; the name of what ships as it is."""
+    return str(Path(name).resolve()) if Path(name).is_file() else name
+
+
+def _found(runs: Sequence[str], options: dict[str, Any]) -> Found:
+    from safedpa.diagnosis.fleet import robots_in_folder, robots_of_files
+
+    fleet: Path | None = options["fleet"]
+    if fleet is None:
+        return robots_of_files([Path(run) for run in runs], options["by"])
+    if runs:
+        raise InputError(f"--fleet {fleet}: got runs beside it ({runs[0]}); leave one of the two out")
+    return robots_in_folder(fleet.resolve(), options["by"])
+
+
+def _workers(options: dict[str, Any]) -> Workers:
+    """Processes of this machine, or a cluster."""
+    jobs: int | None = options["jobs"]
+    if jobs is not None and jobs < 1:
+        raise InputError(f"--jobs: got {jobs}, wanted at least 1")
+    if options["ray"] is None:
+        return partial(_in_processes, jobs)
+    return partial(_on_cluster, options["ray"], jobs)
+
+
+def _in_processes(
+    jobs: int | None, work: Callable[[Job], Answer], items: Sequence[Job], failed: Callable[[Job, str], Answer]
+) -> Iterator[Answer]:
+    from safedpa.diagnosis.fleet.workers import available_cores, in_processes
+
+    return in_processes(work, items, min(jobs or available_cores(), max(1, len(items))), failed)
+
+
+def _on_cluster(
+    address: str,
+    jobs: int | None,
+    work: Callable[[Job], Answer],
+    items: Sequence[Job],
+    failed: Callable[[Job, str], Answer],
+) -> Iterator[Answer]:
+    from safedpa.diagnosis.fleet.on_cluster import on_cluster
+
+    return on_cluster(work, items, address, failed, jobs) if items else iter(())
+
+
+def _show(document: dict[str, Any], out: Path) -> None:
+    from rich.console import Console
+
+    from safedpa.diagnosis.fleet.story import common_sentence, discovery_sentence, headline
+
+    console = Console(highlight=False)
+    console.print()
+    console.print(headline(document), style="bold", markup=False, soft_wrap=True)
+    console.print(_table(document))
+    common = common_sentence(document)
+    if common:
+        console.print(common, style="green", markup=False, soft_wrap=True)
+    for item in document["odd"]:
+        console.print(f"{item['robot']} does not fit: {item['times']:.1f} times the fleet's error, whatever is added.",
+                      style="yellow", markup=False)  # fmt: skip
+    for robot in document["robots"]:
+        if robot["kind"] in ("unreadable", "failed", "no_verdict"):
+            console.print(f"  {robot['robot']}: {robot['reason']}", style="dim", markup=False, soft_wrap=True)
+        elif robot["unreadable_files"]:
+            told = (
+                f"  {robot['robot']}: {robot['unreadable_files']} of its files could not be read (result.json says why)"
+            )
+            console.print(told, style="dim", markup=False, soft_wrap=True)
+    for item in document["left_out"]:
+        console.print(f"  left out: {item['path']} ({item['reason']})", style="dim", markup=False, soft_wrap=True)
+    console.print(discovery_sentence(document), style="dim", markup=False, soft_wrap=True)
+    console.print(f"Page: {out / 'fleet.html'}", markup=False, soft_wrap=True)
+
+
+def _table(document: dict[str, Any]) -> Any:
+    from rich.table import Table
+
+    from safedpa.diagnosis.fleet.story import group_title, listed, numbers_text
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("robots", justify="right", no_wrap=True)
+    for name in ("what is missing", "numbers", "error", "which"):
+        table.add_column(name)
+    for group in document["groups"]:
+        before, after = group["error_before"], group["error_after"]
+        errors = "" if after is None else f"{before:.3g} to {after:.3g}" if group["effects"] else f"{after:.3g}"
+        title = group_title(group) + (" (suspected)" if group["kind"] == "suspected" else "")
+        names = listed(group["robots"], _NAMES)
+        table.add_row(str(len(group["robots"])), title, numbers_text(group), errors, names)
+    return table

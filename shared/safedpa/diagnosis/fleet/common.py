@@ -1,0 +1,191 @@
+"""Effects that all robots of a fleet have: they belong to the model, and the mended model is tried on every robot."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safedpa.diagnosis.fleet.alike import APART, apart, clusters
+from safedpa.diagnosis.fleet.discovery import upper_tail
+from safedpa.diagnosis.fleet.inputs import Options
+from safedpa.diagnosis.fleet.one_robot import read_runs
+from safedpa.diagnosis.fleet.outcome import Outcome, Tried, neutral_of
+from safedpa.diagnosis.fleet.pooled import Pooled, PooledEvidence, estimates, pooled_numbers
+from safedpa.diagnosis.fleet.robots import RobotLogs
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.effects import effect
+from safedpa.effects.parameter import Parameter
+from safedpa.errors import SafedpaError
+
+__all__ = [
+    "Common",
+    "Confirmation",
+    "MendTask",
+    "common_effects",
+    "confirmed",
+    "mended_error",
+    "mended_model",
+    "mended_settings",
+]
+
+_FEWEST = 5
+"""Robots from which a fleet says anything of all its robots."""
+_NEARLY_ALL = 0.8
+"""Share of the robots in which an effect has to be found to be common."""
+_TOGETHER = 4.0
+"""Standard errors over all robots from which an effect that was found in few of them is common: 1 in 1000 for 30."""
+_FALLS = 0.01
+"""Chance, by a coin for each robot, below which so many falls of the error confirm the mended model."""
+
+
+@dataclass(frozen=True)
+class Common:
+    """One effect of the whole fleet."""
+
+    effect: str
+    numbers: Mapping[str, Pooled]
+    said: Mapping[str, Tried]
+    """What each robot says, by name."""
+    found_in: int
+    of: int
+    together: float | None
+    """Standard errors over all robots, where only all together show it; None where it was found by itself."""
+    rivals: tuple[str, ...]
+    differs: bool
+    """Whether its number differs from robot to robot, so that the model holds it as a free one."""
+
+
+@dataclass(frozen=True)
+class MendTask:
+    """One robot on which the mended model is tried, with the numbers of the other robots: settings by effect."""
+
+    robot: RobotLogs
+    options: Options
+    settings: Mapping[str, Mapping[str, Setting]]
+    before: float
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """Held-out errors with numbers that the robot itself had no part in."""
+
+    robots: int
+    better: int
+    before: float
+    after: float
+    """Medians."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether so many robots are predicted better that a coin would not do that."""
+        return self.robots > 0 and _coin(self.better, self.robots) < _FALLS and self.after < self.before
+
+
+def common_effects(outcomes: Sequence[Outcome], evidence: Sequence[PooledEvidence], robot: str) -> list[Common]:
+    """Effects of nearly all robots that were judged, and the strongest one that shows in all of them together only."""
+    judged = [item for item in outcomes if item.judged]
+    if len(judged) < _FEWEST:
+        return []
+    votes = Counter(item.effect for outcome in judged for item in outcome.found)
+    found = [_strong(name, count, judged, robot) for name, count in votes.items() if _many(count, judged)]
+    found.sort(key=lambda item: -item.found_in)
+    first = evidence[0] if evidence else None
+    if first is not None and _shows(first, judged) and first.effect not in {item.effect for item in found}:
+        said = estimates(first.effect, judged)
+        numbers = pooled_numbers(list(said.values()))
+        count = votes[first.effect]
+        found.append(Common(first.effect, numbers, said, count, len(judged), first.score, first.rivals, False))
+    return found
+
+
+def _many(count: int, judged: Sequence[Outcome]) -> bool:
+    return count >= max(_FEWEST, _NEARLY_ALL * len(judged))
+
+
+def _shows(item: PooledEvidence, judged: Sequence[Outcome]) -> bool:
+    """Most of the robots have to gain by it: a few in which it is strong are a group of their own."""
+    return item.score > _TOGETHER and item.robots >= _NEARLY_ALL * len(judged) and item.favourable > 0.6 * item.robots
+
+
+def _strong(name: str, count: int, judged: Sequence[Outcome], robot: str) -> Common:
+    own = [_only(outcome, name) for outcome in judged if any(item.effect == name for item in outcome.found)]
+    largest = max(clusters(own, lambda one, other: apart(one, other, robot)), key=len)
+    said = {outcome.name: outcome.found[0] for outcome in own}
+    numbers = pooled_numbers([outcome.found[0] for outcome in largest])
+    wide = any(_wide(robot, name, parameter, item) for parameter, item in numbers.items())
+    rivals = tuple(sorted(set.intersection(*(set(item.equals) for item in said.values()))))
+    return Common(name, numbers, said, count, len(judged), None, rivals, wide or not _many(len(largest), judged))
+
+
+def _only(outcome: Outcome, name: str) -> Outcome:
+    kept = tuple(item for item in outcome.found if item.effect == name)
+    return Outcome(outcome.name, outcome.status, outcome.reason, kept)
+
+
+def _wide(robot: str, effect: str, parameter: str, item: Pooled) -> bool:
+    change = abs(item.mean - (neutral_of(robot, effect, parameter) or 0.0))
+    return item.spread > 0.5 * APART * change
+
+
+def mended_settings(robot: str, common: Sequence[Common], without: str = "") -> dict[str, dict[str, Setting]]:
+    """The fleet's numbers by effect, those of the robot ``without`` left out; free where they differ."""
+    found = {}
+    for item in common:
+        said = [tried for name, tried in item.said.items() if name != without]
+        numbers = item.numbers if not without else pooled_numbers(said)
+        found[item.effect] = {
+            parameter.name: _setting(parameter, numbers[parameter.name].mean, item.differs)
+            for parameter in effect(robot, item.effect).parameters
+        }
+    return found
+
+
+def _setting(parameter: Parameter, value: float, free: bool) -> Setting:
+    return Setting(float(f"{min(max(value, parameter.low), parameter.high):.6g}"), free=free)
+
+
+def mended_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Setting]]) -> PhysicsModel:
+    """The given model with more effects."""
+    model = given
+    for name, own in settings.items():
+        model = model.with_effect(effect(given.system.name, name), dict(own))
+    return model
+
+
+def mended_error(task: MendTask) -> tuple[float, float]:
+    """Held-out error of one robot before and with the mended model; NaN where its data cannot be read any more."""
+    from safedpa.diagnosis.diagnose import prepared
+    from safedpa.diagnosis.heldout import heldout_of
+    from safedpa.diagnosis.search import begun
+    from safedpa.diagnosis.shooting import shooting_of
+    from safedpa.dynamics import load_model
+
+    model = mended_model(load_model(task.options.model), task.settings)
+    try:
+        runs, _ = read_runs(model, task.robot, task.options)
+        used, _ = prepared(model, runs, task.options.horizon)
+        heldout = heldout_of(used, task.options.horizon)
+        found = begun(model, shooting_of(used, min(task.options.horizon, 2.0)), heldout)
+    except SafedpaError:
+        return task.before, math.nan
+    return task.before, found.error.value
+
+
+def confirmed(errors: Sequence[tuple[float, float]]) -> Confirmation:
+    """How many robots the mended model predicts better."""
+    known = [(before, after) for before, after in errors if math.isfinite(before) and math.isfinite(after)]
+    if not known:
+        return Confirmation(0, 0, math.nan, math.nan)
+    before, after = np.array(known).T
+    return Confirmation(len(known), int((after < before).sum()), float(np.median(before)), float(np.median(after)))
+
+
+def _coin(hits: int, trials: int) -> float:
+    """P(at least ``hits`` heads of ``trials``), exactly up to 50 coins, by the normal distribution beyond."""
+    if trials <= 50:
+        return float(sum(math.comb(trials, k) for k in range(hits, trials + 1)) / 2**trials)
+    return upper_tail((hits - 0.5 - 0.5 * trials) / math.sqrt(0.25 * trials))

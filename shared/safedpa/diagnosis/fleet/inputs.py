@@ -1,0 +1,81 @@
+"""Whether a robot's diagnosis is still that of its inputs: a digest of model, options and recordings.
+
+A recording whose size and time of change are as before is taken for the same; else its contents decide.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Options", "file_stamp", "options_digest", "same_files"]
+
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class Options:
+    """What every robot of a fleet is diagnosed with: model, column map and own effects by path or name."""
+
+    model: str
+    columns: str | None = None
+    horizon: float = 1.0
+    effects: str | None = None
+    scripts: str = "../../plotly.min.js"
+    """Where a robot's page finds plotly.js, which the whole fleet shares."""
+
+
+def options_digest(options: Options) -> str:
+    """Hex digest of everything but the recordings: the version too, another one may judge otherwise."""
+    digest = hashlib.sha256(f"{version('safedpa')} {options.horizon!r}".encode())
+    for source in (options.model, options.columns, options.effects):
+        digest.update(f"|{source}|".encode())
+        for path in _files_of(source):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _files_of(source: str | None) -> list[Path]:
+    """The file that a name stands for, and weights beside a model; none where it is the name of what ships."""
+    path = Path(source) if source else None
+    if path is None or not path.is_file():
+        return []
+    weights = sorted(path.parent.glob("*.safetensors")) if path.suffix == ".toml" else []
+    return [path, *weights]
+
+
+def file_stamp(path: Path) -> dict[str, Any]:
+    """Path, size, time of change and SHA-256 of a file. Raises OSError when it cannot be read."""
+    status = path.stat()
+    with path.open("rb") as file:
+        digest = hashlib.sha256()
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return {
+        "path": str(path),
+        "bytes": status.st_size,
+        "modified_ns": status.st_mtime_ns,
+        "sha256": digest.hexdigest(),
+    }
+
+
+def same_files(stamps: Iterable[Mapping[str, Any]], paths: Iterable[Path]) -> bool:
+    """Whether files are still those that were stamped."""
+    before, now = list(stamps), list(paths)
+    if [item["path"] for item in before] != [str(path) for path in now]:
+        return False
+    try:
+        return all(_same(item, path) for item, path in zip(before, now, strict=True))
+    except OSError:
+        return False
+
+
+def _same(stamp: Mapping[str, Any], path: Path) -> bool:
+    status = path.stat()
+    if status.st_size != stamp["bytes"]:
+        return False
+    return bool(status.st_mtime_ns == stamp["modified_ns"] or file_stamp(path)["sha256"] == stamp["sha256"])

@@ -1,0 +1,164 @@
+"""The figures of a fleet: every robot's error before and after, and each number over the robots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from safedpa.diagnosis.fleet.document import Analysis
+from safedpa.diagnosis.fleet.outcome import Number, neutral_of
+from safedpa.diagnosis.fleet.pooled import estimates
+from safedpa.diagnosis.panels import Panels
+
+__all__ = ["error_figure", "group_colour", "strip_figure"]
+
+_MISSING = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""The palette of Okabe and Ito."""
+_OTHERS = {"unexplained": "#222222", "suspected": "#C9B800", "nothing": "#AEB8C2"}
+_GOLDEN = 0.618034
+_LANE = 46
+"""Pixels of one group's lane."""
+_MOST_PANELS = 12
+
+
+def group_colour(number: int, document: Mapping[str, Any]) -> str:
+    """The colour of a group everywhere on the page; groups beyond the palette begin it again."""
+    kind = document["groups"][number]["kind"]
+    before = sum(group["kind"] == "missing" for group in document["groups"][:number])
+    return _MISSING[before % len(_MISSING)] if kind == "missing" else _OTHERS.get(kind, "#8A96A3")
+
+
+def error_figure(document: Mapping[str, Any]) -> dict[str, Any]:
+    """One line a robot, from the given model's error down to that with what was found; group by group."""
+    judged = [robot for robot in document["robots"] if robot["error_after"] is not None]
+    judged.sort(key=lambda robot: (robot["group"], robot["error_after"]))
+    panels = Panels(rows=1, columns=1, height=300)
+    at = panels.add("", "robots, group by group", "held-out error")
+    for group in sorted({robot["group"] for robot in judged}):
+        own = [(place, robot) for place, robot in enumerate(judged) if robot["group"] == group]
+        colour = group_colour(group, document)
+        lines = _gapped([(place, robot["error_before"], robot["error_after"]) for place, robot in own])
+        panels.draw(
+            at, *lines, mode="lines", line={"color": colour, "width": 2}, opacity=0.45, hoverinfo="skip"
+        )  # fmt: skip
+        places = [float(place) for place, _ in own]
+        names = [robot["robot"] for _, robot in own]
+        for key, symbol, what in (("error_before", "circle-open", "given model"), ("error_after", "circle", "after")):
+            panels.draw(
+                at, places, [robot[key] for _, robot in own], mode="markers", text=names,
+                marker={"color": colour, "size": 8, "symbol": symbol, "line": {"width": 1.5, "color": colour}},
+                hovertemplate=f"%{{text}}<br>{what} %{{y:.3g}}<extra></extra>",
+            )  # fmt: skip
+    panels.axis(at, "x", showticklabels=False, ticks="", showgrid=False, range=[-1.0, len(judged)])
+    panels.axis(at, "y", type="log", exponentformat="none", minor={"ticks": "", "showgrid": False})
+    return panels.figure("errors")
+
+
+def _gapped(lines: Sequence[tuple[float, float, float]]) -> tuple[list[float], list[float]]:
+    """Vertical lines as one trace, with gaps between them."""
+    x: list[float] = []
+    y: list[float] = []
+    for place, low, high in lines:
+        x += [place, place, math.nan]
+        y += [low, high, math.nan]
+    return x, y
+
+
+def strip_figure(document: Mapping[str, Any], analysis: Analysis) -> dict[str, Any] | None:
+    """One panel a number: a lane for each group that has it, and below what the others' data say of it, in grey.
+
+    Then the given model's free parameters over all robots. None where there is neither.
+    """
+    wanted = _wanted(document)[:_MOST_PANELS]
+    if not wanted:
+        return None
+    most = max(len(_lanes(document, effect)) for effect, _ in wanted)
+    columns = 2 if len(wanted) > 1 else 1
+    panels = Panels(-(-len(wanted) // columns), columns, height=_LANE * most + 120)
+    for effect, parameter in wanted:
+        _panel(panels, document, analysis, effect, parameter)
+    return panels.figure("strips", margin={"l": 96, "r": 18, "t": 34, "b": 48})
+
+
+def _wanted(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(effect, parameter) of everything that was found, by group; then (base, parameter) of what is free."""
+    found = [
+        (item["effect"], parameter)
+        for group in document["groups"]
+        for item in group["effects"]
+        for parameter in item["parameters"]
+    ]
+    free = [(path.split(".")[0], path.split(".")[1]) for path in document["free"]]
+    return list(dict.fromkeys(found + free))
+
+
+def _lanes(document: Mapping[str, Any], effect: str) -> list[int]:
+    """Groups with a lane of their own for an effect; every group for a free parameter."""
+    groups = range(len(document["groups"]))
+    own = [n for n in groups if any(item["effect"] == effect for item in document["groups"][n]["effects"])]
+    with_free = [
+        n for n in groups if document["groups"][n]["kind"] in ("missing", "unexplained", "suspected", "nothing")
+    ]
+    return own or with_free
+
+
+def _panel(panels: Panels, document: Mapping[str, Any], analysis: Analysis, effect: str, parameter: str) -> None:
+    numbers, unit = _numbers(analysis, effect, parameter)
+    lanes = _lanes(document, effect)
+    title = parameter + (f" [{unit}]" if unit not in ("", "1") else "")
+    at = panels.add(effect, title, "")
+    rest = _rest(document, lanes, numbers)
+    ticks = [f"{len(document['groups'][lane]['robots'])} robots" for lane in lanes] + (["the others"] if rest else [])
+    count = len(ticks)
+    for row, lane in enumerate(lanes):
+        names = [name for name in document["groups"][lane]["robots"] if name in numbers]
+        _points(panels, at, names, numbers, count - 1.0 - row, group_colour(lane, document))
+    if rest:
+        _points(panels, at, rest, numbers, 0.0, "#B8C4CE", errors=False)
+    neutral = neutral_of(analysis.robot, effect, parameter)
+    if neutral is not None:
+        line = {"color": "#222222", "width": 1, "dash": "dot"}
+        panels.draw(at, [neutral, neutral], [-0.6, count - 0.4], mode="lines", line=line, hoverinfo="skip")
+    panels.axis(at, "y", tickvals=list(range(count))[::-1], ticktext=ticks, range=[-0.6, count - 0.4], showgrid=False)
+
+
+def _rest(document: Mapping[str, Any], lanes: Sequence[int], numbers: Mapping[str, Number]) -> list[str]:
+    own = {name for lane in lanes for name in document["groups"][lane]["robots"]}
+    return [name for name in numbers if name not in own]
+
+
+def _numbers(analysis: Analysis, effect: str, parameter: str) -> tuple[dict[str, Number], str]:
+    """What each robot's data say of one number, by the robot's name, and its unit."""
+    said = estimates(effect, [item for item in analysis.outcomes if item.judged])
+    numbers = {name: item.numbers[parameter] for name, item in said.items() if parameter in item.numbers}
+    for outcome in analysis.outcomes:
+        own = (outcome.free or {}).get(f"{effect}.{parameter}")
+        if own is not None:
+            numbers[outcome.name] = own
+    return numbers, next((item.unit for item in numbers.values()), "")
+
+
+def _points(
+    panels: Panels,
+    at: int,
+    names: Sequence[str],
+    numbers: Mapping[str, Number],
+    lane: float,
+    colour: str,
+    *,
+    errors: bool = True,
+) -> None:
+    """A robot a point, spread over the lane so that they do not hide each other."""
+    heights = [lane + 0.5 * ((index * _GOLDEN + 0.5) % 1.0 - 0.5) for index in range(len(names))]
+    own = [numbers[name] for name in names]
+    stds = [item.std if math.isfinite(item.std) else 0.0 for item in own]
+    texts = [
+        f"{name}<br>{item.value:.4g}" + (f" ± {std:.2g}" if std else "")
+        for name, item, std in zip(names, own, stds, strict=True)
+    ]
+    bars = {"error_x": {"type": "data", "array": stds, "thickness": 1.2, "width": 0, "color": colour}} if errors else {}
+    panels.draw(
+        at, [item.value for item in own], heights, mode="markers", text=texts, hoverinfo="text",
+        marker={"color": colour, "size": 9 if errors else 6, "opacity": 0.9 if errors else 0.7}, **bars,
+    )  # fmt: skip
