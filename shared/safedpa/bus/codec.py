@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import MISSING, fields
+from itertools import chain
 from typing import Any, TypeVar
 
 import msgpack
@@ -66,6 +67,8 @@ def _integer(name: str, value: Any) -> int:
 
 
 def _float(name: str, value: Any) -> float:
+    if type(value) is float and -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # not so of NaN
+        return value
     if type(value) not in (float, int) or not math.isfinite(value):
         raise MessageError(f"{name}: got {_short(value)}, wanted a finite number")
     if abs(value) > LARGEST_NUMBER:
@@ -103,14 +106,29 @@ def _tuple_of(check: _Check) -> _Check:
 
 def _vector(name: str, value: Any) -> tuple[float, ...]:
     """The common case, all of them ordinary floats, in a few calls; the rest one by one, for the message's sake."""
-    floats = type(value) is tuple and {*map(type, value)} == {float}
-    if floats and all(map(math.isfinite, value)) and max(map(abs, value)) <= LARGEST_NUMBER:
-        return value  # type: ignore[no-any-return]
+    if type(value) is tuple and _all_ordinary(value):
+        return value
     checked: tuple[float, ...] = _floats(name, value)
     return checked
 
 
+def _rows(name: str, value: Any) -> tuple[tuple[float, ...], ...]:
+    """Likewise: all entries of all rows at once, or row by row."""
+    if type(value) is tuple and {*map(type, value)} <= _TUPLE and _all_ordinary(tuple(chain.from_iterable(value))):
+        return value
+    checked: tuple[tuple[float, ...], ...] = _vectors(name, value)
+    return checked
+
+
+def _all_ordinary(values: tuple[Any, ...]) -> bool:
+    """Whether all are floats whose root of the sum of squares is at most the largest number: then so is each of them,
+    and none is NaN or infinite."""
+    return {*map(type, values)} <= _FLOAT and math.hypot(*values) <= LARGEST_NUMBER
+
+
+_FLOAT, _TUPLE = {float}, {tuple}
 _floats = _tuple_of(_float)
+_vectors = _tuple_of(_vector)
 
 
 def _short(value: Any) -> str:
@@ -125,7 +143,7 @@ _CHECKS: dict[str, _Check] = {
     "bool": _boolean,
     "str": _string,
     "Vector": _vector,
-    "Rows": _tuple_of(_vector),
+    "Rows": _rows,
     "tuple[str, ...]": _tuple_of(_string),
 }
 

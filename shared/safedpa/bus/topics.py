@@ -6,6 +6,7 @@ Code, staleness checks, recorder, dashboard and docs read this table; a test say
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 from safedpa.bus.messages import (
@@ -88,6 +89,7 @@ TOPICS: dict[str, Topic] = {
 """Every topic, by name."""
 
 
+@lru_cache(maxsize=8192)
 def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
     """The key expression ``safedpa/{fleet}/{robot}/{topic}``, with ``/{service}`` behind health and takeover.
 
@@ -106,6 +108,7 @@ def _check_name(name: str) -> None:
         raise InputError(f"name '{name}': got nothing, or one of / * $ # ? @; wanted letters, digits, '-', '_' or '.'")
 
 
+@lru_cache(maxsize=8192)
 def topic_of(key: str) -> tuple[str, str, Topic]:
     """(fleet, robot, topic) of a key under which a message was sent.
 
