@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 
@@ -16,8 +17,14 @@ _C = TypeVar("_C", bound=Callable[..., Any])
 
 
 def listening_options(command: _C) -> _C:
-    """``--fleet``, ``--connect`` and ``--json``."""
+    """``--fleet``, ``--connect``, ``--certificates`` and ``--json``."""
     for option in (
+        click.option(
+            "--certificates",
+            type=click.Path(path_type=Path),
+            metavar="DIR",
+            help="prove by the operator's certificate there who this is",
+        ),
         click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else"),
         click.option(
             "--connect",
@@ -35,6 +42,10 @@ def listening_options(command: _C) -> _C:
 def bus_of(options: dict[str, Any]) -> Bus:
     """The bus that the options describe. Raises BusError when it cannot be opened."""
     from safedpa.bus import Bus, ZenohSettings, ZenohTransport
+    from safedpa.bus.certificates import Certificates
 
-    settings = ZenohSettings("client" if options["connect"] else "peer", connect=tuple(options["connect"]))
+    folder = options["certificates"]
+    certificates = None if folder is None else Certificates(folder, "operator")
+    mode: Literal["client", "peer"] = "client" if options["connect"] else "peer"
+    settings = ZenohSettings(mode, connect=tuple(options["connect"]), certificates=certificates)
     return Bus(ZenohTransport(settings), options["fleet"])

@@ -22,6 +22,7 @@ RATES = {"car": 20.0, "pendulum": 100.0}
 _DRIVEN = {"car": ("target_speed", "steer"), "pendulum": ("torque",)}
 """What the simulated ones take as their action."""
 CHANGES = ("hitch", "headwind", "steering_offset")
+_ENDED_AT_ONCE = 130
 CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 
 
@@ -186,11 +187,16 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
 
     services, robot = plan.services(), plan.robot_process()
     with Bus(ZenohTransport(ZenohSettings(listen=(plan.endpoint,))), plan.fleet) as bus:
-        watch = Watch(bus)
+        watch = Watch(bus, plan.name)
         with _screen(plan, watch, services, robot, quiet=quiet) as on_turn:
-            code = Supervisor(services, robot, watch, stop, on_turn).run()
+            code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried).run()
     if code != 0:
         raise SafedpaError(f"robot: {robot.last_words()}")
+    if stop.hurried:
+        click.echo(f"safedpa: ended at once at the second signal; what was recorded: {plan.recording}", err=True)
+        raise click.exceptions.Exit(_ENDED_AT_ONCE)
+    if robot.pid == 0:
+        raise SafedpaError("ended before the robot was started; nothing was driven")
     health = {name: message for name, (message, _) in watch.health.items()}
     return summary_of(plan.summary, watch.verdicts, [robot, *services], health, plan.recording)
 

@@ -42,6 +42,7 @@ class Child:
         self._started = 0.0
         self._died = 0.0
         self._pause = 0.0
+        self._asked = False
 
     @property
     def pid(self) -> int:
@@ -66,7 +67,7 @@ class Child:
                 env={**os.environ, "PYTHONSAFEPATH": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
             )
         self._started = time.monotonic()
-        self._died = 0.0
+        self._died, self._asked = 0.0, False
 
     def restart_if_due(self) -> bool:
         """Starts a process that died, after a pause that grows with quick deaths; True when it did so now."""
@@ -91,8 +92,9 @@ class Child:
         return lines[-1] if lines else "it said nothing"
 
     def terminate(self) -> None:
-        """Asks it to end."""
-        if self.exit_code is None and self._process is not None:
+        """Asks it to end, once: a second signal would end it at once."""
+        if self.exit_code is None and self._process is not None and not self._asked:
+            self._asked = True
             self._process.terminate()
 
     def end(self, patience: float) -> None:

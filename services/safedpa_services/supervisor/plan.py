@@ -71,7 +71,9 @@ class Plan:
             self._child("adaptation", "safedpa_services.adaptation", *model, *self._scheduling),
             self._child("policy", "safedpa_services.policy", *model, *controller, *self._scheduling),
             self._child(
-                "safety_filter", "safedpa_services.safety_filter", *model, *margin, *unfiltered, *self._scheduling
+                "safety_filter",
+                "safedpa_services.safety_filter",
+                *(*model, *margin, *unfiltered, "--orders", str(self.folder / "orders.json"), *self._scheduling),
             ),
             self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
         ]

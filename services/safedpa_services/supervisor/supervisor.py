@@ -16,7 +16,10 @@ _READY_SECONDS = 30.0
 _TURN_SECONDS = 0.05
 _ROBOT_PATIENCE_SECONDS = 8.0
 """A robot brakes to a standstill before it ends."""
-_SERVICE_PATIENCE_SECONDS = 4.0
+_BRAKING_SECONDS = 5.0
+_SERVICE_PATIENCE_SECONDS = 6.0
+"""The filter takes up to 5 s to see robots stand that it serves beside this loop's."""
+_LAST = "recorder"
 _BAD_INPUT = 2
 
 
@@ -30,6 +33,8 @@ class Supervisor:
     stopped: Callable[[], bool]
     on_turn: Callable[[], None]
     """Called many times a second, to show what is going on."""
+    hurried: Callable[[], bool] = lambda: False
+    """Whether to end everything at once, in whatever state it is."""
 
     def run(self) -> int:
         """Returns the robot's exit code, or 0 when stopped. Everything has ended afterwards, whatever happened.
@@ -83,10 +88,30 @@ class Supervisor:
             raise SafedpaError(child.last_words())
 
     def _end(self) -> None:
-        self.robot.end(_ROBOT_PATIENCE_SECONDS)
+        """The robot stands first, then it ends, then the services, and the recorder last: it hears everything."""
+        self._brake()
+        self.robot.end(self._patience(_ROBOT_PATIENCE_SECONDS))
         self.watch.listen(0.0)
-        for child in self.services:
+        others = [child for child in self.services if child.name != _LAST]
+        for child in others:
             child.terminate()
+        for child in others:
+            child.end(self._patience(_SERVICE_PATIENCE_SECONDS))
+        self.watch.listen(_TURN_SECONDS)
         for child in self.services:
-            child.end(_SERVICE_PATIENCE_SECONDS)
+            child.end(self._patience(_SERVICE_PATIENCE_SECONDS))
         self.watch.listen(_TURN_SECONDS)  # the recorder's last word
+
+    def _patience(self, seconds: float) -> float:
+        return 0.0 if self.hurried() else seconds
+
+    def _brake(self) -> None:
+        """Has the filter brake while everything still runs; where it does not answer, the robot does so by itself."""
+        if self.robot.pid == 0 or self.robot.exit_code is not None or self.hurried() or not self.watch.stop_robot():
+            return
+        end = time.monotonic() + _BRAKING_SECONDS
+        while time.monotonic() < end and self.robot.exit_code is None and not self.hurried():
+            self.watch.listen(_TURN_SECONDS)
+            self.on_turn()
+            if self.watch.stands():
+                return

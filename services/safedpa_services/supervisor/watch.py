@@ -15,11 +15,19 @@ from safedpa.bus import (
     FindingMessage,
     HealthMessage,
     Received,
+    Request,
     StateMessage,
     VerdictMessage,
 )
+from safedpa.bus.requests import ORDER
+from safedpa.errors import SafedpaError
 
 __all__ = ["Watch"]
+
+_WHO = "'safedpa up', which is about to end"
+_ORDER_SECONDS = 0.5
+_STANDS = 0.02
+"""m/s; slower than that a car stands."""
 
 
 @dataclass
@@ -27,6 +35,8 @@ class Watch:
     """Collects until asked; ``listen`` must be called often."""
 
     bus: Bus
+    robot: str = "r1"
+    """Name of the robot that is started here."""
     health: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
     """By service: the newest heartbeat and when it came (monotonic, s)."""
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -44,6 +54,23 @@ class Watch:
         for item in self._inbox.take(0.0):
             if isinstance(item, Received):
                 self._take(item)
+
+    def stop_robot(self) -> bool:
+        """Orders the filter to stop the robot; whether it took the order."""
+        if self.state is None:
+            return False
+        try:
+            answer = self.bus.request(self.robot, Request(do="stop", who=_WHO), _ORDER_SECONDS, ORDER)
+        except SafedpaError:  # no answer, or one that is none: the robot brakes by itself
+            return False
+        return answer is not None and answer.ok
+
+    def stands(self) -> bool:
+        """Whether the robot obeys the order: a car by standing; what has no stand obeys by hearing of it."""
+        state, verdict = self.state, self.verdict
+        if state is None or verdict is None or verdict.status != "stopped":
+            return False
+        return len(state.values) != 4 or bool(state.corridor) or abs(state.values[3]) <= _STANDS
 
     def silent_for(self, service: str) -> float:
         """Seconds since the last heartbeat; infinite before the first."""

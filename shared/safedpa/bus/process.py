@@ -27,6 +27,8 @@ __all__ = ["Stop", "add_bus_options", "bus_from", "run_process", "settings_from"
 
 EXIT_CRASHED = 70
 EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+"""A second signal: it ended at once, whatever was not finished."""
 
 _REAL_TIME_PRIORITY = 10
 """Of 1 to 99; the kernel's own threads stand above it."""
@@ -38,6 +40,9 @@ class Stop:
     def __init__(self) -> None:
         self._event = threading.Event()
         self.reason = ""
+        self.hurried = False
+        """Whether a second signal came: whoever ends in order stops doing so."""
+        self._signalled = False
 
     def __call__(self) -> bool:
         """True once the process shall end."""
@@ -47,10 +52,20 @@ class Stop:
         """Returns once the process shall end."""
         self._event.wait()
 
-    def listen_to_signals(self) -> None:
-        """Ends in order on SIGTERM and SIGINT instead of at once; only the main thread may call it."""
+    def listen_to_signals(self, at_once: Callable[[], None] = lambda: None) -> None:
+        """Ends in order on SIGTERM and SIGINT instead of at once; only the main thread may call it.
+
+        At a second signal ``hurried`` is set and ``at_once`` is called.
+        """
+
+        def heard(number: int, _frame: object) -> None:
+            self.set(signal.Signals(number).name)
+            self.hurried, self._signalled = self._signalled, True
+            if self.hurried:
+                at_once()
+
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda received, _frame: self.set(signal.Signals(received).name))
+            signal.signal(number, heard)
 
     def set(self, reason: str) -> None:
         """Asks the process to end; the first reason stays."""
@@ -97,7 +112,7 @@ def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argpars
     parser.add_argument("--supervised", action="store_true", help="end when standard input closes")
     options = parser.parse_args()
     stop = Stop()
-    stop.listen_to_signals()
+    stop.listen_to_signals(lambda: _leave(EXIT_INTERRUPTED))
     if options.realtime:
         _ask_for_real_time()
     if options.supervised:

@@ -17,6 +17,8 @@ _SILENT_SECONDS = 1.5
 _LATE_SHARE = 0.01
 _MISSED_COVERAGE = 0.02
 """Less coverage than promised by so much: of 500 steps at 99 % chance alone brings 0.4 % (one standard deviation)."""
+_WATCHED_STEPS = 500
+"""Before so many steps the share says little."""
 _LITTLE_ROOM_BYTES = 1 << 30
 _LOOP = ("adaptation", "policy", "safety_filter")
 
@@ -89,7 +91,7 @@ def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Concern]:
         share = robot.recent_verdicts.share(status, now)
         if share > 0.0 and verdict.status != "fallback":
             yield Concern("attention", f"{100.0 * share:.1f} % of the last verdicts {status}", name, "safety_filter")
-    if 0.0 <= verdict.coverage < verdict.promised - _MISSED_COVERAGE:
+    if verdict.tick >= _WATCHED_STEPS and 0.0 <= verdict.coverage < verdict.promised - _MISSED_COVERAGE:
         told, wanted = 100.0 * verdict.coverage, 100.0 * verdict.promised
         yield Concern("attention", f"the margin held in {told:.1f} % of the steps, promised {wanted:.1f} %", name)
 

@@ -1,0 +1,22 @@
+"""``safedpa go``: robots that an order stopped may drive again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from safedpa_services.command_line.listening import listening_options
+from safedpa_services.command_line.ordering import give_order
+
+
+@click.command()
+@listening_options
+@click.option("--robot", default="", help="this robot alone; default: the whole fleet")
+@click.option("--who", default="", help="your name, for the recording; default: that of the account")
+def command(robot: str, **options: Any) -> None:
+    """Let a robot, or the whole fleet, drive again that was stopped by 'safedpa stop'.
+
+    Without --robot the order to the whole fleet is lifted; robots that were stopped one by one stay where they are.
+    """
+    give_order("go", robot, options)
