@@ -1,10 +1,7 @@
 """What the router refused, read out of Zenoh's own log, since Zenoh tells neither the sender nor anybody else.
 
 Zenoh's interceptors write, on the thread that handles a message, first the decision on its key (``... is unauthorized
-to Put (ingress) on KEY``) and then, if the message goes no further, ``Msg intercepted!``. A decision alone says nothing:
-many are made and kept in advance. A message that is allowed and yet goes no further was larger than its topic allows.
-What is withheld on the way out is no attempt of anybody, and is not told.
-"""
+to X"""
 
 from __future__ import annotations
 
@@ -44,6 +41,10 @@ class _Decision:
     flow: str
     key: str
     allowed: bool
+
+
+_UNKNOWN = _Decision("", "send what it sent", "ingress", "", allowed=False)
+"""Of a message that went no further while the line about its key was lost."""
 
 
 class Refusals:
@@ -92,17 +93,18 @@ class Refusals:
         self._last[thread] = _Decision(session, act, flow, key, allowed=no is None)
 
     def _hear_end(self, thread: str, text: str) -> None:
-        decision = self._last.pop(thread, None)
-        if text != "Msg intercepted!" or decision is None or decision.flow != "ingress":
+        if text != "Msg intercepted!":
             return
-        act = decision.act.lower()
+        decision = self._last.pop(thread, _UNKNOWN)
+        if decision.flow != "ingress":
+            return
         name = self._names.get(decision.session) or self.name_of(decision.session) or "somebody"
-        if decision.allowed:
+        if decision.allowed and decision.act == "Put":
             self._refused(
                 "bus.too_large", f"{name} sent more bytes under '{decision.key}' than its topic allows", name, decision
             )
         else:
-            self._refused("bus.denied", f"{name} may not {act} under '{decision.key}'", name, decision)
+            self._refused("bus.denied", f"{name} may not {decision.act.lower()} under '{decision.key}'", name, decision)
 
     def _refused(self, kind: str, sentence: str, name: str, decision: _Decision) -> None:
         self.counts[kind] += 1

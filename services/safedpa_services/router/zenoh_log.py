@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import fcntl
 import os
+import sys
 import threading
 from collections.abc import Callable
+
+from safedpa.bus.log import log_event
 
 __all__ = ["capture_zenoh_log"]
 
 _PIPE_BYTES = 1 << 20
+_LOST = "[tracing-subscriber] Unable to write"
 
 
 def capture_zenoh_log(directives: str, hear: Callable[[str], None]) -> None:
     """From now on, for the whole process, hands every line of Zenoh's log to ``hear``, on a thread of its own.
 
     Must be called before the first session is opened; takes standard output for itself. The pipe between never makes
-    the router wait: what a flood writes faster than it is read is lost, and the messages themselves are refused all the same.
+    the router wait: what a flood writes faster than it is read is lost, and that is told once a second. The messages
+    are refused all the same.
     """
     import zenoh
 
@@ -27,10 +32,31 @@ def capture_zenoh_log(directives: str, hear: Callable[[str], None]) -> None:
     os.close(writing)
     os.environ.update(RUST_LOG=directives, NO_COLOR="1")
     zenoh.init_log_from_env_or(directives)
-    threading.Thread(target=_read, args=(reading, hear), daemon=True).start()
+    _reads(reading, hear)
+    _watch_what_was_lost()
 
 
-def _read(descriptor: int, hear: Callable[[str], None]) -> None:
-    with os.fdopen(descriptor, "rb", buffering=_PIPE_BYTES) as lines:
-        for line in lines:
-            hear(line.decode(errors="replace").rstrip())
+def _watch_what_was_lost() -> None:
+    """Zenoh's logger complains of every lost line on standard error; everything else there goes on to where it went."""
+    own = os.dup(2)
+    sys.stderr = os.fdopen(own, "w", buffering=1)
+    reading, writing = os.pipe()
+    os.dup2(writing, 2)
+    os.close(writing)
+
+    def hear(line: str) -> None:
+        if line.startswith(_LOST):
+            log_event("bus.log_overrun", "more was refused than could be told", level="warning", service="router")
+        elif line:
+            sys.stderr.write(f"{line}\n")
+
+    _reads(reading, hear)
+
+
+def _reads(descriptor: int, hear: Callable[[str], None]) -> None:
+    def read() -> None:
+        with os.fdopen(descriptor, "rb", buffering=_PIPE_BYTES) as lines:
+            for line in lines:
+                hear(line.decode(errors="replace").rstrip())
+
+    threading.Thread(target=read, daemon=True).start()

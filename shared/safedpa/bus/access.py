@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from safedpa.bus.requests import AGREED, REQUEST, STATUS, request_key
+from safedpa.bus.requests import AGREED, ORDER, REQUEST, STATUS, request_key
 from safedpa.bus.topics import (
     ACTION,
     HEALTH,
@@ -66,20 +66,18 @@ class Role:
     """Whether it holds models, which change while it runs."""
 
 
-_LOOP = {"asks": (STATUS, AGREED), "answers": (AGREED,), "takes_over": True}
-
 ROLES: dict[str, Role] = {
     role.name: role
     for role in (
         Role(ROBOT, (STATE, ACTION), looks=True),
-        Role("adaptation", (STATE, MODEL), **_LOOP),  # type: ignore[arg-type]
-        Role("policy", (STATE, LATENT, MODEL), **_LOOP),  # type: ignore[arg-type]
-        Role("safety_filter", (STATE, LATENT, WISH, MODEL), **_LOOP),  # type: ignore[arg-type]
+        Role("adaptation", (STATE, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
+        Role("policy", (STATE, LATENT, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
+        Role("safety_filter", (STATE, LATENT, WISH, MODEL), (STATUS, AGREED), (AGREED, ORDER), takes_over=True),
         Role("diagnosis", (STATE, LATENT, VERDICT, HEALTH, TAKEOVER), answers=(REQUEST, STATUS)),
         Role("recorder", _EVERYTHING),
         Role("dashboard", _EVERYTHING, looks=True),
         Role("workbench", _EVERYTHING, asks=(REQUEST, STATUS), looks=True),
-        Role("operator", _EVERYTHING, asks=(REQUEST, STATUS), lives=False, looks=True),
+        Role("operator", _EVERYTHING, asks=(REQUEST, STATUS, ORDER), lives=False, looks=True),
         Role("healthcheck", (HEALTH,), lives=False, looks=True),
     )
 }
@@ -124,10 +122,18 @@ def access_control(fleet: str, robots: Iterable[str]) -> dict[str, Any]:
     return {
         "enabled": True,  # left out, everything is allowed, and Zenoh says nothing
         "default_permission": "deny",
-        "rules": rules,
-        "subjects": [{"id": name, "cert_common_names": [name]} for name in roles_of(names)],
-        "policies": policies,
+        "rules": [*rules, _rule(_EVERYBODY, _NOTHING)],
+        "subjects": [
+            *({"id": name, "cert_common_names": [name]} for name in roles_of(names)),
+            {"id": _EVERYBODY, "link_protocols": ["tls"]},
+        ],
+        "policies": [*policies, {"rules": [_EVERYBODY], "subjects": [_EVERYBODY]}],
     }
+
+
+_EVERYBODY = "everybody"
+_NOTHING = _Right("", ("query",), _IN, ("safedpa/-/-/nothing",))
+"""A right to nothing, since Zenoh does not name in its log those who have no rights at all."""
 
 
 def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_Right]]]:

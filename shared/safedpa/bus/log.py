@@ -1,8 +1,8 @@
 """What happened, one structured line each on standard error, for people and for programs that collect logs.
 
 A line is a JSON object: ``time`` [s since 1970], ``level``, ``kind`` (dotted, stable: what programs look for),
-``sentence``, and where they apply ``robot``, ``tick``, ``service`` and whatever else the event carries. With
-``SAFEDPA_LOG=text`` it is one readable line instead.
+``sentence``, and where they apply ``robot``, ``tick``, ``service`` and whatever else the event carries. On a
+terminal, or with ``SAFEDPA_LOG=text``, it is one readable line instead.
 
 A flood costs one line a second: of events of the same kind, robot and service within a second only the first is
 written, and the line that closes the second carries ``repeated``, the number of those that were left out, beside the
@@ -25,7 +25,7 @@ from typing import Any
 __all__ = ["EventLog", "counted_events", "log_event"]
 
 _LEAST_SECONDS = 1.0
-_MOST_WATCHED = 512
+_MOST_WINDOWS = 512
 """Kinds times robots times services whose rate is watched; names may come from an attacker, memory is ours."""
 _LONGEST_TEXT = 400
 """Characters of one value."""
@@ -33,8 +33,14 @@ _LONGEST_TEXT = 400
 Later = Callable[[float, Callable[[], None]], object]
 
 
+_Key = tuple[str, str, str]
+"""Kind, robot, service."""
+
+
 @dataclass
-class _Watched:
+class _Window:
+    """A second that began with a line."""
+
     opened: float
     """s, by the clock; when the last line was written."""
     left_out: int = 0
@@ -64,7 +70,7 @@ class EventLog:
     ) -> None:
         self._write, self._clock, self._later = write, clock, later
         self._lock = threading.Lock()
-        self._watched: OrderedDict[tuple[str, str, str], _Watched] = OrderedDict()
+        self._windows: OrderedDict[_Key, _Window] = OrderedDict()
         self._counts: Counter[str] = Counter()
 
     def log(self, event: dict[str, Any]) -> None:
@@ -73,42 +79,56 @@ class EventLog:
         now = self._clock()
         with self._lock:
             self._counts[event["kind"]] += 1
-            watched = self._watched.get(key)
-            if watched is not None and now - watched.opened < _LEAST_SECONDS:
-                watched.newest, watched.left_out = event, watched.left_out + 1
-                if watched.left_out == 1:
-                    self._later(_LEAST_SECONDS - (now - watched.opened), lambda: self._close(key))
+            window = self._windows.get(key)
+            if window is not None and now - window.opened < _LEAST_SECONDS:
+                window.newest, window.left_out = event, window.left_out + 1
+                if window.left_out == 1:
+                    self._later(_LEAST_SECONDS - (now - window.opened), lambda: self._close(key, window))
                 return
-            self._watched[key] = _Watched(now)
-            self._watched.move_to_end(key)
-            while len(self._watched) > _MOST_WATCHED:
-                self._watched.popitem(last=False)
-        self._write(_line(event))
+            self._open(key, now)
+        missed = 0 if window is None else window.left_out  # the timer is late
+        self._write(_line({**event, "repeated": missed + 1} if missed else event))
 
     def counts(self) -> dict[str, int]:
         """How many events there were of each kind, written or not."""
         with self._lock:
             return dict(self._counts)
 
-    def _close(self, key: tuple[str, str, str]) -> None:
-        """Writes what was left out of the second that is over."""
+    def _open(self, key: _Key, now: float) -> None:
+        self._windows[key] = _Window(now)
+        self._windows.move_to_end(key)
+        while len(self._windows) > _MOST_WINDOWS:
+            self._windows.popitem(last=False)
+
+    def _close(self, key: _Key, window: _Window) -> None:
+        """Writes what was left out of the second that is over, unless that was done already."""
         with self._lock:
-            watched = self._watched.get(key)
-            if watched is None or watched.newest is None:
+            if self._windows.get(key) is not window or window.newest is None:
                 return
-            event = watched.newest if watched.left_out == 1 else {**watched.newest, "repeated": watched.left_out}
-            watched.opened, watched.left_out, watched.newest = self._clock(), 0, None
+            event = window.newest if window.left_out == 1 else {**window.newest, "repeated": window.left_out}
+            self._open(key, self._clock())
         self._write(_line(event))
 
 
 def _line(event: dict[str, Any]) -> str:
     short = {name: _short(value) for name, value in event.items()}
-    if os.environ.get("SAFEDPA_LOG") != "text":
+    if not _as_text():
         return json.dumps(short) + "\n"
     stamp = time.strftime("%H:%M:%S", time.localtime(short.pop("time")))
     about = ", ".join(f"{name} {_on_one_line(value)}" for name, value in short.items() if name not in _HEAD)
     tail = f" ({about})" if about else ""
     return f"{stamp} {short['level']} {short['kind']}: {_on_one_line(short['sentence'])}{tail}\n"
+
+
+def _as_text() -> bool:
+    """As ``SAFEDPA_LOG`` says; without a word text where a person looks, JSON where a program reads."""
+    wanted = os.environ.get("SAFEDPA_LOG", "")
+    if wanted:
+        return wanted == "text"
+    try:
+        return sys.stderr.isatty()
+    except (ValueError, AttributeError):  # closed, or never there
+        return False
 
 
 _HEAD = ("level", "kind", "sentence")
