@@ -1,7 +1,8 @@
 """The bus: one table of topics, typed messages, transport over Zenoh or in memory, and the loop of every service."""
 
-from safedpa.bus.bus import Bus, Inbox, Received, Refused
+from safedpa.bus.bus import Bus
 from safedpa.bus.codec import decode, encode
+from safedpa.bus.inbox import Inbox, Received, Refused
 from safedpa.bus.memory_transport import MemoryBroker, MemoryTransport
 from safedpa.bus.messages import (
     ActionMessage,

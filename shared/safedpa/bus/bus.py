@@ -2,107 +2,21 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import TracebackType
 
 from safedpa.bus.codec import decode, encode
+from safedpa.bus.inbox import Answered, Inbox
 from safedpa.bus.messages import Message
 from safedpa.bus.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
-from safedpa.bus.topics import Topic, key_of, topic_of
+from safedpa.bus.topics import Topic, key_of
 from safedpa.bus.transport import AbstractTransport
 from safedpa.errors import BusError, InputError, MessageError
 
-__all__ = ["Answered", "Bus", "Inbox", "Received", "Refused"]
+__all__ = ["Bus"]
 
 _CLAIM_POLL_SECONDS = 0.05
-_LONGEST_QUEUE = 100_000
-"""Messages of topics that must not be dropped, waiting in one inbox; beyond it the oldest go and are counted."""
-
-
-@dataclass(frozen=True, slots=True)
-class Received:
-    """A message that arrived; ``at`` [s] by the receiver's clock."""
-
-    topic: Topic
-    robot: str
-    message: Message
-    payload: bytes
-    key: str
-    at: float
-
-
-@dataclass(frozen=True, slots=True)
-class Refused:
-    """Bytes that arrived and are no message, or whose key names no robot and topic: see the reason."""
-
-    key: str
-    robot: str
-    """Empty when the key names none."""
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class Answered:
-    """What came of a question about a robot; None when nobody answered in time."""
-
-    robot: str
-    answer: Answer | None
-
-
-class Inbox:
-    """What arrived and was not read yet; filled by network threads, emptied by one loop.
-
-    Of topics with delivery ``latest`` only the newest message per key waits; of the others everything, in order.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic, longest_queue: int = _LONGEST_QUEUE) -> None:
-        self._clock = clock
-        self._filled = threading.Condition()
-        self._latest: dict[str, tuple[bytes, float]] = {}
-        self._queue: deque[tuple[str, bytes, float]] = deque(maxlen=longest_queue)
-        self._answers: list[Answered] = []
-        self.dropped = 0
-        """Messages lost because the queue was full."""
-
-    def keep_latest(self, key: str, payload: bytes) -> None:
-        """Accepts one payload; replaces an unread one of the same key."""
-        with self._filled:
-            self._latest[key] = (payload, self._clock())
-            self._filled.notify()
-
-    def keep_all(self, key: str, payload: bytes) -> None:
-        """Accepts one payload behind all unread ones."""
-        with self._filled:
-            self.dropped += len(self._queue) == self._queue.maxlen
-            self._queue.append((key, payload, self._clock()))
-            self._filled.notify()
-
-    def keep_answer(self, answered: Answered) -> None:
-        """Accepts what came of a question."""
-        with self._filled:
-            self._answers.append(answered)
-            self._filled.notify()
-
-    def take_answers(self) -> list[Answered]:
-        """What came of questions asked since the last call; never waits."""
-        with self._filled:
-            answers, self._answers = self._answers, []
-        return answers
-
-    def take(self, timeout: float) -> list[Received | Refused]:
-        """Everything unread, oldest first; waits up to ``timeout`` [s] for the first message or answer."""
-        with self._filled:
-            if timeout > 0.0 and not self._latest and not self._queue and not self._answers:
-                self._filled.wait(timeout)
-            waiting = [(key, payload, at) for key, (payload, at) in self._latest.items()]
-            waiting += self._queue
-            self._latest, self._queue = {}, deque(maxlen=self._queue.maxlen)
-        waiting.sort(key=lambda entry: entry[2])
-        return [_opened(key, payload, at) for key, payload, at in waiting]
 
 
 def _usable(payload: bytes | None) -> Answer | None:
@@ -112,15 +26,6 @@ def _usable(payload: bytes | None) -> Answer | None:
     except InputError:
         return None
     return answer if answer is not None and answer.ok else None
-
-
-def _opened(key: str, payload: bytes, at: float) -> Received | Refused:
-    robot = ""
-    try:
-        _, robot, topic = topic_of(key)
-        return Received(topic, robot, decode(topic.message, payload), payload, key, at)
-    except InputError as error:
-        return Refused(key, robot, str(error))
 
 
 class Bus:

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from safedpa.bus.bus import Bus, Inbox, Received
+from safedpa.bus.bus import Bus
+from safedpa.bus.inbox import Inbox, Received
 from safedpa.bus.node import AbstractNode
 from safedpa.bus.requests import Answer
 from safedpa.bus.topics import MODEL, STATE, Topic

@@ -13,10 +13,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from safedpa.bus.bus import Bus, Received, Refused
+from safedpa.bus.bus import Bus
 from safedpa.bus.greeting import Greeting
+from safedpa.bus.journal import Journal
+from safedpa.bus.inbox import Received, Refused
 from safedpa.bus.messages import HealthMessage, Message, SetupMessage, StateMessage
 from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
+from safedpa.bus.setup import SETUP_SECONDS
 from safedpa.bus.topics import HEALTH, SETUP, STATE, Topic
 from safedpa.bus.trace import Trace, consumed
 from safedpa.bus.version import software_version
@@ -28,8 +31,6 @@ NO_ROBOT = "-"
 """Stands for the robot in the health key of a service that serves none yet."""
 
 _HEARTBEAT_SECONDS = 0.25
-_SETUP_SECONDS = 5.0
-"""Between two tellings of the setup: whoever joins late knows it soon."""
 _SILENCE_SECONDS = 0.3
 """A robot that was silent for so long may start anew under its name; one that speaks is not replaced."""
 
@@ -85,7 +86,9 @@ class ServiceLoop:
         robot: str = "*",
         clock: Callable[[], float] = time.monotonic,
         setup: SetupMessage | None = None,
+        journal: Journal | None = None,
     ) -> None:
+        self._journal = journal or Journal.silent()
         self._node = node
         self._bus = bus
         self._clock = clock
@@ -118,7 +121,7 @@ class ServiceLoop:
         """Takes what arrived, steps what is due, sends a heartbeat when it is time."""
         for item in self._inbox.take(self._patience(longest_wait)):
             if isinstance(item, Refused):
-                self._refuse(item.reason)
+                self._refuse(item.reason, item.robot)
             else:
                 self._take(item)
         for known in self._greeting.ready():
@@ -165,7 +168,7 @@ class ServiceLoop:
         try:
             self._node.hear(item.robot, item.message)
         except InputError as error:
-            self._refuse(str(error))
+            self._refuse(str(error), item.robot, item.message.tick)
 
     def _take_state(self, item: Received) -> None:
         state = item.message
@@ -173,11 +176,12 @@ class ServiceLoop:
         slot = self._slots.get(item.robot)
         if slot is None or self._is_new_epoch(slot, state, item.at):
             self._node.forget(item.robot)
+            self._journal.met(item.robot, state.tick, again=slot is not None)
             self._slots[item.robot] = _Slot(state, item.at, item.at)
         elif state.epoch != slot.state.epoch:
-            self._refuse(f"a second robot speaks as '{item.robot}'")
+            self._refuse(f"a second robot speaks as '{item.robot}'", item.robot, state.tick, second=True)
         elif state.tick < slot.state.tick:
-            self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}")
+            self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}", item.robot, state.tick)
         elif state.tick > slot.state.tick:
             if slot.unfinished_since is not None:
                 self._finish(item.robot, slot)
@@ -222,10 +226,11 @@ class ServiceLoop:
             slot.outputs = slot.trace.on(self._node.step(robot, slot.state, inputs))
             self._counts.microseconds = 1e6 * (time.perf_counter() - started)
             self._publish(robot, slot.outputs)
+            self._journal.said(robot, slot.outputs)
         except InputError as error:  # what one robot says must not end the service of the others
             slot.outputs = {}
             self._counts.failing = True
-            self._refuse(str(error))
+            self._refuse(str(error), robot, slot.state.tick)
             return
         self._counts.failing = False
         self._counts.steps += 1
@@ -241,6 +246,7 @@ class ServiceLoop:
         slot.unfinished_since = None
         further = slot.trace.on(self._node.afterwards(robot))
         self._publish(robot, further)
+        self._journal.said(robot, further)
         slot.outputs = {**(slot.outputs or {}), **further}
 
     def _inputs(self, slot: _Slot) -> Inputs:
@@ -254,16 +260,18 @@ class ServiceLoop:
         oldest = self._clock() - _FORGET_SECONDS
         for robot in [robot for robot, slot in self._slots.items() if slot.heard < oldest]:
             self._node.forget(robot)
+            self._journal.forgot(robot)
             self._greeting.forget(robot)
             del self._slots[robot]
 
-    def _refuse(self, reason: str) -> None:
+    def _refuse(self, reason: str, robot: str = "", tick: int = -1, *, second: bool = False) -> None:
+        self._journal.refused(reason, robot, tick, second=second)
         self._counts.refused += 1
         self._counts.detail = f"refused: {reason}"
 
     def _tell_setup(self) -> None:
         if self._setup is not None and self._clock() >= self._next_setup:
-            self._next_setup = self._clock() + _SETUP_SECONDS
+            self._next_setup = self._clock() + SETUP_SECONDS
             self._bus.publish(SETUP, NO_ROBOT, self._setup, self._node.name)
 
     def _tell_health(self) -> None:

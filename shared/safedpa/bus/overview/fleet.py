@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from safedpa.bus.bus import Bus, Received
+from safedpa.bus.bus import Bus
+from safedpa.bus.inbox import Received
 from safedpa.bus.messages import HealthMessage
 from safedpa.bus.overview.robot import RobotOverview
 from safedpa.bus.overview.service import ServiceOverview

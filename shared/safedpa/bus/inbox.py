@@ -1,0 +1,173 @@
+"""What arrived and waits to be read: bounded, whoever sends, and fair to those who send little."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from operator import itemgetter
+
+from safedpa.bus.codec import decode
+from safedpa.bus.messages import Message
+from safedpa.bus.requests import Answer
+from safedpa.bus.topics import TOPICS, Topic, topic_of
+from safedpa.errors import InputError
+
+__all__ = ["Answered", "Inbox", "Received", "Refused"]
+
+_LONGEST_QUEUE = 100_000
+"""Messages of topics that must not be dropped, waiting in one inbox."""
+_LARGEST_QUEUE_BYTES = 256 * 1024 * 1024
+_MOST_KEYS = 16_384
+"""Different keys of topics with delivery ``latest`` that wait in one inbox: names may come from anybody."""
+_LARGEST_LATEST, _LARGEST_QUEUED = (
+    max(topic.largest_bytes for topic in TOPICS.values() if topic.delivery == delivery)
+    for delivery in ("latest", "all")
+)
+"""Bytes of one message; what is larger is refused when it is read, and not kept until then."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message that arrived; ``at`` [s] by the receiver's clock."""
+
+    topic: Topic
+    robot: str
+    message: Message
+    payload: bytes
+    key: str
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Bytes that arrived and are no message, or whose key names no robot and topic: see the reason."""
+
+    key: str
+    robot: str
+    """Empty when the key names none."""
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What came of a question about a robot; None when nobody answered in time."""
+
+    robot: str
+    answer: Answer | None
+
+
+@dataclass(slots=True)
+class _Queue:
+    """What waits under one key."""
+
+    messages: deque[tuple[bytes, float]] = field(default_factory=deque)
+    size: int = 0
+    """Bytes."""
+
+
+class Inbox:
+    """What arrived and was not read yet; filled by network threads, emptied by one loop.
+
+    Of topics with delivery ``latest`` only the newest message per key waits; of the others everything, in order. Memory
+    is bounded whoever sends: ``longest_queue`` messages and 256 MiB wait at most, and beyond either the key that has
+    most waiting loses its oldest, so that a sender of floods loses its own; so many different keys, and of each message
+    so many bytes, that a larger one is seen to be too large.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic, longest_queue: int = _LONGEST_QUEUE) -> None:
+        self._clock = clock
+        self._longest_queue = longest_queue
+        self._filled = threading.Condition()
+        self._latest: dict[str, tuple[bytes, float]] = {}
+        self._queues: dict[str, _Queue] = {}
+        self._queued = self._queued_bytes = 0
+        self._answers: list[Answered] = []
+        self.dropped = 0
+        """Messages lost because too many were waiting."""
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something can be taken now."""
+        return bool(self._latest or self._queues or self._answers)
+
+    def keep_latest(self, key: str, payload: bytes) -> None:
+        """Accepts one payload; replaces an unread one of the same key."""
+        with self._filled:
+            if len(self._latest) >= _MOST_KEYS and key not in self._latest:
+                self.dropped += 1
+                return
+            self._latest[key] = (_cut(payload, _LARGEST_LATEST), self._clock())
+            self._filled.notify()
+
+    def keep_all(self, key: str, payload: bytes) -> None:
+        """Accepts one payload behind all unread ones."""
+        kept = _cut(payload, _LARGEST_QUEUED)
+        with self._filled:
+            queue = self._queues.setdefault(key, _Queue())
+            queue.messages.append((kept, self._clock()))
+            queue.size += len(kept)
+            self._queued += 1
+            self._queued_bytes += len(kept)
+            while self._queued > self._longest_queue or self._queued_bytes > _LARGEST_QUEUE_BYTES:
+                self._drop_one()
+            self._filled.notify()
+
+    def _drop_one(self) -> None:
+        """The oldest message of the key that has most bytes waiting."""
+        self._pop(max(self._queues, key=lambda name: self._queues[name].size))
+        self.dropped += 1
+
+    def _pop(self, key: str) -> tuple[bytes, float]:
+        queue = self._queues[key]
+        payload, at = queue.messages.popleft()
+        queue.size -= len(payload)
+        self._queued -= 1
+        self._queued_bytes -= len(payload)
+        if not queue.messages:
+            del self._queues[key]
+        return payload, at
+
+    def keep_answer(self, answered: Answered) -> None:
+        """Accepts what came of a question."""
+        with self._filled:
+            self._answers.append(answered)
+            self._filled.notify()
+
+    def take_answers(self) -> list[Answered]:
+        """What came of questions asked since the last call; never waits."""
+        with self._filled:
+            answers, self._answers = self._answers, []
+        return answers
+
+    def take(self, timeout: float, most: int | None = None) -> list[Received | Refused]:
+        """What is unread, oldest first; waits up to ``timeout`` [s] for the first message or answer.
+
+        Of each key at most ``most`` messages: who has sent a thousand does not keep the others waiting.
+        """
+        with self._filled:
+            if timeout > 0.0 and not self.waiting:
+                self._filled.wait(timeout)
+            waiting = [(key, payload, at) for key, (payload, at) in self._latest.items()]
+            self._latest = {}
+            for key, queue in list(self._queues.items()):
+                count = len(queue.messages) if most is None else min(most, len(queue.messages))
+                waiting += [(key, *self._pop(key)) for _ in range(count)]
+        waiting.sort(key=itemgetter(2))
+        return [_opened(key, payload, at) for key, payload, at in waiting]
+
+
+def _cut(payload: bytes, largest: int) -> bytes:
+    """The payload, or so much of it that it is still seen to be too large."""
+    return payload if len(payload) <= largest else payload[: largest + 1]
+
+
+def _opened(key: str, payload: bytes, at: float) -> Received | Refused:
+    robot = ""
+    try:
+        _, robot, topic = topic_of(key)
+        return Received(topic, robot, decode(topic.message, payload), payload, key, at)
+    except InputError as error:
+        return Refused(key, robot, str(error))
