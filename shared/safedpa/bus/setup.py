@@ -13,18 +13,24 @@ from importlib.metadata import PackageNotFoundError, version
 
 from safedpa.bus.messages import SetupMessage
 
-__all__ = ["setup_message"]
+__all__ = ["SETUP_SECONDS", "setup_message"]
 
+SETUP_SECONDS = 5.0
+"""Between two tellings of the setup: whoever joins late knows it soon."""
 _DECIDING = ("safedpa", "numpy", "piqp", "pymunk")
 """Packages on whose versions the numbers depend."""
 
 
 def setup_message(service: str, options: Mapping[str, object]) -> SetupMessage:
-    """The setup of this process, with an instance drawn anew; ``options`` are the command line's.
+    """The setup of this process, with an instance drawn anew; ``options`` are the command line's (None: not given)
 
     The fields about model, settings, margin and controller are empty; ``dataclasses.replace`` fills them.
     """
-    told = {name: value if isinstance(value, str | int | float) else str(value) for name, value in options.items()}
+    told = {
+        name: value if isinstance(value, str | int | float) else str(value)
+        for name, value in options.items()
+        if value is not None
+    }
     return SetupMessage(
         epoch=0,
         tick=0,

@@ -5,26 +5,20 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import secrets
 import sys
 from pathlib import Path
 
 from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
-from safedpa.errors import InputError
+from safedpa.bus.setup import setup_message
 from safedpa_sim.robots.account import account_of, check_writable, write_account
-from safedpa_sim.robots.changes import CHANGES, PlannedChange
+from safedpa_sim.robots.changes import CHANGES
 from safedpa_sim.robots.claim import claim_name
-from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
-from safedpa_sim.robots.pendulum_robot import PendulumRobot
-from safedpa_sim.robots.pendulum_task import TASKS, task_named
-from safedpa_sim.robots.pendulum_world import wind_towards
-from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.made import robot_of
+from safedpa_sim.robots.pendulum_task import TASKS
 from safedpa_sim.robots.trace import Trace
 
-_EPOCH_BITS = 53
-"""Whole numbers that every reader of a recording holds exactly."""
 _RATES = {"car": 20.0, "pendulum": 100.0}
 """Ticks per second."""
 
@@ -57,13 +51,14 @@ def robot_parser() -> argparse.ArgumentParser:
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Drives until the time is over or ``stop``; 0, or 1 when in lockstep nobody answered."""
     options.rate = _RATES[options.robot] if options.rate is None else options.rate
-    robot = _robot(options)
+    robot = robot_of(options)
     if options.summary is not None:
         check_writable(options.summary)
     with bus_from(options) as bus, contextlib.ExitStack() as files:
         claim_name(bus, options.name)
         trace = None if options.trace is None else files.enter_context(Trace(options.trace))
-        loop = RobotLoop(robot, bus, options.name, trace=trace)
+        setup = setup_message("robot", vars(options))
+        loop = RobotLoop(robot, bus, options.name, trace=trace, setup=setup)
         code = 0
         try:
             loop.run(stop, round(options.seconds * options.rate))
@@ -80,35 +75,6 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
             write_account(account, options.summary)
         sys.stdout.write(json.dumps(account) + "\n")
     return code
-
-
-def _robot(options: argparse.Namespace) -> CarRobot | PendulumRobot:
-    if not 1.0 <= options.rate <= 500.0:
-        raise InputError(f"--rate: got {options.rate}, wanted 1 to 500 ticks per second")
-    if not 0.0 <= options.seconds < 1e9:
-        raise InputError(f"--seconds: got {options.seconds}, wanted 0 (for ever) or more")
-    if options.seed < 0:
-        raise InputError(f"--seed: got {options.seed}, wanted 0 or more")
-    if not 0.0 <= options.change_after < 1e9:
-        raise InputError(f"--change-after: got {options.change_after}, wanted 0 s or more")
-    epoch = secrets.randbits(_EPOCH_BITS)
-    if options.robot == "pendulum":
-        return _pendulum(options, epoch)
-    scene = Scene.random(options.seed, options.load)
-    change = None if options.change == "none" else PlannedChange(options.change, options.change_after)
-    return CarRobot(scene, 1.0 / options.rate, options.lockstep, epoch=epoch, change=change)
-
-
-def _pendulum(options: argparse.Namespace, epoch: int) -> PendulumRobot:
-    if options.load != "none" or options.change != "none":
-        raise InputError("--load, --change: got one for a pendulum, wanted none; they are the car's")
-    if not 0.0 <= options.wind <= 15.0:
-        raise InputError(f"--wind: got {options.wind}, wanted 0 to 15 m/s")
-    if not -360.0 <= options.wind_direction <= 360.0:
-        raise InputError(f"--wind-direction: got {options.wind_direction}, wanted -360 to 360 degrees")
-    wind = wind_towards(options.wind, options.wind_direction)
-    task = task_named(options.task)
-    return PendulumRobot(task, wind, options.seed, 1.0 / options.rate, options.lockstep, epoch=epoch)
 
 
 if __name__ == "__main__":

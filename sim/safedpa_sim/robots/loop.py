@@ -10,8 +10,9 @@ import os
 import time
 from collections.abc import Callable
 
-from safedpa.bus import ACTION, HEALTH, STATE, Bus, Received
-from safedpa.bus.messages import ActionMessage, HealthMessage, StateMessage
+from safedpa.bus import ACTION, HEALTH, SETUP, STATE, Bus, Received
+from safedpa.bus.messages import ActionMessage, HealthMessage, SetupMessage, StateMessage
+from safedpa.bus.setup import SETUP_SECONDS
 from safedpa.bus.version import software_version
 from safedpa.errors import BusError
 from safedpa_sim.robots.robot import SimulatedRobot
@@ -48,6 +49,7 @@ class RobotLoop:
         clock: Callable[[], float] = time.monotonic,
         patience: float = _PATIENCE_SECONDS,
         trace: Trace | None = None,
+        setup: SetupMessage | None = None,
     ) -> None:
         self.robot = robot
         self.latencies: list[float] = []
@@ -64,6 +66,7 @@ class RobotLoop:
         self._sent: StateMessage | None = None
         self._accepted: ActionMessage | None = None
         self._next_heartbeat = clock()
+        self._setup, self._next_setup = setup, clock()
         self._detail = ""
         self._step_microseconds = 0.0
         self._told_latencies = 0
@@ -180,9 +183,15 @@ class RobotLoop:
         if self._clock() >= self._next_heartbeat:
             self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
             self._tell_health("running")
+            self._tell_setup()
 
     def _why(self) -> str:
         return f" ({self._detail})" if self._detail else ""
+
+    def _tell_setup(self) -> None:
+        if self._setup is not None and self._clock() >= self._next_setup:
+            self._next_setup = self._clock() + SETUP_SECONDS
+            self._bus.publish(SETUP, self._name, self._setup, "robot")
 
     def _tell_health(self, state: str) -> None:
         robot = self.robot

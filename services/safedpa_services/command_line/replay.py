@@ -1,0 +1,166 @@
+"""``safedpa replay``: a recording through the real services again, as it was or under another model or margin."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from safedpa.errors import InputError
+from safedpa_services.command_line.options import as_json_option, effects_option
+
+if TYPE_CHECKING:
+    from safedpa.replay.replay import Replay
+    from safedpa.replay.tape import Tape
+    from safedpa.replay.what_if import Change
+
+
+@click.command()
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--robot", metavar="NAME", help="Which robot, when the recording holds several.")
+@click.option("--from", "begin", type=float, metavar="SECONDS", help="Compare from this robot time on.")
+@click.option("--to", "end", type=float, metavar="SECONDS", help="Compare up to this robot time.")
+@click.option("--model", metavar="MODEL", help="What if: the filter had this model (file, or name of a shipped one).")
+@click.option("--eta", type=float, metavar="X", help="What if: the filter had this eta.")
+@click.option("--margin", metavar="X|FILE", help="What if: this margin, as a number or a file of 'safedpa calibrate'.")
+@click.option("--closed-loop", is_flag=True, help="Drive the recorded scene again (simulated robots only).")
+@click.option("--exact", is_flag=True, help="Fail on a different last digit, too.")
+@click.option("--recorded-model", default="", metavar="MODEL", help="Of a recording that does not tell its setup.")
+@click.option("--weights", type=click.Path(path_type=Path), metavar="DIR", help="Where a learned model's weights are.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="FILE", help="Every tick as .csv, or .mcap as replayed."
+)
+@click.option("--rrd", type=click.Path(path_type=Path), metavar="FILE", help="The recording for the Rerun viewer.")
+@effects_option
+@as_json_option
+def command(**options: Any) -> int:
+    """Feed recorded messages through the real services, and compare all that they say, field by field.
+
+    RUN is the folder of a run, or its recording (.mcap); of several recordings one goes on where the other ended. Exit
+    code 0: identical (or only looked at under --model, --eta or --margin), 1: something came out differently.
+    """
+    from safedpa.dynamics import load_own
+    from safedpa.replay.assumed import complete_setups
+    from safedpa.replay.tape import read_tape
+
+    if options["effects"] is not None:
+        load_own(options["effects"])
+    change = _change(options)
+    tape = read_tape(options["runs"], options["robot"])
+    assumed = complete_setups(tape, options["recorded_model"])
+    if options["rrd"] is not None:
+        _draw(tape, options["rrd"])
+    if change.is_none and not options["closed_loop"]:
+        return _compared(tape, assumed, options)
+    return _changed(tape, change, assumed, options)
+
+
+def _window(options: dict[str, Any]) -> tuple[float, float]:
+    begin = float("-inf") if options["begin"] is None else options["begin"]
+    end = float("inf") if options["end"] is None else options["end"]
+    if not begin <= end:
+        raise InputError(f"--from {begin:g} --to {end:g}: wanted a beginning before the end")
+    return begin, end
+
+
+def _folders(options: dict[str, Any]) -> tuple[Path, ...]:
+    return () if options["weights"] is None else (options["weights"],)
+
+
+def _change(options: dict[str, Any]) -> Change:
+    from safedpa.dynamics import load_model
+    from safedpa.replay.what_if import Change
+    from safedpa.safety.calibration import MarginCalibration
+
+    margin: float | MarginCalibration | None = None
+    if options["margin"] is not None:
+        try:
+            margin = float(options["margin"])
+        except ValueError:
+            margin = MarginCalibration.load(Path(options["margin"]))
+    model = None if options["model"] is None else load_model(options["model"])
+    return Change(model, options["eta"], margin)
+
+
+def _compared(tape: Tape, assumed: list[str], options: dict[str, Any]) -> int:
+    from safedpa.replay.comparison import TOLERANCE
+    from safedpa.replay.gaps import gaps_of
+    from safedpa.replay.replay import replay
+    from safedpa.replay.report import document_of, lines_of
+    from safedpa.replay.save import Saved
+
+    saved = Saved()
+    wanted = options["out"] is not None
+    tell = saved.take if wanted else saved.leave
+    found = replay(tape, _window(options), 0.0 if options["exact"] else TOLERANCE, _folders(options), tell)
+    gaps = gaps_of(tape)
+    if wanted:
+        saved.write(tape, options["out"])
+    if options["as_json"]:
+        click.echo(json.dumps(document_of(tape, found, gaps, assumed)))
+    else:
+        click.echo("\n".join(lines_of(tape, found, gaps, assumed)))
+    return _code(found)
+
+
+def _code(found: Replay) -> int:
+    return 0 if found.agrees and any(part.compared for part in found.services) else 1
+
+
+def _changed(tape: Tape, change: Change, assumed: list[str], options: dict[str, Any]) -> int:
+    from safedpa.replay.report import what_if_document, what_if_lines
+    from safedpa.replay.save import write_decisions
+    from safedpa.replay.what_if import summary_of, what_if
+
+    decisions = what_if(tape, change, _window(options), _folders(options))
+    summary, changed = summary_of(decisions), _words(options)
+    if options["out"] is not None:
+        write_decisions(decisions, options["out"])
+    driven = _driven(tape, change, options) if options["closed_loop"] else None
+    if options["as_json"]:
+        document = what_if_document(summary, decisions, changed) | {"assumed": assumed}
+        click.echo(json.dumps(document if driven is None else document | {"closed_loop": driven}))
+        return 0
+    click.echo(f"robot '{tape.robot}' from {', '.join(str(path) for path in tape.files)}")
+    click.echo(
+        "\n".join([f"  assumed: {sentence}" for sentence in assumed] + [*what_if_lines(summary, decisions, changed)])
+    )
+    if driven is not None:
+        click.echo("\n".join(_driven_lines(driven)))
+    return 0
+
+
+def _words(options: dict[str, Any]) -> str:
+    given = [f"{name} {options[name]}" for name in ("model", "eta", "margin") if options[name] is not None]
+    return ", ".join(given) or "nothing changed"
+
+
+def _driven(tape: Tape, change: Change, options: dict[str, Any]) -> dict[str, Any]:
+    from safedpa_sim.replayed import drive_again
+
+    return drive_again(tape, change, _folders(options))
+
+
+def _driven_lines(driven: dict[str, Any]) -> list[str]:
+    lines = [f"  driven again in closed loop ({driven['robot']}), {driven['ticks']} ticks: then, now"]
+    for name, (then, now) in driven["compared"].items():
+        lines.append(f"    {name:<28} {then}   {now}")
+    apart = driven["apart_from_tick"]
+    lines.append("    the same drive to the end" if apart is None else f"    the states part at tick {apart}")
+    return lines
+
+
+def _draw(tape: Tape, path: Path) -> None:
+    from safedpa.replay.setups import model_of_document
+    from safedpa.safety.settings import parse_settings
+    from safedpa_services.dashboard.drawn import draw_recording
+    from safedpa_services.dashboard.look import look_of
+
+    filters = tape.setups.get("safety_filter", [])
+    if not filters:
+        raise InputError("--rrd: no setup of a safety filter in the recording; wanted one, for the robot's shape")
+    setup = filters[0][1]
+    draw_recording(tape.files, look_of(model_of_document(setup.document), parse_settings(setup.settings)), path)
+    click.echo(f"{path}: open it with 'rerun {path}'", err=True)

@@ -1,0 +1,54 @@
+"""What a recording lacks: messages that were sent and did not reach the recorder, found from ticks and step counts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from safedpa.replay.tape import Tape
+
+__all__ = ["Gap", "gaps_of"]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A stretch in which messages of one kind are missing."""
+
+    what: str
+    """``state`` or the service whose outputs are missing."""
+    epoch: int
+    after_tick: int
+    before_tick: int
+    missing: int
+
+    @property
+    def sentence(self) -> str:
+        """The gap in words."""
+        kind = "states" if self.what == "state" else f"outputs of {self.what}"
+        return f"{self.missing} {kind} between tick {self.after_tick} and tick {self.before_tick}"
+
+
+def gaps_of(tape: Tape) -> list[Gap]:
+    """Every gap, states first.
+
+    A robot counts its periods, so a tick that is left out is a state that was lost (or a period in which the robot's
+    process was held up). A service counts its steps, so a number that is left out is a lost output; what was lost at
+    its very end, or before it first spoke in the recording, cannot be told from silence.
+    """
+    return [*_state_gaps(tape), *(gap for service in tape.computed for gap in _output_gaps(tape, service))]
+
+
+def _state_gaps(tape: Tape) -> Iterator[Gap]:
+    stamps = sorted(tape.states)
+    for (epoch, tick), (following_epoch, following) in pairwise(stamps):
+        if epoch == following_epoch and following > tick + 1:
+            yield Gap("state", epoch, tick, following, following - tick - 1)
+
+
+def _output_gaps(tape: Tape, service: str) -> Iterator[Gap]:
+    messages = [entry.message for entry in tape.computed[service]]
+    for before, after in pairwise(messages):
+        missing = after.step - before.step - 1
+        if before.epoch == after.epoch and before.step and missing > 0:
+            yield Gap(service, after.epoch, before.tick, after.tick, missing)

@@ -1,0 +1,151 @@
+"""What a replay found, in words and as a JSON document."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
+
+from safedpa.replay.comparison import Difference
+from safedpa.replay.gaps import Gap
+from safedpa.replay.replay import Replay, ServiceReplay
+from safedpa.replay.tape import Tape
+from safedpa.replay.what_if import Decision, Summary
+
+__all__ = ["document_of", "lines_of", "what_if_document", "what_if_lines"]
+
+_SHOWN = 10
+
+
+def lines_of(tape: Tape, found: Replay, gaps: list[Gap], assumed: list[str]) -> Iterator[str]:
+    """The agreement, or the first differences."""
+    begin, end = tape.seconds()
+    yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {_named(tape)}"
+    yield from (f"  {finding.kind}: {finding.message}" for finding in tape.findings)
+    yield from (f"  assumed: {sentence}" for sentence in assumed)
+    yield from (f"  not recorded: {gap.sentence}" for gap in gaps)
+    for part in found.services:
+        yield from _service_lines(part)
+    differing = sorted((item for part in found.services for item in part.differing), key=_order)
+    for item in differing[:_SHOWN]:
+        yield (
+            f"  tick {item.tick} ({item.robot_time:.2f} s) {item.topic}.{item.field}: "
+            f"recorded {_short(item.recorded)}, replayed {_short(item.replayed)}"
+        )
+    if len(differing) > _SHOWN:
+        yield f"  ... and {len(differing) - _SHOWN} more fields"
+    yield _verdict(found)
+
+
+def _named(tape: Tape) -> str:
+    return ", ".join(str(path) for path in tape.files)
+
+
+def _service_lines(part: ServiceReplay) -> Iterator[str]:
+    counts = ", ".join(
+        f"{topic} {part.identical[topic]} of {count} identical" for topic, count in part.compared.items()
+    )
+    yield f"  {part.service:<14} {counts or 'nothing to compare'}" + (f"; {part.lost} made up" if part.lost else "")
+    for span in part.spans:
+        again = "never agreed again" if span.agrees_from is None else f"agrees again from tick {span.agrees_from} on"
+        yield f"    memory not known from tick {span.tick} on ({span.reason}): {span.steps} not compared, {again}"
+
+
+def _verdict(found: Replay) -> str:
+    if not any(part.compared for part in found.services):
+        return "nothing was compared: no output of a service was recorded there, or none whose memory is known"
+    if found.exact:
+        return "identical: every field of every message that can be compared, bit for bit"
+    if found.agrees:
+        return (
+            f"equal within the tolerance: {sum(part.rounded for part in found.services)} fields differ in last digits"
+        )
+    return "DIFFERENT"
+
+
+def _order(item: Difference) -> tuple[float, int]:
+    return item.robot_time, item.tick
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else text[:97] + "..."
+
+
+def document_of(tape: Tape, found: Replay, gaps: list[Gap], assumed: list[str]) -> dict[str, Any]:
+    """The same for programs."""
+    begin, end = tape.seconds()
+    return {
+        "format": 1,
+        "robot": tape.robot,
+        "files": [str(path) for path in tape.files],
+        "states": len(tape.states),
+        "seconds": [begin, end],
+        "agrees": found.agrees,
+        "exact": found.exact,
+        "assumed": assumed,
+        "findings": [asdict(finding) for finding in tape.findings],
+        "not_recorded": [asdict(gap) for gap in gaps],
+        "services": [asdict(part) | {"differing": len(part.differing)} for part in found.services],
+        "differences": [asdict(item) for part in found.services for item in part.differing[:100]],
+    }
+
+
+def what_if_lines(summary: Summary, decisions: list[Decision], changed: str) -> Iterator[str]:
+    """How the other filter's decisions differ, and where first."""
+    yield f"  what if {changed}: {summary.ticks} decisions on the RECORDED states (open loop: what the other actions"
+    yield "  would have brought about is not in them; --closed-loop drives again where the robot was simulated)"
+    for status in sorted({*summary.status_then, *summary.status_now}):
+        before, after = summary.status_then.get(status, 0), summary.status_now.get(status, 0)
+        yield f"    {status:<10} then {before:>6}   now {after:>6}"
+    yield f"    smallest h of the recorded states {summary.smallest_h_now:.4f}"
+    yield f"    smallest h predicted: then {summary.smallest_h_then:.4f}   now {summary.smallest_h_other:.4f}"
+    yield (
+        f"    decided differently in {summary.differing} of {summary.ticks} ticks, by at most "
+        f"{summary.largest_distance:.4f} (at {summary.largest_distance_at:.2f} s)"
+    )
+    differing = [decision for decision in decisions if decision.differs]
+    for decision in differing[:_SHOWN]:
+        then, now = decision.then, decision.now
+        yield (
+            f"    tick {then.tick} ({then.robot_time:.2f} s): then {then.status} {_numbers(then.action)} h "
+            f"{then.h_next:.4f}; now {now.status} {_numbers(now.action)} h {now.h_next:.4f}"
+        )
+    if len(differing) > _SHOWN:
+        yield f"    ... and {len(differing) - _SHOWN} more; --out FILE.csv has every tick"
+
+
+def _numbers(action: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in action) + ")"
+
+
+def what_if_document(summary: Summary, decisions: list[Decision], changed: str) -> dict[str, Any]:
+    """The same for programs, with every tick that is decided differently."""
+    return {
+        "changed": changed,
+        "states": "recorded (open loop)",
+        "summary": asdict(summary),
+        "differing": [
+            {
+                "epoch": decision.then.epoch,
+                "tick": decision.then.tick,
+                "robot_time": decision.then.robot_time,
+                "then": _side(decision, now=False),
+                "now": _side(decision, now=True),
+            }
+            for decision in decisions
+            if decision.differs
+        ],
+    }
+
+
+def _side(decision: Decision, *, now: bool) -> dict[str, Any]:
+    verdict = decision.now if now else decision.then
+    return {
+        "status": verdict.status,
+        "action": list(verdict.action),
+        "h_now": verdict.h_now,
+        "h_next": verdict.h_next,
+        "margin": verdict.margin,
+        "slack": verdict.slack,
+    }

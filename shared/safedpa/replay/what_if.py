@@ -1,0 +1,214 @@
+"""What another filter would have decided on the recorded states: open loop, one verdict for each recorded one.
+
+The states and wishes stay the recorded ones. With another model its latents are estimated anew from the recorded
+states. What the robot did was what the recorded filter said; where the other one says something else, it sees in the
+next tick that the robot did not do that, as it would with a robot that is braked by its watchdog. So it learns nothing
+about its margin from that period.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from safedpa.bus import (
+    ACTION,
+    LATENT,
+    VERDICT,
+    ActionMessage,
+    LatentMessage,
+    Message,
+    Outputs,
+    SetupMessage,
+    StateMessage,
+    VerdictMessage,
+)
+from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.dynamics.model_setup import model_setup
+from safedpa.errors import InputError, RunError
+from safedpa.replay.driver import Driver, Overrule
+from safedpa.replay.setups import node_of
+from safedpa.replay.tape import Tape
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margin_text import margin_text
+from safedpa.safety.settings import parse_settings, write_settings
+from safedpa.safety.shipped import margin_for
+
+__all__ = ["Change", "Decision", "Summary", "summary_of", "what_if"]
+
+_SAME = 1e-6
+"""Actions that differ by less are the same."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What is to be different."""
+
+    model: PhysicsModel | None = None
+    eta: float | None = None
+    margin: float | MarginCalibration | None = None
+
+    @property
+    def is_none(self) -> bool:
+        """Whether nothing is."""
+        return self.model is None and self.eta is None and self.margin is None
+
+    def applied(self, setup: SetupMessage) -> SetupMessage:
+        """A service's setup with what is different. Raises InputError for values that no filter can have."""
+        changed = setup if self.model is None else model_setup(setup, self.model)
+        if setup.service != "safety_filter":
+            return changed
+        settings = parse_settings(setup.settings)
+        if self.eta is not None:
+            settings = replace(settings, eta=self.eta)
+        if isinstance(self.margin, MarginCalibration):
+            settings, changed = replace(settings, margin="conformal"), replace(changed, margin=margin_text(self.margin))
+        elif self.margin is not None:
+            settings = replace(settings, margin=self.margin)
+        elif self.model is not None and changed.fingerprint != setup.fingerprint:
+            shipped = margin_for(self.model)
+            changed = replace(changed, margin="" if shipped is None else margin_text(shipped))
+        return replace(changed, settings=write_settings(settings))
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """One tick: what was decided, and what the other filter would have decided."""
+
+    state: StateMessage
+    then: VerdictMessage
+    now: VerdictMessage
+
+    @property
+    def differs(self) -> bool:
+        """Whether status or action are not the same."""
+        return self.then.status != self.now.status or self.distance > _SAME
+
+    @property
+    def knows_h(self) -> bool:
+        """Whether both could compute h: without a latent they cannot, and it stands as 0 in the verdict."""
+        return all((side.h_now, side.h_next) != (0.0, 0.0) for side in (self.then, self.now))
+
+    @property
+    def distance(self) -> float:
+        """Largest difference of an entry of the actions."""
+        return float(np.abs(np.subtract(self.then.action, self.now.action)).max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All ticks together."""
+
+    ticks: int
+    differing: int
+    status_then: dict[str, int]
+    status_now: dict[str, int]
+    smallest_h_now: float
+    """Least barrier value at the recorded states."""
+    smallest_h_then: float
+    """Least barrier value that was predicted for a next state, by the recorded filter."""
+    smallest_h_other: float
+    """The same, by the other one."""
+    largest_distance: float
+    largest_distance_at: float
+    """s, robot time."""
+
+
+def what_if(
+    tape: Tape, change: Change, window: tuple[float, float] = (-np.inf, np.inf), folders: tuple[Path, ...] = ()
+) -> list[Decision]:
+    """The decisions with robot time in ``window`` [s]. Raises InputError when the change does not fit the recording."""
+    if not tape.computed["safety_filter"]:
+        raise RunError(f"{tape.files[0]}: holds no verdict of robot '{tape.robot}'; nothing to be decided anew")
+    _check(tape, change)
+    estimates = _estimates(tape, change, folders) if change.model is not None else {}
+    driver = Driver(
+        tape,
+        "safety_filter",
+        lambda setup: node_of(change.applied(setup), folders),
+        _Hypothetical(estimates),
+        follow_models=change.model is None,
+    )
+    return [decision for decision in _decisions(driver) if window[0] <= decision.state.robot_time <= window[1]]
+
+
+def _decisions(driver: Driver) -> Iterator[Decision]:
+    for step in driver.run():
+        now = step.outputs.get(VERDICT)
+        if isinstance(step.recorded, VerdictMessage) and isinstance(now, VerdictMessage):
+            yield Decision(step.state, step.recorded, now)
+
+
+def summary_of(decisions: list[Decision]) -> Summary:
+    """The figures of all decisions. Raises InputError when there are none."""
+    if not decisions:
+        raise InputError("--from, --to: got a stretch without any verdict, wanted one within the recording")
+    known = [decision for decision in decisions if decision.knows_h] or decisions
+    farthest = max(decisions, key=lambda decision: decision.distance)
+    return Summary(
+        ticks=len(decisions),
+        differing=sum(decision.differs for decision in decisions),
+        status_then=dict(Counter(decision.then.status for decision in decisions)),
+        status_now=dict(Counter(decision.now.status for decision in decisions)),
+        smallest_h_now=min(decision.now.h_now for decision in known),
+        smallest_h_then=min(decision.then.h_next for decision in known),
+        smallest_h_other=min(decision.now.h_next for decision in known),
+        largest_distance=farthest.distance,
+        largest_distance_at=farthest.state.robot_time,
+    )
+
+
+def _check(tape: Tape, change: Change) -> None:
+    if change.model is None:
+        return
+    state, system = next(iter(tape.states.values())), change.model.system
+    if (len(state.values), len(state.applied)) != (len(system.state), len(system.action)):
+        raise InputError(
+            f"--model: a {system.name} of {len(system.state)} states and {len(system.action)} actions; the recorded "
+            f"robot has {len(state.values)} and {len(state.applied)}"
+        )
+    if isinstance(change.margin, MarginCalibration) and change.margin.fingerprint != fingerprint(change.model):
+        raise InputError(
+            f"--margin: calibrated for model {change.margin.fingerprint}, --model is {fingerprint(change.model)}"
+        )
+
+
+def _estimates(tape: Tape, change: Change, folders: tuple[Path, ...]) -> dict[tuple[int, int, float], LatentMessage]:
+    """The other model's latent in place of each recorded one, by epoch, tick and publish time of that."""
+    found: dict[tuple[int, int, float], LatentMessage] = {}
+    if not tape.computed["adaptation"] or not tape.setups.get("adaptation"):
+        return found
+    driver = Driver(tape, "adaptation", lambda setup: node_of(change.applied(setup), folders), follow_models=False)
+    for step in driver.run():
+        latent, recorded = step.outputs.get(LATENT), step.recorded
+        if recorded is not None and isinstance(latent, LatentMessage):
+            found[recorded.epoch, recorded.tick, recorded.publish_time] = latent
+    return found
+
+
+@final
+class _Hypothetical(Overrule):
+    """Shows the other filter its own latents, and that the robot did not do what it had said."""
+
+    def __init__(self, estimates: dict[tuple[int, int, float], LatentMessage]) -> None:
+        self._estimates = estimates
+        self._said: dict[tuple[int, int], tuple[float, ...]] = {}
+
+    def state(self, state: StateMessage) -> StateMessage:
+        said = self._said.get((state.epoch, state.tick - 1))
+        obeyed = said is None or bool(np.abs(np.subtract(said, state.applied)).max(initial=0.0) <= _SAME)
+        return state if obeyed else replace(state, applied_by="recorded")
+
+    def message(self, recorded: Message) -> Message:
+        name = (recorded.epoch, recorded.tick, recorded.publish_time)
+        return self._estimates.get(name, recorded) if isinstance(recorded, LatentMessage) else recorded
+
+    def done(self, state: StateMessage, outputs: Outputs) -> None:
+        action = outputs.get(ACTION)
+        if isinstance(action, ActionMessage):
+            self._said = {(state.epoch, state.tick): action.values}

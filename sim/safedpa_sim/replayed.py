@@ -1,0 +1,95 @@
+"""A recorded drive of a simulated robot once more, in closed loop: same scene, same seed, other model or margin."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safedpa.bus import SetupMessage, VerdictMessage
+from safedpa.errors import InputError
+from safedpa.replay.setups import REPLAYED, node_of
+from safedpa.replay.tape import Stamp, Tape, options_of
+from safedpa.replay.what_if import Change
+from safedpa_sim.closed_loop import Tick, drive
+from safedpa_sim.robots.made import robot_of
+
+__all__ = ["drive_again"]
+
+
+def drive_again(tape: Tape, change: Change, folders: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """What the first epoch of the recording would have come to: then and now, name by name; JSON-ready.
+
+    The robot waits for every action, as in lockstep: where the recorded one drove in real time, what came late then
+    comes in time now. Raises InputError when the robot was not simulated, or its options were not recorded.
+    """
+    options = _robot_options(tape)
+    epoch = next(iter(tape.states))[0]
+    stamps = sorted(stamp for stamp in tape.states if stamp[0] == epoch)
+    setups = [_setup(tape, service) for service in REPLAYED]
+    nodes = [node_of(change.applied(setup), folders) for setup in setups]
+    driven = list(drive(robot_of(options), nodes, len(stamps)))
+    return {
+        "robot": " ".join(f"{name}={value}" for name, value in _told(options).items()),
+        "ticks": len(driven),
+        "lockstep_then": bool(options.lockstep),
+        "apart_from_tick": _apart(tape, stamps, driven),
+        "compared": _compared(tape, stamps, driven),
+    }
+
+
+def _robot_options(tape: Tape) -> argparse.Namespace:
+    setups = tape.setups.get("robot", [])
+    options = options_of(setups[0][1]) if setups else {}
+    if "seed" not in options:
+        raise InputError(
+            f"--closed-loop: the options of robot '{tape.robot}' are not in the recording; wanted a simulated robot "
+            "that was started by 'safedpa up'"
+        )
+    missing = {"wind": 0.0, "wind_direction": 0.0, "task": "balance", "load": "none", "change": "none"}
+    return argparse.Namespace(**{**missing, "change_after": 0.0, **options, "lockstep": True})
+
+
+def _told(options: argparse.Namespace) -> dict[str, Any]:
+    names = ("robot", "load", "seed", "change", "task", "wind", "wind_direction")
+    return {name: getattr(options, name) for name in names}
+
+
+def _setup(tape: Tape, service: str) -> SetupMessage:
+    setups = tape.setups.get(service, [])
+    if not setups:
+        raise InputError(f"--closed-loop: no setup of {service} in the recording; wanted adaptation, policy and filter")
+    return setups[0][1]
+
+
+def _apart(tape: Tape, stamps: list[Stamp], driven: list[Tick]) -> int | None:
+    """The first tick whose state is not the recorded one to the last bit; None: all are."""
+    for stamp, tick in zip(stamps, driven, strict=False):
+        if tape.states[stamp].values != tick.state.values:
+            return stamp[1]
+    return None
+
+
+def _compared(tape: Tape, stamps: list[Stamp], driven: list[Tick]) -> dict[str, tuple[Any, Any]]:
+    """Of each figure the recorded one and the new one."""
+    states = [tape.states[stamp] for stamp in stamps]
+    entries = [entry.message for entry in tape.computed["safety_filter"]]
+    then = [entry for entry in entries if isinstance(entry, VerdictMessage) and entry.epoch == stamps[0][0]]
+    now = [tick.verdict for tick in driven]
+    last = driven[-1].state
+    found: dict[str, tuple[Any, Any]] = {
+        "collisions": (states[-1].collisions, last.collisions),
+        "goals reached": (states[-1].goals_reached, last.goals_reached),
+        "smallest h at a state": (_smallest(then), _smallest(now)),
+    }
+    before, after = (Counter(verdict.status for verdict in verdicts) for verdicts in (then, now))
+    found |= {f"verdicts {status}": (before[status], after[status]) for status in sorted({*before, *after})}
+    return found
+
+
+def _smallest(verdicts: list[VerdictMessage]) -> float | None:
+    known = [verdict.h_now for verdict in verdicts if (verdict.h_now, verdict.h_next) != (0.0, 0.0)]
+    return round(float(np.min(known)), 4) if known else None

@@ -1,0 +1,52 @@
+"""A simulated robot from the options of its process."""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+
+from safedpa.errors import InputError
+from safedpa_sim.robots.changes import PlannedChange
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.pendulum_robot import PendulumRobot
+from safedpa_sim.robots.pendulum_task import task_named
+from safedpa_sim.robots.pendulum_world import wind_towards
+from safedpa_sim.robots.scene import Scene
+
+__all__ = ["robot_of"]
+
+_EPOCH_BITS = 53
+"""Whole numbers that every reader of a recording holds exactly."""
+
+
+def robot_of(options: argparse.Namespace) -> CarRobot | PendulumRobot:
+    """The robot that the options of ``python -m safedpa_sim.robots`` describe, with an epoch drawn anew.
+
+    Raises InputError naming the option.
+    """
+    if not 1.0 <= options.rate <= 500.0:
+        raise InputError(f"--rate: got {options.rate}, wanted 1 to 500 ticks per second")
+    if not 0.0 <= options.seconds < 1e9:
+        raise InputError(f"--seconds: got {options.seconds}, wanted 0 (for ever) or more")
+    if options.seed < 0:
+        raise InputError(f"--seed: got {options.seed}, wanted 0 or more")
+    if not 0.0 <= options.change_after < 1e9:
+        raise InputError(f"--change-after: got {options.change_after}, wanted 0 s or more")
+    epoch = secrets.randbits(_EPOCH_BITS)
+    if options.robot == "pendulum":
+        return _pendulum(options, epoch)
+    scene = Scene.random(options.seed, options.load)
+    change = None if options.change == "none" else PlannedChange(options.change, options.change_after)
+    return CarRobot(scene, 1.0 / options.rate, options.lockstep, epoch=epoch, change=change)
+
+
+def _pendulum(options: argparse.Namespace, epoch: int) -> PendulumRobot:
+    if options.load != "none" or options.change != "none":
+        raise InputError("--load, --change: got one for a pendulum, wanted none; they are the car's")
+    if not 0.0 <= options.wind <= 15.0:
+        raise InputError(f"--wind: got {options.wind}, wanted 0 to 15 m/s")
+    if not -360.0 <= options.wind_direction <= 360.0:
+        raise InputError(f"--wind-direction: got {options.wind_direction}, wanted -360 to 360 degrees")
+    wind = wind_towards(options.wind, options.wind_direction)
+    task = task_named(options.task)
+    return PendulumRobot(task, wind, options.seed, 1.0 / options.rate, options.lockstep, epoch=epoch)
