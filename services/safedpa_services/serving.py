@@ -7,7 +7,8 @@ import gc
 from collections.abc import Callable
 
 from safedpa.bus import NO_ROBOT, AbstractNode, Bus, ServiceLoop, SetupMessage
-from safedpa.bus.process import Stop, add_bus_options, bus_from
+from safedpa.bus.journal import Journal
+from safedpa.bus.process import Stop, add_bus_options, bus_from, lifetime
 
 __all__ = ["serve", "service_parser"]
 
@@ -37,5 +38,6 @@ def serve(
         gc.collect()
         gc.freeze()  # what lives now lives for ever; the collector need not look at it in the middle of a tick
         bus.announce(NO_ROBOT, node.name, setup.instance)
-        ServiceLoop(node, bus, options.robot, setup=setup).run(stop)
+        with lifetime(node.name, stop):
+            ServiceLoop(node, bus, options.robot, setup=setup, journal=Journal(node.name)).run(stop)
     return 0

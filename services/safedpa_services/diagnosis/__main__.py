@@ -9,7 +9,8 @@ from pathlib import Path
 
 from safedpa.bus import ASKED, NO_ROBOT, Answer, Bus, Request, ServiceLoop
 from safedpa.bus.asked import asked_message
-from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa.bus.journal import Journal
+from safedpa.bus.process import Stop, bus_from, lifetime, run_process
 from safedpa.bus.requests import STATUS
 from safedpa.bus.setup import setup_message
 from safedpa.diagnosis.live.change import ModelChanges
@@ -34,7 +35,8 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
             bus.answer_requests(node.answer, options.robot, lambda *asked: _tell(bus, *asked))
             setup = model_setup(setup_message(node.name, vars(options)), load_model(options.model))
             bus.announce(NO_ROBOT, node.name, setup.instance)
-            ServiceLoop(node, bus, options.robot, setup=setup).run(stop)
+            with lifetime(node.name, stop):
+                ServiceLoop(node, bus, options.robot, setup=setup, journal=Journal(node.name)).run(stop)
     finally:
         worker.close()
     return 0

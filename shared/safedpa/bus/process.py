@@ -14,16 +14,18 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 
 from safedpa.bus.bus import Bus
 from safedpa.bus.certificates import Certificates
+from safedpa.bus.log import log_event
+from safedpa.bus.version import software_version
 from safedpa.bus.zenoh_transport import Mode, ZenohSettings, ZenohTransport
 from safedpa.errors import BusError, SafedpaError
 
-__all__ = ["Stop", "add_bus_options", "bus_from", "run_process", "settings_from"]
+__all__ = ["Stop", "add_bus_options", "bus_from", "lifetime", "run_process", "settings_from"]
 
 EXIT_CRASHED = 70
 EXIT_BAD_INPUT = 2
@@ -90,6 +92,15 @@ def bus_from(options: argparse.Namespace) -> Bus:
     return Bus(ZenohTransport(settings_from(options)), options.fleet)
 
 
+@contextlib.contextmanager
+def lifetime(service: str, stop: Stop) -> Iterator[None]:
+    """Writes to the log that the service is on the bus, and why it ends where it does so in order."""
+    log_event("process.started", f"{service} is on the bus", service=service, version=software_version())
+    yield
+    why = stop.reason or "its work is done"
+    log_event("process.ended", f"{service} ends in order: {why}", service=service)
+
+
 def settings_from(options: argparse.Namespace) -> ZenohSettings:
     """How the options say that this process joins the network.
 
@@ -109,8 +120,11 @@ def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argpars
         arguments.exc_type, arguments.exc_value or arguments.exc_type(), arguments.exc_traceback
     )
     parser.add_argument("--realtime", action="store_true", help="ask for real-time scheduling, where it is permitted")
+    parser.add_argument("--log", choices=("text", "json"), help="default: text on a terminal, json in a pipe")
     parser.add_argument("--supervised", action="store_true", help="end when standard input closes")
     options = parser.parse_args()
+    if options.log:
+        os.environ["SAFEDPA_LOG"] = options.log  # for what this process starts, too
     stop = Stop()
     stop.listen_to_signals(lambda: _leave(EXIT_INTERRUPTED))
     if options.realtime:

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 
 from safedpa.bus.bus import Bus
 from safedpa.bus.greeting import Greeting
-from safedpa.bus.journal import Journal
 from safedpa.bus.inbox import Received, Refused
+from safedpa.bus.journal import Journal
 from safedpa.bus.messages import HealthMessage, Message, SetupMessage, StateMessage
 from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
 from safedpa.bus.setup import SETUP_SECONDS
