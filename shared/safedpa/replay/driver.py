@@ -65,7 +65,11 @@ class Overrule:
 
 @final
 class Driver:
-    """Replays one service of one robot; ``build`` makes its node from a setup. Raises what ``build`` raises."""
+    """Replays one service of one robot; ``build`` makes its node from a setup. Raises what ``build`` raises.
+
+    ``made_up`` takes the outputs of steps that were lost on the way to the recording, by topic, epoch and tick, and
+    gives them to the services behind.
+    """
 
     def __init__(
         self,
@@ -75,12 +79,14 @@ class Driver:
         overrule: Overrule | None = None,
         *,
         follow_models: bool = True,
+        made_up: dict[tuple[Topic, int, int], Message] | None = None,
     ) -> None:
         self._tape, self._service, self._build = tape, service, build
         self._overrule = overrule or Overrule()
         self._changes = ModelChange(tape, service) if follow_models else None
         self._setups = tape.setups.get(service, [])
         self._setup = -1
+        self._made_up = {} if made_up is None else made_up
         self._node: AbstractNode | None = None
         self._previous: ComputedMessage | None = None
 
@@ -100,6 +106,23 @@ class Driver:
                 unknown = self._gap(message, len(lost))
             yield self._step(state, message, unknown)
             self._previous = message
+        yield from (self._step(state, None, "") for state in self._behind())
+
+    def _behind(self) -> list[StateMessage]:
+        """States behind the last recorded output whose outputs other services say they used."""
+        previous = self._previous
+        outputs = () if self._node is None else self._node.outputs
+        if previous is None:
+            return []
+        used = {stamp for topic in outputs for stamp in self._tape.absent(topic)}
+        last = max((tick for epoch, tick in used if epoch == previous.epoch), default=-1)
+        found = []
+        for tick in range(previous.tick + 1, last + 1):
+            state = self._tape.states.get((previous.epoch, tick))
+            if state is None:
+                break
+            found.append(state)
+        return found
 
     def _is_anew(self, message: ComputedMessage) -> bool:
         """Whether the service's memory of the robot began with this step, or is not in the recording before it."""
@@ -171,6 +194,8 @@ class Driver:
             self._changes.answer(node, robot, shown)
         outputs.update(node.afterwards(robot))
         self._overrule.done(state, outputs)
+        if message is None:
+            self._made_up |= {(topic, state.epoch, state.tick): item for topic, item in outputs.items()}
         return Driven(state, message, outputs, unknown or missing)
 
     def _inputs(self, node: AbstractNode, state: StateMessage, message: ComputedMessage | None) -> tuple[Inputs, str]:
@@ -180,6 +205,8 @@ class Driver:
         for index, topic in enumerate(node.inputs):
             told = message.consumed[index] if message is not None and message.consumed else None
             item = self._of_tick(topic, state) if told is None else self._told(topic, state, *told)
+            if item is None:
+                item = self._made_up.get((topic, state.epoch, state.tick))
             if item is None:
                 missing = f"the {topic.name} that it used was not recorded"
                 item = self._of_tick(topic, state)
@@ -195,7 +222,7 @@ class Driver:
     def _of_tick(self, topic: Topic, state: StateMessage) -> Message | Stale:
         """What a step will have used that does not say it: the input of its tick, if that was recorded."""
         for tick in range(state.tick, max(state.tick - _LOOK_BACK_TICKS, -1), -1):
-            item = self._tape.newest.get((topic, state.epoch, tick))
+            item = self._tape.newest.get((topic, state.epoch, tick)) or self._made_up.get((topic, state.epoch, tick))
             if item is not None:
                 return item if tick == state.tick else Stale(topic, state.tick - tick)
         return Stale(topic, None)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
+from safedpa.bus import LATENT, WISH, Topic
 from safedpa.replay.tape import Tape
 
 __all__ = ["Gap", "gaps_of"]
@@ -34,9 +35,13 @@ def gaps_of(tape: Tape) -> list[Gap]:
 
     A robot counts its periods, so a tick that is left out is a state that was lost (or a period in which the robot's
     process was held up). A service counts its steps, so a number that is left out is a lost output; what was lost at
-    its very end, or before it first spoke in the recording, cannot be told from silence.
+    its very end shows where another service says that it used it.
     """
-    return [*_state_gaps(tape), *(gap for service in tape.computed for gap in _output_gaps(tape, service))]
+    found = [gap for service in tape.computed for gap in _output_gaps(tape, service)]
+    behind = [
+        gap for service, topic in (("adaptation", LATENT), ("policy", WISH)) for gap in _behind(tape, service, topic)
+    ]
+    return [*_state_gaps(tape), *found, *behind]
 
 
 def _state_gaps(tape: Tape) -> Iterator[Gap]:
@@ -52,3 +57,12 @@ def _output_gaps(tape: Tape, service: str) -> Iterator[Gap]:
         missing = after.step - before.step - 1
         if before.epoch == after.epoch and before.step and missing > 0:
             yield Gap(service, after.epoch, before.tick, after.tick, missing)
+
+
+def _behind(tape: Tape, service: str, topic: Topic) -> Iterator[Gap]:
+    """Outputs behind the last recorded one that other services used."""
+    last = {entry.message.epoch: entry.message.tick for entry in tape.computed[service]}
+    for epoch in sorted({epoch for epoch, _ in tape.absent(topic)}):
+        ticks = [tick for other, tick in tape.absent(topic) if other == epoch and tick > last.get(epoch, -1)]
+        if ticks:
+            yield Gap(service, epoch, last.get(epoch, -1), max(ticks) + 1, len(ticks))

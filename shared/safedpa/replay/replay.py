@@ -82,9 +82,10 @@ def replay(
     InputError when a setup is broken or a learned model's weights are not to be found.
     """
     found = []
+    made_up: dict[tuple[Topic, int, int], Message] = {}
     for service in REPLAYED:
         if tape.computed[service] and tape.setups.get(service):
-            steps = Driver(tape, service, lambda setup: node_of(setup, folders)).run()
+            steps = Driver(tape, service, lambda setup: node_of(setup, folders), made_up=made_up).run()
             found.append(_Judge(tape, service, window, tolerance).judged(steps, tell))
     return Replay(found)
 

@@ -33,8 +33,10 @@ from safedpa.bus import (
     topic_of,
 )
 from safedpa.errors import MessageError, RunError, did_you_mean
+from safedpa.policy import PolicyNode
 from safedpa.records import Finding
 from safedpa.records.mcap_messages import read_payloads
+from safedpa.safety.node import SafetyFilterNode
 
 __all__ = ["Entry", "Stamp", "Tape", "files_of", "options_of", "read_tape"]
 
@@ -45,6 +47,12 @@ _SENDERS: dict[type[Message], tuple[str, Topic]] = {
     LatentMessage: ("adaptation", LATENT),
     WishMessage: ("policy", WISH),
     VerdictMessage: ("safety_filter", VERDICT),
+}
+
+
+_INPUTS: dict[str, tuple[Topic, ...]] = {
+    PolicyNode.name: PolicyNode.inputs,
+    SafetyFilterNode.name: SafetyFilterNode.inputs,
 }
 
 
@@ -110,6 +118,22 @@ class Tape:
         known = self.setups.setdefault(setup.service, [])
         if all(setup.instance != other.instance for _, other in known):
             known.append((at, setup))
+
+    def absent(self, topic: Topic) -> set[Stamp]:
+        """Epochs and ticks of messages that other services say they used, and that are not in the recording."""
+        found: set[Stamp] = set()
+        for service, inputs in _INPUTS.items():
+            if topic not in inputs:
+                continue
+            index = inputs.index(topic)
+            for message in (entry.message for entry in self.computed[service]):
+                if not message.consumed or message.consumed[index][1] == 0.0:
+                    continue
+                age, published = message.consumed[index]
+                tick = message.tick - int(age)
+                if (topic, message.epoch, tick, published) not in self.named:
+                    found.add((message.epoch, tick))
+        return found
 
     def seconds(self) -> tuple[float, float]:
         """First and last robot time [s]."""
