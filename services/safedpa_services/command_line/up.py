@@ -210,7 +210,7 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     if plan.diagnosis:
         where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
-    return screen(watch, services, robot, hints, quiet=quiet)
+    return screen(watch, services, robot, hints, plan.folder, quiet=quiet)
 
 
 def _tell(summary: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
-from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa.bus.process import Stop, bus_from, lifetime, run_process
 from safedpa_services.recorder.recorder import Recorder
 from safedpa_services.serving import service_parser
 
@@ -14,7 +14,7 @@ from safedpa_services.serving import service_parser
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Records until ``stop``; returns 0, or 1 when the recording broke off."""
     os.nice(10)  # the loop comes first; what arrives meanwhile waits in the queue
-    with bus_from(options) as bus:
+    with bus_from(options) as bus, lifetime("recorder", stop):
         return Recorder(bus, Path(options.out), options.robot).run(stop)
 
 

@@ -51,7 +51,8 @@ def _log_order(robot: str, request: Request | None, answer: Answer) -> None:
     if request is None or request.do != "status":
         kind = "order.taken" if answer.ok else "order.refused"
         who = request.who if request is not None else ""
-        log_event(kind, answer.sentence, level="warning", robot=robot, service="safety_filter", who=who)
+        level = "info" if answer.ok else "warning"  # what comes of an order is told by the verdicts
+        log_event(kind, answer.sentence, level=level, robot=robot, service="safety_filter", who=who)
 
 
 if __name__ == "__main__":

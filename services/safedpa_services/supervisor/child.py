@@ -64,7 +64,13 @@ class Child:
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
-                env={**os.environ, "PYTHONSAFEPATH": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+                env={
+                    **os.environ,
+                    "PYTHONSAFEPATH": "1",
+                    "SAFEDPA_LOG": "json",
+                    "OMP_NUM_THREADS": "1",
+                    "OPENBLAS_NUM_THREADS": "1",
+                },
             )
         self._started = time.monotonic()
         self._died, self._asked = 0.0, False
@@ -87,8 +93,9 @@ class Child:
         return True
 
     def last_words(self) -> str:
-        """The last line that it wrote."""
-        lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
+        """The last line that it wrote, events and accounts, which are JSON, left out."""
+        lines = self.log.read_text(errors="replace").splitlines()
+        lines = [line for line in lines if line.strip() and not line.startswith("{")]
         return lines[-1] if lines else "it said nothing"
 
     def terminate(self) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
 
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.view import view_of
+from safedpa_services.supervisor.warnings import Warnings
 from safedpa_services.supervisor.watch import Watch
 
 __all__ = ["screen"]
@@ -20,38 +22,47 @@ _REDRAW_SECONDS = 0.25
 
 @contextmanager
 def screen(
-    watch: Watch, services: Sequence[Child], robot: Child, hints: list[str], *, quiet: bool
+    watch: Watch, services: Sequence[Child], robot: Child, hints: list[str], folder: Path, *, quiet: bool
 ) -> Iterator[Callable[[], None]]:
-    """Yields a function to call often; it redraws at most four times a second."""
+    """Yields a function to call often; it redraws at most four times a second. ``folder`` is the run's."""
     console = Console(stderr=True)
     if quiet:
-        yield lambda: None
+        yield Warnings((robot, *services), folder).look
         return
     if not console.is_terminal:
         for hint in hints:
             console.print(hint, soft_wrap=True)
-        yield _Announcement(watch, console)
+        yield _Announcement(watch, console, Warnings((robot, *services), folder, _printer(console)))
         return
+    warnings = Warnings((robot, *services), folder)
     drawn = 0.0
     with Live(console=console, auto_refresh=False) as live:
 
         def redraw() -> None:
             nonlocal drawn
+            warnings.look()
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                live.update(view_of(watch, services, robot, [*_live_view(watch), *hints]), refresh=True)
+                live.update(
+                    view_of(watch, services, robot, [*_live_view(watch), *hints], warnings.newest), refresh=True
+                )
 
         yield redraw
 
 
-class _Announcement:
-    """Tells the dashboard's address once, as soon as it is known."""
+def _printer(console: Console) -> Callable[[str], None]:
+    return lambda line: console.print(line, soft_wrap=True, markup=False, highlight=False)
 
-    def __init__(self, watch: Watch, console: Console) -> None:
-        self._watch, self._console = watch, console
+
+class _Announcement:
+    """Tells the dashboard's address once, as soon as it is known, and warnings as they come."""
+
+    def __init__(self, watch: Watch, console: Console, warnings: Warnings) -> None:
+        self._watch, self._console, self._warnings = watch, console, warnings
         self._told = False
 
     def __call__(self) -> None:
+        self._warnings.look()
         lines = [] if self._told else _live_view(self._watch)
         for line in lines:
             self._told = True

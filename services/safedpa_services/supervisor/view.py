@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from rich.console import Group
 from rich.table import Table
@@ -17,15 +17,19 @@ __all__ = ["view_of"]
 
 _SILENT_SECONDS = 1.0
 _COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "fallback": "red", "disabled": "red"}
+_COLOURS["stopped"] = "yellow"
 
 
-def view_of(watch: Watch, services: Sequence[Child], robot: Child, hints: Sequence[str]) -> Group:
-    """A headline, the table of processes, and hints where to look."""
+def view_of(
+    watch: Watch, services: Sequence[Child], robot: Child, hints: Sequence[str], warnings: Iterable[str] = ()
+) -> Group:
+    """A headline, the table of processes, hints where to look, and the newest warnings."""
     return Group(
         _headline(watch),
         _finding(watch),
         _processes(watch, services, robot),
         *(Text(hint, style=_hint_style(hint)) for hint in hints),
+        *(Text(line, style="yellow", no_wrap=True, overflow="ellipsis") for line in warnings),
     )
 
 

@@ -8,7 +8,7 @@ import json
 import sys
 from pathlib import Path
 
-from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.bus.process import Stop, add_bus_options, bus_from, lifetime, run_process
 from safedpa.bus.setup import setup_message
 from safedpa_sim.robots.account import account_of, check_writable, write_account
 from safedpa_sim.robots.changes import CHANGES
@@ -56,6 +56,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
         check_writable(options.summary)
     with bus_from(options) as bus, contextlib.ExitStack() as files:
         claim_name(bus, options.name)
+        files.enter_context(lifetime("robot", stop))
         trace = None if options.trace is None else files.enter_context(Trace(options.trace))
         setup = setup_message("robot", vars(options))
         loop = RobotLoop(robot, bus, options.name, trace=trace, setup=setup)
