@@ -13,7 +13,7 @@ from safedpa.bus.codec import decode
 from safedpa.bus.messages import Message
 from safedpa.bus.requests import Answer
 from safedpa.bus.topics import TOPICS, Topic, topic_of
-from safedpa.errors import InputError
+from safedpa.errors import InputError, MessageError
 
 __all__ = ["Answered", "Inbox", "Received", "Refused"]
 
@@ -168,6 +168,17 @@ def _opened(key: str, payload: bytes, at: float) -> Received | Refused:
     robot = ""
     try:
         _, robot, topic = topic_of(key)
-        return Received(topic, robot, decode(topic.message, payload), payload, key, at)
+        message = decode(topic.message, payload)
+        if topic.per_service:
+            _check_speaker(key, message)
+        return Received(topic, robot, message, payload, key, at)
     except InputError as error:
         return Refused(key, robot, str(error))
+
+
+def _check_speaker(key: str, message: Message) -> None:
+    """The router vouches for the key's last part, so nobody speaks as another service in the message either."""
+    service = key.rsplit("/", 1)[1]
+    said = getattr(message, "service", service)
+    if said != service:
+        raise MessageError(f"key '{key}': got a message of service '{said[:40]}', wanted one of '{service}'")

@@ -51,6 +51,8 @@ class ZenohSettings:
     certificates: Certificates | None = None
     access: Mapping[str, Any] | None = None
     limits: tuple[Mapping[str, Any], ...] = ()
+    patience: float = 10.0
+    """s to go on trying to connect at the start; later, while it runs, it tries for ever."""
 
     def __post_init__(self) -> None:
         if self.certificates is None:
@@ -81,7 +83,7 @@ class ZenohSettings:
             "mode": self.mode,
             "listen/endpoints": list(listen),
             "connect/endpoints": list(self.connect),
-            "connect/timeout_ms": 10000,
+            "connect/timeout_ms": round(1000.0 * self.patience),
             "connect/exit_on_failure": True,
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 1.5},
             "scouting/multicast/enabled": alone,
@@ -133,13 +135,6 @@ class ZenohTransport(AbstractTransport):
     def __init__(self, settings: ZenohSettings) -> None:
         import zenoh
 
-        if settings.plain_endpoints:
-            log_event(
-                "bus.plain_text",
-                f"the bus is plain text on {', '.join(settings.plain_endpoints)}: whoever reaches that network reads "
-                "and commands every robot; make certificates with 'safedpa certificates', name them by --certificates",
-                level="warning",
-            )
         configuration = zenoh.Config()
         try:
             for path, value in settings.configuration().items():
@@ -150,6 +145,7 @@ class ZenohTransport(AbstractTransport):
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
                 f"({_first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error
+        _warn_of_plain_text(settings.plain_endpoints)
         self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         self._declared: list[Any] = []
 
@@ -176,6 +172,10 @@ class ZenohTransport(AbstractTransport):
             express=not never_drop,
             reliability=zenoh.Reliability.RELIABLE,
         )
+
+    def release(self, beginning: str) -> None:  # noqa: D102
+        for key, never_drop in [entry for entry in self._publishers if entry[0].startswith(beginning)]:
+            self._publishers.pop((key, never_drop)).undeclare()  # type: ignore[no-untyped-call]
 
     def subscribe(self, key_expression: str, on_sample: OnSample) -> None:  # noqa: D102
         import zenoh
@@ -250,6 +250,16 @@ class ZenohTransport(AbstractTransport):
     def close(self) -> None:  # noqa: D102
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _warn_of_plain_text(endpoints: tuple[str, ...]) -> None:
+    if endpoints:
+        log_event(
+            "bus.plain_text",
+            f"the bus is plain text on {', '.join(endpoints)}: whoever reaches that network reads and commands every "
+            "robot; make certificates with 'safedpa certificates' and name them by --certificates",
+            level="warning",
+        )
 
 
 def _first_clause(error: Exception) -> str:
