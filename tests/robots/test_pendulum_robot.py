@@ -67,18 +67,35 @@ def test_energy_is_kept_without_friction_and_air() -> None:
     assert 0.5 * (0.5 * world.rate) ** 2 + 9.81 * 0.5 * math.cos(world.angle) == pytest.approx(before, abs=0.02)
 
 
-def test_the_watchdog_damps_and_slows_the_fall() -> None:
-    robot = PendulumRobot(task_named("balance"), seed=3)
-    start, limp = abs(robot.values[0]), PendulumWorld(robot.values[0])
-    for _ in range(50):
+@pytest.mark.parametrize("direction", [0.0, 90.0, 180.0, 270.0])
+@pytest.mark.parametrize("rate", [-1.5, 0.0, 1.5])
+def test_the_watchdog_holds_the_angle_in_a_wind_that_it_does_not_know(direction: float, rate: float) -> None:
+    robot = PendulumRobot(task_named("balance"), wind_towards(4.0, direction), seed=3)
+    robot.world.put(math.radians(40.0 - math.degrees(0.25) * rate) if rate > 0 else math.radians(40.0))
+    robot.world.rate = rate
+    limp = PendulumWorld(robot.values[0], robot.world.wind)
+    limp.rate = rate
+    start = robot.values[0]
+    for _ in range(200):
         robot.advance()
         limp.advance(0.0, 0.01)
-    assert robot.watchdog_ticks == 50
-    state = robot.state_message()
-    assert state.applied_by == "watchdog"
-    assert state.applied[0] * robot.values[1] < 0.0, "against the motion"
-    assert start < abs(robot.values[0]) < abs(limp.angle)
-    assert abs(robot.values[0]) < start * math.exp(0.5 * 1.2)
+    assert robot.watchdog_ticks == 200
+    assert robot.state_message().applied_by == "watchdog"
+    assert robot.collisions == []
+    assert abs(robot.values[0] - start) < math.radians(6.0), "a degree of wind, and the way that the rate leads"
+    assert abs(limp.angle - start) > math.radians(20.0), "limp it falls"
+
+
+def test_the_watchdog_holds_anew_where_the_next_torque_runs_out() -> None:
+    robot = PendulumRobot(task_named("balance"), seed=3)
+    robot.advance()
+    for _ in range(20):
+        robot.receive(told(robot, 6.0))
+        robot.advance()
+    moved = robot.values[0]
+    for _ in range(100):
+        robot.advance()
+    assert abs(robot.values[0] - moved) < 0.15
 
 
 def test_leaving_the_corridor_counts_once_until_it_is_back() -> None:

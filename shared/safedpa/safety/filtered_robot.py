@@ -22,8 +22,8 @@ __all__ = ["Decided", "FilteredRobot"]
 
 Values = NDArray[np.float64]
 
-_LATENT_PATIENCE_TICKS = 20
-"""How long the last latent stands in for a missing one: one second, in which a load does not change unnoticed."""
+_LATENT_PATIENCE = 1.0
+"""s; for so long the last latent stands in for a missing one: in a second a load does not change unnoticed."""
 _PREDICTED_STEPS = 8
 
 
@@ -33,6 +33,10 @@ class Decided(NamedTuple):
     state: StateMessage
     latent: Values | None
     verdict: Verdict
+
+
+def _late(state: StateMessage, known: LatentMessage) -> bool:
+    return (state.tick - known.tick) * state.period > _LATENT_PATIENCE + 0.5 * state.period
 
 
 @dataclass
@@ -85,7 +89,7 @@ class FilteredRobot:
                 return None, [f"the latent (of model {message.model}, the filter has {own})"]
             self.latent = message
         known = self.latent
-        if known is None or known.epoch != state.epoch or state.tick - known.tick > _LATENT_PATIENCE_TICKS:
+        if known is None or known.epoch != state.epoch or _late(state, known):
             return None, ["the latent (none of the last second has arrived)"]
         return np.array(known.values), []
 

@@ -36,7 +36,7 @@ from safedpa.safety.filtered_robot import Decided, FilteredRobot
 from safedpa.safety.held_model import HeldModel, checked_calibration, held_offer, uncalibrated
 from safedpa.safety.orders import Orders
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.verdict import Status, Verdict
+from safedpa.safety.verdict import Status, Verdict, resting_verdict
 
 __all__ = ["SafetyFilterNode"]
 
@@ -80,13 +80,20 @@ class SafetyFilterNode(AbstractNode):
         first = HeldModel(model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings))
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
         self._robots: dict[str, FilteredRobot] = {}
+        self._broken: dict[str, FilteredRobot] = {}
+        """Of robots whose last step failed: their margin goes on."""
 
     def prepare(self, robot: str, state: StateMessage) -> None:  # noqa: D102
         if self._versions.begin(robot, state):
             self._robots.pop(robot, None)
         memory = self._robots.get(robot)
         if memory is None:
-            memory = self._robots[robot] = FilteredRobot.begun(self._versions.of(robot), self._settings)
+            memory = FilteredRobot.begun(self._versions.of(robot), self._settings)
+            broken = self._broken.pop(robot, None)
+            if broken is not None and broken.held is memory.held:
+                memory.margin = broken.margin
+                memory.margin.expect(None)
+            self._robots[robot] = memory
         memory.remember_actuators(state)
         memory.barriers = memory.scene.of(state)
         memory.watch_margin(state)
@@ -99,8 +106,10 @@ class SafetyFilterNode(AbstractNode):
             memory = self._robots[robot]
         wish = inputs[WISH]
         latent, stale = memory.usable_latent(state, inputs)
-        if isinstance(wish, Stale):
-            stale.append(f"the wish ({wish.sentence})")
+        absent = f"the wish ({wish.sentence})" if isinstance(wish, Stale) else ""
+        holds = bool(absent and state.corridor)
+        if absent and not holds:
+            stale.append(absent)
         if isinstance(memory.barriers, str):
             stale.append(f"the {memory.barriers}")
         barriers = () if isinstance(memory.barriers, str) else memory.barriers
@@ -113,6 +122,8 @@ class SafetyFilterNode(AbstractNode):
         ordered = self.orders.reason(robot)
         if ordered:
             verdict = memory.filter.stop(ordered, state.values, latent, stands=not state.corridor, **known)
+        elif holds:
+            verdict = memory.filter.hold(f"{absent} is stale", state.values, latent, **known)
         else:
             wished = wish.values if isinstance(wish, WishMessage) else None
             verdict = memory.filter.decide(state.values, wished, latent, **known)
@@ -155,8 +166,25 @@ class SafetyFilterNode(AbstractNode):
         speeds = [state.values[index] for index in memory.speeds if index < len(state.values)]
         return verdict.status is Status.stopped and all(abs(speed) <= _STANDS for speed in speeds)
 
+    def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
+        """The resting action, which needs neither model nor memory, and a verdict that says so.
+
+        What is remembered of the robot may be broken and begins anew, but for the margin, which may have been widened.
+        """
+        broken = self._robots.pop(robot, None)
+        if broken is not None:
+            self._broken[robot] = broken
+        verdict = resting_verdict(self._settings.resting_action, reason)
+        action = tuple(verdict.action.tolist())
+        return {ACTION: ActionMessage(**_stamp(state), values=action), VERDICT: _report(state, verdict, ())}
+
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
+        self._broken.pop(robot, None)
+
+    def leave(self, robot: str) -> None:  # noqa: D102
+        self.forget(robot)
+        self._versions.forget(robot)
 
     def _load(self, robot: str, offer: ModelMessage) -> HeldModel:
         """The offered model and margin, tried at the robot's last decision. Raises InputError when it is not usable."""
@@ -173,7 +201,7 @@ def _stamp(state: StateMessage) -> _Stamp:
 
 
 def _report(
-    state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot
+    state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot | None = None
 ) -> VerdictMessage:
     return VerdictMessage(
         **_stamp(state),
@@ -189,7 +217,7 @@ def _report(
         solver=verdict.solver,
         microseconds=verdict.microseconds,
         predicted=predicted,
-        coverage=memory.margin.coverage,
-        promised=memory.margin.promised,
-        model=memory.held.fingerprint,
+        coverage=memory.margin.coverage if memory else -1.0,
+        promised=memory.margin.promised if memory else -1.0,
+        model=memory.held.fingerprint if memory else "",
     )

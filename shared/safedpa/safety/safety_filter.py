@@ -119,6 +119,19 @@ class SafetyFilter:
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and the robot must still brake
             return decision.fallback(f"{type(error).__name__}: {error}", "not run")
 
+    def hold(self, absent: str, state: Any, latent: Any = None, **known: Any) -> Verdict:
+        """The verdict where nothing but the wish is missing, for a robot that has no stand; arguments as in ``decide``.
+
+        The resting action stands in for the wish, and the filter changes it as it would any: state and latent are good,
+        so the barriers can be kept. The verdict has no wish and says why. With anything else amiss it is the fallback.
+        """
+        verdict = self.decide(state, self._tools.resting_action, latent, **known)
+        if verdict.status is Status.fallback:
+            return replace(verdict, wish=None)
+        status = Status.corrected if verdict.status is Status.passed else verdict.status
+        said = f"{verdict.reason} {absent[:1].upper()}{absent[1:]}: the resting action stood in for it.".strip()
+        return replace(verdict, wish=None, status=status, reason=said)
+
     def stop(
         self,
         reason: str,

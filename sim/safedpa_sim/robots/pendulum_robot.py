@@ -1,4 +1,4 @@
-"""The pendulum robot without any bus: senses, judges torques, damps when there is none, swings, leaves its corridor."""
+"""The pendulum robot without any bus: senses, judges torques, holds its angle without one, leaves its corridor."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import degrees
+from math import degrees, sin
 from typing import Any, final
 
 from safedpa.bus.messages import ActionMessage, StateMessage
@@ -16,11 +16,14 @@ from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.pendulum_task import PendulumTask
 from safedpa_sim.robots.pendulum_world import PendulumWorld
 
-__all__ = ["DAMPING", "PendulumRobot", "Violation"]
+__all__ = ["DAMPING", "STIFFNESS", "PendulumRobot", "Violation"]
 
-DAMPING = 4.0
-"""N m s/rad of the watchdog. It knows neither model nor wind and cannot hold the pendulum up; it makes the fall slow:
-with the hinge's friction, from upright in still air, the angle grows by a factor of e in a second."""
+STIFFNESS = 200.0
+"""N m/rad of the watchdog, as of a drive that holds its position: a wind of 4 m/s moves it by a degree."""
+DAMPING = 12.0
+"""N m s/rad of the watchdog; with the hinge's own friction nearly critical."""
+_GRAVITY = 9.81
+"""m/s2."""
 
 _CLOSE, _SLOW = 0.2, 1.0
 """rad and rad/s; what counts as at the goal."""
@@ -75,6 +78,7 @@ class PendulumRobot:
         self.collisions: list[Violation] = []
         """Every time that the corridor was left."""
         self._outside = False
+        self._hold: float | None = None
         self._wall_clock = wall_clock
         self._applied, self._applied_by = 0.0, "none"
         self._hash = hashlib.sha256()
@@ -126,20 +130,32 @@ class PendulumRobot:
         return self.guard.offer(message)
 
     def advance(self) -> None:
-        """One period under the accepted torque, or under the watchdog's damping when none was accepted."""
+        """One period under the accepted torque, or under the watchdog's when none was accepted."""
         accepted = self.guard.accepted
         if accepted is None:
-            limit = self.world.parameters.torque
-            self._applied, self._applied_by = min(max(-DAMPING * self.world.rate, -limit), limit), "watchdog"
+            self._applied, self._applied_by = self._holding_torque(), "watchdog"
             self.watchdog_ticks += 1
         else:
             self._applied, self._applied_by = accepted[0], "filter"
+            self._hold = None
         self._watch(*self.world.advance(self._applied, self.period))
         self.tick += 1
         if self._arrived():
             self._begin_anew()
         self.guard.begin(self.tick)
         self._record()
+
+    def _holding_torque(self) -> float:
+        """-weight - stiffness (angle - held) - damping rate, held: the angle at which the last torque ran out.
+
+        It knows the pendulum's own weight and nothing of the wind: 3.5 N m that it does not know move it by a degree.
+        """
+        if self._hold is None:
+            self._hold = self.world.angle
+        body = self.world.parameters
+        weight = body.mass * _GRAVITY * body.length * sin(self.world.angle)
+        pull = STIFFNESS * (self.world.angle - self._hold) + DAMPING * self.world.rate
+        return min(max(-weight - pull, -body.torque), body.torque)
 
     def _watch(self, lowest: float, highest: float) -> None:
         """Counts the corridor as left once, until the pendulum is back."""
@@ -157,7 +173,7 @@ class PendulumRobot:
 
     def _begin_anew(self) -> None:
         self.goals_reached += 1
-        self._held, self._outside = 0, False
+        self._held, self._outside, self._hold = 0, False, None
         self.tick += 1
         self.world.put(next(self._starts))
         self._applied, self._applied_by = 0.0, "none"
