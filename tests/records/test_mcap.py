@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -19,6 +20,8 @@ from safedpa.records import Finding, McapRecorder, load_run, read_messages, read
 from safedpa.systems import CAR, PENDULUM
 
 PERIOD = 0.05
+ZSTANDARD = b"\x28\xb5\x2f\xfd"
+"""Begin of a compressed chunk."""
 
 
 def state(tick: int, epoch: int = 7) -> StateMessage:
@@ -203,7 +206,8 @@ def test_a_damaged_file_is_read_up_to_the_damage(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
     record(path, range(400))
     data = bytearray(path.read_bytes())
-    middle = len(data) // 2
+    chunks = [found.start() for found in re.finditer(re.escape(ZSTANDARD), data)]
+    middle = chunks[len(chunks) // 2] + 16
     data[middle : middle + 64] = bytes(64)
     path.write_bytes(data)
     findings: list[Finding] = []

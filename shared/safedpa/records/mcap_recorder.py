@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, BinaryIO, final
 
+from safedpa.bus.messages import Message
 from safedpa.bus.topics import topic_of
 from safedpa.errors import RecordingError
+from safedpa.records.schema import schema_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from mcap.writer import Writer
 
@@ -25,30 +28,40 @@ _FLUSH_NANOSECONDS = 500_000_000
 
 @final
 class McapRecorder:
-    """One MCAP file: a channel per key, messages msgpack as on the bus.
+    """One MCAP file: a channel per key with the JSON Schema of its message, messages msgpack as on the bus.
 
-    What is older than 0.5 s (by log time) when ``write`` is called has reached the file; ``flush`` writes the rest.
-    When the disk is full the file is cut back to its last whole record and stays readable; from then on every call but
-    ``close`` raises RecordingError. A file that exists is never overwritten: ``path`` then ends in -2, -3, ...
+    What is older than 0.5 s (by log time) when ``write`` is called has reached the file; ``flush`` writes the rest,
+    ``sync`` waits until all of it is on the disk: the first ``acknowledged`` messages are there, whatever happens to
+    process or power afterwards. When the disk is full the file is cut back to its last whole record and stays readable;
+    from then on every call but ``close`` raises RecordingError. A file that exists is never overwritten: ``path`` then
+    ends in -2, -3, ... ``about`` is kept as the metadata record ``safedpa``.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, about: Mapping[str, str] | None = None) -> None:
         from mcap.writer import Writer
 
         self.path = _free_path(Path(path))
+        self._schemas: dict[type[Message], int] = {}
         self._channels: dict[str, int] = {}
         self._sequences: dict[int, int] = {}
         self._last_flush_ns: int | None = None
         self._failure = ""
+        self.written = 0
+        """Messages taken so far."""
+        self.acknowledged = 0
+        """Messages, the first ones, that are known to be on the disk."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = _WholeRecordFile(self.path.open("wb", buffering=0))
+            _sync_folder(self.path.parent)
         except OSError as error:
             raise RecordingError(
                 f"{self.path}: cannot be written ({error.strerror}); choose another place for the recording"
             ) from error
         self._writer: Writer | None = Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._guarded(lambda writer: (writer.start(profile="safedpa"), writer.flush()))
+        if about:
+            self._guarded(lambda writer: (writer.add_metadata("safedpa", dict(about)), writer.flush()))
 
     def write(self, key: str, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Adds one message as it came from the bus; times in nanoseconds since 1970.
@@ -64,6 +77,7 @@ class McapRecorder:
                 channel, max(log_time_ns, 0), payload, max(publish_time_ns, 0), sequence=sequence
             )
         )
+        self.written += 1
         if self._last_flush_ns is None:
             self._last_flush_ns = log_time_ns
         elif log_time_ns - self._last_flush_ns >= _FLUSH_NANOSECONDS:
@@ -74,21 +88,32 @@ class McapRecorder:
         """Ends the chunk in progress and hands everything to the operating system. Raises RecordingError."""
         self._guarded(lambda writer: writer.flush())
 
+    def sync(self) -> None:
+        """Flushes, and returns when all is on the disk: ``acknowledged`` then counts it. Raises RecordingError."""
+        self._guarded(lambda writer: self._file.sync(after=writer.flush))
+        self.acknowledged = self.written
+
     def close(self) -> None:
-        """Writes index and end; calling it again, or after a failure, does nothing more. Raises RecordingError."""
+        """Writes index and end, and waits for the disk; after a failure it does nothing. Raises RecordingError."""
         if self._writer is not None and not self._failure:
             try:
-                self._guarded(lambda writer: writer.finish())
+                self._guarded(lambda writer: self._file.sync(after=writer.finish))
+                self.acknowledged = self.written
             finally:
                 self._writer = None
                 self._file.close()
         self._writer = None
 
     def _register(self, key: str) -> None:
-        topic = topic_of(key)[2]
-        metadata = {"message": topic.message.__name__}
+        kind = topic_of(key)[2].message
+        if kind not in self._schemas:
+            name, text = f"safedpa.{kind.__name__}", schema_of(kind)
+            self._guarded(lambda writer: self._schemas.update({kind: writer.register_schema(name, "jsonschema", text)}))
+        schema, metadata = self._schemas[kind], {"message": kind.__name__}
         self._guarded(
-            lambda writer: self._channels.update({key: writer.register_channel(key, "msgpack", 0, metadata=metadata)})
+            lambda writer: self._channels.update(
+                {key: writer.register_channel(key, "msgpack", schema, metadata=metadata)}
+            )
         )
         self._sequences[self._channels[key]] = 0
 
@@ -141,6 +166,15 @@ class _WholeRecordFile:
     def flush(self) -> None:
         """Nothing is held back."""
 
+    def sync(self, after: Callable[[], None]) -> None:
+        """Returns when what ``after`` wrote, and all before, is on the disk; a pipe knows no such thing."""
+        after()
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.EROFS, errno.ENOTSUP):
+                raise
+
     def cut_back(self) -> None:
         """Removes the part of a record that still fitted."""
         with contextlib.suppress(OSError):  # a device has no length to cut
@@ -148,6 +182,16 @@ class _WholeRecordFile:
 
     def close(self) -> None:
         self._file.close()
+
+
+def _sync_folder(folder: Path) -> None:
+    """The file's name on the disk, too: else a power cut could leave its content without a name."""
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # not every file system can
+            os.fsync(number)
+    finally:
+        os.close(number)
 
 
 def _free_path(path: Path) -> Path:
