@@ -37,8 +37,12 @@ def on_cluster(
     ``cores``. Raises InputError when Ray is not installed or no cluster answers.
     """
     ray = _started(address, cores)
+
+    def answer(job: Job) -> Answer:  # Ray takes nothing but functions that are written in Python
+        return work(job)
+
     try:
-        remote = ray.remote(num_cpus=1, max_retries=1)(work)
+        remote = ray.remote(num_cpus=1, max_retries=1)(answer)
         waiting: list[Job] = list(jobs)
         running: dict[Any, Job] = {}
         most = _PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1)))
