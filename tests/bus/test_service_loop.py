@@ -290,10 +290,11 @@ def test_what_one_robot_gets_wrong_does_not_end_the_service_of_the_others(lockst
     lockstep.state(0, "bad")
     assert lockstep.wished() == [("good", 0)]
     health = lockstep.health()["good"]
-    assert (health.steps, health.refused) == (1, 1)
+    assert (health.steps, health.refused) == (1, 0), "what another robot says is counted there"
     lockstep.state(1, "bad")
     lockstep.latent(1, "bad")
     failing = lockstep.health()["bad"]
+    assert (failing.steps, failing.refused) == (0, 2)
     assert failing.state == "failing"
     assert "wanted 2" in failing.detail
 

@@ -182,8 +182,18 @@ class AdaptationNode(AbstractNode):
             except Exception:  # noqa: BLE001  a user's effect may raise anything; the change begins with a fresh one then
                 memory.successor = None
 
+    def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
+        """No latent: the others have the last one for a second. What was learned may be broken, so it begins anew."""
+        del state, reason
+        self._robots.pop(robot, None)
+        return {}
+
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
+
+    def leave(self, robot: str) -> None:  # noqa: D102
+        self.forget(robot)
+        self._versions.forget(robot)
 
 
 def _check(held: _Held, state: StateMessage) -> None:

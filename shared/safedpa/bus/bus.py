@@ -42,6 +42,10 @@ class Bus:
         key = key_of(self.fleet, robot, topic, service)
         self._transport.put(key, encode(message), never_drop=topic.delivery == "all")
 
+    def forget(self, robot: str) -> None:
+        """Releases what sending about a robot holds: it left."""
+        self._transport.release(f"safedpa/{self.fleet}/{robot}/")
+
     def inbox(
         self,
         topics: tuple[Topic, ...],

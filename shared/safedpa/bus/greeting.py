@@ -31,9 +31,20 @@ class _Waiting:
 
 
 class Greeting:
-    """Holds back what robots say whose model is being asked for; a node that holds no model waits for nothing."""
+    """Holds back what robots say whose model is being asked for; a node that holds no model waits for nothing.
 
-    def __init__(self, node: AbstractNode, bus: Bus, inbox: Inbox, clock: Callable[[], float]) -> None:
+    ``failed(robot, error)`` is told what the node raises about one of them; the others are welcomed all the same.
+    """
+
+    def __init__(
+        self,
+        node: AbstractNode,
+        bus: Bus,
+        inbox: Inbox,
+        clock: Callable[[], float],
+        failed: Callable[[str, Exception], object],
+    ) -> None:
+        self._failed = failed
         self._node, self._bus, self._inbox, self._clock = node, bus, inbox, clock
         if MODEL in node.listens:
             bus.answer_agreed(node.agreed)
@@ -61,7 +72,10 @@ class Greeting:
         served: list[Received] = []
         for robot in [name for name, item in self._waiting.items() if name in answers or now >= item.give_up]:
             self._met.add(robot)
-            self._node.welcome(robot, answers.get(robot))
+            try:
+                self._node.welcome(robot, answers.get(robot))
+            except Exception as error:  # noqa: BLE001  it is served with the model of our own options then
+                self._failed(robot, error)
             served += self._waiting.pop(robot).newest.values()
         return served
 

@@ -58,6 +58,14 @@ class Journal:
         kind = "robot.second_refused" if second else "message.refused"
         self._event(kind, reason, robot, tick, level="warning")
 
+    def failed(self, reason: str, error: Exception, robot: str = "", tick: int = -1) -> None:
+        """Something went wrong about one robot that nobody foresaw; the line names where."""
+        trace = error.__traceback__
+        while trace is not None and trace.tb_next is not None:
+            trace = trace.tb_next
+        where = "" if trace is None else f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}"
+        self._event("robot.step_failed", reason, robot, tick, level="error", where=where)
+
     def said(self, robot: str, outputs: Outputs) -> None:
         """What the service publishes about a robot; told where it differs from what it said before."""
         for message in outputs.values():

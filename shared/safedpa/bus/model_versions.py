@@ -162,6 +162,10 @@ class ModelVersions(Generic[Held]):
             reason=reason,
         )
 
+    def forget(self, robot: str) -> None:
+        """The robot left; when it returns it begins with the first model again, unless the others know better."""
+        self._robots.pop(robot, None)
+
     def _robot(self, robot: str) -> _Robot[Held]:
         return self._robots.setdefault(robot, _Robot(self._first))
 

@@ -98,6 +98,18 @@ class AbstractNode(ABC):
         del robot
         return True
 
+    def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
+        """The outputs of a tick whose step failed, for ``reason``; nothing, unless a node knows what is safe then.
+
+        It must not depend on what may have failed: on the robot's memory, on the model.
+        """
+        del robot, state, reason
+        return {}
+
     def forget(self, robot: str) -> None:
-        """Drops what is remembered of a robot: it started anew, or left."""
+        """Drops what is remembered of a robot's drive: it started anew, or left."""
         del robot
+
+    def leave(self, robot: str) -> None:
+        """Drops everything that is remembered of a robot: it left, and is asked for its model when it returns."""
+        self.forget(robot)

@@ -4,31 +4,32 @@ In lockstep a node steps when every input of the state's tick is there, however 
 state meanwhile and a repeated tick is answered with the same output again. In real time it steps at the latest when its
 share of the period is over, with the missing inputs named as stale. A robot that starts anew has a new epoch; messages
 of a second robot under a name in use are refused.
+
+Any number of robots is served, each for itself. In one turn every robot gets at most one step and a few messages are
+taken of each, those that wait longest first; only robots of which something came, or whose moment has come, are looked
+at. What one of them says, and whatever its step raises, is refused, counted and told under its own name.
 """
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
+from safedpa.bus.agenda import Agenda
 from safedpa.bus.bus import Bus
 from safedpa.bus.greeting import Greeting
+from safedpa.bus.heartbeat import NO_ROBOT, heartbeat
 from safedpa.bus.inbox import Received, Refused
 from safedpa.bus.journal import Journal
-from safedpa.bus.messages import HealthMessage, Message, SetupMessage, StateMessage
-from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
+from safedpa.bus.messages import SetupMessage, StateMessage
+from safedpa.bus.node import AbstractNode, Outputs, Stale
 from safedpa.bus.setup import SETUP_SECONDS
-from safedpa.bus.topics import HEALTH, SETUP, STATE, Topic
+from safedpa.bus.slot import Counts, Slot
+from safedpa.bus.topics import HEALTH, SETUP, STATE
 from safedpa.bus.trace import Trace, consumed
-from safedpa.bus.version import software_version
-from safedpa.errors import InputError
+from safedpa.errors import BusError, InputError
 
 __all__ = ["NO_ROBOT", "ServiceLoop"]
-
-NO_ROBOT = "-"
-"""Stands for the robot in the health key of a service that serves none yet."""
 
 _HEARTBEAT_SECONDS = 0.25
 _SILENCE_SECONDS = 0.3
@@ -36,44 +37,22 @@ _SILENCE_SECONDS = 0.3
 
 _FINISH_SHARE = 0.1
 """Of the period: the pause after a step before what nobody waits for; the tick is usually over by then."""
+_LATEST_FINISH_SHARE = 0.5
+"""Of the period: until then it also gives way to whatever waits in the inbox."""
 
 _LONGEST_END_SECONDS = 5.0
 """A car brakes from full speed to a stand in 1.2 s; a container gets 10 s before it is killed."""
 _END_TURN_SECONDS = 0.05
 _FORGET_SECONDS = 30.0
 """A robot that was silent for so long has left."""
-
-
-@dataclass
-class _Slot:
-    """What the loop knows of one robot."""
-
-    state: StateMessage
-    arrived: float
-    """s; when the state of this tick came first: from here the share of the period counts."""
-    heard: float
-    """s; when the robot spoke last, be it a repetition."""
-    inputs: dict[Topic, Message] = field(default_factory=dict)
-    outputs: Outputs | None = None
-    """Of the state's tick; None while the step is due."""
-    unfinished_since: float | None = None
-    """When the step of the state's tick ended, while what comes afterwards is still to be done."""
-    prepared: bool = False
-    """Whether the node was shown the state before its step."""
-    trace: Trace = field(default_factory=Trace)
-    """Of the newest step."""
-    skipped: list[float] = field(default_factory=list)
-    """Ticks since then whose states the node was shown, but did not step."""
-
-
-@dataclass
-class _Counts:
-    steps: int = 0
-    stale: int = 0
-    refused: int = 0
-    microseconds: float = 0.0
-    failing: bool = False
-    detail: str = ""
+_MOST_ROBOTS = 1000
+"""Names of robots that are served at once; further ones are refused, whoever makes them up."""
+_MOST_PER_KEY = 4
+"""Messages of one topic of one robot that are taken in one turn."""
+_SPREAD = 0.618
+"""Golden ratio: so many heartbeats spread over their period best, however many robots there are."""
+_NOT_A_ROBOTS = (BusError, MemoryError)
+"""Errors of the process itself: it ends, and whoever watches it starts it anew."""
 
 
 class ServiceLoop:
@@ -93,9 +72,15 @@ class ServiceLoop:
         self._bus = bus
         self._clock = clock
         self._inbox = bus.inbox(tuple(dict.fromkeys((STATE, *node.inputs, *node.listens))), robot, clock=clock)
-        self._greeting = Greeting(node, bus, self._inbox, clock)
-        self._slots: dict[str, _Slot] = {}
-        self._counts = _Counts()
+        self._greeting = Greeting(node, bus, self._inbox, clock, self._failed)
+        self._slots: dict[str, Slot] = {}
+        self._spoken_of: dict[str, float] = {}
+        """s; when a robot that was not heard itself was spoken of last."""
+        self._agenda = Agenda()
+        self._touched: dict[str, None] = {}
+        """Robots of which something came since the last look, in that order."""
+        self._strangers = Counts()
+        """What came from nobody who is served."""
         self._next_heartbeat = clock()
         self._setup, self._next_setup = setup, clock()
 
@@ -118,139 +103,192 @@ class ServiceLoop:
         return speaks and not self._node.at_rest(robot)
 
     def turn(self, longest_wait: float) -> None:
-        """Takes what arrived, steps what is due, sends a heartbeat when it is time."""
-        for item in self._inbox.take(self._patience(longest_wait)):
+        """Takes what arrived, steps what is due, sends heartbeats when it is time."""
+        for item in self._inbox.take(self._patience(longest_wait), _MOST_PER_KEY):
             if isinstance(item, Refused):
                 self._refuse(item.reason, item.robot)
             else:
                 self._take(item)
         for known in self._greeting.ready():
             self._take_known(known)
-        for robot, slot in self._slots.items():
-            if slot.outputs is None:
-                self._advance(robot, slot)
-            elif self._clock() >= self._finish_at(slot):
-                self._finish(robot, slot)
+        self._touched.update(dict.fromkeys(self._agenda.due(self._clock())))
+        touched, self._touched = self._touched, {}
+        self._serve([(robot, self._slots[robot]) for robot in touched if robot in self._slots])
         if self._clock() >= self._next_heartbeat:
             self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
             self._forget_silent()
-            self._tell_health()
+            if not self._slots:
+                self._tell_health(NO_ROBOT, None)
             self._tell_setup()
 
     def _patience(self, longest_wait: float) -> float:
-        now = self._clock()
-        due = [self._deadline(slot) if slot.outputs is None else self._finish_at(slot) for slot in self._slots.values()]
-        return max(0.0, min(longest_wait, min((*due, self._greeting.deadline())) - now))
+        moment = min(self._agenda.next(), self._greeting.deadline(), self._next_heartbeat)
+        return max(0.0, min(longest_wait, moment - self._clock()))
 
-    def _finish_at(self, slot: _Slot) -> float:
-        if slot.unfinished_since is None:
-            return float("inf")
-        return slot.unfinished_since + _FINISH_SHARE * slot.state.period
-
-    def _deadline(self, slot: _Slot) -> float:
-        if slot.state.lockstep:
-            return float("inf")
-        return slot.arrived + self._node.share * slot.state.period
+    def _serve(self, touched: list[tuple[str, Slot]]) -> None:
+        """Steps first, of robots that do not wait for us before those that do; then what nobody waits for."""
+        for robot, slot in sorted(touched, key=lambda entry: entry[1].state.lockstep):
+            if slot.outputs is None:
+                self._advance(robot, slot)
+        for robot, slot in touched:
+            now = self._clock()
+            if slot.unfinished_since is not None and now >= slot.unfinished_since + _FINISH_SHARE * slot.state.period:
+                if self._inbox.waiting and now < slot.unfinished_since + _LATEST_FINISH_SHARE * slot.state.period:
+                    self._agenda.at(now, robot)
+                    continue
+                self._finish(robot, slot)
+            if now >= slot.next_heartbeat:
+                self._tell_health(robot, slot)
 
     def _take(self, item: Received) -> None:
+        if not self._has_room_for(item.robot):
+            self._refuse(f"got robot '{item.robot}' beside {_MOST_ROBOTS} others; start another service for some")
+            return
         if item.topic in self._node.listens:
             self._hear(item)
         if (item.topic is STATE or item.topic in self._node.inputs) and not self._greeting.holds(item):
             self._take_known(item)
 
+    def _has_room_for(self, robot: str) -> bool:
+        if robot in self._slots:
+            return True
+        if robot not in self._spoken_of and len(self._slots) + len(self._spoken_of) >= _MOST_ROBOTS:
+            return False
+        self._spoken_of[robot] = self._clock()
+        return True
+
     def _take_known(self, item: Received) -> None:
         if item.topic is STATE:
             self._take_state(item)
-        else:
-            self._take_input(item)
+            return
+        slot = self._slots.get(item.robot)
+        if slot is not None and slot.keep(item.topic, item.message):
+            self._touched[item.robot] = None
 
     def _hear(self, item: Received) -> None:
         try:
             self._node.hear(item.robot, item.message)
-        except InputError as error:
-            self._refuse(str(error), item.robot, item.message.tick)
+        except _NOT_A_ROBOTS:
+            raise
+        except Exception as error:  # noqa: BLE001  whatever one robot's message brings about, the others are served on
+            self._failed(item.robot, error)
 
     def _take_state(self, item: Received) -> None:
         state = item.message
         assert isinstance(state, StateMessage)
         slot = self._slots.get(item.robot)
         if slot is None or self._is_new_epoch(slot, state, item.at):
-            self._node.forget(item.robot)
-            self._journal.met(item.robot, state.tick, again=slot is not None)
-            self._slots[item.robot] = _Slot(state, item.at, item.at)
+            self._begin(item.robot, state, item.at, again=slot is not None)
         elif state.epoch != slot.state.epoch:
             self._refuse(f"a second robot speaks as '{item.robot}'", item.robot, state.tick, second=True)
         elif state.tick < slot.state.tick:
             self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}", item.robot, state.tick)
         elif state.tick > slot.state.tick:
-            if slot.unfinished_since is not None:
-                self._finish(item.robot, slot)
-            if slot.outputs is None and slot.prepared:
-                slot.skipped.append(float(slot.state.tick))
-            slot.state, slot.arrived, slot.heard = state, item.at, item.at
-            slot.outputs, slot.prepared = None, False
+            self._take_tick(item.robot, slot, state, item.at)
         else:
             slot.heard = item.at
             if slot.outputs is not None:  # the robot still waits: something on the way was lost or started late
                 self._publish(item.robot, slot.outputs)
 
-    def _is_new_epoch(self, slot: _Slot, state: StateMessage, at: float) -> bool:
+    def _begin(self, robot: str, state: StateMessage, at: float, *, again: bool) -> None:
+        """A robot that is new, or started anew."""
+        self._node.forget(robot)
+        self._slots[robot] = slot = Slot(state, at, at, self._clock())
+        slot.keeps_pace(state, at)
+        self._spoken_of.pop(robot, None)
+        self._journal.met(robot, state.tick, again=again)
+        self._expect(robot, slot)
+        self._agenda.at(slot.next_heartbeat, robot)
+
+    def _take_tick(self, robot: str, slot: Slot, state: StateMessage, at: float) -> None:
+        slot.heard = at
+        if not slot.keeps_pace(state, at):
+            reason = f"got states far faster than their period of {state.period:g} s; sense less often, or say so"
+            self._refuse(reason, robot, state.tick)
+            return
+        if slot.unfinished_since is not None:
+            self._finish(robot, slot)
+        if slot.outputs is None and slot.prepared:
+            slot.skipped.append(float(slot.state.tick))
+        slot.state, slot.arrived, slot.outputs, slot.prepared = state, at, None, False
+        self._expect(robot, slot)
+
+    def _expect(self, robot: str, slot: Slot) -> None:
+        """Looks at the robot now, and again when in real time its share of the period is over."""
+        self._touched[robot] = None
+        self._agenda.at(self._deadline(slot), robot)
+
+    def _deadline(self, slot: Slot) -> float:
+        return float("inf") if slot.state.lockstep else slot.arrived + self._node.share * slot.state.period
+
+    def _is_new_epoch(self, slot: Slot, state: StateMessage, at: float) -> bool:
         return state.epoch != slot.state.epoch and at - slot.heard > max(_SILENCE_SECONDS, 3.0 * slot.state.period)
 
-    def _take_input(self, item: Received) -> None:
-        slot = self._slots.get(item.robot)
-        if slot is None or item.message.epoch != slot.state.epoch:
-            return  # of a robot not heard yet, or of an epoch that ended: repeated if it still matters
-        known = slot.inputs.get(item.topic)
-        if known is None or known.epoch != item.message.epoch or known.tick < item.message.tick:
-            slot.inputs[item.topic] = item.message
-
-    def _is_due(self, slot: _Slot) -> bool:
-        if all(_fits(slot.inputs.get(topic), slot.state) for topic in self._node.inputs):
-            return True
-        return self._clock() >= self._deadline(slot)
-
-    def _advance(self, robot: str, slot: _Slot) -> None:
-        if self._is_due(slot):
+    def _advance(self, robot: str, slot: Slot) -> None:
+        if slot.is_complete(self._node.inputs) or self._clock() >= self._deadline(slot):
             self._step(robot, slot)
         elif not slot.prepared:
             slot.prepared = True
-            self._node.prepare(robot, slot.state)
+            try:
+                self._node.prepare(robot, slot.state)
+            except _NOT_A_ROBOTS:
+                raise
+            except Exception as error:  # noqa: BLE001  the step will say what it comes to
+                self._failed(robot, error, slot.state.tick)
 
-    def _step(self, robot: str, slot: _Slot) -> None:
-        inputs = self._inputs(slot)
+    def _step(self, robot: str, slot: Slot) -> None:
+        inputs = slot.given(self._node.inputs)
         read = consumed(self._node.inputs, inputs, slot.state)
         slot.trace, slot.skipped = Trace(slot.trace.step + 1, read, tuple(slot.skipped)), []
         started = time.perf_counter()
         try:
-            slot.outputs = slot.trace.on(self._node.step(robot, slot.state, inputs))
-            self._counts.microseconds = 1e6 * (time.perf_counter() - started)
-            self._publish(robot, slot.outputs)
-            self._journal.said(robot, slot.outputs)
-        except InputError as error:  # what one robot says must not end the service of the others
-            slot.outputs = {}
-            self._counts.failing = True
-            self._refuse(str(error), robot, slot.state.tick)
+            outputs = slot.trace.on(self._node.step(robot, slot.state, inputs))
+            slot.counts.microseconds = 1e6 * (time.perf_counter() - started)
+            self._publish(robot, outputs)
+        except _NOT_A_ROBOTS:
+            raise
+        except Exception as error:  # noqa: BLE001  what one robot brings about must not end the service of the others
+            self._rescue(robot, slot, error)
             return
-        self._counts.failing = False
-        self._counts.steps += 1
+        slot.outputs, counts = outputs, slot.counts
+        self._journal.said(robot, outputs)
         late = [item.sentence for item in inputs.values() if isinstance(item, Stale)]
-        self._counts.stale += bool(late)
-        self._counts.detail = "; ".join(late)
+        counts.failing, counts.detail = False, "; ".join(late)
+        counts.steps += 1
+        counts.stale += bool(late)
         slot.unfinished_since = self._clock()
         if slot.state.lockstep:
             self._finish(robot, slot)
+        else:
+            self._agenda.at(slot.unfinished_since + _FINISH_SHARE * slot.state.period, robot)
 
-    def _finish(self, robot: str, slot: _Slot) -> None:
+    def _rescue(self, robot: str, slot: Slot, error: Exception) -> None:
+        """The step failed: the node says what is right for this robot then, from as little as possible."""
+        slot.outputs, slot.unfinished_since, slot.counts.failing = {}, None, True
+        reason = self._failed(robot, error, slot.state.tick)
+        try:
+            outputs = slot.trace.on(self._node.rescue(robot, slot.state, reason))
+            self._publish(robot, outputs)
+            slot.outputs = outputs
+            self._journal.said(robot, outputs)
+        except _NOT_A_ROBOTS:
+            raise
+        except Exception as again:  # noqa: BLE001  then the robot's own watchdog acts
+            self._failed(robot, again, slot.state.tick)
+
+    def _finish(self, robot: str, slot: Slot) -> None:
         """What nobody waits for; in real time a little later, when the processor is not needed by those on the way."""
         slot.unfinished_since = None
-        further = slot.trace.on(self._node.afterwards(robot))
-        self._publish(robot, further)
+        try:
+            further = slot.trace.on(self._node.afterwards(robot))
+            self._publish(robot, further)
+        except _NOT_A_ROBOTS:
+            raise
+        except Exception as error:  # noqa: BLE001  the action is on its way; the others are served on
+            self._failed(robot, error, slot.state.tick)
+            return
         self._journal.said(robot, further)
         slot.outputs = {**(slot.outputs or {}), **further}
-
-    def _inputs(self, slot: _Slot) -> Inputs:
-        return {topic: _usable(topic, slot.inputs.get(topic), slot.state) for topic in self._node.inputs}
 
     def _publish(self, robot: str, outputs: Outputs) -> None:
         for topic, message in outputs.items():
@@ -259,51 +297,46 @@ class ServiceLoop:
     def _forget_silent(self) -> None:
         oldest = self._clock() - _FORGET_SECONDS
         for robot in [robot for robot, slot in self._slots.items() if slot.heard < oldest]:
-            self._node.forget(robot)
-            self._journal.forgot(robot)
-            self._greeting.forget(robot)
             del self._slots[robot]
+            self._leave(robot)
+            self._journal.forgot(robot)
+        for robot in [robot for robot, at in self._spoken_of.items() if at < oldest]:
+            del self._spoken_of[robot]
+            self._leave(robot)
+
+    def _leave(self, robot: str) -> None:
+        self._node.leave(robot)
+        self._greeting.forget(robot)
+        self._bus.forget(robot)
 
     def _refuse(self, reason: str, robot: str = "", tick: int = -1, *, second: bool = False) -> None:
+        """Counts what was not taken: for its robot, or for nobody where that one is not served."""
         self._journal.refused(reason, robot, tick, second=second)
-        self._counts.refused += 1
-        self._counts.detail = f"refused: {reason}"
+        slot = self._slots.get(robot)
+        counts = self._strangers if slot is None else slot.counts
+        counts.refused += 1
+        counts.detail = f"refused: {reason}"
+
+    def _failed(self, robot: str, error: Exception, tick: int = -1) -> str:
+        """Counts and tells what a robot brought about; returns it in words."""
+        if isinstance(error, InputError):
+            self._refuse(str(error), robot, tick)
+            return str(error)
+        reason = f"{type(error).__name__}: {error}"
+        self._journal.failed(reason, error, robot, tick)
+        slot = self._slots.get(robot)
+        (self._strangers if slot is None else slot.counts).detail = f"failed: {reason}"
+        return reason
 
     def _tell_setup(self) -> None:
         if self._setup is not None and self._clock() >= self._next_setup:
             self._next_setup = self._clock() + SETUP_SECONDS
             self._bus.publish(SETUP, NO_ROBOT, self._setup, self._node.name)
 
-    def _tell_health(self) -> None:
-        counts = self._counts
-        for robot in self._slots or (NO_ROBOT,):
-            slot = self._slots.get(robot)
-            message = HealthMessage(
-                epoch=slot.state.epoch if slot else 0,
-                tick=slot.state.tick if slot else 0,
-                robot_time=slot.state.robot_time if slot else 0.0,
-                publish_time=time.time(),
-                service=self._node.name,
-                pid=os.getpid(),
-                state="failing" if counts.failing else "running" if slot else "ready",
-                detail=counts.detail,
-                steps=counts.steps,
-                stale=counts.stale,
-                refused=counts.refused,
-                step_microseconds=counts.microseconds,
-                model=self._node.model_of(robot) if slot else "",
-                software=software_version(),
-            )
-            self._bus.publish(HEALTH, robot, message, self._node.name)
-
-
-def _fits(message: Message | None, state: StateMessage) -> bool:
-    return message is not None and message.epoch == state.epoch and message.tick == state.tick
-
-
-def _usable(topic: Topic, message: Message | None, state: StateMessage) -> Message | Stale:
-    """The message, unless it is of another epoch, of a later tick, or older than the topic allows."""
-    if message is None or message.epoch != state.epoch:
-        return Stale(topic, None)
-    age = state.tick - message.tick
-    return message if 0 <= age <= topic.largest_age_ticks else Stale(topic, max(age, 0))
+    def _tell_health(self, robot: str, slot: Slot | None) -> None:
+        if slot is not None:
+            share = 1.0 if slot.told else (_SPREAD * len(self._slots)) % 1.0
+            slot.told, slot.next_heartbeat = True, self._clock() + share * _HEARTBEAT_SECONDS
+            self._agenda.at(slot.next_heartbeat, robot)
+        message = heartbeat(self._node.name, slot, self._strangers, self._node.model_of(robot) if slot else "")
+        self._bus.publish(HEALTH, robot, message, self._node.name)

@@ -28,6 +28,10 @@ class AbstractTransport(ABC):
         Raises BusError after ``close``.
         """
 
+    def release(self, beginning: str) -> None:
+        """Gives back what sending under keys that begin so holds; sending again takes it anew."""
+        del beginning
+
     @abstractmethod
     def subscribe(self, key_expression: str, on_sample: OnSample) -> None:
         """Calls ``on_sample`` for everything that is put under matching keys from now on, until ``close``."""

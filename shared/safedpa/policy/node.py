@@ -103,9 +103,19 @@ class PolicyNode(AbstractNode):
     def model_of(self, robot: str) -> str:  # noqa: D102
         return self._versions.fingerprint(robot)
 
+    def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
+        """No wish: the filter brakes. What the controller remembers may be broken, so it begins anew."""
+        del state, reason
+        self._controllers.pop(robot, None)
+        return {}
+
     def forget(self, robot: str) -> None:  # noqa: D102
         self._controllers.pop(robot, None)
         self._states.pop(robot, None)
+
+    def leave(self, robot: str) -> None:  # noqa: D102
+        self.forget(robot)
+        self._versions.forget(robot)
 
     def _held(self, model: PhysicsModel) -> _Held:
         return _Held(model, fingerprint(model), controller_for(model, self._controller, self._settings))

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Status", "Verdict"]
+__all__ = ["Status", "Verdict", "resting_verdict"]
 
 
 @final
@@ -94,3 +94,23 @@ class Verdict:
             "wish": None if self.wish is None else self.wish.tolist(),
             "known": self.known,
         }
+
+
+def resting_verdict(action: NDArray[np.float64], reason: str) -> Verdict:
+    """The fallback of whoever could not even ask the filter: the resting action (actions,), and nothing known."""
+    taken = action.copy()
+    taken.flags.writeable = False
+    return Verdict(
+        action=taken,
+        status=Status.fallback,
+        reason=f"Reason: {reason}.",
+        slack=0.0,
+        active=(),
+        h_now=0.0,
+        h_next=0.0,
+        margin=0.0,
+        solver="not run",
+        microseconds=0.0,
+        wish=None,
+        known=False,
+    )

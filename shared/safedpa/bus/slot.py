@@ -1,0 +1,107 @@
+"""What the loop of a service knows of one robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from safedpa.bus.messages import Message, StateMessage
+from safedpa.bus.node import Inputs, Outputs, Stale
+from safedpa.bus.topics import Topic
+from safedpa.bus.trace import Trace
+
+__all__ = ["Counts", "Slot"]
+
+_BURST = 10.0
+"""States that may come at once: a network that was held up delivers what it kept."""
+_PACE = 2.0
+"""Times faster than it says a robot may sense on average."""
+_SHORTEST_PERIOD = 0.001
+"""s; a robot that says it senses more often than that is served as if it sensed that often."""
+
+
+@dataclass
+class Counts:
+    """What goes into a heartbeat."""
+
+    steps: int = 0
+    stale: int = 0
+    refused: int = 0
+    microseconds: float = 0.0
+    failing: bool = False
+    detail: str = ""
+
+
+@dataclass
+class Slot:
+    """One robot."""
+
+    state: StateMessage
+    arrived: float
+    """s; when the state of this tick came first: from here the share of the period counts."""
+    heard: float
+    """s; when the robot spoke last, be it a repetition."""
+    next_heartbeat: float
+    told: bool = False
+    """Whether there was a heartbeat already."""
+    counts: Counts = field(default_factory=Counts)
+    inputs: dict[Topic, Message] = field(default_factory=dict)
+    outputs: Outputs | None = None
+    """Of the state's tick; None while the step is due."""
+    unfinished_since: float | None = None
+    """When the step of the state's tick ended, while what comes afterwards is still to be done."""
+    prepared: bool = False
+    """Whether the node was shown the state before its step."""
+    trace: Trace = field(default_factory=Trace)
+    """Of the newest step."""
+    skipped: list[float] = field(default_factory=list)
+    """Ticks since then whose states the node was shown, but did not step."""
+    _credit: float = _BURST
+    _credited: float = float("-inf")
+
+    def keeps_pace(self, state: StateMessage, at: float) -> bool:
+        """Whether a new tick may come at ``at`` [s]: not where a robot senses far faster than its period says.
+
+        In lockstep a robot waits for its action, so that it cannot run ahead of those who answer.
+        """
+        if state.lockstep:
+            return True
+        earned = _PACE * max(at - self._credited, 0.0) / max(state.period, _SHORTEST_PERIOD)
+        self._credit, self._credited = min(_BURST, self._credit + earned), at
+        if self._credit < 1.0:
+            return False
+        self._credit -= 1.0
+        return True
+
+    def is_complete(self, topics: Sequence[Topic]) -> bool:
+        """Whether every input of the state's tick is there."""
+        return all(_fits(self.inputs.get(topic), self.state) for topic in topics)
+
+    def keep(self, topic: Topic, message: Message) -> bool:
+        """Keeps an input that is newer than the one before; False when it is of no use.
+
+        An input of an epoch that ended, or of one that is not heard yet, is repeated if it still matters.
+        """
+        if message.epoch != self.state.epoch:
+            return False
+        known = self.inputs.get(topic)
+        if known is not None and known.epoch == message.epoch and known.tick >= message.tick:
+            return False
+        self.inputs[topic] = message
+        return True
+
+    def given(self, topics: Sequence[Topic]) -> Inputs:
+        """The inputs of a step, stale where they are missing or too old."""
+        return {topic: _usable(topic, self.inputs.get(topic), self.state) for topic in topics}
+
+
+def _fits(message: Message | None, state: StateMessage) -> bool:
+    return message is not None and message.epoch == state.epoch and message.tick == state.tick
+
+
+def _usable(topic: Topic, message: Message | None, state: StateMessage) -> Message | Stale:
+    """The message, unless it is of another epoch, of a later tick, or older than the topic allows."""
+    if message is None or message.epoch != state.epoch:
+        return Stale(topic, None)
+    age = state.tick - message.tick
+    return message if 0 <= age <= topic.largest_age_ticks else Stale(topic, max(age, 0))
