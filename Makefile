@@ -6,10 +6,10 @@ BIN := $(ENVIRONMENT)/bin
 INSTALLED := $(ENVIRONMENT)/.installed
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help run test lint types contracts check environment constraints clean
+.PHONY: help run test test-fleet lint types contracts check environment constraints clean
 
 help:  ## lists the targets
-	@grep -hE '^[a-z]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
+	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
 
 run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends it
 	@echo "Starting robot, services and dashboard; the address of the live view stands below. Ctrl-C ends everything."
@@ -17,6 +17,9 @@ run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends
 
 test: environment  ## runs all tests
 	@$(BIN)/pytest --numprocesses 2 --dist loadfile
+
+test-fleet: environment  ## a fleet of containers: faults, intruders; installs docker on Debian
+	@deploy/test-fleet
 
 lint: environment  ## ruff: rules and format
 	@$(BIN)/ruff check .

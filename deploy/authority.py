@@ -1,9 +1,9 @@
 """The certificate authority of a fleet in containers: makes the services' certificates, signs those of the robots.
 
 Each service finds its own key and nobody else's in a volume of its own, ``/issued/ROLE``. A robot makes its key itself,
-where it stays, and sends a request for a certificate over the network that it shares with this container alone. Who it
-is, the request does not say: the engine's name service tells which container has the sender's address, and
-``PROJECT_robot_3`` gets a certificate for ``robot.robot-3``. A container without privileges cannot take another address.
+where it stays, and sends a request for a certificate over the network that it shares with this container alone. Who
+it is, the request does not say: the engine's name service tells which container has the sender's address, and
+``PROJECT_robot_3`` gets a certificate for ``robot.robot-3``. Without privileges no container takes another address.
 Whoever may start containers on this machine may also read every key; docs/compose.md says what a real deployment does.
 """
 
@@ -30,7 +30,7 @@ _PATIENCE_SECONDS = 5.0
 
 
 def issue_to_services(authority: Authority, issued: Path, days: float) -> None:
-    """Gives every service of the fleet its certificate, key, and the authority's certificate, unless it has good ones."""
+    """Gives every service its certificate, key, and the authority's certificate, unless it has good ones."""
     for role in roles_of(()):
         folder = issued / role
         if not folder.is_dir() or _is_good(folder / f"{role}.pem", authority.folder / "authority.pem", days):
@@ -75,7 +75,7 @@ class Enrolment(socketserver.StreamRequestHandler):
 
 def robot_role(container: str) -> str:
     """The role that a container of this name may have. Raises ValueError when it is no robot's."""
-    if re.search(r"[_-]robot[_-]\d+$", container.split(".")[0]) is None:
+    if re.search(r"[_-]robot[_-]\d+$", container.split(".", maxsplit=1)[0]) is None:
         raise ValueError(f"container '{container}' is no robot")
     return f"robot.robot-{number_in(container)}"
 

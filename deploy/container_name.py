@@ -35,7 +35,7 @@ def number_in(name: str) -> int:
 
     Raises ValueError when there is none.
     """
-    found = re.search(r"[_-](\d+)$", name.split(".")[0])
+    found = re.search(r"[_-](\d+)$", name.split(".", maxsplit=1)[0])
     if found is None:
         raise ValueError(f"container '{name}': got no number at the end of its name, wanted one such as fleet_robot_3")
     return int(found[1])

@@ -1,0 +1,189 @@
+"""A fleet of containers for tests: starting it, what can be done to its containers from outside, and what is seen."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = "safedpa-fleet-test"
+LOADS = ("none", "box", "chair", "large_chair")
+"""Of the robots in turn."""
+ROUTER = "tls/router:7447"
+LONGEST_SILENCE = 20.0
+"""s; an observer that prints nothing for so long is broken."""
+
+
+def run(
+    *words: str, timeout: float = 120.0, check: bool = True, given: str = "", environment: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Runs a command in the repository with ``given`` as its input; its output is part of the error where it fails."""
+    done = subprocess.run(
+        words,
+        cwd=ROOT,
+        input=given,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+        env={**os.environ, **(environment or {})},
+    )
+    if check and done.returncode:
+        raise AssertionError(f"{' '.join(words)}: code {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+    return done
+
+
+def compose_program() -> list[str]:
+    """Compose v2 where it is there, else v1."""
+    if shutil.which("docker") and run("docker", "compose", "version", check=False).returncode == 0:
+        return ["docker", "compose"]
+    return ["docker-compose"]
+
+
+class Fleet:
+    """One project of docker-compose.yml."""
+
+    def __init__(self, robots: int, loads: str) -> None:
+        self.robots = tuple(f"robot-{number}" for number in range(1, robots + 1))
+        self._loads = loads
+        self._program = [*compose_program(), "--project-name", PROJECT]
+        self._ids: dict[str, str] = {}
+
+    def compose(self, *words: str, timeout: float = 180.0) -> str:
+        # Another loopback address than the usual one: a dashboard that somebody looks at stays where it is.
+        settings = {"SAFEDPA_LOAD": self._loads, "SAFEDPA_ADDRESS": "127.0.0.77"}
+        return run(*self._program, *words, timeout=timeout, environment=settings).stdout
+
+    def build(self, services: Sequence[str]) -> float:
+        """s that building took."""
+        began = time.monotonic()
+        self.compose("build", *services, timeout=900.0)
+        return time.monotonic() - began
+
+    def up(self, services: Sequence[str]) -> None:
+        wanted = [name for name in services if name != "robot"]
+        self.compose("up", "-d", "--no-build", *wanted)
+        self.compose("up", "-d", "--no-build", "--no-recreate", "--scale", f"robot={len(self.robots)}", *services)
+
+    def down(self) -> None:
+        self.compose("down", "--volumes", "--remove-orphans", "--timeout", "3")
+
+    def container(self, service: str) -> str:
+        """Identifier of the container of a service; ``robot-2`` is the second robot's."""
+        if service not in self._ids:
+            name, _, number = service.partition("-")
+            words = ["docker", "ps", "-aq", "--filter", f"label=com.docker.compose.project={PROJECT}"]
+            words += ["--filter", f"label=com.docker.compose.service={name}"]
+            words += ["--filter", f"label=com.docker.compose.container-number={number or 1}"]
+            self._ids[service] = run(*words).stdout.strip()
+            assert self._ids[service], f"there is no container of {service}"
+        return self._ids[service]
+
+    def image(self, service: str) -> str:
+        return run("docker", "inspect", "--format", "{{.Config.Image}}", self.container(service)).stdout.strip()
+
+    def network(self, name: str = "bus") -> str:
+        return f"{PROJECT}_{name}"
+
+    def volume(self, name: str) -> str:
+        return f"{PROJECT}_{name}"
+
+    def inspect(self, service: str) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(run("docker", "inspect", self.container(service)).stdout)[0]
+        return found
+
+    def events(self, service: str, since: float) -> list[dict[str, Any]]:
+        """The structured lines of a service's log since a time [s since 1970]."""
+        log = run("docker", "logs", "--since", f"{since:.3f}", self.container(service))
+        lines = [line for line in (log.stdout + log.stderr).splitlines() if line.startswith("{")]
+        return [event for event in map(json.loads, lines) if event.get("time", 0.0) >= since]
+
+    def watch(self) -> Watch:
+        return Watch(self)
+
+    def guest(self, script: str, key: str, *words: str) -> list[str]:
+        """The command line of a script of this folder in a container on the bus that holds the key of one role."""
+        volume = ["--volume", f"{self.volume(key)}:/certificates:ro"] if key else []
+        return [
+            *("docker", "run", "--rm", "--init", "--interactive", "--cap-drop", "ALL", "--network", self.network()),
+            *("--cpu-shares", "2048", "--stop-timeout", "1", *volume),
+            *("--volume", f"{ROOT / 'tests' / 'fleet' / script}:/guest.py:ro"),
+            *("--entrypoint", "python", self.image("recorder"), "/guest.py", *words),
+        ]
+
+    def kill(self, service: str) -> None:
+        """SIGKILL from outside, which the engine takes for a crash."""
+        pid = self.inspect(service)["State"]["Pid"]
+        assert pid > 1, f"{service} does not run"
+        os.kill(pid, 9)
+
+    def pause(self, service: str, seconds: float) -> None:
+        run("docker", "pause", self.container(service))
+        time.sleep(seconds)
+        run("docker", "unpause", self.container(service))
+
+    def cut_off(self, service: str, seconds: float) -> None:
+        """Takes a container out of the bus's network and puts it back under its names."""
+        container, network = self.container(service), self.network()
+        names = self.inspect(service)["NetworkSettings"]["Networks"][network]["Aliases"] or []
+        aliases = [word for name in names if not container.startswith(name) for word in ("--alias", name)]
+        run("docker", "network", "disconnect", network, container)
+        time.sleep(seconds)
+        run("docker", "network", "connect", *aliases, network, container)
+
+    def restart(self, service: str) -> None:
+        run("docker", "restart", "--time", "5", self.container(service))
+
+    def restarts(self, service: str) -> int:
+        return int(self.inspect(service)["RestartCount"])
+
+
+class Watch:
+    """An observer on the bus, in a container of its own; the newest of what it said."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._words = ("--connect", ROUTER, "--certificates", "/certificates", "--role", "recorder")
+        self._process = subprocess.Popen(
+            fleet.guest("fleet_observer.py", "recorder-key", *self._words), stdout=subprocess.PIPE, text=True
+        )
+        self._changed = threading.Condition()
+        self._newest: dict[str, Any] = {"at": 0.0, "robots": {}, "services": {}}
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            told = json.loads(line)
+            with self._changed:
+                self._newest = told
+                self._changed.notify_all()
+
+    def now(self) -> dict[str, Any]:
+        """The newest that was told; waits for one that is new."""
+        with self._changed:
+            heard = self._changed.wait(LONGEST_SILENCE)
+            assert heard, "the observer says nothing"
+            return self._newest
+
+    def until(self, holds: Callable[[dict[str, Any]], Any], seconds: float) -> dict[str, Any] | None:
+        """What was told when ``holds`` did for the first time, or None when it did not within ``seconds``."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            told = self.now()
+            if holds(told):
+                return told
+        return None
+
+    def close(self) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()

@@ -1,0 +1,50 @@
+"""Four robots with different loads drive for a minute: no collision, every one reaches goals, none stands still."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+from fleet_containers import LOADS, Fleet, Watch
+
+pytestmark = pytest.mark.fleet
+
+DRIVE_SECONDS = 60.0
+STUCK_SECONDS = 20.0
+
+
+def test_every_container_starts_and_every_robot_is_driven(
+    fleet: Fleet, watch: Watch, rows: list[tuple[str, ...]]
+) -> None:
+    began = time.monotonic()
+
+    def driven(told: dict[str, Any]) -> bool:
+        robots = told["robots"]
+        return set(robots) == set(fleet.robots) and all(robot["run_ticks"] > 0 for robot in robots.values())
+
+    assert watch.until(driven, 60.0), "not every robot was driven within a minute of its start"
+    rows.append(("start", f"four robots driven {time.monotonic() - began:.1f} s after the last container was started"))
+
+
+def test_a_minute_without_collision_in_which_every_robot_reaches_goals(
+    fleet: Fleet, watch: Watch, rows: list[tuple[str, ...]]
+) -> None:
+    before = watch.now()
+    time.sleep(DRIVE_SECONDS - STUCK_SECONDS)
+    middle = watch.now()
+    time.sleep(STUCK_SECONDS)
+    after = watch.now()
+    for name, load in zip(fleet.robots, LOADS, strict=True):
+        first, last = before["robots"][name], after["robots"][name]
+        goals = last["goals"] - first["goals"]
+        ticks = sum(last["applied"].values()) - sum(first["applied"].values())
+        braked = last["applied"].get("watchdog", 0) - first["applied"].get("watchdog", 0)
+        distance = last["travelled"] - first["travelled"]
+        text = f"{goals} goals, {distance:.0f} m, braked itself in {braked} of {ticks} periods"
+        rows.append((f"{DRIVE_SECONDS:.0f} s of {load}", f"{text}, {last['collisions']} collisions"))
+        assert last["collisions"] == 0, name
+        assert goals >= 1, f"{name} with {load} reached no goal in a minute"
+        assert last["travelled"] - middle["robots"][name]["travelled"] > 1.0, f"{name} with {load} is stuck"
+        assert last["foreign"] == 0
+        assert last["checked"] > 0.5 * ticks

@@ -1,0 +1,154 @@
+"""Those who do not belong there: none of them moves a robot, and each attempt stands in a log."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from fleet_containers import Fleet, Watch, run
+
+pytestmark = pytest.mark.fleet
+
+VICTIM = "robot-1"
+LOG_SECONDS = 10.0
+
+Told = dict[str, Any]
+
+
+class Attempt:
+    """What an intruder does, what the robots do meanwhile, and what the logs say of it."""
+
+    def __init__(self, fleet: Fleet, watch: Watch) -> None:
+        self.fleet, self.watch = fleet, watch
+        self.began = time.time()
+        self.before = watch.now()
+
+    def make(self, key: str, *words: str, given: str = "", network: str = "bus") -> dict[str, Any]:
+        """Runs the intruder with the key of one role; it knows the victim's epoch and tick."""
+        robot = self.watch.now()["robots"][VICTIM]
+        stamp = ("--robot", VICTIM, "--epoch", str(robot["epoch"]), "--tick", str(robot["tick"]))
+        command = self.fleet.guest("fleet_intruder.py", key, *words, *stamp)
+        command[command.index("--network") + 1] = self.fleet.network(network)
+        done = run(*command, timeout=60.0, given=given)
+        did: dict[str, Any] = json.loads(done.stdout)
+        return did
+
+    def moved_nobody(self, driving: bool = True) -> str:
+        """Every action that a robot applied was its filter's; nobody collided; the victim is driven on."""
+        victim = self.before["robots"][VICTIM]["checked"]
+        after = self.watch.until(lambda told: told["robots"][VICTIM]["checked"] > victim + 40, 30.0)
+        assert after is not None, "the victim is not driven any more"
+        for name, robot in after["robots"].items():
+            assert robot["foreign"] == self.before["robots"][name]["foreign"] == 0, f"{name} was moved by a stranger"
+            assert robot["collisions"] == 0, name
+            assert robot["starts"] == self.before["robots"][name]["starts"], f"{name} was started anew"
+        return "moved nobody"
+
+    def logged(self, service: str, kind: str, fits: Callable[[Told], bool] = lambda event: True) -> str:
+        """The sentence of the event; waits a little for it. Fails where there is none."""
+        events: list[Told] = []
+        end = time.monotonic() + LOG_SECONDS
+        while time.monotonic() < end:
+            events = self.fleet.events(service, self.began)
+            found = [event for event in events if event["kind"] == kind and fits(event)]
+            if found:
+                return f"{service}: {found[-1]['sentence']}"
+            self.watch.now()
+        raise AssertionError(f"{service} logged no {kind}: {events}")
+
+
+@pytest.fixture
+def attempt(fleet: Fleet, watch: Watch) -> Attempt:
+    return Attempt(fleet, watch)
+
+
+@pytest.fixture(scope="module")
+def captured(fleet: Fleet, watch: Watch) -> str:
+    """Three seconds of real actions, states and verdicts."""
+    heard = Attempt(fleet, watch).make("recorder-key", "capture", "--role", "recorder")
+    keys = {key for key, _ in heard["heard"]}
+    assert f"safedpa/fleet/{VICTIM}/action" in keys
+    return json.dumps(heard)
+
+
+@pytest.mark.parametrize("how", ["bare", "plain", "foreign"])
+def test_without_a_certificate_of_the_fleet_nobody_enters(
+    how: str, attempt: Attempt, rows: list[tuple[str, ...]]
+) -> None:
+    did = attempt.make("healthcheck-key", "enter", "--how", how)
+    assert did["opened"] is False, did
+    names = {"bare": "without certificate", "plain": "in plain text", "foreign": "certificate of a foreign authority"}
+    rows.append((names[how], attempt.moved_nobody(), attempt.logged("router", "bus.handshake_refused")))
+
+
+@pytest.mark.parametrize(
+    ("role", "topic"), [("policy", "action"), ("policy", "model"), ("dashboard", "action"), ("recorder", "state")]
+)
+def test_a_certificate_of_the_wrong_role_commands_nothing(
+    role: str, topic: str, attempt: Attempt, rows: list[tuple[str, ...]]
+) -> None:
+    did = attempt.make(f"{role}-key", "act", "--role", role, "--topic", topic)
+    assert did["sent"] > 100, did
+    moved = attempt.moved_nobody()
+    told = attempt.logged("router", "bus.denied", lambda event: event.get("service") == role and topic in event["key"])
+    rows.append((f"{topic} with the certificate of {role}", moved, told))
+
+
+def test_a_replayed_capture_is_denied_to_who_could_hear_it(
+    attempt: Attempt, captured: str, rows: list[tuple[str, ...]]
+) -> None:
+    did = attempt.make("recorder-key", "replay", "--role", "recorder", given=captured)
+    assert did["sent"] > 100, did
+    told = attempt.logged("router", "bus.denied", lambda event: event.get("service") == "recorder")
+    rows.append(("replayed capture, certificate of recorder", attempt.moved_nobody(), told))
+
+
+def test_a_replayed_capture_moves_nobody_even_with_the_key_of_the_filter(
+    attempt: Attempt, captured: str, rows: list[tuple[str, ...]]
+) -> None:
+    did = attempt.make("safety-filter-key", "replay", "--role", "safety_filter", given=captured)
+    assert did["sent"] > 100, did
+    told = attempt.logged(VICTIM, "message.refused")
+    rows.append(("replayed capture, stolen key of the filter", attempt.moved_nobody(), told))
+
+
+def test_payloads_that_are_too_large_stop_at_the_router(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
+    did = attempt.make("safety-filter-key", "large", "--role", "safety_filter")
+    assert did["sent"] == 5, did
+    told = attempt.logged("router", "bus.too_large", lambda event: event["robot"] == VICTIM)
+    rows.append(("a million bytes, stolen key of the filter", attempt.moved_nobody(), told))
+
+
+def test_malformed_payloads_are_refused_by_the_robot(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
+    did = attempt.make("safety-filter-key", "malformed", "--role", "safety_filter")
+    assert did["sent"] > 5, did
+    told = attempt.logged(VICTIM, "message.refused")
+    rows.append(("malformed payloads, stolen key of the filter", attempt.moved_nobody(), told))
+
+
+def test_malformed_states_are_refused_by_the_services(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
+    """There is no robot's key to steal outside of it; the diagnosis holds one that may put findings and models."""
+    did = attempt.make("diagnosis-key", "malformed", "--role", "diagnosis", "--topic", "model")
+    assert did["sent"] > 5, did
+    told = attempt.logged("safety_filter", "message.refused")
+    rows.append(("malformed models, stolen key of the diagnosis", attempt.moved_nobody(), told))
+
+
+def test_the_authority_signs_nothing_for_a_container_that_is_no_robot(
+    attempt: Attempt, rows: list[tuple[str, ...]]
+) -> None:
+    did = attempt.make("", "enrol", network="enrolment")
+    assert did == {"got": ""}
+    told = attempt.logged("authority", "authority.refused")
+    rows.append(("request for a robot's certificate", attempt.moved_nobody(), told))
+
+
+def test_a_stranger_with_the_key_and_the_tick_would_be_seen(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
+    """The twin of all above: who holds the filter's key is the filter, and the check that nobody was moved can fail."""
+    attempt.make("safety-filter-key", "act", "--role", "safety_filter")
+    seen = attempt.watch.until(lambda told: told["robots"][VICTIM]["foreign"] > 0, 10.0)
+    assert seen is not None
+    rows.append(("action with the stolen key of the filter", "MOVES the robot, as it must: the check can fail"))
