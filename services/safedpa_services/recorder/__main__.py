@@ -7,15 +7,17 @@ import os
 from pathlib import Path
 
 from safedpa.bus.process import Stop, bus_from, lifetime, run_process
+from safedpa.bus.setup import setup_message
 from safedpa_services.recorder.recorder import Recorder
 from safedpa_services.serving import service_parser
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Records until ``stop``; returns 0, or 1 when the recording broke off."""
-    os.nice(10)  # the loop comes first; what arrives meanwhile waits in the queue
     with bus_from(options) as bus, lifetime("recorder", stop):
-        return Recorder(bus, Path(options.out), options.robot).run(stop)
+        os.nice(10)  # the loop comes first; but not before the network's own threads, whose signs of life keep links up
+        setup = setup_message("recorder", vars(options))
+        return Recorder(bus, Path(options.out), setup, options.robot).run(stop)
 
 
 if __name__ == "__main__":

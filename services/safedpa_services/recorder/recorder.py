@@ -1,63 +1,109 @@
-"""Everything that is said on the bus, in order of arrival, into one file. A full disk stops the file, not the car."""
+"""Everything that is said on the bus, in order of arrival, into one file. A full disk stops the file, not the car.
+
+A message is acknowledged when it is known to be on the disk (fsync): the health message says how many of those that
+this process received are, counted in order of arrival. Whatever happens afterwards to process, machine or network,
+these messages can be read.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import time
-import uuid
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from safedpa.bus import HEALTH, NO_ROBOT, TOPICS, Bus, HealthMessage, Received
+from safedpa.bus import HEALTH, NO_ROBOT, SETUP, TOPICS, Bus, HealthMessage, Received, SetupMessage
+from safedpa.bus.version import software_version
 from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
 
 __all__ = ["Recorder"]
 
-_FLUSH_SECONDS = 0.5
+_SYNC_SECONDS = 0.5
 _TURN_SECONDS = 0.05
+_SETUP_SECONDS = 5.0
+_RETRY_SECONDS = 5.0
+_ROOM_BYTES = 64 * 1024 * 1024
+"""Of free disk, before a recording that broke off on a full one goes on in another file."""
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Recorder:
-    """Writes messages until told to stop; says in its health when it cannot write any more."""
+    """Writes messages until told to stop; says in its health how many are on the disk, and why it cannot write.
 
-    def __init__(self, bus: Bus, path: Path, robot: str = "*") -> None:
-        self._bus = bus
+    When the disk is full it waits for room and goes on in a file beside the first, which begins with all setups.
+    """
+
+    def __init__(self, bus: Bus, path: Path, setup: SetupMessage, robot: str = "*") -> None:
+        self._bus, self._path, self._setup = bus, path, setup
+        self._about = {"format": "1", "fleet": bus.fleet, "software": setup.software, "robot": robot}
         self._inbox = bus.inbox(tuple(TOPICS.values()), robot, keep_all=True)
-        self._file: McapRecorder | None = McapRecorder(path)
+        self._fleet = bus.inbox((SETUP,), NO_ROBOT, keep_all=True) if robot != "*" else None
+        self._file: McapRecorder | None = McapRecorder(path, self._about)
+        self._setups: dict[str, bytes] = {}
+        """The newest setup of every process, which is written once and at the begin of every file."""
         self._error = ""
-        self._written = 0
-        self._refused = 0
-        bus.announce(NO_ROBOT, "recorder", uuid.uuid4().hex[:12])
+        self._is_full = False
+        self._kept = 0
+        """Messages that are on the disk, in files before this one."""
+        self._written = self._refused = self._lost = 0
+        self._next_retry = self._next_setup = 0.0
+        bus.announce(NO_ROBOT, "recorder", setup.instance)
+
+    @property
+    def acknowledged(self) -> int:
+        """Messages that are on the disk, of those that were received."""
+        return self._kept + (0 if self._file is None else self._file.acknowledged)
 
     def run(self, stopped: Callable[[], bool]) -> int:
         """Records until ``stopped``; returns 0, or 1 when writing failed on the way."""
-        next_flush = time.monotonic()
+        next_sync = time.monotonic()
         while not stopped():
             self.turn(_TURN_SECONDS)
-            if time.monotonic() >= next_flush:
-                next_flush = time.monotonic() + _FLUSH_SECONDS
-                self._guarded(lambda file: file.flush())
-                self._tell_health()
+            if time.monotonic() >= next_sync:
+                next_sync = time.monotonic() + _SYNC_SECONDS
+                self.sync()
         self.turn(0.0)
-        self._guarded(lambda file: file.close())
-        self._tell_health()  # the last word: whether everything was kept
+        self._guarded(McapRecorder.close)
+        self._tell_health(is_last=True)
         return 1 if self._error else 0
 
     def turn(self, wait: float) -> None:
         """Writes what arrived within ``wait`` [s]."""
         time.sleep(wait)  # not woken by every message: the loop has the processor first
-        for item in self._inbox.take(0.0):
+        items = self._inbox.take(0.0)
+        items += [] if self._fleet is None else self._fleet.take(0.0)
+        for item in items:
             if isinstance(item, Received):
-                self._write(item)
+                self._take(item)
             else:
                 self._refused += 1
 
-    def _write(self, item: Received) -> None:
+    def sync(self) -> None:
+        """Waits for the disk and acknowledges; after a full disk, tries to go on."""
+        self._guarded(McapRecorder.sync)
+        if self._file is None and self._is_full and time.monotonic() >= self._next_retry:
+            self._next_retry = time.monotonic() + _RETRY_SECONDS
+            self._go_on()
+        self._tell_health()
+        if time.monotonic() >= self._next_setup:
+            self._next_setup = time.monotonic() + _SETUP_SECONDS
+            self._bus.publish(SETUP, NO_ROBOT, self._setup, "recorder")
+
+    def _take(self, item: Received) -> None:
+        if item.topic is SETUP:
+            if self._setups.get(item.key) == item.payload:
+                return  # said again for those who joined late
+            self._setups[item.key] = item.payload
         published = int(1e9 * item.message.publish_time)
         arrived = time.time_ns() - int(1e9 * (time.monotonic() - item.at))
-        self._guarded(lambda file: file.write(item.key, item.payload, arrived, published))
-        self._written += 1
+        key, payload = item.key, item.payload
+        self._guarded(lambda file: file.write(key, payload, arrived, published))
+        self._written += self._file is not None
+        self._lost += self._file is None
 
     def _guarded(self, work: Callable[[McapRecorder], None]) -> None:
         if self._file is None:
@@ -65,9 +111,28 @@ class Recorder:
         try:
             work(self._file)
         except RecordingError as error:
+            cause = error.__cause__
+            self._is_full = isinstance(cause, OSError) and cause.errno in _FULL
+            self._kept += self._file.acknowledged
             self._error, self._file = str(error), None
 
-    def _tell_health(self) -> None:
+    def _go_on(self) -> None:
+        """A new file beside the old one, as soon as there is room."""
+        if _free_bytes(self._path) < _ROOM_BYTES:
+            return
+        try:
+            self._file = McapRecorder(self._path, self._about)
+        except RecordingError:  # not yet
+            return
+        now = time.time_ns()
+        for key, payload in self._setups.items():
+            self._guarded(partial(McapRecorder.write, key=key, payload=payload, log_time_ns=now, publish_time_ns=now))
+        self._guarded(McapRecorder.sync)
+        self._kept -= 0 if self._file is None else self._file.acknowledged  # written before, so not counted again
+
+    def _tell_health(self, *, is_last: bool = False) -> None:
+        """The last word tells of every failure on the way, also of one that was overcome."""
+        failing = self._file is None or (is_last and bool(self._error))
         message = HealthMessage(
             epoch=0,
             tick=0,
@@ -75,9 +140,26 @@ class Recorder:
             publish_time=time.time(),
             service="recorder",
             pid=os.getpid(),
-            state="failing" if self._error else "running",
-            detail=self._error or (f"{self._inbox.dropped} messages lost" if self._inbox.dropped else ""),
+            state="failing" if failing else "running",
+            detail=self._detail(),
             steps=self._written,
             refused=self._refused,
+            software=software_version(),
+            acknowledged=self.acknowledged,
+            free_bytes=_free_bytes(self._path),
         )
         self._bus.publish(HEALTH, NO_ROBOT, message, "recorder")
+
+    def _detail(self) -> str:
+        lost = self._lost + self._inbox.dropped
+        told = f"{lost} messages lost" if lost else ""
+        if self._error and self._file is not None:
+            told = f"{told}; goes on in {self._file.path.name}; {self._error}"
+        return told if self._file is not None else self._error
+
+
+def _free_bytes(path: Path) -> int:
+    try:
+        return shutil.disk_usage(path.parent).free
+    except OSError:
+        return 0
