@@ -147,5 +147,5 @@ def test_a_model_with_free_numbers_is_calibrated_with_the_latent_that_is_estimat
 
 
 def test_a_model_that_no_filter_drives_has_no_margin():
-    pendulum = load_model("dfki_pendulum")
-    assert live_margin(pendulum, settings_named("car"), None, ()) == ""
+    throttle = load_model("dart_car")
+    assert live_margin(throttle, settings_named("car"), None, ()) == ""

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.dynamics import PhysicsModel, Setting, load_model
+from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
 from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.live_margin import live_margin
+from safedpa.safety.margin_text import margin_from_text
 from safedpa.safety.run_calibration import calibration_from_runs
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
@@ -53,3 +56,28 @@ def test_other_robots_and_other_periods_are_refused() -> None:
     slow = Run(run.name, run.system, 2.0 * run.t, run.states, run.actions, run.stretches)
     with pytest.raises(InputError, match=r"no transition of 0\.05 s"):
         calibration_from_runs(incomplete_model(), settings_named("car"), [slow], 0.9, "2024-01-01")
+
+
+def swung(model: PhysicsModel, rows: int = 400) -> Run:
+    """A pendulum under torques at random, each held for a tenth of a second."""
+    torques = np.repeat(np.random.default_rng(6).uniform(-8.0, 8.0, (rows // 10, 1)), 10, axis=0)
+    states = np.zeros((rows, 2))
+    for row in range(rows - 1):
+        states[row + 1] = model.step(states[row], torques[row])
+    return Run("swing", model.system, model.period * np.arange(rows), states, torques, (Stretch(0, rows),))
+
+
+def test_a_pendulum_needs_the_margin_that_its_payload_makes() -> None:
+    """h errs by corridor_seconds times the error of the rate: the same at either edge of any corridor."""
+    bare, settings = load_model("pendulum"), settings_named("pendulum")
+    run = swung(bare.with_effect(effect("pendulum", "tip_mass"), {"mass": Setting(0.5)}))
+    loaded = bare.with_effect(effect("pendulum", "tip_mass"), {"mass": Setting(0.5)})
+    right = calibration_from_runs(loaded, settings, [run], 0.95, "2024-01-01")
+    wrong = calibration_from_runs(bare, settings, [run], 0.95, "2024-01-01")
+    assert right.epsilon["corridor"] < 1e-9
+    predicted = np.array([bare.step(state, torque) for state, torque in zip(run.states, run.actions, strict=True)])
+    ahead = predicted[:-1] @ [1.0, 0.25] - run.states[1:] @ [1.0, 0.25]
+    assert wrong.epsilon["corridor"] == pytest.approx(np.quantile(np.abs(ahead), 0.95), rel=0.1)
+    assert wrong.fingerprint != right.fingerprint
+    text = live_margin(loaded, settings, run, ())
+    assert margin_from_text(text).epsilon["corridor"] < 1e-9, "so an effect can be accepted while it swings"

@@ -13,6 +13,7 @@ from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.run_calibration import SMALL_CAR, LatentAlong, calibration_from_runs
 from safedpa.safety.settings import FilterSettings
+from safedpa.systems import PENDULUM
 
 __all__ = ["live_margin"]
 
@@ -28,10 +29,10 @@ def live_margin(
 ) -> str:
     """The margin as text: for each kind of barrier the larger one of all of the run and of its newest half.
 
-    The model was fitted to part of the run, most likely to its older half. Empty where the model is no car that the
-    filter drives. Raises InputError when the run is too short for 99 %.
+    The model was fitted to part of the run, most likely to its older half. Empty where the model is neither a car that
+    the filter drives nor a pendulum. Raises InputError when the run is too short for 99 %.
     """
-    if model.system.action_names != ("target_speed", "steer"):
+    if model.system.action_names not in (("target_speed", "steer"), PENDULUM.action_names):
         return ""
     rear, front, radius = footprint if len(footprint) == 3 else SMALL_CAR
     body, date = (rear, front, radius), datetime.date.today().isoformat()

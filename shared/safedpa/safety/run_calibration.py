@@ -1,7 +1,8 @@
-"""Margin calibration from runs of any car: what the model predicted one period ahead, and what became of it.
+"""Margin calibration from runs of a car or a pendulum: what the model predicted one period ahead, and what came of it.
 
 Recordings of the bus tell which scene the car was in; a run of a log does not. So every transition is placed among
-obstacles drawn around the car, near enough to matter: the error of h depends on where they stand.
+obstacles drawn around the car, near enough to matter: the error of h depends on where they stand. That of a pendulum's
+corridor does not depend on its edges.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from safedpa.records.run import Run
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
 from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.settings import FilterSettings
+from safedpa.systems import PENDULUM
 
 __all__ = ["SMALL_CAR", "LatentAlong", "calibration_from_runs"]
 
@@ -46,6 +49,8 @@ _RADII = (0.2, 0.35)
 _OBSTACLES = 3
 _ROOM = 4.0
 """m from the car to the farthest walls."""
+_EDGE = 1.0
+"""rad from the pendulum to the edges of its corridor; any number would do."""
 _SAME_PERIOD = 0.1
 """Relative difference of a row's period from the model's beyond which its transition is left out."""
 
@@ -63,17 +68,19 @@ def calibration_from_runs(
 
     Actuators remember what was commanded before, as they do in the filter. ``body`` as in a robot's footprint.
     ``estimator`` makes what estimates the latent along each stretch; without one the model's own latent stands.
-    Raises InputError for a model that is no car with a speed servo, or too few transitions at the model's own period.
+    Raises InputError for a model that is neither a car with a speed servo nor a pendulum, or too few transitions at the
+    model's own period.
     """
-    if model.system.action_names != ("target_speed", "steer"):
+    if model.system.action_names not in (("target_speed", "steer"), PENDULUM.action_names):
         raise InputError(
             f"margin: got a model with the actions {', '.join(model.system.action_names) or 'none'}, wanted those of a "
-            "car's speed servo, target_speed and steer: the filter's barriers are such a car's"
+            "car's speed servo, target_speed and steer, or a pendulum's torque: the filter's barriers are theirs"
         )
     draw = np.random.default_rng(0)
     errors: dict[str, list[float]] = {}
     for before, predicted, after in _predictions(model, runs, estimator):
-        for barrier in _around(before, settings, body, draw):
+        corridor = model.system.action_names == PENDULUM.action_names
+        for barrier in _corridor(before, settings) if corridor else _around(before, settings, body, draw):
             worst = float((barrier.values(predicted) - barrier.values(after)).max(initial=-np.inf))
             errors.setdefault(barrier.kind, []).append(worst if np.isfinite(worst) else 0.0)
     if not errors:
@@ -108,6 +115,11 @@ def _predictions(
                     yield states[row], predicted, states[row + 1]
                 if along is not None and near:
                     along.update(states[row], actions[row], states[row + 1], model.period)
+
+
+def _corridor(state: Values, settings: FilterSettings) -> list[AbstractBarrier]:
+    """A corridor around a pendulum's angle."""
+    return [CorridorBarrier(state[0] - _EDGE, state[0] + _EDGE, settings.corridor_seconds)]
 
 
 def _around(
