@@ -35,6 +35,8 @@ CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 @click.option("--task", type=click.Choice(TASKS), help="what the pendulum has to do; default: balance")
 @click.option("--wind", type=float, metavar="SPEED", help="m/s, on the pendulum; default: 0")
 @click.option("--wind-direction", type=float, metavar="DEGREES", help="where it blows to: 0 aside, 90 up; default: 0")
+@click.option("--payload", type=float, metavar="KG", help="hung on the pendulum, and no model is told; default: 0")
+@click.option("--dry-friction", type=float, metavar="TORQUE", help="N m in the pendulum's hinge; default: 0")
 @click.option("--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: until Ctrl-C")
 @click.option("--seed", type=int, default=0, show_default=True, help="scene: obstacles, start, goals")
 @click.option("--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum")
@@ -128,7 +130,7 @@ def _plan(options: dict[str, Any]) -> Plan:
 def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
     """Options of the robot's process that only a pendulum has; refuses those of the other robot."""
     swings = options["robot"] == "pendulum"
-    own = ("task", "wind", "wind_direction")
+    own = ("task", "wind", "wind_direction", "payload", "dry_friction")
     foreign = [name for name in (("change",) if swings else own) if options[name] is not None]
     if swings and options["load"] != "none":
         foreign.append("load")
@@ -138,6 +140,9 @@ def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
         raise InputError(f"--wind: got {options['wind']}, wanted 0 to 15 m/s")
     if options["wind_direction"] is not None and not -360.0 <= options["wind_direction"] <= 360.0:
         raise InputError(f"--wind-direction: got {options['wind_direction']}, wanted -360 to 360 degrees")
+    for name, most, unit in (("payload", 10.0, "kg"), ("dry_friction", 10.0, "N m")):
+        if options[name] is not None and not 0.0 <= options[name] <= most:
+            raise InputError(f"--{name.replace('_', '-')}: got {options[name]}, wanted 0 to {most:g} {unit}")
     given = [(name, options[name]) for name in own if options[name] is not None]
     return tuple(f"--{name.replace('_', '-')}={value}" for name, value in given)
 

@@ -37,6 +37,10 @@ def robot_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--wind-direction", type=float, default=0.0, metavar="DEGREES", help="where it blows to: 0 aside, 90 up"
     )
+    parser.add_argument("--payload", type=float, default=0.0, metavar="KG", help="hung on the pendulum's mass")
+    parser.add_argument(
+        "--dry-friction", type=float, default=0.0, metavar="TORQUE", help="N m in the pendulum's hinge, at any rate"
+    )
     parser.add_argument("--seed", type=int, default=0, help="scene: obstacles, start, goals")
     parser.add_argument(
         "--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: for ever"

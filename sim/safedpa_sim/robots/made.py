@@ -10,7 +10,7 @@ from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.pendulum_robot import PendulumRobot
 from safedpa_sim.robots.pendulum_task import task_named
-from safedpa_sim.robots.pendulum_world import wind_towards
+from safedpa_sim.robots.pendulum_world import PendulumParameters, wind_towards
 from safedpa_sim.robots.scene import Scene
 
 __all__ = ["robot_of"]
@@ -49,4 +49,5 @@ def _pendulum(options: argparse.Namespace, epoch: int) -> PendulumRobot:
         raise InputError(f"--wind-direction: got {options.wind_direction}, wanted -360 to 360 degrees")
     wind = wind_towards(options.wind, options.wind_direction)
     task = task_named(options.task)
-    return PendulumRobot(task, wind, options.seed, 1.0 / options.rate, options.lockstep, epoch=epoch)
+    body = PendulumParameters(payload=options.payload, dry_friction=options.dry_friction)
+    return PendulumRobot(task, wind, options.seed, body, 1.0 / options.rate, options.lockstep, epoch=epoch)

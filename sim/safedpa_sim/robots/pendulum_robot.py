@@ -14,7 +14,7 @@ from safedpa.bus.messages import ActionMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.pendulum_task import PendulumTask
-from safedpa_sim.robots.pendulum_world import PendulumWorld
+from safedpa_sim.robots.pendulum_world import PENDULUM_PARAMETERS, PendulumParameters, PendulumWorld
 
 __all__ = ["DAMPING", "STIFFNESS", "PendulumRobot", "Violation"]
 
@@ -60,6 +60,7 @@ class PendulumRobot:
         task: PendulumTask,
         wind: tuple[float, float] = (0.0, 0.0),
         seed: int = 0,
+        parameters: PendulumParameters = PENDULUM_PARAMETERS,
         period: float = 0.01,
         lockstep: bool = True,
         epoch: int = 1,
@@ -71,7 +72,7 @@ class PendulumRobot:
             raise InputError(f"wind: got {wind} m/s, wanted at most 50 m/s")
         self.task, self.seed, self.period, self.lockstep = task, seed, period, lockstep
         self._starts = task.drawn_starts(seed)
-        self.world = PendulumWorld(next(self._starts), wind)
+        self.world = PendulumWorld(next(self._starts), wind, parameters)
         limit = self.world.parameters.torque
         self.guard = ActionGuard(epoch, (-limit,), (limit,))
         self.tick = self.goals_reached = self.watchdog_ticks = self._held = 0
@@ -92,7 +93,9 @@ class PendulumRobot:
     @property
     def about(self) -> dict[str, Any]:
         """What was asked for."""
-        return {"seed": self.seed, "task": self.task.name, "wind": list(self.world.wind)}
+        body = self.world.parameters
+        hidden = {"payload": body.payload, "dry_friction": body.dry_friction}
+        return {"seed": self.seed, "task": self.task.name, "wind": list(self.world.wind), **hidden}
 
     @property
     def at_rest(self) -> bool:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, cos, hypot, radians, sin
+from math import ceil, cos, hypot, radians, sin, tanh
+
+from safedpa.errors import InputError
 
 __all__ = ["PENDULUM_PARAMETERS", "PendulumParameters", "PendulumWorld", "wind_towards"]
 
@@ -11,6 +13,8 @@ _SUBSTEP = 0.0005
 """s; longest step of the physics."""
 _GRAVITY = 9.81
 """m/s2."""
+_REST = 0.01
+"""rad/s; below it dry friction fades, so that a pendulum creeps where it would stick."""
 
 Point = tuple[float, float]
 
@@ -27,8 +31,17 @@ class PendulumParameters:
     """N m s/rad of the hinge."""
     drag: float = 0.5
     """N s2/m2; force of the air over the square of its speed past the mass."""
+    payload: float = 0.0
+    """kg hung on the mass; no model is told."""
+    dry_friction: float = 0.0
+    """N m of the hinge against any motion; no model is told."""
     torque: float = 10.0
     """N m; the motor's largest; an assumption."""
+
+    def __post_init__(self) -> None:
+        for name in ("payload", "dry_friction"):
+            if not 0.0 <= getattr(self, name) <= 10.0:
+                raise InputError(f"{name}: got {getattr(self, name)}, wanted 0 to 10")
 
 
 PENDULUM_PARAMETERS = PendulumParameters()
@@ -38,7 +51,7 @@ class PendulumWorld:
     """Steps the physics of a point mass at (length sin(angle), length cos(angle)), x to the side and y up.
 
     The forces on the mass are summed in the plane and taken along the arc,
-    mass length d(rate)/dt = (weight + air) . tangent + (torque - friction rate) / length,
+    mass length d(rate)/dt = (weight + air) . tangent + (torque - friction rate - dry friction sign(rate)) / length,
     and integrated by the velocity form of Verlet's method with the damping evaluated at the half step.
     """
 
@@ -79,8 +92,10 @@ class PendulumWorld:
         speed = body.length * rate
         past_x, past_y = self.wind[0] - speed * along_x, self.wind[1] - speed * along_y
         pull = body.drag * hypot(past_x, past_y)
-        force = pull * past_x * along_x + (pull * past_y - body.mass * _GRAVITY) * along_y
-        return (force + (torque - body.friction * rate) / body.length) / (body.mass * body.length)
+        mass = body.mass + body.payload
+        force = pull * past_x * along_x + (pull * past_y - mass * _GRAVITY) * along_y
+        rubbed = body.friction * rate + body.dry_friction * tanh(rate / _REST)
+        return (force + (torque - rubbed) / body.length) / (mass * body.length)
 
 
 def wind_towards(speed: float, degrees: float) -> Point:
