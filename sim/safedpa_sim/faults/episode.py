@@ -17,6 +17,8 @@ LARGEST_AGE_PERIODS = 2.0
 _TOLERANCE = 1e-12
 _IN_A_ROW = 10
 """Periods driven, before the loop counts as driving again."""
+_HICCUP_PERIODS = 2
+"""Periods in a row that a busy machine may cost without this being an outage."""
 
 
 @dataclass(frozen=True)
@@ -86,17 +88,18 @@ def _was_sent(lived: LivedPeriod, sent: set[tuple[float, ...]] | None) -> bool:
 
 
 def recovery_of(evidence: Evidence, episode: Episode) -> float | None:
-    """s from the recovery until the loop drives again, for half a second at least; 0 when it had never stopped.
+    """s from the recovery to the end of the last outage; 0 when it had never stopped or was over before.
 
-    None when it does not drive again before the episode's end.
+    An outage is a stretch of more than ``_HICCUP_PERIODS`` periods that were not driven, or were not lived at all. None
+    when the last one lasts until less than ten periods before the episode's end.
     """
-    after = [lived for lived in evidence.periods if episode.mended <= lived.applied_at < episode.ended]
-    before = [lived for lived in evidence.periods if episode.struck <= lived.applied_at < episode.mended]
-    run: list[LivedPeriod] = []
-    for lived in after:
-        run = [*run, lived] if evidence.is_driven(lived) else []
-        if len(run) == _IN_A_ROW:
-            never_stopped = run[0] is after[0] and (not before or evidence.is_driven(before[-1]))
-            soon = run[0].applied_at - episode.mended <= LARGEST_AGE_PERIODS * evidence.period
-            return 0.0 if never_stopped and soon else run[0].applied_at - episode.mended
-    return None
+    limit = (_HICCUP_PERIODS + 1) * evidence.period
+    driven = [one.applied_at for one in evidence.within(episode.struck, episode.ended) if evidence.is_driven(one)]
+    starts = [episode.struck, *driven]
+    ends = [*driven, episode.ended]
+    over = [end for start, end in zip(starts, ends, strict=True) if end - start > limit and end > episode.mended]
+    if not over:
+        return 0.0
+    if sum(at >= over[-1] for at in driven) < _IN_A_ROW:
+        return None
+    return over[-1] - episode.mended

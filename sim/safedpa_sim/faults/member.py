@@ -45,7 +45,7 @@ class Member:
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, env=environment
             )
 
-    def send(self, number: signal.Signals) -> None:
+    def send(self, number: int) -> None:
         """Sends a signal to the process, if it still runs."""
         if self._process is not None:
             self._process.send_signal(number)

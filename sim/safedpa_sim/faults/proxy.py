@@ -162,6 +162,7 @@ class Proxy:
         """By name; a process connects to ``tcp/127.0.0.1:PORT``."""
         self._loop = asyncio.new_event_loop()
         self._links: dict[str, _Link] = {}
+        self._servers: list[asyncio.Server] = []
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
         for index, name in enumerate(names):
@@ -208,6 +209,7 @@ class Proxy:
             server = await asyncio.start_server(link.serve, "127.0.0.1", 0)
         except OSError as error:
             raise BusError(f"proxy: no port for '{name}' ({error.strerror}); end some programs that listen") from error
+        self._servers.append(server)
         self.ports[name] = server.sockets[0].getsockname()[1]
         return link
 
@@ -215,6 +217,8 @@ class Proxy:
         link.set(conduct)
 
     async def _close(self) -> None:
+        for server in self._servers:
+            server.close()
         for link in self._links.values():
             link.close()
         tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]

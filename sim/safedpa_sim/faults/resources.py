@@ -12,6 +12,7 @@ from typing import final
 
 from safedpa.errors import SafedpaError
 from safedpa_sim.faults.fault import Fault
+from safedpa_sim.faults.sabotaged import JUMP
 from safedpa_sim.faults.world import FLEET, World
 
 __all__ = ["clocks", "disks", "overload"]
@@ -25,7 +26,6 @@ _JUMPS = (
     ("robot", _HOUR),
     ("safety_filter", -_HOUR),
     ("safety_filter", _HOUR),
-    ("recorder", -_HOUR),
     ("router", _HOUR),
 )
 
@@ -59,11 +59,19 @@ def _says_so(world: World) -> str:
 def clocks() -> list[Fault]:
     """The wall clock of one process jumps by an hour, and back. Its monotonic clock goes on, as clocks do when set.
 
-    Without libfaketime (Debian: libfaketime) there are none.
+    By libfaketime (Debian: libfaketime), which reaches the network library, too; where it is not installed, and for the
+    recorder, whose sleep that library breaks, only as far as Python tells the time.
     """
-    if _faketime() is None:
-        return []
-    return [_clock_fault(name, step) for name, step in _JUMPS]
+    told = [_told_clock_fault("recorder"), *([] if _faketime() else [_told_clock_fault("safety_filter")])]
+    return [*([_clock_fault(name, step) for name, step in _JUMPS] if _faketime() else []), *told]
+
+
+def _told_clock_fault(name: str) -> Fault:
+    def jump(world: World) -> None:
+        world.members[name].send(JUMP)
+
+    sentence = f"the wall clock that Python tells {name} jumps back by {_HOUR} s, and forth after {_SECONDS:.0f} s"
+    return Fault(f"clock {name} told", sentence, jump, mend=jump, seconds=_SECONDS, meanwhile="drives", small=True)
 
 
 def _clock_fault(name: str, step: int) -> Fault:
@@ -113,7 +121,7 @@ def overload() -> list[Fault]:
     return [
         Fault(
             "starve safety_filter",
-            f"the filter gets only what a competitor on its core leaves over, for {_SECONDS:.0f} s",
+            f"a competitor takes three quarters of the filter's only core, in pieces of 60 ms, for {_SECONDS:.0f} s",
             strike=starved.strike,
             mend=starved.mend,
             seconds=_SECONDS,
@@ -128,36 +136,47 @@ def overload() -> list[Fault]:
     ]
 
 
+_COMPETITOR = """
+import os, time
+os.sched_setaffinity(0, {%d})
+try:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
+except PermissionError:
+    pass
+while True:
+    end = time.monotonic() + 0.06
+    while time.monotonic() < end:
+        pass
+    time.sleep(0.02)
+"""
+"""Comes before the services of the loop, which have the real-time priority 10, on one core: 60 ms of every 80."""
+
+
 @final
 class _Starved:
-    """Puts the filter behind everything else on one core, and a process there that never rests."""
+    """Binds the filter to one core, and to that core a process that seldom rests."""
 
     def __init__(self) -> None:
-        self._before: dict[int, tuple[int, os.sched_param]] = {}
         self._competitor: subprocess.Popen[bytes] | None = None
 
     def strike(self, world: World) -> None:
-        """Takes the processor away."""
+        """Takes most of the processor away."""
         core = max(os.sched_getaffinity(0))
-        self._competitor = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-        os.sched_setaffinity(self._competitor.pid, {core})
-        for thread in world.members["safety_filter"].threads():
-            with contextlib.suppress(ProcessLookupError):  # threads come and go
-                self._before[thread] = os.sched_getscheduler(thread), os.sched_getparam(thread)
-                os.sched_setscheduler(thread, os.SCHED_IDLE, os.sched_param(0))
-                os.sched_setaffinity(thread, {core})
+        _bind(world.members["safety_filter"].threads(), {core})
+        self._competitor = subprocess.Popen([sys.executable, "-c", _COMPETITOR % core])
 
     def mend(self, world: World) -> None:
         """Gives it back."""
-        del world
-        for thread, (policy, parameters) in self._before.items():
-            with contextlib.suppress(ProcessLookupError):
-                os.sched_setaffinity(thread, os.sched_getaffinity(0))
-                os.sched_setscheduler(thread, policy, parameters)
-        self._before = {}
         if self._competitor is not None:
             self._competitor.kill()
             self._competitor.wait()
+        _bind(world.members["safety_filter"].threads(), os.sched_getaffinity(0))
+
+
+def _bind(threads: list[int], cores: set[int]) -> None:
+    for thread in threads:
+        with contextlib.suppress(ProcessLookupError):  # threads come and go
+            os.sched_setaffinity(thread, cores)
 
 
 @final

@@ -19,7 +19,7 @@ __all__ = ["command"]
 @click.option("--only", metavar="NAME", help="one fault by its name, or all of a kind, such as kill")
 @click.option("--small", is_flag=True, help="a few of them, half a minute")
 @click.option("--list", "listed", is_flag=True, help="print the table of faults and run none")
-@click.option("--seed", type=int, default=1, show_default=True, help="of scenes and of lost messages")
+@click.option("--seed", type=int, default=9, show_default=True, help="of scenes and of lost messages")
 @click.option("--keep", type=click.Path(path_type=Path), metavar="DIR", help="keep logs, traces and recordings there")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="folder for faults.json and faults.md")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
