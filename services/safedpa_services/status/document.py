@@ -18,7 +18,7 @@ def document_of(fleet: FleetOverview) -> dict[str, Any]:
     concerns = fleet_concerns(fleet)
     robots = [_robot(robot, now) for robot in fleet.robots.values()]
     robots.sort(key=lambda row: (_LEVELS.index(row["health"]), -row["late"], -row["fallback"], row["robot"]))
-    services = [_service(service, concerns, now) for service in fleet.services.values()]
+    services = [_service(known, concerns, now) for known in fleet.services.values() if not fleet.replaced(known)]
     services.sort(key=lambda row: (_LEVELS.index(row["health"]), row["service"], row["pid"]))
     return {
         "fleet": fleet.bus.fleet,

@@ -120,8 +120,7 @@ def _about_model(robot: RobotOverview) -> Iterator[Concern]:
 def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -> Iterator[Concern]:
     name, health, told = service.name, service.health, service.name not in _LOOP
     if service.age(now) > _SILENT_SECONDS:
-        replaced = any(other.name == name and other.at > service.at for other in fleet.services.values())
-        if told and not replaced:
+        if told and not fleet.replaced(service):
             level: Literal["trouble", "attention"] = "trouble" if name == "recorder" else "attention"
             yield Concern(level, f"{name}: silent for {service.age(now):.0f} s", service=name)
     elif told and health.state == "failing":

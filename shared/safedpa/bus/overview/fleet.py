@@ -18,6 +18,7 @@ __all__ = ["FleetOverview"]
 _FORGET_SECONDS = 300.0
 """What was silent for so long has left; until then its silence is told."""
 _NO_ROBOT = "-"
+_SILENT_SECONDS = 1.5
 
 
 @dataclass
@@ -45,6 +46,11 @@ class FleetOverview:
     def nobody(self) -> bool:
         """Whether nothing at all was heard so far."""
         return not self.robots and not self.services
+
+    def replaced(self, service: ServiceOverview) -> bool:
+        """Whether a process fell silent and another one of the same service was heard since."""
+        others = [known for known in self.services.values() if known.name == service.name and known.at > service.at]
+        return service.age(self.clock()) > _SILENT_SECONDS and bool(others)
 
     def listen(self, wait: float) -> None:
         """Takes in what arrived, after ``wait`` [s] at most; not woken by every message."""

@@ -1,0 +1,1 @@
+"""What is said on the bus, as metrics in Prometheus's format: one process beside the loop, which waits for nothing."""

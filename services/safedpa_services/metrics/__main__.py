@@ -1,0 +1,41 @@
+"""``python -m safedpa_services.metrics --port 9464``: serves a fleet's metrics to Prometheus."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import uuid
+
+from safedpa.bus import NO_ROBOT
+from safedpa.bus.overview import FleetOverview
+from safedpa.bus.process import Stop, add_bus_options, bus_from, lifetime, run_process
+from safedpa.errors import InputError
+from safedpa_services.metrics.exporter import Exporter
+
+_SERVICE = "metrics"
+
+
+def metrics_parser() -> argparse.ArgumentParser:
+    """The options of the exporter."""
+    parser = argparse.ArgumentParser(prog="safedpa-metrics", description="a fleet's metrics for Prometheus")
+    add_bus_options(parser)
+    parser.add_argument("--robot", default="*", help="this robot alone")
+    parser.add_argument("--port", type=int, default=9464, help="TCP port of the page /metrics; 0: any free one")
+    parser.add_argument("--bind", default="127.0.0.1", help="address to listen at; 0.0.0.0 lets other machines scrape")
+    return parser
+
+
+def work(options: argparse.Namespace, stop: Stop) -> int:
+    """Serves until ``stop``; returns the exit code."""
+    if importlib.util.find_spec("prometheus_client") is None:
+        raise InputError("metrics: prometheus_client is not installed; install 'safedpa[metrics]'")
+    os.nice(10)  # the loop comes first
+    with bus_from(options) as bus, lifetime(_SERVICE, stop):
+        bus.announce(NO_ROBOT, _SERVICE, uuid.uuid4().hex[:12])
+        Exporter(FleetOverview(bus, options.robot), options.bind, options.port).run(stop)
+    return 0
+
+
+if __name__ == "__main__":
+    run_process(work, metrics_parser())
