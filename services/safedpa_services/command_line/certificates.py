@@ -29,12 +29,10 @@ def command(
     Certificates that are there already stay, so that a robot can be added later. authority.key.pem is what makes
     certificates: keep it away from robots and services, each of which needs authority.pem and its own two files alone.
     """
-    from safedpa.bus import STATE, key_of
-    from safedpa.bus.access import ROUTER, role_of_robot, roles_of
+    from safedpa.bus.access import ROUTER, check_names, role_of_robot, roles_of
     from safedpa.bus.authority import HOSTS, Authority
 
-    for robot in (fleet, *robots):
-        key_of(robot, robot, STATE)  # refuses names that the bus cannot carry
+    check_names(fleet, robots)
     authority = Authority(folder, fleet)
     click.echo(f"{folder / 'authority.pem'}: {'made' if authority.is_new else 'there already'}, for fleet '{fleet}'")
     further = tuple(f"{ROUTER}.{name}" for name in routers)

@@ -43,7 +43,7 @@ class _Decision:
     allowed: bool
 
 
-_UNKNOWN = _Decision("", "send what it sent", "ingress", "", allowed=False)
+_UNKNOWN = _Decision("", "", "ingress", "", allowed=False)
 """Of a message that went no further while the line about its key was lost."""
 
 
@@ -99,7 +99,9 @@ class Refusals:
         if decision.flow != "ingress":
             return
         name = self._names.get(decision.session) or self.name_of(decision.session) or "somebody"
-        if decision.allowed and decision.act == "Put":
+        if decision is _UNKNOWN:
+            self._refused("bus.denied", "a message was denied; Zenoh's log had no room to say whose", name, decision)
+        elif decision.allowed and decision.act == "Put":
             self._refused(
                 "bus.too_large", f"{name} sent more bytes under '{decision.key}' than its topic allows", name, decision
             )

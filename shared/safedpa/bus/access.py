@@ -27,7 +27,18 @@ from safedpa.bus.topics import (
 )
 from safedpa.errors import InputError
 
-__all__ = ["NOBODY", "ROBOT", "ROLES", "ROUTER", "Role", "access_control", "role_of_robot", "roles_of", "size_limits"]
+__all__ = [
+    "NOBODY",
+    "ROBOT",
+    "ROLES",
+    "ROUTER",
+    "Role",
+    "access_control",
+    "check_names",
+    "role_of_robot",
+    "roles_of",
+    "size_limits",
+]
 
 NOBODY = "-"
 """Stands for the robot in the keys of a service that serves the whole fleet."""
@@ -105,14 +116,23 @@ def roles_of(robots: Iterable[str]) -> tuple[str, ...]:
     return (*map(role_of_robot, robots), *(name for name in ROLES if name != ROBOT), ROUTER)
 
 
+def check_names(fleet: str, robots: tuple[str, ...]) -> None:
+    """Raises InputError unless these can be the names of one fleet and of different robots, each of one robot."""
+    for name in (fleet, *robots):
+        key_of(name, name, STATE)
+        if name in ("*", NOBODY):
+            raise InputError(f"name '{name}': stands for every robot or none, wanted one")
+    if len(set(robots)) < len(robots):
+        raise InputError(f"--robot: got {', '.join(robots)}, wanted every robot once")
+
+
 def access_control(fleet: str, robots: Iterable[str]) -> dict[str, Any]:
     """Zenoh's ``access_control`` for the router of a fleet with these robots.
 
     Raises InputError for names that the bus cannot carry, or a robot named twice.
     """
     names = tuple(robots)
-    if len(set(names)) < len(names):
-        raise InputError(f"--robot: got {', '.join(names)}, wanted every robot once")
+    check_names(fleet, names)
     rules: list[dict[str, Any]] = []
     policies = []
     for subject, rights in _subjects(fleet, names):

@@ -1,0 +1,83 @@
+"""The router's access control as it is generated: complete, closed, from the table of topics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa.bus import TOPICS
+from safedpa.bus.access import ROLES, access_control, roles_of, size_limits
+from safedpa.errors import InputError
+
+NAMES = st.lists(st.from_regex(r"[a-z0-9_.][a-z0-9_.-]{0,8}", fullmatch=True), unique=True, max_size=5)
+
+
+def keys_of(control: dict[str, Any], subject: str, message: str, flow: str) -> set[str]:
+    allowed = {rule for policy in control["policies"] if subject in policy["subjects"] for rule in policy["rules"]}
+    rules = [rule for rule in control["rules"] if rule["id"] in allowed]
+    return {key for rule in rules if message in rule["messages"] and flow in rule["flows"] for key in rule["key_exprs"]}
+
+
+@given(NAMES)
+def test_it_is_on_and_closed_and_every_rule_belongs_to_somebody(robots: list[str]) -> None:
+    control = access_control("f", robots)
+    assert control["enabled"] is True
+    assert control["default_permission"] == "deny"
+    assert {rule["permission"] for rule in control["rules"]} == {"allow"}
+    assert not any("delete" in rule["messages"] for rule in control["rules"])
+    used = [rule for policy in control["policies"] for rule in policy["rules"]]
+    assert sorted(used) == sorted(rule["id"] for rule in control["rules"])
+    assert len(set(used)) == len(used)
+    names = {name for subject in control["subjects"] for name in subject.get("cert_common_names", ())}
+    assert names == set(roles_of(robots))
+
+
+@given(NAMES)
+def test_who_may_put_names_its_robots_one_by_one(robots: list[str]) -> None:
+    control = access_control("f", robots)
+    for role in set(roles_of(robots)) - {"router"}:
+        assert not any("*" in key for key in keys_of(control, role, "put", "ingress"))
+    for robot in robots:
+        mine = keys_of(control, f"robot.{robot}", "put", "ingress")
+        assert {key.split("/")[2] for key in mine} == {robot}
+        assert f"safedpa/f/{robot}/state" in mine
+        assert f"safedpa/f/{robot}/action" not in mine
+
+
+def test_every_topic_has_its_writer_and_no_other() -> None:
+    control = access_control("f", ["r"])
+    for topic in TOPICS.values():
+        writers = {
+            role
+            for role in set(roles_of(["r"])) - {"router"}
+            if any(key.split("/")[3] == topic.name for key in keys_of(control, role, "put", "ingress"))
+        }
+        assert writers == ({"robot.r" if topic.writer == "robot" else topic.writer} if topic.writer != "*" else writers)
+        assert writers
+
+
+def test_strangers_have_a_right_to_nothing() -> None:
+    control = access_control("f", ["r"])
+    everybody = {key for message in ("put", "query") for key in keys_of(control, "everybody", message, "ingress")}
+    assert everybody == {"safedpa/-/-/nothing"}
+
+
+@pytest.mark.parametrize("robots", [["*"], ["-"], ["a/b"], ["r", "r"], [""], ["$x"]])
+def test_names_that_would_widen_a_rule_are_refused(robots: list[str]) -> None:
+    with pytest.raises(InputError):
+        access_control("f", robots)
+    with pytest.raises(InputError):
+        access_control(robots[0] if len(robots) == 1 else "*", ["r"])
+
+
+def test_every_topic_has_a_size() -> None:
+    limits = size_limits("f")
+    of = {key.split("/")[3]: limit["size_limit"] for limit in limits for key in limit["key_exprs"]}
+    assert of == {topic.name: topic.largest_bytes for topic in TOPICS.values()}
+
+
+def test_every_service_that_writes_a_topic_is_a_role() -> None:
+    assert {topic.writer for topic in TOPICS.values()} - {"*"} <= set(ROLES)

@@ -1,0 +1,147 @@
+"""Who gets onto a secured bus at all. Every refusal has a twin that gets in."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.bus import ZenohSettings, ZenohTransport
+from safedpa.bus.authority import HOSTS, Authority
+from safedpa.bus.certificates import Certificates
+from safedpa.errors import BusError
+
+pytestmark = pytest.mark.processes
+
+
+def attempt(endpoint: str, card: Certificates | None) -> None:
+    ZenohTransport(ZenohSettings("client", (), (endpoint,), card, patience=0.5)).close()
+
+
+def test_the_fleets_own_certificate_gets_in(network: Any) -> None:
+    network.start(guarded=True)
+    attempt(network.endpoint, network.card("safety_filter"))
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Path:
+    """The folder of another authority that calls itself the same."""
+    authority = Authority(tmp_path / "foreign", "f")
+    for role in ("safety_filter", "router"):
+        authority.issue(role, 1.0, HOSTS if role == "router" else ())
+    return authority.folder
+
+
+def test_a_foreign_authority_gets_nobody_in(network: Any, foreign: Path) -> None:
+    network.start(guarded=True)
+    with pytest.raises(BusError, match="could not open"):
+        attempt(network.endpoint, Certificates(foreign, "safety_filter"))
+    (foreign / "authority.pem").write_bytes((network.folder / "authority.pem").read_bytes())
+    with pytest.raises(BusError, match="could not open"):  # even if the attacker trusts the router
+        attempt(network.endpoint, Certificates(foreign, "safety_filter"))
+
+
+def test_nobody_trusts_a_router_of_a_foreign_authority(network: Any, foreign: Path) -> None:
+    network.opened(ZenohSettings("router", (network.endpoint,), (), Certificates(foreign, "router")))
+    attempt(network.endpoint, Certificates(foreign, "safety_filter"))  # the twin: its own believe it
+    with pytest.raises(BusError, match="could not open"):
+        attempt(network.endpoint, network.card("safety_filter"))
+
+
+def test_an_expired_certificate_gets_nobody_in(network: Any) -> None:
+    network.start(guarded=True)
+    authority = Authority(network.folder, network.fleet)
+    authority.issue("expiring", 1.0)
+    attempt(network.endpoint, network.card("expiring"))
+    authority.issue("expiring", 0.2 / 86400.0)
+    ends = time.time() + 1.2
+
+    def refused() -> bool:
+        try:
+            attempt(network.endpoint, network.card("expiring"))
+        except BusError:
+            return True
+        return False
+
+    assert network.until(lambda: time.time() > ends and refused())
+
+
+def tls_client(network: Any, role: str | None) -> bytes:
+    """What a program that speaks TLS, but no Zenoh, reads from the router."""
+    context = ssl.create_default_context(cafile=str(network.folder / "authority.pem"))
+    if role is not None:
+        context.load_cert_chain(network.folder / f"{role}.pem", network.folder / f"{role}.key.pem")
+    host, port = network.endpoint.removeprefix("tls/").split(":")
+    with (
+        socket.create_connection((host, int(port)), timeout=5.0) as raw,
+        context.wrap_socket(raw, server_hostname=host) as secured,
+    ):
+        secured.sendall(b"\x00\x00\x00")
+        return secured.recv(16)
+
+
+def test_without_a_certificate_nobody_gets_in(network: Any) -> None:
+    network.start(guarded=True)
+    assert tls_client(network, "safety_filter")  # the router hangs up in its own protocol: it got that far
+    with pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"):
+        tls_client(network, None)
+
+
+def test_plain_text_gets_nobody_in(network: Any, free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    network.start(guarded=True)
+    with pytest.raises(BusError, match="could not open"):
+        attempt(endpoint, None)
+    network.close()
+    network.opened(ZenohSettings("router", (endpoint,)))
+    attempt(endpoint, None)
+
+
+def test_a_service_cannot_pose_as_the_router(network: Any) -> None:
+    """Its certificate may open connections, not accept them."""
+    network.opened(ZenohSettings("router", (network.endpoint,), (), network.card("policy")))
+    with pytest.raises(BusError, match="could not open"):
+        attempt(network.endpoint, network.card("safety_filter"))
+
+
+def test_a_router_is_believed_only_under_its_own_names(network: Any, free_port: int) -> None:
+    network.opened(ZenohSettings("router", (f"tls/0.0.0.0:{free_port}",), (), network.card("router")))
+    for host in ("127.0.0.1", "localhost"):
+        attempt(f"tls/{host}:{free_port}", network.card("safety_filter"))
+    with pytest.raises(BusError, match="could not open"):
+        attempt(f"tls/127.0.0.2:{free_port}", network.card("safety_filter"))
+
+
+def test_certificates_go_with_tls_and_a_router_alone(network: Any) -> None:
+    with pytest.raises(BusError, match="--mode client"):
+        ZenohSettings("peer", certificates=network.card("policy"))
+    with pytest.raises(BusError, match="wanted tls/HOST:PORT"):
+        ZenohSettings("client", (), ("tcp/127.0.0.1:7447",), network.card("policy"))
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "plain"),
+    [
+        ("tcp/127.0.0.1:7447", False),
+        ("tcp/localhost:7447", False),
+        ("tcp/[::1]:7447", False),
+        ("tls/0.0.0.0:7447", False),
+        ("tcp/0.0.0.0:7447", True),
+        ("tcp/router:7447", True),
+        ("udp/10.0.0.1:7447#iface=eth0", True),
+        ("garbage", True),
+    ],
+)
+def test_what_is_plain_text_and_can_be_reached_from_elsewhere_is_known(endpoint: str, plain: bool) -> None:
+    assert bool(ZenohSettings("client", (), (endpoint,)).plain_endpoints) is plain
+
+
+def test_plain_text_beyond_this_machine_is_said_loudly(free_port: int, capsys: pytest.CaptureFixture[str]) -> None:
+    ZenohTransport(ZenohSettings("router", (f"tcp/127.0.0.1:{free_port}",))).close()
+    assert capsys.readouterr().err == ""
+    ZenohTransport(ZenohSettings("router", (f"tcp/0.0.0.0:{free_port}",))).close()
+    assert '"kind": "bus.plain_text"' in capsys.readouterr().err

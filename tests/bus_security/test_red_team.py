@@ -1,0 +1,240 @@
+"""Attacks on a secured bus. Every one that is blocked has a twin that is delivered where nobody guards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import STATE, TOPICS, AbstractNode, Bus, Topic, key_of, request_key
+from safedpa.bus.access import roles_of
+from safedpa.bus.requests import AGREED, ORDER, REQUEST, STATUS
+from safedpa.diagnosis.live.node import DiagnosisNode
+from safedpa.errors import BusError
+from safedpa.policy import PolicyNode
+from safedpa.safety.node import SafetyFilterNode
+
+pytestmark = pytest.mark.processes
+
+NODES: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode, DiagnosisNode)
+LOOP = {"adaptation", "policy", "safety_filter"}
+SILENT = {"operator", "healthcheck"}
+OBSERVERS = {"recorder", "dashboard", "workbench", "operator"}
+ALL = tuple(TOPICS.values())
+
+
+def roles(network: Any) -> list[str]:
+    return [role for role in (*roles_of(network.robots), *network.strangers) if role != "router"]
+
+
+def kind_of(role: str) -> str:
+    return "robot" if role in ("robot.r1", "robot.r2") else role
+
+
+def targets(network: Any) -> Iterable[tuple[Topic, str, str]]:
+    """Every topic of every robot, and of none, under every service's name."""
+    for topic in ALL:
+        for robot in (*network.robots, "r3", "-"):
+            services = sorted({*map(kind_of, roles(network)), "router"}) if topic.per_service else [""]
+            yield from ((topic, robot, service) for service in services)
+
+
+def may_write(network: Any, role: str, topic: Topic, robot: str, service: str) -> bool:
+    """From the writer column, for robots that belong to the fleet."""
+    kind = kind_of(role)
+    own = {role.removeprefix("robot.")} if kind == "robot" else {*network.robots}
+    if not topic.per_service:
+        return kind == topic.writer and robot in own
+    speaks = kind in LOOP if topic.name == "takeover" else role not in {*SILENT, *network.strangers}
+    return speaks and service == kind and robot in ({*own} if kind == "robot" else {*own, "-"})
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+def test_who_may_put_is_exactly_the_writer_column(network: Any, guarded: bool) -> None:
+    network.start(guarded=guarded)
+    ear = network.ear(network.join("recorder"), *(key_of(network.fleet, "*", topic, "*") for topic in ALL))
+    expected = set()
+    for role in roles(network):
+        attacker = network.join(role)
+        for topic, robot, service in targets(network):
+            key = key_of(network.fleet, robot, topic, service)
+            attacker._session.put(key, role.encode())
+            if not guarded or may_write(network, role, topic, robot, service):
+                expected.add((role, key))
+        network.leave(attacker)
+    network.fence(ear)
+    assert {(payload.decode(), key) for key, payload, _ in ear.heard if b"fence" not in payload} == expected
+
+
+WILDCARDS = ("safedpa/f/*/action", "safedpa/f/r1/*", "safedpa/f/**", "safedpa/*/r1/action", "safedpa/**", "**")
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+def test_nobody_puts_under_wildcards(network: Any, guarded: bool) -> None:
+    network.start(guarded=guarded)
+    ear = network.ear(network.join("robot.r1"), "safedpa/f/r1/action")
+    for role in roles(network):
+        attacker = network.join(role)
+        for key in WILDCARDS:
+            attacker._session.put(key, role.encode())
+        network.leave(attacker)
+    proof = network.join("safety_filter")
+    assert network.until(lambda: proof._session.put("safedpa/f/r1/action", b"proof") or ear.of(b"proof"))
+    assert ear.keys == ({"safedpa/f/r1/action"} if guarded else {*WILDCARDS, "safedpa/f/r1/action"})
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+def test_nobody_deletes_not_even_the_writer(network: Any, guarded: bool) -> None:
+    network.start(guarded=guarded)
+    ear = network.ear(network.join("robot.r1"), "safedpa/f/r1/action")
+    attacker = network.join("safety_filter")
+    attacker._session.delete("safedpa/f/r1/action")
+    assert network.until(lambda: attacker._session.put("safedpa/f/r1/action", b"proof") or ear.of(b"proof"))
+    assert ("DELETE" in {kind for _, _, kind in ear.heard}) is not guarded
+
+
+def may_read(role: str, topic: Topic, robot: str) -> bool:
+    """As the nodes declare what they need; a robot its own, an observer everything."""
+    kind = kind_of(role)
+    if kind == "robot":
+        return topic.name in ("state", "action") and role == f"robot.{robot}"
+    node = next((node for node in NODES if node.name == kind), None)
+    if node is not None:
+        return topic is STATE or topic in (*node.inputs, *node.listens)
+    return kind in OBSERVERS or (kind == "healthcheck" and topic.name == "health")
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+def test_who_hears_what_is_exactly_who_needs_it(network: Any, guarded: bool) -> None:
+    router = network.start(guarded=guarded)
+    keys = {(topic, robot): key_of(network.fleet, robot, topic, "any") for topic in ALL for robot in network.robots}
+    ears = {}
+    for role in roles(network):
+        session = network.join(role)
+        wanted = [key_of(network.fleet, robot, topic, "*") for topic, robot in keys]
+        wanted += [key_of(network.fleet, "*", topic, "*") for topic in ALL] + ["safedpa/f/**", "**"]
+        ears[role] = network.ear(session, *wanted)
+    recorder = ears["recorder"]
+
+    def spoken() -> bool:
+        for key in keys.values():
+            router._session.put(key, b"x")  # the router's own session is not filtered on its way in
+        return recorder.keys == set(keys.values())
+
+    assert network.until(spoken)
+    for role, ear in ears.items():
+        allowed = {key for (topic, robot), key in keys.items() if not guarded or may_read(role, topic, robot)}
+        assert network.until(lambda ear=ear, allowed=allowed: spoken() and ear.keys >= allowed), role
+        assert ear.keys == allowed, role
+
+
+MAY_ASK = {
+    REQUEST: {"operator", "workbench"},
+    STATUS: {"operator", "workbench", *LOOP},
+    ORDER: {"operator"},
+    AGREED: LOOP,
+}
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+def test_who_may_ask(network: Any, guarded: bool) -> None:
+    network.start(guarded=guarded)
+    diagnosis, safety_filter = network.join("diagnosis"), network.join("safety_filter")
+    asked: list[tuple[str, str]] = []
+
+    def answer(key: str, payload: bytes) -> bytes:
+        asked.append((payload.decode(), key.rsplit("/", 1)[1]))
+        return b"yes"
+
+    for kind, transport in ((REQUEST, diagnosis), (STATUS, diagnosis), (ORDER, safety_filter), (AGREED, safety_filter)):
+        transport.answer(request_key(network.fleet, "*", kind), answer)
+    operator = network.join("operator")
+    assert network.until(lambda: operator.ask(request_key("f", "r1", REQUEST), b"ready", 0.2) == b"yes")
+    assert network.until(lambda: operator.ask(request_key("f", "r1", ORDER), b"ready", 0.2) == b"yes")
+    expected = {("ready", REQUEST), ("ready", ORDER)}
+    for role in roles(network):
+        attacker = network.join(role)
+        for kind, allowed in MAY_ASK.items():
+            given = attacker.ask(request_key("f", "r1", kind), role.encode(), 0.5 if role in allowed else 0.02)
+            if role in allowed:
+                assert given == b"yes", (role, kind)
+            if not guarded or role in allowed:
+                expected.add((role, kind))
+        network.leave(attacker)
+    assert network.until(lambda: expected <= set(asked))
+    assert set(asked) == expected
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+def test_nobody_answers_for_the_diagnosis_or_the_filter(network: Any, guarded: bool) -> None:
+    network.start(guarded=guarded)
+    liars = [role for role in roles(network) if role not in ("diagnosis", "safety_filter")]
+    heard: set[str] = set()
+    for role in liars:
+        for kind in (REQUEST, ORDER):
+            network.join(role).answer(request_key("f", "*", kind), lambda key, payload, role=role: heard.add(role))
+    operator = network.join("operator")
+
+    def asked() -> bool:
+        for kind in (REQUEST, ORDER):
+            operator.ask(request_key("f", "r1", kind), b"?", 0.2)
+        return heard == set(liars)
+
+    if guarded:
+        honest = network.join("diagnosis")
+        honest.answer(request_key("f", "*", REQUEST), lambda key, payload: b"yes")
+        assert network.until(lambda: operator.ask(request_key("f", "r1", REQUEST), b"?", 0.2) == b"yes")
+        asked()
+        assert heard == set()
+    else:
+        assert network.until(asked)
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+def test_a_name_cannot_be_taken_from_a_robot_by_others(network: Any, guarded: bool) -> None:
+    network.start(guarded=guarded)
+    for role in roles(network):
+        if role != "robot.r1":
+            network.join(role).declare_alive("safedpa/f/r1/alive/robot/0")
+    robot = Bus(network.join("robot.r1"), network.fleet)
+    if guarded:
+        robot.claim("r1", "robot", "m")
+        assert network.until(lambda: robot.instances("r1", "robot") == ["m"])
+    else:
+        assert network.until(lambda: robot.instances("r1", "robot") == ["0"])
+        with pytest.raises(BusError, match="lives already"):
+            robot.claim("r1", "robot", "m")
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+@pytest.mark.parametrize("role", ["intruder", "policy", "robot.r2"])
+def test_being_a_router_or_a_peer_helps_nobody(network: Any, role: str, guarded: bool) -> None:
+    network.start(guarded=guarded)
+    ear = network.ear(network.join("robot.r1"), "safedpa/f/r1/action")
+    attacker = network.join_as(role, "router")
+    attacker._session.put("safedpa/f/r1/action", b"evil")
+    if guarded:
+        network.leave(attacker)
+        proof = network.join("safety_filter")
+        assert network.until(lambda: proof._session.put("safedpa/f/r1/action", b"proof") or ear.of(b"proof"))
+    else:
+        assert network.until(lambda: attacker._session.put("safedpa/f/r1/action", b"evil") or ear.heard)
+    assert (b"evil" in {payload for _, payload, _ in ear.heard}) is not guarded
+
+
+@pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
+def test_what_is_larger_than_its_topic_allows_stops_at_the_router(network: Any, guarded: bool) -> None:
+    network.start(guarded=guarded)
+    ear = network.ear(network.join("recorder"), "safedpa/f/r1/action", "safedpa/f/r1/finding")
+    for role, topic in (("safety_filter", TOPICS["action"]), ("diagnosis", TOPICS["finding"])):
+        sender = network.join(role)
+        key = key_of("f", "r1", topic)
+        for size in (topic.largest_bytes, topic.largest_bytes + 1):
+            sender.put(key, bytes(size), never_drop=True)
+        sender.put(key, role.encode(), never_drop=True)
+        assert network.until(lambda key=key, role=role: ear.of(role.encode()) == {key})
+        sizes = [len(payload) for heard, payload, _ in ear.heard if heard == key]
+        wanted = [topic.largest_bytes, *([] if guarded else [topic.largest_bytes + 1]), len(role)]
+        assert sizes == wanted

@@ -1,0 +1,102 @@
+"""What the router reads out of Zenoh's log: lines as Zenoh 1.10.2 writes them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa_services.router.refusals import Refusals
+
+ACCESS = "2026-11-21T20:33:54.423019Z TRACE  rx-1 ThreadId({0}) zenoh::net::routing::interceptor::access_control: {1}"
+END = "2026-11-21T20:33:54.423033Z TRACE  rx-1 ThreadId({0}) zenoh::net::routing::interceptor: Msg intercepted!"
+ZID = "540552e740966635a3e3f4d721ba8194"
+FRESH = f"{ZID} on Interface(lo)+CertCommonName(policy)+Transport(Tls)+{ZID} is {{}}authorized to {{}} on {{}}"
+CACHED = f"Using cached result: {ZID} is {{}}authorized to {{}} on {{}}"
+
+
+def decision(form: str, no: str, act: str, key: str = "safedpa/f/r1/action", thread: str = "10") -> str:
+    return ACCESS.format(thread, form.format(no, act, key))
+
+
+def events(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
+    return [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+
+
+def test_a_denial_is_told_with_name_and_key(capsys: pytest.CaptureFixture[str]) -> None:
+    refusals = Refusals()
+    refusals.hear(decision(FRESH, "un", "Put (ingress)", "safedpa/f/denial-1/action"))
+    assert refusals.total == 0, "a decision alone is none: many are made in advance"
+    refusals.hear(END.format("10"))
+    (event,) = events(capsys)
+    assert event["kind"] == "bus.denied"
+    assert event["sentence"] == "policy may not put under 'safedpa/f/denial-1/action'"
+    assert (event["service"], event["robot"]) == ("policy", "denial-1")
+    assert refusals.total == 1
+    assert refusals.newest == event["sentence"]
+
+
+def test_a_cached_denial_is_named_after_what_was_heard_before(capsys: pytest.CaptureFixture[str]) -> None:
+    refusals = Refusals()
+    refusals.name_of = lambda session: {"ab": "robot.r9"}.get(session, "")
+    refusals.hear(decision(FRESH, "", "Put (egress)"))
+    refusals.hear(decision(CACHED, "un", "Declare Subscriber (ingress)", "safedpa/f/denial-2/action"))
+    refusals.hear(END.format("10"))
+    refusals.hear(decision(CACHED.replace(ZID, "ab"), "un", "Delete (ingress)", "safedpa/f/denial-3/action"))
+    refusals.hear(END.format("10"))
+    assert [event["sentence"] for event in events(capsys)] == [
+        "policy may not declare subscriber under 'safedpa/f/denial-2/action'",
+        "robot.r9 may not delete under 'safedpa/f/denial-3/action'",
+    ]
+
+
+def test_threads_are_not_mixed_up(capsys: pytest.CaptureFixture[str]) -> None:
+    refusals = Refusals()
+    refusals.hear(decision(FRESH, "un", "Put (ingress)", "safedpa/f/denial-4/action", "10"))
+    refusals.hear(decision(FRESH, "", "Put (ingress)", "safedpa/f/denial-5/action", "9"))
+    refusals.hear(END.format("10"))
+    (event,) = events(capsys)
+    assert event["robot"] == "denial-4"
+
+
+def test_what_is_withheld_on_the_way_out_is_no_attempt() -> None:
+    refusals = Refusals()
+    refusals.hear(decision(FRESH, "un", "Declare Subscriber (egress)"))
+    refusals.hear(END.format("10"))
+    assert refusals.total == 0
+
+
+def test_an_allowed_message_that_goes_no_further_was_too_large(capsys: pytest.CaptureFixture[str]) -> None:
+    refusals = Refusals()
+    refusals.hear(decision(FRESH, "", "Put (ingress)", "safedpa/f/denial-6/action"))
+    refusals.hear(END.format("10"))
+    assert [event["kind"] for event in events(capsys)] == ["bus.too_large"]
+
+
+def test_a_refusal_whose_reason_was_lost_is_told_all_the_same() -> None:
+    refusals = Refusals()
+    refusals.hear(END.format("10"))
+    assert refusals.counts == {"bus.denied": 1}
+
+
+def test_handshakes(capsys: pytest.CaptureFixture[str]) -> None:
+    refusals = Refusals()
+    head = "2026-11-21T20:33:49.171284Z {} acc-0 ThreadId(05) zenoh_link_tls::unicast: {}"
+    joined = "Accepted TLS connection on 127.0.0.1:17448: 127.0.0.1:52214. Common Name: denial-7."
+    refusals.hear(head.format("DEBUG", joined))
+    assert refusals.total == 0
+    refusals.hear(head.format(" WARN", "peer sent no certificates. Hint: increase the system open file limit."))
+    told = events(capsys)
+    assert told[0]["sentence"] == "denial-7 connects from 127.0.0.1:52214"
+    assert [event["kind"] for event in told] == ["bus.joined", "bus.handshake_refused"]
+    assert told[1]["sentence"] == "a connection was refused: peer sent no certificates"
+
+
+@given(st.lists(st.one_of(st.text(), st.just(END.format("1")), st.just(decision(FRESH, "un", "Put (ingress)")))))
+def test_no_line_breaks_it_and_no_refusal_is_missed(lines: list[str]) -> None:
+    refusals = Refusals()
+    for line in lines:
+        refusals.hear(line)
+    assert refusals.total == sum(line == END.format("1") for line in lines)
