@@ -1,0 +1,163 @@
+"""A car with its services in one process, by a clock of the test's own: services stall, die and come back."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import final
+
+import pytest
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import (
+    ACTION,
+    MODEL,
+    NO_ROBOT,
+    SETUP,
+    STATE,
+    TAKEOVER,
+    TOPICS,
+    AbstractNode,
+    ActionMessage,
+    Bus,
+    MemoryBroker,
+    MemoryTransport,
+    ModelMessage,
+    Received,
+    ServiceLoop,
+    SetupMessage,
+    TakeoverMessage,
+)
+from safedpa.bus.setup import setup_message
+from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
+from safedpa.dynamics.model_setup import model_setup
+from safedpa.policy import PolicyNode
+from safedpa.records import McapRecorder
+from safedpa.safety.margin_text import margin_text
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.settings import write_settings
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.scene import Scene
+
+PERIOD = 0.05
+ROBOT = "r1"
+OFFSET = '\n[[effects]]\nname = "steering_offset"\nangle = { value = 0.01, free = true }\n'
+SERVICES = ("adaptation", "policy", "safety_filter")
+
+
+def built(service: str, name: str, controller: str | None) -> tuple[AbstractNode, SetupMessage]:
+    """A service's node and its setup, as its process makes them."""
+    model = load_model(name)
+    setup = model_setup(setup_message(service, {"model": name}), model)
+    if service == "adaptation":
+        return AdaptationNode(model), setup
+    if service == "policy":
+        return PolicyNode(model, controller=controller), dataclasses.replace(setup, controller=controller or "")
+    settings, margin = settings_named("car"), margin_for(model)
+    assert margin is not None
+    setup = dataclasses.replace(setup, settings=write_settings(settings), margin=margin_text(margin))
+    return SafetyFilterNode(model, settings, margin), setup
+
+
+def offered(name: str, change: int) -> ModelMessage:
+    """The model with a steering offset and a margin of its own, as the diagnosis would offer it."""
+    model = load_model(name)
+    changed = parse_model(write_model(model) + OFFSET)
+    margin = margin_for(model)
+    assert margin is not None
+    return ModelMessage(
+        epoch=1,
+        tick=0,
+        robot_time=0.0,
+        publish_time=0.0,
+        step="offer",
+        change=change,
+        fingerprint=fingerprint(changed),
+        replaces=fingerprint(model),
+        document=write_model(changed),
+        margin=margin_text(dataclasses.replace(margin, fingerprint=fingerprint(changed), date="2026-01-01")),
+    )
+
+
+@final
+class Fleet:
+    """One car, its three services, and a recorder of everything that is said."""
+
+    def __init__(self, model: str = "car", load: str = "box", controller: str | None = None, seed: int = 3) -> None:
+        self.now = 0.0
+        self._model, self._controller = model, controller
+        self._broker = MemoryBroker()
+        self._bus = Bus(MemoryTransport(self._broker), "test")
+        self._actions = self._bus.inbox((ACTION, TAKEOVER), keep_all=True)
+        self._recorded = self._bus.inbox(tuple(TOPICS.values()), keep_all=True, clock=lambda: self.now)
+        self.heard: list[Received] = []
+        self.takeovers: list[TakeoverMessage] = []
+        self._loops: dict[str, tuple[Bus, ServiceLoop]] = {}
+        self._scene = Scene.random(seed, load)
+        self._epoch = 0
+        self.start_robot()
+        for service in SERVICES:
+            self.start(service)
+
+    def start_robot(self) -> None:
+        """The robot starts (anew) under a new epoch, after it was silent for long enough."""
+        self._epoch += 1
+        self.now += 1.0
+        self.robot = CarRobot(self._scene, PERIOD, lockstep=False, epoch=self._epoch, wall_clock=lambda: self.now)
+
+    def start(self, service: str) -> None:
+        """A new process of a service, which says its setup."""
+        node, setup = built(service, self._model, self._controller)
+        bus = Bus(MemoryTransport(self._broker), "test")
+        self._loops[service] = (bus, ServiceLoop(node, bus, clock=lambda: self.now))
+        bus.publish(SETUP, NO_ROBOT, setup, service)
+
+    def kill(self, service: str) -> None:
+        """Ends a service in the middle of whatever it did."""
+        if service in self._loops:
+            self._loops.pop(service)[0].close()
+
+    def say(self, message: ModelMessage) -> None:
+        """One step of a change of the model, as the diagnosis would say it."""
+        stamp = {"epoch": self._epoch, "tick": self.robot.tick, "robot_time": self.robot.tick * PERIOD}
+        self._bus.publish(MODEL, ROBOT, dataclasses.replace(message, **stamp))
+
+    def tick(self, stalled: frozenset[str] = frozenset()) -> None:
+        """One period in real time; stalled services do nothing in it."""
+        begin = self.now
+        self._bus.publish(STATE, ROBOT, self.robot.state_message())
+        for share in (0.01, 0.25, 0.6, 0.75):
+            self.now = begin + share * PERIOD
+            for service in SERVICES:
+                if service in self._loops and service not in stalled:
+                    self._loops[service][1].turn(0.0)
+        for item in self._actions.take(0.0):
+            message = item.message if isinstance(item, Received) else None
+            if isinstance(message, ActionMessage):
+                self.robot.receive(message)
+            elif isinstance(message, TakeoverMessage):
+                self.takeovers.append(message)
+        self.robot.advance()
+        self.now = begin + PERIOD
+        self.heard += [item for item in self._recorded.take(0.0) if isinstance(item, Received)]
+
+    def record(self, path: Path, keep: Callable[[Received], bool] = lambda _: True) -> Path:
+        """Writes what was heard, or what a recorder would have got of it."""
+        with McapRecorder(path) as recorder:
+            for item in self.heard:
+                if keep(item):
+                    at = round(1e9 * (1_700_000_000 + item.at))
+                    recorder.write(item.key, item.payload, at, at)
+        return path
+
+
+@pytest.fixture(scope="session")
+def fleet_of() -> type[Fleet]:
+    return Fleet
+
+
+@pytest.fixture(scope="session")
+def offer_of() -> Callable[[str, int], ModelMessage]:
+    return offered

@@ -1,0 +1,178 @@
+"""Whatever befalls the services while they drive, the recording replays bit for bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.bus import LATENT, STATE, VERDICT, WISH, ModelMessage, VerdictMessage
+from safedpa.replay.gaps import gaps_of
+from safedpa.replay.replay import Replay, replay
+from safedpa.replay.tape import Tape, read_tape
+
+SERVICES = ("adaptation", "policy", "safety_filter")
+EVENTS = st.lists(
+    st.tuples(
+        st.integers(2, 55),
+        st.sampled_from(["kill", "restart", "stall", "robot"]),
+        st.sampled_from(SERVICES),
+        st.integers(1, 6),
+    ),
+    max_size=5,
+)
+
+
+def driven(fleet: Any, ticks: int, events: list[tuple[int, str, str, int]] = ()) -> Any:  # type: ignore[assignment]
+    """Drives through a story: (tick, what, service, for how many ticks)."""
+    stalls: dict[str, int] = {}
+    dead: dict[str, int] = {}
+    for tick in range(ticks):
+        for at, what, service, length in events:
+            if at != tick:
+                continue
+            if what == "stall":
+                stalls[service] = tick + length
+            elif what == "robot":
+                fleet.start_robot()
+            else:
+                fleet.kill(service)
+                dead[service] = tick + (length if what == "kill" else 0)
+        for service in [name for name, until in dead.items() if tick >= until]:
+            fleet.start(service)
+            del dead[service]
+        fleet.tick(frozenset(name for name, until in stalls.items() if tick < until))
+    return fleet
+
+
+def replayed(path: Path) -> tuple[Tape, Replay]:
+    tape = read_tape([path])
+    return tape, replay(tape)
+
+
+def counted(found: Replay) -> dict[str, int]:
+    return {topic: count for part in found.services for topic, count in part.compared.items()}
+
+
+@settings(max_examples=12, deadline=None)
+@given(events=EVENTS)
+def test_every_story_replays_bit_for_bit(fleet_of: Any, events: list[tuple[int, str, str, int]]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        fleet = driven(fleet_of(), 60, events)
+        tape, found = replayed(fleet.record(Path(folder) / "drive.mcap"))
+    assert found.exact, (events, [part.differing[:2] or part.spans for part in found.services])
+    said = {topic.name: sum(item.topic is topic for item in fleet.heard) for topic in (LATENT, WISH, VERDICT)}
+    assert {name: counted(found).get(name, 0) for name in said} == said
+    assert gaps_of(tape) == []
+
+
+@pytest.mark.parametrize("controller", ["goal_seeker", "random", "planner"])
+def test_every_controller_replays(fleet_of: Any, tmp_path: Path, controller: str) -> None:
+    ticks = 8 if controller == "planner" else 30
+    fleet = driven(fleet_of(controller=controller), ticks, [(4, "stall", "adaptation", 2)])
+    _, found = replayed(fleet.record(tmp_path / "drive.mcap"))
+    assert found.exact
+    assert counted(found)["wish"] == ticks
+
+
+@pytest.mark.parametrize("restarted", [(), ("adaptation",), ("policy",), ("safety_filter",)])
+def test_a_change_of_the_model_replays_with_all_that_follows_it(
+    fleet_of: Any, offer_of: Callable[[str, int], ModelMessage], tmp_path: Path, restarted: tuple[str, ...]
+) -> None:
+    fleet, offer = fleet_of(), offer_of("car", 1)
+    driven(fleet, 20)
+    fleet.say(offer)
+    driven(fleet, 5)
+    assert {answer.state for answer in fleet.takeovers} == {"ready"}
+    fleet.say(dataclasses.replace(offer, step="take", from_tick=fleet.robot.tick + 3, document="", margin=""))
+    driven(fleet, 15, [(7, "restart", service, 0) for service in restarted])
+    tape, found = replayed(fleet.record(tmp_path / "drive.mcap"))
+    models = {
+        entry.message.model for entry in tape.computed["safety_filter"] if isinstance(entry.message, VerdictMessage)
+    }
+    assert len(models) == 2
+    assert found.exact, [part.differing[:3] or part.spans for part in found.services]
+
+
+def test_a_verdict_that_was_changed_afterwards_is_found(fleet_of: Any, tmp_path: Path) -> None:
+    fleet = driven(fleet_of(), 30)
+    tape = read_tape([fleet.record(tmp_path / "drive.mcap")])
+    entries = tape.computed["safety_filter"]
+    forged = dataclasses.replace(entries[17].message, h_next=entries[17].message.h_next + 1e-3)  # type: ignore[attr-defined]
+    entries[17] = dataclasses.replace(entries[17], message=forged)
+    found = replay(tape)
+    assert not found.agrees
+    (difference,) = [item for part in found.services for item in part.differing]
+    assert (difference.tick, difference.topic, difference.field) == (17, "verdict", "h_next")
+    assert difference.recorded == pytest.approx(difference.replayed + 1e-3)
+
+
+def test_another_last_digit_is_no_difference_but_is_told(fleet_of: Any, tmp_path: Path) -> None:
+    tape = read_tape([driven(fleet_of(), 20).record(tmp_path / "drive.mcap")])
+    entries = tape.computed["adaptation"]
+    values = tuple(value * (1.0 + 1e-13) + 1e-15 for value in entries[9].message.values)  # type: ignore[attr-defined]
+    entries[9] = dataclasses.replace(entries[9], message=dataclasses.replace(entries[9].message, values=values))
+    found = replay(tape)
+    assert found.agrees
+    assert not found.exact
+    assert replay(tape, tolerance=0.0).agrees is False
+
+
+def test_lost_outputs_are_made_up_where_their_states_are_there(fleet_of: Any, tmp_path: Path) -> None:
+    fleet = driven(fleet_of(), 40)
+    path = fleet.record(
+        tmp_path / "drive.mcap", lambda item: not (item.topic in (LATENT, VERDICT) and 10 <= item.message.tick < 15)
+    )
+    tape, found = replayed(path)
+    assert found.exact
+    assert {part.service: part.lost for part in found.services} == {"adaptation": 5, "policy": 0, "safety_filter": 5}
+    assert counted(found) == {"latent": 35, "wish": 40, "verdict": 35, "action": 35}
+    assert {(gap.what, gap.missing) for gap in gaps_of(tape)} == {("adaptation", 5), ("safety_filter", 5)}
+
+
+def test_outputs_lost_to_the_end_are_seen_by_what_others_used(fleet_of: Any, tmp_path: Path) -> None:
+    fleet = driven(fleet_of(), 40)
+    path = fleet.record(tmp_path / "drive.mcap", lambda item: not (item.topic is LATENT and item.message.tick >= 25))
+    tape, found = replayed(path)
+    assert found.exact
+    assert counted(found)["verdict"] == 40
+    assert [(gap.what, gap.after_tick, gap.missing) for gap in gaps_of(tape)] == [("adaptation", 24, 15)]
+
+
+def test_a_gap_makes_the_memory_unknown_until_it_agrees_again(fleet_of: Any, tmp_path: Path) -> None:
+    fleet = driven(fleet_of(model="car_measured"), 90)
+    path = fleet.record(
+        tmp_path / "drive.mcap",
+        lambda item: not (item.topic in (STATE, LATENT, WISH, VERDICT) and 20 <= item.message.tick < 24),
+    )
+    tape, found = replayed(path)
+    assert ("state", 4) in {(gap.what, gap.missing) for gap in gaps_of(tape)}
+    spans = [span for part in found.services for span in part.spans]
+    assert spans
+    assert {span.tick for span in spans} == {24}
+    assert all(span.agrees_from is not None and "not recorded" in span.reason for span in spans)
+    assert found.agrees
+
+
+def test_a_recording_that_begins_on_the_way_says_so(fleet_of: Any, tmp_path: Path) -> None:
+    fleet = driven(fleet_of(), 40)
+    _, found = replayed(
+        fleet.record(tmp_path / "drive.mcap", lambda item: item.topic.name == "setup" or item.message.tick >= 10)
+    )
+    adaptation = found.services[0]
+    assert adaptation.spans[0].tick == 10
+    assert "not recorded" in adaptation.spans[0].reason
+    assert not adaptation.differing, "what cannot be known is no difference"
+
+
+def test_only_the_window_is_compared(fleet_of: Any, tmp_path: Path) -> None:
+    tape = read_tape([driven(fleet_of(), 40).record(tmp_path / "drive.mcap")])
+    found = replay(tape, (0.5, 0.999))
+    assert counted(found) == {"latent": 10, "wish": 10, "verdict": 10, "action": 10}
+    assert found.exact
