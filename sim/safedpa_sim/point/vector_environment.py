@@ -12,11 +12,13 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask
 
-__all__ = ["PointEnvironment"]
+__all__ = ["OBSERVATION_SCALE", "PointEnvironment"]
 
 Floats = NDArray[np.float32]
 
-_SCALE: Final = np.array([2.0, 2.0, 10.0, 1.0, 1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.5, 0.5, 1.0, 1.0, 1.5] + [1.0] * 16)
+OBSERVATION_SCALE: Final = np.array(
+    [2.0, 2.0, 10.0, 1.0, 1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.5, 0.5, 1.0, 1.0, 1.5] + [1.0] * 16
+)
 """What counts as 1 in each entry of the observation: m/s2, m/s, rad/s, magnetic field, m."""
 _KEPT = 200
 """Episodes over which their means are told."""
@@ -41,7 +43,7 @@ class PointEnvironment(VecEnv):
         self._whole = np.zeros(task.count, bool)
         """Whether the episode was seen from its beginning."""
         self._chosen: Floats = np.zeros((task.count, 2), np.float32)
-        seen = gymnasium.spaces.Box(-np.inf, np.inf, _SCALE.shape, np.float32)
+        seen = gymnasium.spaces.Box(-np.inf, np.inf, OBSERVATION_SCALE.shape, np.float32)
         super().__init__(task.count, seen, gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32))
 
     def reset(self) -> Floats:
@@ -78,7 +80,7 @@ class PointEnvironment(VecEnv):
         self._whole[which] = True
 
     def _seen(self) -> Floats:
-        seen: Floats = (self.task.observation() / _SCALE).astype(np.float32)
+        seen: Floats = (self.task.observation() / OBSERVATION_SCALE).astype(np.float32)
         return seen
 
     def close(self) -> None:
