@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from math import isfinite
 from typing import ClassVar
 
 import numpy as np
@@ -51,7 +52,12 @@ class AbstractEstimator(ABC):
 
 def check_transition(state: Vector, action: Vector, next_state: Vector, period: float) -> None:
     """Raises InputError when a transition cannot teach anything."""
-    if not (np.isfinite(state).all() and np.isfinite(action).all() and np.isfinite(next_state).all()):
+    if not all(_is_finite(vector) for vector in (state, action, next_state)):
         raise InputError(f"transition: got {state} under {action} to {next_state}, wanted finite numbers")
-    if not (np.isfinite(period) and period > 0.0):
+    if not (isfinite(period) and period > 0.0):
         raise InputError(f"period: got {period}, wanted a positive number of seconds")
+
+
+def _is_finite(vector: Vector) -> bool:
+    """As ``np.isfinite(vector).all()``, quicker: a sum of squares is finite only if every entry is."""
+    return isfinite(np.vdot(vector, vector)) or bool(np.isfinite(vector).all())

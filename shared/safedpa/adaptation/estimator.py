@@ -72,14 +72,18 @@ class LatentEstimator(AbstractEstimator):
         self._low = np.array([parameter.low for parameter in chosen])
         self._high = np.array([parameter.high for parameter in chosen])
         self._typical = np.array([parameter.typical or 0.1 * (parameter.high - parameter.low) for parameter in chosen])
+        self._measured = np.array(settings.measurement_deviation)
         self._noise = np.diag(np.square(settings.measurement_deviation))
+        self._drift = np.square(settings.drift_per_second * self._typical)
+        self._limit = np.square(settings.initial_deviation * self._typical)
+        self._unit = np.eye(len(chosen))
         self.latent: Vector = model.latent.copy()
         self._covariance = np.diag(np.square(settings.initial_deviation * self._typical))
         self._memory: Any = None
 
     @property
     def deviations(self) -> Vector:  # noqa: D102
-        return np.sqrt(np.diag(self._covariance))
+        return np.asarray(np.sqrt(self._covariance.diagonal()))
 
     def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:  # noqa: D102
         check_transition(state, action, next_state, period)
@@ -87,9 +91,8 @@ class LatentEstimator(AbstractEstimator):
         predicted, self._memory = self._model.advance(state, action, memory, self.latent, period=period)
         if not len(self.latent):
             return
-        drift = np.square(self._settings.drift_per_second * self._typical) * period
-        self._covariance = self._limited(self._covariance + np.diag(drift))
-        motion = np.abs(self._model.system.difference(next_state, state)) / self._settings.measurement_deviation
+        self._covariance = self._limited(self._covariance + np.diag(self._drift * period))
+        motion = np.abs(self._model.system.difference(next_state, state)) / self._measured
         if motion.max() >= self._settings.smallest_motion:
             sensitivity = self._sensitivity(state, action, memory, predicted, period)
             self._correct(self._model.system.difference(next_state, predicted), sensitivity)
@@ -100,14 +103,13 @@ class LatentEstimator(AbstractEstimator):
         gain = np.linalg.solve(spread, sensitivity @ self._covariance).T
         step = gain @ self._weighted_down(innovation, spread)
         self.latent = np.clip(self.latent + step, self._low, self._high)
-        keep = np.eye(len(self.latent)) - gain @ sensitivity
+        keep = self._unit - gain @ sensitivity
         self._covariance = keep @ self._covariance @ keep.T + gain @ self._noise @ gain.T
 
     def _limited(self, covariance: Vector) -> Vector:
         """Without excitation the covariance must not grow for ever: at most what was unknown at first."""
-        limit = np.square(self._settings.initial_deviation * self._typical)
-        excess = np.sqrt(np.minimum(1.0, limit / np.diag(covariance)))
-        limited: Vector = covariance * np.outer(excess, excess)
+        excess = np.sqrt(np.minimum(1.0, self._limit / covariance.diagonal()))
+        limited: Vector = covariance * (excess[:, np.newaxis] * excess)
         return limited
 
     def forget_transient(self) -> None:
@@ -123,7 +125,7 @@ class LatentEstimator(AbstractEstimator):
             latent[index] += nudge
             moved, _ = self._model.advance(state, action, memory, latent, period=period)
             columns.append((moved - predicted) / nudge)
-        return np.stack(columns, axis=1)
+        return np.array(columns).T
 
     def _weighted_down(self, innovation: Vector, spread: Vector) -> Vector:
         size = float(np.sqrt(innovation @ np.linalg.solve(spread, innovation) / len(innovation)))

@@ -44,6 +44,17 @@ class AbstractDynamics(ABC):
     ) -> tuple[Array, Any]:
         """State and memory after ``period`` seconds under a held action; ``time`` [s] counts from the run's start."""
 
+    def held(
+        self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
+    ) -> tuple[list[list[float]], Any]:
+        """States (steps, states) under one robot's action held, period by period, and the memory after the first."""
+        rows, after_one = [], None
+        for index in range(steps):
+            state, memory = self.advance(state, action, memory, latent, period=period)
+            after_one = memory if index == 0 else after_one
+            rows.append(state.tolist())
+        return rows, after_one
+
     def step(self, state: Array, action: Array, latent: Array | None = None) -> Array:
         """x[t+1] (..., states), for actuators that have settled at ``action`` (..., actions)."""
         return self.advance(state, action, self.initial_memory(action, latent), latent)[0]

@@ -118,6 +118,20 @@ class PhysicsModel(AbstractDynamics):
         entries, memory = self._advance(true, named, memory, values, used, time, operations)
         return joined(entries, operations), memory
 
+    def held(  # noqa: D102
+        self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
+    ) -> tuple[list[list[float]], Any]:
+        step = None if self._commands or not _single(state, action, latent) else self._straight.floats(period)
+        if step is not None:
+            entries, felt, rows = state.tolist(), action.tolist(), []
+            free = (self.latent if latent is None else latent).tolist()
+            with contextlib.suppress(ValueError, ArithmeticError):  # answered below
+                for _ in range(steps):
+                    entries = step(entries, felt, free, 0.0)
+                    rows.append(entries)
+                return rows, memory
+        return super().held(state, action, memory, latent, steps, period=period)
+
     def affine(  # noqa: D102
         self,
         state: Array,

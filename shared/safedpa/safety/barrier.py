@@ -10,9 +10,12 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AbstractBarrier", "Barriers"]
+__all__ = ["AbstractBarrier", "Barriers", "RememberingBarrier"]
 
 Values = NDArray[np.float64]
+
+_REMEMBERED_STATES = 8
+"""The measured one, the predicted ones of a decision's rounds, and the one expected from the last tick."""
 
 
 class AbstractBarrier(ABC):
@@ -30,6 +33,32 @@ class AbstractBarrier(ABC):
     @abstractmethod
     def evaluate(self, state: Values) -> tuple[Values, Values]:
         """h (m,) and its gradient d(h_i)/d(x_j) (m, states) at ``state`` (states,)."""
+
+
+@final
+class RememberingBarrier(AbstractBarrier):
+    """Another barrier, with h at the last few states remembered: within one tick the same states come up again.
+
+    A prediction is judged when the action is decided, and again beside the measured state when the margin is watched.
+    The arrays that it hands out are shared, and so cannot be written to.
+    """
+
+    def __init__(self, part: AbstractBarrier) -> None:
+        self._part, self.kind, self.names = part, part.kind, part.names
+        self._known: dict[bytes, Values] = {}
+
+    def values(self, state: Values) -> Values:  # noqa: D102
+        key = state.tobytes()
+        h = self._known.get(key)
+        if h is None:
+            if len(self._known) >= _REMEMBERED_STATES:
+                del self._known[next(iter(self._known))]
+            h = self._known[key] = self._part.values(state)
+            h.flags.writeable = False
+        return h
+
+    def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
+        return self._part.evaluate(state)
 
 
 @final

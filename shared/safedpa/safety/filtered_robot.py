@@ -108,15 +108,12 @@ class FilteredRobot:
         self, state: StateMessage, verdict: Verdict, latent: Values | None
     ) -> tuple[tuple[tuple[float, ...], ...], Any]:
         """The next states (steps, states) that the model expects under the action held; actuators' memory after one."""
-        model, actuators = self.held.model, self.memory
+        model = self.held.model
         if len(state.values) != len(model.system.state):
             return (), None
-        current, rows, after_one = np.array(state.values), [], None
-        for _ in range(_PREDICTED_STEPS):
-            current, actuators = model.advance(current, verdict.action, actuators, latent, period=state.period)
-            after_one = actuators if after_one is None else after_one
-            rows.append(tuple(current.tolist()))
-        return (tuple(rows), after_one) if np.isfinite(rows).all() else ((), None)
+        values = np.array(state.values)
+        rows, after_one = model.held(values, verdict.action, self.memory, latent, _PREDICTED_STEPS, period=state.period)
+        return (tuple(map(tuple, rows)), after_one) if np.isfinite(rows).all() else ((), None)
 
     def try_out(self, decided: Decided, barriers: tuple[AbstractBarrier, ...] | str) -> None:
         """Decides once more what another model decided. Raises InputError where only this one has to fall back."""

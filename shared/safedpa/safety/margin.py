@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from collections import deque
 from math import ceil, inf, isfinite
 from typing import final
@@ -62,36 +63,47 @@ class OnlineMargin:
         self.calibrated, self._target, self._rate = calibrated, 1.0 - coverage, rate
         self._level = self._target
         self._errors: deque[float] = deque(maxlen=window)
+        self._ordered: list[float] = []
+        """The same errors, the smallest first."""
         self._missed: deque[bool] = deque(maxlen=window)
+        self._misses = 0
         self.value = calibrated
         """The margin in force."""
 
     @property
     def coverage(self) -> float | None:
         """Share of the last ``window`` errors that did not exceed the margin then in force; None before the first."""
-        return 1.0 - sum(self._missed) / len(self._missed) if self._missed else None
+        return 1.0 - self._misses / len(self._missed) if self._missed else None
 
     def update(self, error: float) -> float:
         """The margin after one more error was seen; an error that is not finite counts as a miss and is not kept."""
         missed = not error <= self.value
+        if len(self._missed) == self._missed.maxlen:
+            self._misses -= self._missed[0]
         self._missed.append(missed)
+        self._misses += missed
         self._level += self._rate * (self._target - float(missed))
         if isfinite(error):
-            self._errors.append(error)
+            self._keep(error)
         self.value = max(self.calibrated, self._quantile())
         return self.value
+
+    def _keep(self, error: float) -> None:
+        if len(self._errors) == self._errors.maxlen:
+            del self._ordered[bisect_left(self._ordered, self._errors[0])]
+        self._errors.append(error)
+        insort(self._ordered, error)
 
     def _quantile(self) -> float:
         if not self._errors:
             return self.calibrated
-        largest = max(self._errors)
         if self._level <= 0.0:
-            return 2.0 * largest
+            return 2.0 * self._ordered[-1]
         window = self._errors.maxlen or 1
         from_above = window - _rank(window, 1.0 - self._level)
         if from_above >= len(self._errors):
             return self.calibrated
-        return sorted(self._errors, reverse=True)[max(from_above, 0)]
+        return self._ordered[-1 - max(from_above, 0)]
 
 
 def _rank(count: int, coverage: float) -> int:

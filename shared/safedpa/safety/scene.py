@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.barrier import AbstractBarrier, RememberingBarrier
 from safedpa.safety.car_barriers import car_barriers
 from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.settings import FilterSettings
 
 __all__ = ["SceneBarriers"]
+
+_MOST_OBSTACLES = 64
+"""A decision about so many takes 5 ms at the worst; a thousand, all of them at hand, take three seconds, in
+which the other robots of the fleet would get no action."""
 
 
 class SceneBarriers:
@@ -36,7 +40,12 @@ class SceneBarriers:
 
     def _built(self, state: StateMessage) -> tuple[AbstractBarrier, ...]:
         if not state.corridor:
-            return tuple(car_barriers(self._settings, state.footprint, state.obstacles, state.field))
+            if len(state.obstacles) > _MOST_OBSTACLES:
+                raise InputError(
+                    f"obstacles: got {len(state.obstacles)}, wanted at most {_MOST_OBSTACLES}; send the nearest"
+                )
+            found = car_barriers(self._settings, state.footprint, state.obstacles, state.field)
+            return tuple(map(RememberingBarrier, found))
         if state.obstacles or state.field or state.footprint:
             raise InputError("corridor: got one of a robot that drives between obstacles; wanted the one or the other")
         if len(state.values) != 2:  # a car must not get rid of its obstacles by naming a corridor

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf, isfinite, isnan, nan
 from typing import final
 
 import numpy as np
@@ -59,8 +60,14 @@ class WatchedMargin:
             return
         errors: dict[str, float] = {}
         for part in barriers:
-            worst = float((part.values(expected) - part.values(state)).max(initial=-np.inf))
-            errors[part.kind] = max(errors.get(part.kind, -np.inf), worst)
+            worst = _largest(part.values(expected) - part.values(state))
+            errors[part.kind] = max(errors.get(part.kind, -inf), worst)
         for kind, error in errors.items():
-            if kind in self._margins and np.isfinite(error):
+            if kind in self._margins and isfinite(error):
                 self._margins[kind].update(error)
+
+
+def _largest(errors: Values) -> float:
+    """NaN where an entry is; -inf of none. A few numbers are compared faster than an array."""
+    entries: list[float] = errors.tolist()
+    return nan if any(map(isnan, entries)) else max(entries, default=-inf)
