@@ -53,7 +53,8 @@ def fleet_page(document: Mapping[str, Any], analysis: Analysis) -> str:
 def _tiles(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     counts = document["counts"]
     groups = sum(group["kind"] == "missing" for group in document["groups"])
-    hours = sum(robot["measured_seconds"] for robot in document["robots"]) / 3600.0
+    minutes = sum(robot["measured_seconds"] for robot in document["robots"]) / 60.0
+    measured = f"{minutes:.0f} min" if minutes < 100.0 else f"{minutes / 60.0:.3g} h"
     tiles = [
         (str(len(document["robots"])), "robots"),
         (str(counts["missing"]), f"lack something, in {groups} group{'' if groups == 1 else 's'}"),
@@ -63,7 +64,7 @@ def _tiles(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         tiles += [(str(counts[kind]), text)] if counts[kind] else []
     lost = counts["unreadable"] + counts["failed"]
     tiles += [(str(lost), "could not be read")] if lost else []
-    return [*tiles, (f"{hours:.3g} h", "measured")]
+    return [*tiles, (measured, "measured")]
 
 
 def _card(group: Mapping[str, Any], number: int) -> dict[str, Any]:
@@ -119,8 +120,14 @@ def _row(robot: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str, Any
         **robot,
         "colour": group_colour(robot["group"], document),
         "text": "; ".join(found) or group_title({**document["groups"][robot["group"]], "effects": []}),
+        "chance": _chance(robot["chance"]) if robot["found"] else "",
         "note": "; ".join(note for note in notes if note),
     }
+
+
+def _chance(value: float) -> str:
+    """A chance with one digit; below one in a billion nobody knows it."""
+    return "< 1e−9" if value < 1e-9 else f"{value:.1g}".replace("e-0", "e−").replace("e-", "e−")
 
 
 def _value(number: Mapping[str, Any]) -> str:

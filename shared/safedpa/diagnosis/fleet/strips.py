@@ -51,7 +51,7 @@ def error_figure(document: Mapping[str, Any]) -> dict[str, Any]:
                 hovertemplate=f"%{{text}}<br>{what} %{{y:.3g}}<extra></extra>",
             )  # fmt: skip
     panels.axis(at, "x", showticklabels=False, ticks="", showgrid=False, range=[-1.0, len(judged)])
-    panels.axis(at, "y", type="log", exponentformat="none", minor={"ticks": "", "showgrid": False})
+    panels.axis(at, "y", type="log", dtick="D2", exponentformat="none")
     return panels.figure("errors")
 
 
@@ -109,7 +109,7 @@ def _panel(panels: Panels, document: Mapping[str, Any], analysis: Analysis, effe
     title = parameter + (f" [{unit}]" if unit not in ("", "1") else "")
     at = panels.add(effect, title, "")
     rest = _rest(document, lanes, numbers)
-    ticks = [f"{len(document['groups'][lane]['robots'])} robots" for lane in lanes] + (["the others"] if rest else [])
+    ticks = [_counted(len(document["groups"][lane]["robots"])) for lane in lanes] + (["the others"] if rest else [])
     count = len(ticks)
     for row, lane in enumerate(lanes):
         names = [name for name in document["groups"][lane]["robots"] if name in numbers]
@@ -121,6 +121,10 @@ def _panel(panels: Panels, document: Mapping[str, Any], analysis: Analysis, effe
         line = {"color": "#222222", "width": 1, "dash": "dot"}
         panels.draw(at, [neutral, neutral], [-0.6, count - 0.4], mode="lines", line=line, hoverinfo="skip")
     panels.axis(at, "y", tickvals=list(range(count))[::-1], ticktext=ticks, range=[-0.6, count - 0.4], showgrid=False)
+
+
+def _counted(count: int) -> str:
+    return f"{count} robot{'' if count == 1 else 's'}"
 
 
 def _rest(document: Mapping[str, Any], lanes: Sequence[int], numbers: Mapping[str, Number]) -> list[str]:

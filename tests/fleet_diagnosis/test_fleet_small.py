@@ -1,0 +1,188 @@
+"""A small fleet, really diagnosed: groups, files, going on where it was stopped, the command."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from safedpa.diagnosis.fleet.inputs import Options, options_digest
+from safedpa.diagnosis.fleet.one_robot import Task, diagnosed_robot, not_diagnosed
+from safedpa.diagnosis.fleet.robots import RobotLogs, robots_in_folder
+from safedpa.diagnosis.fleet.store import clear_others, kept, read_result, write_result
+from safedpa.errors import RecordingError
+from safedpa_services.command_line.group import safedpa
+
+
+def test_every_robot_stands_in_its_group(small_fleet):
+    result = small_fleet.result
+    assert (result["hidden"]["hits"], result["hidden"]["of"]) == (3, 3)
+    assert (result["healthy"]["hits"], result["healthy"]["of"]) == (2, 2)
+    assert result["groups_right"] == result["groups_hidden"] == 3
+    assert result["groups_false"] == 0
+    assert result["wrong"] == []
+
+
+def test_every_robot_has_its_files_and_they_are_small(small_fleet):
+    names = sorted(path.name for path in (small_fleet.out / "robots").iterdir())
+    assert names == [f"car_{i:03d}" for i in range(5)]
+    for name in names:
+        folder = small_fleet.out / "robots" / name
+        assert {path.name for path in folder.iterdir()} == {"model.toml", "report.html", "report.json", "result.json"}
+        page = (folder / "report.html").read_text(encoding="utf-8")
+        assert '<script src="../../plotly.min.js"></script>' in page
+        assert len(page) < 1_000_000
+    assert (small_fleet.out / "plotly.min.js").stat().st_size > 1_000_000
+
+
+def test_the_page_holds_every_group_and_robot(small_fleet):
+    page = (small_fleet.out / "fleet.html").read_text(encoding="utf-8")
+    for text in ("steering_offset", "constant_force", "rolling_resistance", "nothing is missing"):
+        assert text in page
+    for index in range(5):
+        assert f'href="robots/car_{index:03d}/report.html"' in page
+    assert "http://" not in page.split("<script>")[0]
+
+
+def test_done_robots_are_not_done_again_and_the_document_is_the_same(small_fleet, capsys):
+    before = json.loads((small_fleet.out / "fleet.json").read_text(encoding="utf-8"))
+    assert safedpa.run(["diagnose", *small_fleet.arguments, "--jobs", "1", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["diagnosed_now"] == 0
+    assert document["groups"] == before["groups"]
+    assert document["robots"] == before["robots"]
+
+
+def test_the_command_tells_who_lacks_what(small_fleet, capsys):
+    assert safedpa.run(["diagnose", *small_fleet.arguments, "--jobs", "1"]) == 0
+    told = capsys.readouterr().out
+    assert told.lstrip().startswith("5 robots: 1 lacks")
+    assert "in 2 nothing is missing" in told
+    assert "fleet.html" in told
+
+
+@pytest.fixture
+def task(small_fleet, tmp_path) -> Task:
+    """One robot with copies of its recordings, the model beside them."""
+    own = tmp_path / "recordings" / "car_000"
+    shutil.copytree(small_fleet.folder / "recordings" / "car_000", own)
+    shutil.copy(small_fleet.folder / "model.toml", tmp_path / "model.toml")
+    options = Options(str(tmp_path / "model.toml"))
+    return Task(RobotLogs("car_000", tuple(sorted(own.glob("*.csv")))), options, options_digest(options))
+
+
+@pytest.fixture
+def done(task, small_fleet, tmp_path) -> Path:
+    """A folder in which that robot is done, with the stamps of the copies."""
+    result = not_diagnosed(task, "").document | {"status": "diagnosed"}
+    folder = tmp_path / "out" / "robots" / "car_000"
+    shutil.copytree(small_fleet.out / "robots" / "car_000", folder)
+    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    return tmp_path / "out"
+
+
+def test_what_is_done_is_kept(task, done):
+    assert kept(task, done)
+
+
+def test_a_copy_with_another_time_is_the_same_recording(task, done):
+    os.utime(task.robot.files[0], ns=(1, 1))
+    assert kept(task, done)
+
+
+def test_changed_contents_of_the_same_size_are_done_again(task, done):
+    path = task.robot.files[0]
+    content = path.read_bytes()
+    path.write_bytes(content[:-5] + b"9" + content[-4:])
+    os.utime(path, ns=(1, 1))
+    assert not kept(task, done)
+
+
+def test_one_more_or_one_fewer_recording_is_done_again(task, done):
+    fewer = RobotLogs("car_000", task.robot.files[:1])
+    assert not kept(Task(fewer, task.options, task.digest), done)
+
+
+def test_another_model_horizon_or_column_map_is_done_again(task, done):
+    model = Path(task.options.model)
+    model.write_text(model.read_text(encoding="utf-8").replace("3.0", "3.1"), encoding="utf-8")
+    for options in (task.options, Options(str(model), horizon=0.5), Options(str(model), "dart_car_columns")):
+        assert options_digest(options) != task.digest
+        assert not kept(Task(task.robot, options, options_digest(options)), done)
+
+
+def test_what_failed_or_is_no_result_is_done_again(task, done):
+    write_result(not_diagnosed(task, "killed"), done)
+    assert not kept(task, done)
+    (done / "robots" / "car_000" / "result.json").write_text("{", encoding="utf-8")
+    assert read_result(done / "robots" / "car_000") is None
+    assert not kept(task, done)
+
+
+def test_half_written_folders_and_robots_that_are_gone_are_taken_away(task, done):
+    (done / "robots" / ".car_000.123.part").mkdir()
+    shutil.copytree(done / "robots" / "car_000", done / "robots" / "car_999")
+    (done / "robots" / "mine").mkdir()
+    clear_others([task], done)
+    assert sorted(path.name for path in (done / "robots").iterdir()) == ["car_000", "mine"]
+
+
+def test_a_folder_that_cannot_be_written_says_so(task, tmp_path):
+    (tmp_path / "robots").write_text("in the way", encoding="utf-8")
+    with pytest.raises(RecordingError, match="--out"):
+        write_result(not_diagnosed(task, ""), tmp_path)
+
+
+def test_a_robot_without_a_readable_file_is_a_line_and_one_with_some_goes_on(task, tmp_path):
+    for path in task.robot.files:
+        path.write_text("t,x\n1,2\n", encoding="utf-8")
+    result = diagnosed_robot(task)
+    assert result.document["status"] == "unreadable"
+    assert "column" in result.document["reason"]
+    assert len(result.document["unreadable_files"]) == len(task.robot.files)
+    assert set(result.texts) == set()
+
+
+def test_too_short_data_are_named(task):
+    for path in task.robot.files:
+        rows = path.read_text(encoding="utf-8").splitlines()[:40]
+        path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    result = diagnosed_robot(task)
+    assert result.document["status"] == "no_verdict"
+    assert "too little" in result.document["reason"]
+
+
+def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, capsys):
+    (tmp_path / "recordings" / "a").mkdir(parents=True)
+    (tmp_path / "recordings" / "a" / "run.csv").write_text("t,x\n1,2\n", encoding="utf-8")
+    arguments = [str(small_fleet.folder / "model.toml"), "--fleet", str(tmp_path / "recordings"), "--jobs", "1"]
+    assert safedpa.run(["diagnose", *arguments, "--out", str(tmp_path / "out")]) == 2
+    assert "no robot's recordings can be used" in capsys.readouterr().err
+    assert json.loads((tmp_path / "out" / "fleet.json").read_text(encoding="utf-8"))["counts"]["unreadable"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["car"], "--fleet FOLDER"),
+        (["car", "--jobs", "2", "a.csv"], "--jobs: got no fleet"),
+        (["car", "--anew", "a.csv"], "--anew: got no fleet"),
+        (["car", "--fleet", "nowhere"], "is no folder"),
+        (["car", "--fleet", ".", "a.csv"], "leave one of the two out"),
+    ],
+)
+def test_what_makes_no_fleet_is_told_in_one_line(arguments, told, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert safedpa.run(["diagnose", *arguments]) == 2
+    shown = capsys.readouterr().err
+    assert told in shown
+    assert shown.count("\n") == 1
+
+
+def test_a_fleets_own_folder_is_no_recording(small_fleet):
+    found = robots_in_folder(small_fleet.folder / "recordings")
+    assert [robot.name for robot in found.robots] == [f"car_{i:03d}" for i in range(5)]
+    assert found.by == "folder"

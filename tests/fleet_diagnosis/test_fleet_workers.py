@@ -1,0 +1,76 @@
+"""Processes and a cluster: what goes wrong with one robot stays with that robot."""
+
+from __future__ import annotations
+
+import operator
+import os
+import signal
+import subprocess
+import sys
+from functools import partial
+from importlib.util import find_spec
+
+import pytest
+
+from safedpa.diagnosis.fleet.workers import available_cores, in_processes, one_thread_each
+from safedpa_services.command_line.group import safedpa
+
+
+def failed(_job, reason):
+    return f"failed: {reason}"
+
+
+def test_a_job_that_raises_or_kills_its_process_costs_itself_alone():
+    jobs = [partial(abs, -1), partial(int, "x"), partial(abs, -2), partial(os._exit, 3), partial(abs, -3)]
+    answers = list(in_processes(operator.call, jobs, 1, failed))
+    assert sorted(item for item in answers if isinstance(item, int)) == [1, 2, 3]
+    told = sorted(item for item in answers if isinstance(item, str))
+    assert told[0].startswith("failed: ValueError: invalid literal")
+    assert "its process was killed" in told[1]
+    assert len(told) == 2
+
+
+def test_no_jobs_start_no_process():
+    assert list(in_processes(operator.call, [], 2, failed)) == []
+    assert available_cores() >= 1
+
+
+def test_threads_are_put_back(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with one_thread_each():
+        assert os.environ["OMP_NUM_THREADS"] == os.environ["MKL_NUM_THREADS"] == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in os.environ
+
+
+_ON_RAY = """
+import operator
+from functools import partial
+from safedpa.diagnosis.fleet.on_cluster import on_cluster
+jobs = [partial(abs, -4), partial(int, "x"), partial(abs, -5)]
+print(sorted(map(str, on_cluster(operator.call, jobs, "local", lambda job, reason: "failed " + reason, 1))))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("ray") is None, reason="no Ray; pip install 'safedpa[cluster]'")
+def test_a_local_cluster_answers_the_same():
+    process = subprocess.Popen(
+        [sys.executable, "-c", _ON_RAY], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    try:
+        told, _ = process.communicate(timeout=240)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 0
+    last = told.strip().splitlines()[-1]
+    assert last == """['4', '5', "failed ValueError: invalid literal for int() with base 10: 'x'"]"""
+
+
+def test_without_ray_it_says_what_to_install(monkeypatch, small_fleet, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    arguments = [*small_fleet.arguments[:3], "--out", str(tmp_path), "--ray"]
+    assert safedpa.run(["diagnose", *arguments]) == 2
+    assert "pip install 'safedpa[cluster]'" in capsys.readouterr().err
