@@ -6,9 +6,8 @@ import itertools
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from safedpa_sim.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
 from safedpa_sim.faults.fault import Fault
@@ -16,7 +15,7 @@ from safedpa_sim.faults.recorded import Recorded, read_recorded
 from safedpa_sim.faults.world import ROBOT, World, WorldSettings
 from safedpa_sim.robots.trace import LivedPeriod, read_trace
 
-__all__ = ["DEFAULT_SEED", "Outcome", "as_rows", "run_faults"]
+__all__ = ["DEFAULT_SEED", "Campaign", "Outcome", "run_faults"]
 
 DEFAULT_SEED = 9
 """A scene in which the car is seldom slower than a fault wants it for more than a few seconds."""
@@ -28,6 +27,7 @@ _FAST_PATIENCE_SECONDS = 8.0
 _DRIVING_PATIENCE_SECONDS = 20.0
 _AFTERWARDS_SECONDS = 1.0
 """Driving that still belongs to the fault."""
+_HASTE_SECONDS = 1.5
 _FLUSH_SECONDS = 0.7
 """The recorder writes within half a second."""
 _LARGEST_DISTURBED_SHARE = 0.05
@@ -66,6 +66,22 @@ class Outcome:
 
 
 @dataclass(frozen=True)
+class Campaign:
+    """What came of all faults."""
+
+    outcomes: tuple[Outcome, ...]
+    acknowledged: int
+    """Messages that the recorders said were on the disk."""
+    recorded: int
+    """Messages that can be read from the recordings; fewer than acknowledged would be a broken promise."""
+
+    @property
+    def held(self) -> bool:
+        """Whether every invariant of every fault held, and no acknowledged message was lost."""
+        return all(outcome.held for outcome in self.outcomes) and self.recorded >= self.acknowledged
+
+
+@dataclass(frozen=True)
 class _Lived:
     """A fault that is over, before its world has ended."""
 
@@ -83,39 +99,50 @@ def run_faults(
     seed: int = DEFAULT_SEED,
     folder: Path | None = None,
     tell: Callable[[str, int, int], None] = lambda _name, _done, _all: None,
-) -> list[Outcome]:
+    *,
+    is_hasty: bool = False,
+) -> Campaign:
     """Every fault in turn, on one fleet as long as it drives on; a fleet that does not recover is replaced.
 
-    ``folder`` keeps what the processes wrote. Raises SafedpaError when a fleet does not come up at all.
+    ``folder`` keeps what the processes wrote. ``is_hasty``: faults last at most 1.5 s and hardly wait for the car to be
+    fast. Raises SafedpaError when a fleet does not come up at all.
     """
+    outcomes: list[Outcome] = []
+    acknowledged = recorded = 0
+    waiting = [_hastened(fault) for fault in faults] if is_hasty else list(faults)
     with tempfile.TemporaryDirectory(prefix="safedpa-faults-") as own:
-        outcomes: list[Outcome] = []
-        waiting = list(faults)
         for number in itertools.count():
             if not waiting:
-                return outcomes
+                break
             settings = WorldSettings(seed=seed + number, diagnosis=waiting[0].diagnosis)
             world = World((folder or Path(own)) / f"world-{number}", settings)
             lived: list[_Lived] = []
             with world:
                 for fault in _of_one_world(waiting):
                     tell(fault.name, len(outcomes) + len(lived), len(faults))
-                    lived.append(_run(fault, world))
+                    lived.append(_run(fault, world, _HASTE_SECONDS if is_hasty else _FAST_PATIENCE_SECONDS))
                     if not world.drives():
                         break
             waiting = waiting[len(lived) :]
-            outcomes += _judged(world, lived)
-    return outcomes
+            kept = read_recorded(world.recordings, ROBOT)
+            outcomes += _judged(world, lived, kept)
+            acknowledged += sum(world.observer.acknowledged.values())
+            recorded += kept.messages
+    return Campaign(tuple(outcomes), acknowledged, recorded)
+
+
+def _hastened(fault: Fault) -> Fault:
+    return replace(fault, seconds=min(fault.seconds, _HASTE_SECONDS))
 
 
 def _of_one_world(faults: Sequence[Fault]) -> Iterator[Fault]:
     return itertools.takewhile(lambda fault: fault.diagnosis == faults[0].diagnosis, faults)
 
 
-def _run(fault: Fault, world: World) -> _Lived:
+def _run(fault: Fault, world: World, patience: float) -> _Lived:
     fault.set_up(world)
-    world.until(world.drives, _DRIVING_PATIENCE_SECONDS)
-    world.until(lambda: _speed(world) >= _FAST and world.drives(), _FAST_PATIENCE_SECONDS)
+    world.until(lambda: not world.missing(0.0) and world.drives(), _DRIVING_PATIENCE_SECONDS)
+    world.until(lambda: _speed(world) >= _FAST and world.drives(), patience)
     speed, struck = _speed(world), time.monotonic()
     fault.strike(world)
     world.listen(fault.seconds)
@@ -140,11 +167,10 @@ def _speed(world: World) -> float:
     return 0.0 if state is None else float(state.values[3])
 
 
-def _judged(world: World, lived: Sequence[_Lived]) -> list[Outcome]:
+def _judged(world: World, lived: Sequence[_Lived], recorded: Recorded) -> list[Outcome]:
     """After the world has ended: the trace is whole and the recordings are closed."""
     observer = world.observer
     evidence = Evidence(list(read_trace(world.trace)), observer.verdicts, observer.actions, _PERIOD)
-    recorded = read_recorded(world.recordings, ROBOT)
     return [_outcome(one, evidence, recorded) for one in lived]
 
 
@@ -188,8 +214,3 @@ def _meanwhile(fault: Fault, episode: Episode, evidence: Evidence) -> str:
     share = sum(evidence.is_driven(one) for one in during) / len(during)
     wanted = 1.0 - _LARGEST_DISTURBED_SHARE if fault.meanwhile == "undisturbed" else _LEAST_DRIVEN_SHARE
     return "" if share >= wanted else f"{share:.0%} of the periods were driven, wanted {wanted:.0%}"
-
-
-def as_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """For JSON."""
-    return [asdict(outcome) for outcome in outcomes]

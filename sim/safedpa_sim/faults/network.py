@@ -60,7 +60,7 @@ def bent() -> list[Fault]:
         "undisturbed",
         "recorder",
     )
-    return [_small(_bend("loss all", f"{lossy} on every link", losing(_LOSS), _BEND_SECONDS)), *faults, _small(slowly)]
+    return [_small(_bend("loss all", f"{lossy} on every link", losing(_LOSS), _BEND_SECONDS)), *faults, slowly]
 
 
 def _late_filter() -> Fault:

@@ -39,6 +39,8 @@ class Observer:
     """All that were sent for a state."""
     latent_models: dict[Stamp, str] = field(default_factory=dict)
     """Fingerprint of the model to which the latent of a state belongs."""
+    acknowledged: dict[int, int] = field(default_factory=dict)
+    """By process of a recorder: how many messages it said were on the disk."""
     said: list[ModelMessage | TakeoverMessage] = field(default_factory=list)
     """Every step of every change of the model."""
     heard: dict[Stamp, float] = field(default_factory=dict)
@@ -67,6 +69,8 @@ class Observer:
         match message:
             case HealthMessage():
                 self.health[message.service] = (message, at)
+                if message.service == "recorder":
+                    self.acknowledged[message.pid] = message.acknowledged
             case StateMessage():
                 self.states[stamp], self.newest = message, stamp
                 self.heard.setdefault(stamp, at)

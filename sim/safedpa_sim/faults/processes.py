@@ -7,15 +7,17 @@ import time
 
 from safedpa.bus import NO_ROBOT
 from safedpa_sim.faults.fault import Fault, Look, Work, nothing_to_see
+from safedpa_sim.faults.member import Member
 from safedpa_sim.faults.sabotaged import GO_ON, GRIP, GRIPPED_SECONDS, HANG
 from safedpa_sim.faults.world import LOOP, ROBOT, SERVICES, World
 
-__all__ = ["hung", "killed", "paused"]
+__all__ = ["hung", "killed", "paused", "twins"]
 
 _EVERYONE = (*SERVICES, "robot", "router")
 _BESIDE = ("diagnosis", "recorder")
 """The loop must not even notice their end."""
 _PAUSE_SECONDS = 2.0
+_START_SECONDS = 20.0
 _SILENT_SECONDS = 0.75
 """Three heartbeats."""
 
@@ -28,7 +30,7 @@ def killed() -> list[Fault]:
             f"SIGKILL of {name}; a new one is started at once",
             strike=_restart(name),
             meanwhile="undisturbed" if name in _BESIDE else "anything",
-            small=name in ("safety_filter", "recorder"),
+            small=name == "safety_filter",
         )
         for name in _EVERYONE
     ]
@@ -51,10 +53,33 @@ def paused() -> list[Fault]:
             seconds=_PAUSE_SECONDS,
             look=nothing_to_see if name == "router" else _shows(name, alive=False),
             meanwhile="undisturbed" if name in _BESIDE else "anything",
-            small=name in ("adaptation", "robot"),
+            small=name == "robot",
         )
         for name in _EVERYONE
     ]
+
+
+def twins() -> list[Fault]:
+    """A service that was taken for dead and replaced wakes up: two of them speak."""
+    return [_twin(name) for name in LOOP]
+
+
+def _twin(name: str) -> Fault:
+    twins: list[Member] = []
+
+    def strike(world: World) -> None:
+        world.members[name].send(signal.SIGSTOP)
+        twins.append(world.twin_of(name))
+        twins[-1].start()
+        world.until(lambda: world.observer.health[name][0].pid == twins[-1].pid, _START_SECONDS)
+        world.members[name].send(signal.SIGCONT)
+
+    def mend(world: World) -> None:
+        del world
+        twins.pop().kill()
+
+    sentence = f"{name} is paused and replaced, wakes up, and both serve the robot for {_PAUSE_SECONDS:.0f} s"
+    return Fault(f"twin {name}", sentence, strike, mend=mend, seconds=_PAUSE_SECONDS)
 
 
 def hung() -> list[Fault]:
@@ -78,7 +103,6 @@ def hung() -> list[Fault]:
             strike=_send(name, GRIP),
             seconds=float(GRIPPED_SECONDS),
             meanwhile="undisturbed" if name in _BESIDE else "anything",
-            small=name == "safety_filter",
         )
         for name in ("policy", "safety_filter", "recorder")
     ]

@@ -20,6 +20,8 @@ class Recorded:
 
     states: frozenset[Stamp]
     verdicts: frozenset[Stamp]
+    messages: int
+    """Of every topic and robot."""
 
     def lost(self, states: Iterable[Stamp], verdicts: Iterable[Stamp]) -> tuple[int, int]:
         """How many of these states and verdicts are in no recording."""
@@ -29,9 +31,11 @@ class Recorded:
 def read_recorded(files: Sequence[Path], robot: str) -> Recorded:
     """Reads every file up to where it is damaged."""
     found: dict[str, set[Stamp]] = {STATE.name: set(), VERDICT.name: set()}
+    count = 0
     for file in files:
-        for key, _, message in read_messages(file, [], (STATE, VERDICT)):
-            _, _, name, topic = key.split("/")
-            if name == robot:
+        for key, _, message in read_messages(file, []):
+            count += 1
+            _, _, name, topic, *_ = key.split("/")
+            if name == robot and topic in found:
                 found[topic].add((message.epoch, message.tick))
-    return Recorded(frozenset(found[STATE.name]), frozenset(found[VERDICT.name]))
+    return Recorded(frozenset(found[STATE.name]), frozenset(found[VERDICT.name]), count)

@@ -38,7 +38,8 @@ def markdown_of(result: Mapping[str, Any]) -> str:
         f"machine {result['load_before']:.1f} at the beginning, {result['load_after']:.1f} at the end.",
         "",
         f"**{held} of {len(rows)} held; {_sum(rows, 'collisions')} collisions, {_sum(rows, 'stale_actions')} stale "
-        f"actions in {_sum(rows, 'periods')} periods.**",
+        f"actions in {_sum(rows, 'periods')} periods.** The recorders acknowledged {result['acknowledged']} messages; "
+        f"{result['recorded']} can be read.",
         "",
         _HEAD,
         "|" + "---|" * _HEAD.count(" | ") + "---|",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import final
 
 from safedpa.errors import SafedpaError
+from safedpa_sim.faults.episode import Episode
 from safedpa_sim.faults.fault import Fault
 from safedpa_sim.faults.sabotaged import JUMP
 from safedpa_sim.faults.world import FLEET, World
@@ -19,6 +20,9 @@ __all__ = ["clocks", "disks", "overload"]
 
 _LIBRARY = "faketime/libfaketime.so.1"
 _SECONDS = 3.0
+_GOES_ON_SECONDS = 10.0
+"""The recorder looks for room every five seconds."""
+_FILLER, _BLOCK = "filler", bytes(4096)
 _HOUR = 3600
 _CLOCK = "clock"
 """File by which the library is told how late it is."""
@@ -35,16 +39,33 @@ def disks() -> list[Fault]:
     return [
         Fault(
             "disk recorder",
-            "no file of the recorder may grow (RLIMIT_FSIZE), for 3 s",
-            strike=lambda world: _limit(world, world.recordings[-1].stat().st_size),
-            mend=lambda world: _limit(world, resource.RLIM_INFINITY),
+            f"the disk of the recorder is full for {_SECONDS:.0f} s (no file may grow, where none could be mounted)",
+            strike=_fill,
+            mend=_make_room,
             seconds=_SECONDS,
             look=_says_so,
             meanwhile="undisturbed",
-            clean_up=lambda world: world.members["recorder"].restart(),
+            check=_goes_on,
             small=True,
         )
     ]
+
+
+def _fill(world: World) -> None:
+    if not world.has_own_disk:
+        _limit(world, world.recordings[-1].stat().st_size)
+        return
+    with (world.disk / _FILLER).open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        while True:
+            file.write(_BLOCK)
+
+
+def _make_room(world: World) -> None:
+    if world.has_own_disk:
+        (world.disk / _FILLER).unlink()
+        return
+    _limit(world, resource.RLIM_INFINITY)
+    world.members["recorder"].restart()  # a file that may not grow is no full disk: nothing is waited for
 
 
 def _limit(world: World, size: int) -> None:
@@ -54,6 +75,12 @@ def _limit(world: World, size: int) -> None:
 def _says_so(world: World) -> str:
     health, _ = world.observer.health["recorder"]
     return "" if health.state == "failing" and health.detail else f"the recorder's health is '{health.state}'"
+
+
+def _goes_on(world: World, episode: Episode) -> str:
+    del episode
+    goes_on = world.until(lambda: world.observer.health["recorder"][0].state == "running", _GOES_ON_SECONDS)
+    return "" if goes_on else "the recorder does not go on"
 
 
 def clocks() -> list[Fault]:
@@ -71,7 +98,7 @@ def _told_clock_fault(name: str) -> Fault:
         world.members[name].send(JUMP)
 
     sentence = f"the wall clock that Python tells {name} jumps back by {_HOUR} s, and forth after {_SECONDS:.0f} s"
-    return Fault(f"clock {name} told", sentence, jump, mend=jump, seconds=_SECONDS, meanwhile="drives", small=True)
+    return Fault(f"clock {name} told", sentence, jump, mend=jump, seconds=_SECONDS, meanwhile="undisturbed")
 
 
 def _clock_fault(name: str, step: int) -> Fault:

@@ -6,7 +6,7 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa_sim.faults.fault import Fault
 from safedpa_sim.faults.model_changes import partitioned_changes
 from safedpa_sim.faults.network import bent, cut, disconnected
-from safedpa_sim.faults.processes import hung, killed, paused
+from safedpa_sim.faults.processes import hung, killed, paused, twins
 from safedpa_sim.faults.resources import clocks, disks, overload
 
 __all__ = ["all_faults", "faults_named", "small_faults"]
@@ -15,7 +15,7 @@ __all__ = ["all_faults", "faults_named", "small_faults"]
 def all_faults() -> list[Fault]:
     """Every fault, kind by kind; those that need the stand-in for the diagnosis last."""
     return [
-        *killed(), *paused(), *hung(), *disconnected(), *cut(), *bent(), *disks(), *clocks(), *overload(),
+        *killed(), *paused(), *hung(), *twins(), *disconnected(), *cut(), *bent(), *disks(), *clocks(), *overload(),
         *partitioned_changes(),
     ]  # fmt: skip
 

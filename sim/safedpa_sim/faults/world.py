@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import socket
+import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +26,7 @@ ROBOT = "r1"
 LOOP = ("adaptation", "policy", "safety_filter")
 """Without one of these the robot does not drive."""
 SERVICES = (*LOOP, "diagnosis", "recorder")
+_DISK_BYTES = 96 * 1024 * 1024
 _START_SECONDS = 40.0
 _TURN_SECONDS = 0.02
 _DRIVING_TICKS = 10
@@ -48,11 +51,14 @@ class World:
     def __init__(self, folder: Path, settings: WorldSettings) -> None:
         self.folder, self.settings = folder, settings
         folder.mkdir(parents=True, exist_ok=True)
+        self.disk.mkdir(exist_ok=True)
+        self.has_own_disk = _mounted(self.disk)
         port = _free_port()
         self.router_endpoint = f"tcp/127.0.0.1:{port}"
         self.proxy = Proxy(("127.0.0.1", port), (*SERVICES, "robot"), settings.seed)
         self.members = {"router": self._router(), **{name: self._service(name) for name in SERVICES}}
         self.members["robot"] = self._robot()
+        self._twins: list[Member] = []
         self._bus: Bus | None = None
         self._observer: Observer | None = None
 
@@ -66,6 +72,11 @@ class World:
     def trace(self) -> Path:
         """What the robot did, on its own disk."""
         return self.folder / "trace.jsonl"
+
+    @property
+    def disk(self) -> Path:
+        """Where the recorder writes: a small file system of its own, where that is permitted."""
+        return self.folder / "disk"
 
     @property
     def recordings(self) -> list[Path]:
@@ -123,12 +134,24 @@ class World:
     def close(self) -> None:
         """Ends everything in order: the robot brakes while it still has a network."""
         self.members["robot"].end(_ROBOT_PATIENCE_SECONDS)
-        for name in SERVICES:
-            self.members[name].end(_SERVICE_PATIENCE_SECONDS)
+        for member in (*(self.members[name] for name in SERVICES), *self._twins):
+            member.end(_SERVICE_PATIENCE_SECONDS)
         if self._bus is not None:
             self._bus.close()
         self.members["router"].end(_SERVICE_PATIENCE_SECONDS)
         self.proxy.close()
+        if self.has_own_disk:
+            for file in self.disk.glob("*.mcap"):
+                shutil.copy(file, self.folder / file.name)
+            subprocess.run(["umount", str(self.disk)], check=True)
+            self.has_own_disk = False
+
+    def twin_of(self, name: str) -> Member:
+        """A second process of a service, not started yet; it ends with the world."""
+        first = self.members[name]
+        twin = Member(name, first.module, first.arguments, self.folder / f"{name}-twin.log")
+        self._twins.append(twin)
+        return twin
 
     def _start(self) -> None:
         self.members["router"].start()
@@ -162,7 +185,7 @@ class World:
     def _service(self, name: str) -> Member:
         bus = ("--mode", "client", "--connect", self.proxy.endpoint(name))
         if name == "recorder":
-            return self._member(name, "safedpa_services.recorder", "--out", str(self.folder / "recording.mcap"), *bus)
+            return self._member(name, "safedpa_services.recorder", "--out", str(self.disk / "recording.mcap"), *bus)
         if name == "diagnosis" and self.settings.diagnosis == "ready":
             return self._member(name, "safedpa_sim.faults.coordinator", "--out", str(self.folder / "models"), *bus)
         kept = ("--versions", str(self.folder / "models")) if name == "diagnosis" else ("--realtime",)
@@ -176,6 +199,14 @@ class World:
 
     def _member(self, name: str, module: str, *arguments: str) -> Member:
         return Member(name, module, (*arguments, "--fleet", FLEET), self.folder / f"{name}.log")
+
+
+def _mounted(folder: Path) -> bool:
+    """Whether a small file system in memory could be put there; only the superuser may."""
+    if shutil.which("mount") is None:
+        return False
+    command = ["mount", "-t", "tmpfs", "-o", f"size={_DISK_BYTES}", "safedpa-faults", str(folder)]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
 def _free_port() -> int:
