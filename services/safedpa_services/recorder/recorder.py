@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from safedpa.bus import HEALTH, NO_ROBOT, SETUP, TOPICS, Bus, HealthMessage, Received, SetupMessage
+from safedpa.bus.log import log_event
 from safedpa.bus.version import software_version
 from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
@@ -49,7 +50,7 @@ class Recorder:
         self._is_full = False
         self._kept = 0
         """Messages that are on the disk, in files before this one."""
-        self._written = self._refused = self._lost = 0
+        self._written = self._refused = self._lost = self._dropped = 0
         self._next_retry = self._next_setup = 0.0
         bus.announce(NO_ROBOT, "recorder", setup.instance)
 
@@ -81,6 +82,12 @@ class Recorder:
                 self._take(item)
             else:
                 self._refused += 1
+        if self._inbox.dropped > self._dropped:
+            self._dropped = self._inbox.dropped
+            log_event(
+                "recorder.lost", "messages came faster than they were written", level="error", service="recorder",
+                lost=self._dropped,
+            )  # fmt: skip
 
     def sync(self) -> None:
         """Waits for the disk and acknowledges; after a full disk, tries to go on."""
@@ -115,6 +122,7 @@ class Recorder:
             self._is_full = isinstance(cause, OSError) and cause.errno in _FULL
             self._kept += self._file.acknowledged
             self._error, self._file = str(error), None
+            log_event("recorder.failed", self._error, level="error", service="recorder", written=self._written)
 
     def _go_on(self) -> None:
         """A new file beside the old one, as soon as there is room."""
@@ -124,6 +132,7 @@ class Recorder:
             self._file = McapRecorder(self._path, self._about)
         except RecordingError:  # not yet
             return
+        log_event("recorder.resumed", f"goes on beside {self._path}", service="recorder", lost=self._lost)
         now = time.time_ns()
         for key, payload in self._setups.items():
             self._guarded(partial(McapRecorder.write, key=key, payload=payload, log_time_ns=now, publish_time_ns=now))

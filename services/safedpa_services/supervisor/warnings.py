@@ -20,6 +20,8 @@ _MOST_BYTES = 65536
 _SHOWN = 4
 _LEAST_SECONDS = 5.0
 """Between two lines of the same kind, process and robot."""
+_MOST_LINES = 12
+"""Within that time; whatever else there is stands in the logs."""
 
 
 class Warnings:
@@ -78,7 +80,8 @@ class Warnings:
     def _tell(self, event: dict[str, Any]) -> None:
         key = (str(event.get("kind")), str(event.get("service", "")), str(event.get("robot", "")))
         now = time.monotonic()
-        if now - self._written.get(key, -_LEAST_SECONDS) < _LEAST_SECONDS:
+        self._written = {known: at for known, at in self._written.items() if now - at < _LEAST_SECONDS}
+        if key in self._written or len(self._written) >= _MOST_LINES:
             return
         self._written[key] = now
         line = readable(event)

@@ -32,6 +32,7 @@ KINDS = MappingProxyType(
         "model.refused": "A service cannot use the offered model; says why.",
         "finding.changed": "The diagnosis comes to another stage: raised, searching, candidates, nothing, watching.",
         "recorder.failed": "The recording broke off; says why.",
+        "recorder.resumed": "The recording goes on in another file, since the disk has room again.",
         "recorder.lost": "The recorder could not keep up; says how many messages are missing.",
         "router.open": "The router accepts connections.",
         "bus.plain_text": "The bus can be reached from other machines without certificates.",

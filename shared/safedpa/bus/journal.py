@@ -18,6 +18,7 @@ __all__ = ["Journal"]
 
 _STEPS = {"offer": "model.offered", "take": "model.decided", "drop": "model.dropped"}
 _ANSWERS = {"ready": "model.ready", "taken": "model.taken", "refused": "model.refused"}
+_MARKED = {"stopped": "filter.stopped", "disabled": "filter.disabled"}
 _TROUBLE = ("model.dropped", "model.refused", "filter.fallback_entered", "filter.disabled", "filter.stopped")
 
 
@@ -92,8 +93,8 @@ class Journal:
         self._statuses[robot] = _Status(name, message.tick)
         if name == "fallback":
             self._event("filter.fallback_entered", message.sentence, robot, message.tick)
-        elif name in ("stopped", "disabled"):
-            self._event(f"filter.{name}", message.sentence, robot, message.tick)
+        elif name in _MARKED:
+            self._event(_MARKED[name], message.sentence, robot, message.tick)
         if before is not None and before.name == "fallback":
             lasted = message.tick - before.since
             self._event("filter.fallback_left", f"decides again after {lasted} ticks", robot, message.tick)

@@ -1,0 +1,173 @@
+"""Events: one catalogue, told once when something changes, readable and never a flood."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.bus import TAKEOVER, VERDICT, Bus, MemoryBroker, MemoryTransport, ServiceLoop, TakeoverMessage
+from safedpa.bus.events import KINDS
+from safedpa.bus.journal import Journal
+from safedpa.bus.log import log_event
+from safedpa_services.supervisor.child import Child
+from safedpa_services.supervisor.warnings import Warnings, readable
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = [path for folder in ("shared", "services", "sim") for path in (ROOT / folder).rglob("*.py")]
+LOOP = ("adaptation", "policy", "safety_filter")
+
+
+def test_every_event_that_is_written_stands_in_the_catalogue_and_the_other_way_round() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in SOURCES if path.name != "events.py"}
+    written = set()
+    for text in texts.values():
+        for node in ast.walk(ast.parse(text)) if "log_event(" in text else ():
+            called = getattr(node, "func", None)
+            if isinstance(node, ast.Call) and getattr(called, "id", "") == "log_event":
+                first = node.args[0]
+                written |= {first.value} if isinstance(first, ast.Constant) else set()
+    assert written
+    assert written <= set(KINDS), "not in the catalogue"
+    everything = "".join(texts.values())
+    assert [kind for kind in KINDS if f'"{kind}"' not in everything] == [], "in the catalogue, but never written"
+
+
+@pytest.fixture
+def journal() -> tuple[Journal, list[dict[str, Any]]]:
+    events: list[dict[str, Any]] = []
+    return Journal("safety_filter", lambda kind, sentence, **more: events.append({"kind": kind, **more})), events
+
+
+def test_verdicts_are_told_where_they_change(fleet: Any, journal: tuple[Journal, list[dict[str, Any]]]) -> None:
+    told, events = journal
+    heard = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,))
+    statuses = ["passed", "fallback", "fallback", "corrected", "passed", "stopped", "stopped", "passed", "disabled"]
+    for status in statuses:
+        fleet.tick("r1", state={}, verdict={"status": status})
+    for item in heard.take(0.0):
+        told.said(item.robot, {VERDICT: item.message})
+    kinds = ["fallback_entered", "fallback_left", "stopped", "released", "disabled"]
+    assert [event["kind"] for event in events] == [f"filter.{kind}" for kind in kinds]
+    assert [event["tick"] for event in events] == [1, 3, 5, 7, 8]
+    assert [event["level"] for event in events] == ["warning", "info", "warning", "info", "warning"]
+    assert all(event["robot"] == "r1" and event["service"] == "safety_filter" for event in events)
+    assert {event["kind"] for event in events} <= set(KINDS)
+
+
+def test_every_event_of_a_journal_is_in_the_catalogue(journal: tuple[Journal, list[dict[str, Any]]]) -> None:
+    told, events = journal
+    told.met("r1", 0, again=False)
+    told.met("r1", 0, again=True)
+    told.refused("nonsense")
+    told.refused("two of them", "r1", 3, second=True)
+    told.forgot("r1")
+    stamp = {"epoch": 1, "tick": 2, "robot_time": 0.1, "publish_time": 0.0}
+    for state in ("ready", "taken", "refused"):
+        message = TakeoverMessage(**stamp, service="policy", change=1, fingerprint="ab", state=state, reason="")
+        told.said("r1", {TAKEOVER: message})
+    assert len({event["kind"] for event in events}) == 8
+    assert {event["kind"] for event in events} <= set(KINDS)
+
+
+def test_a_service_writes_whom_it_meets_and_what_it_refuses(
+    fleet: Any, journal: tuple[Journal, list[dict[str, Any]]]
+) -> None:
+    from safedpa.adaptation import AdaptationNode
+    from safedpa.dynamics import load_model
+
+    told, events = journal
+    bus = Bus(MemoryTransport(fleet.broker), "test")
+    loop = ServiceLoop(AdaptationNode(load_model("car")), bus, journal=told)
+    for epoch in (7, 8):
+        fleet.tick("r1", state={"lockstep": True, "epoch": epoch}, verdict={})
+        for _ in range(3):
+            loop.turn(0.4)
+    fleet.bus._transport.put("safedpa/test/r1/state", b"garbage", never_drop=False)
+    loop.turn(0.1)
+    kinds = [event["kind"] for event in events]
+    assert kinds[0] == "robot.met"
+    assert "robot.second_refused" in kinds
+    assert kinds[-1] == "message.refused"
+    assert events[-1]["robot"] == "r1"
+
+
+def test_an_experiment_in_one_process_writes_nothing(fleet: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    from safedpa.adaptation import AdaptationNode
+    from safedpa.dynamics import load_model
+
+    loop = ServiceLoop(AdaptationNode(load_model("car")), Bus(MemoryTransport(MemoryBroker()), "test"))
+    loop.turn(0.0)
+    Journal.silent().met("r1", 0, again=False)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(("wanted", "text"), [("", False), ("json", False), ("text", True)])
+def test_a_pipe_gets_json_unless_text_is_asked_for(
+    wanted: str, text: bool, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("SAFEDPA_LOG", wanted)
+    log_event("robot.met", "hello", robot=f"robot of this test {wanted}", tick=3, service="a test")
+    line = capfd.readouterr().err
+    assert line.count("\n") == 1
+    if text:
+        assert " info robot.met: hello" in line
+        assert "tick 3" in line
+    else:
+        event = json.loads(line)
+        assert (event["kind"], event["tick"], event["level"]) == ("robot.met", 3, "info")
+
+
+def child(folder: Path, name: str) -> Child:
+    return Child(name, "no_module", (), folder / f"{name}.log")
+
+
+def line(**event: Any) -> str:
+    return (
+        json.dumps({"time": 1.0, "level": "warning", "kind": "k", "sentence": "s", "service": "policy", **event}) + "\n"
+    )
+
+
+def test_up_tells_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr("safedpa_services.supervisor.warnings.time.monotonic", lambda: now[0])
+    told: list[str] = []
+    policy, recorder = child(tmp_path, "policy"), child(tmp_path, "recorder")
+    warnings = Warnings((policy, recorder), tmp_path, told.append)
+    warnings.look()
+    now[0] += 1.0
+    assert told == [], "no log, no warning"
+    policy.log.write_text(
+        line(level="info")
+        + "a trace back\n"
+        + "{no json\n"
+        + line(robot="r1", tick=4, sentence="the wish is old")
+        + "{"
+    )
+    warnings.look()
+    now[0] += 1.0
+    assert len(told) == 1
+    assert told[0].endswith("policy r1 tick 4: the wish is old")
+    with policy.log.open("a") as log:
+        log.write('"level": "error", "sentence": "half a line before", "kind": "x"}\n')
+        log.writelines(line(robot="r1") for _ in range(100))
+        log.writelines(line(kind="l", sentence=f"{number}") for number in range(100))
+    warnings.look()
+    now[0] += 1.0
+    assert [entry.split(": ", 1)[-1] for entry in told[2:]] == ["0"], "the like of it was told less than 5 s ago"
+    assert "half a line before" in told[1]
+    recorder.restarts = 2
+    warnings.look()
+    now[0] += 1.0
+    assert "recorder died and was started again (2 times so far)" in told[-1]
+    kept = json.loads((tmp_path / "supervisor.log").read_text())
+    assert kept["kind"] == "child.restarted"
+    assert len(warnings.newest) <= 4
+
+
+def test_a_readable_line_is_one_line() -> None:
+    assert "\n" not in readable({"time": 0.0, "sentence": "a\nb", "service": "x"})
+    assert readable({"sentence": "a\nb"}).endswith(" a b")

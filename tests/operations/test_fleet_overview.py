@@ -1,0 +1,187 @@
+"""What a listener makes of a fleet: counts, shares, concerns, and how they are told."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from safedpa.bus.overview import Recent, fleet_concerns
+from safedpa_services.status.document import document_of
+from safedpa_services.status.table import picture_of
+
+
+def sentences(fleet: Any, level: str) -> list[str]:
+    return [concern.sentence for concern in fleet_concerns(fleet.overview) if concern.level == level]
+
+
+def drawn(fleet: Any, width: int, height: int = 0) -> list[str]:
+    console = Console(width=width, height=height or 50, record=True, file=None, force_terminal=False)
+    with console.capture() as captured:
+        console.print(picture_of(document_of(fleet.overview), width, height))
+    return captured.get().splitlines()
+
+
+def test_a_healthy_fleet_raises_no_concern(fleet: Any) -> None:
+    fleet.drive(3)
+    assert fleet_concerns(fleet.overview) == []
+    document = document_of(fleet.overview)
+    assert document["healthy"]
+    assert [row["robot"] for row in document["robots"]] == ["r1", "r2", "r3"]
+    assert {row["service"] for row in document["services"]} == {"adaptation", "policy", "safety_filter", "recorder"}
+    row = document["robots"][0]
+    assert row["rate"] == pytest.approx(20.0, rel=0.15)
+    assert row["passed"] == 1.0
+    assert (row["sense_to_act_p50"], row["sense_to_act_p99"]) == (0.0042, 0.0042)
+    assert row["models"]["safety_filter"] == "0123456789ab"
+    assert json.loads(json.dumps(document)) == document
+
+
+def test_nobody_on_the_bus_is_not_healthy(fleet: Any) -> None:
+    assert fleet.overview.nobody
+    assert not document_of(fleet.overview)["healthy"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "level", "told"),
+    [
+        (
+            {"verdict": {"status": "fallback", "sentence": "No decision: the wish is stale."}},
+            "trouble",
+            "the wish is stale",
+        ),
+        ({"verdict": {"status": "disabled"}}, "trouble", "switched off"),
+        ({"verdict": {"h_now": -0.02}}, "trouble", "outside the safe set: h -0.020"),
+        ({"state": {"applied_by": "watchdog"}}, "trouble", "100.0 % of the last ticks were late"),
+        ({"verdict": {"status": "stopped", "sentence": "Ordered by Ada."}}, "attention", "Ordered by Ada."),
+        ({"verdict": {"status": "relaxed"}}, "attention", "100.0 % of the last verdicts relaxed"),
+        ({"state": {"collisions": 2}}, "attention", "2 collisions"),
+    ],
+)
+def test_what_is_wrong_with_a_robot_is_told(fleet: Any, changes: dict[str, Any], level: str, told: str) -> None:
+    fleet.drive(2, r2=changes)
+    assert any(told in sentence for sentence in sentences(fleet, level)), sentences(fleet, level)
+    assert document_of(fleet.overview)["healthy"] is (level != "trouble")
+    assert document_of(fleet.overview)["robots"][0]["robot"] == "r2", "the worst comes first"
+
+
+def test_a_margin_that_holds_less_than_promised_is_told_once_there_were_steps_enough(fleet: Any) -> None:
+    fleet.drive(1, r1={"verdict": {"coverage": 0.9}})
+    assert sentences(fleet, "attention") == []
+    fleet.drive(1, 25.0, r1={"verdict": {"coverage": 0.9}})
+    assert "the margin held in 90.0 % of the steps, promised 99.0 %" in sentences(fleet, "attention")
+
+
+def test_missing_silent_failing_and_disagreeing_services(fleet: Any) -> None:
+    fleet.drive(1, silent=("policy",))
+    assert sentences(fleet, "trouble") == ["policy: no heartbeat"]
+    fleet.beat("policy", "r1", model="ba9876543210")
+    fleet.overview.listen(0.0)
+    assert "not all use one model" in sentences(fleet, "trouble")[0]
+    fleet.beat("policy", "r1", state="failing", detail="no goal")
+    fleet.drive(1, silent=("policy",))
+    assert sentences(fleet, "trouble")[0] == "policy: silent for 2 s"
+    fleet.beat("policy", "r1", state="failing", detail="no goal")
+    fleet.overview.listen(0.0)
+    assert sentences(fleet, "trouble")[0] == "policy: failing, no goal"
+
+
+def test_a_recorder_that_fails_is_trouble_and_none_is_worth_a_look(fleet: Any) -> None:
+    fleet.drive(1, silent=("recorder",))
+    assert sentences(fleet, "attention") == ["nobody records"]
+    fleet.beat("recorder", free_bytes=5_000_000, acknowledged=1)
+    fleet.overview.listen(0.0)
+    assert "recorder: 5 MB of disk left" in sentences(fleet, "attention")
+    fleet.beat("recorder", state="failing", detail="disk full")
+    fleet.overview.listen(0.0)
+    assert "recorder: failing, disk full" in sentences(fleet, "trouble")
+
+
+def test_a_robot_that_falls_silent_is_trouble_and_one_that_said_goodbye_is_not(fleet: Any) -> None:
+    fleet.drive(2)
+    fleet.beat("robot", "r1", pid=2001, state="braked")
+    fleet.overview.listen(0.0)
+    fleet.now += 4.0
+    for service in ("adaptation", "policy", "safety_filter", "recorder"):
+        fleet.beat(service, "r2" if service != "recorder" else "-", model="0123456789ab")
+    fleet.overview.listen(0.0)
+    assert sentences(fleet, "trouble") == ["silent for 4 s"]
+    assert sentences(fleet, "attention") == ["ended in order"]
+    fleet.now += 400.0
+    fleet.overview.listen(0.0)
+    assert fleet.overview.nobody, "and after minutes nobody speaks of them any more"
+
+
+def test_a_process_that_was_replaced_is_no_concern(fleet: Any) -> None:
+    fleet.drive(1)
+    fleet.beat("recorder", pid=1, acknowledged=1)
+    fleet.overview.listen(0.0)
+    fleet.now += 1.0
+    fleet.drive(1)
+    fleet.now += 0.6
+    document = document_of(fleet.overview)
+    assert [row["pid"] for row in document["services"] if row["service"] == "recorder"] == [1008]
+    assert document["concerns"] == []
+
+
+def test_findings_and_versions_are_worth_a_look(fleet: Any) -> None:
+    fleet.drive(1)
+    fleet.finding("r1", "watching", "nothing is missing")
+    fleet.beat("recorder", software="1.2.4", acknowledged=1, free_bytes=50_000_000_000)
+    fleet.overview.listen(0.0)
+    assert sentences(fleet, "attention") == ["processes of different versions: 1.2.3, 1.2.4"]
+    fleet.finding("r1", "raised", "speed: 0.22 m/s less than predicted")
+    fleet.overview.listen(0.0)
+    assert "raised: speed: 0.22 m/s less than predicted" in sentences(fleet, "attention")
+    assert sentences(fleet, "trouble") == []
+
+
+def test_what_is_no_message_is_counted(fleet: Any) -> None:
+    fleet.bus._transport.put("safedpa/test/r1/state", b"garbage", never_drop=False)
+    fleet.overview.listen(0.0)
+    assert fleet.overview.refused == 1
+    assert fleet.overview.nobody
+
+
+@pytest.mark.parametrize("width", [80, 120, 200])
+@pytest.mark.parametrize("robots", [1, 4, 40])
+def test_the_picture_fits_every_terminal(fleet: Any, width: int, robots: int) -> None:
+    fleet.drive(robots, 1.0, r1={"verdict": {"status": "fallback", "sentence": "No decision: " + "very long " * 30}})
+    for height in (0, 24, 50):
+        lines = drawn(fleet, width, height)
+        assert max(map(len, lines)) <= width
+        assert not height or len(lines) <= height
+        assert lines[0].startswith("fleet test  not healthy")
+        rows = [line for line in lines if line.startswith("r1 ")]
+        assert rows, "the worst robot is always shown"
+        assert "trouble" in rows[0]
+        assert any("safety_filter" in line for line in lines)
+    folded = [line for line in lines if "further robots" in line]
+    assert bool(folded) is (robots == 40)
+
+
+def test_the_same_concern_of_many_robots_is_one_line(fleet: Any) -> None:
+    fleet.drive(6, 1.0, silent=("policy",))
+    told = [line for line in drawn(fleet, 120) if "policy: no heartbeat" in line]
+    assert told == ["r1, r2, r3, r4 and 2 more: policy: no heartbeat"]
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.sampled_from("abc")), min_size=1, max_size=80), st.floats(0.0, 15.0))
+def test_recent_counts_are_those_of_the_last_seconds(steps: list[tuple[float, str]], later: float) -> None:
+    recent, now, happened = Recent(5.0), 0.0, []
+    for step, kind in steps:
+        now += step
+        recent.add(kind, now)
+        happened.append((now, kind))
+    now += later
+    counted = recent.counts(now)
+    surely = [kind for at, kind in happened if at > now - 4.5]
+    at_most = [kind for at, kind in happened if at > now - 5.0]
+    for kind in "abc":
+        assert surely.count(kind) <= counted[kind] <= at_most.count(kind)
+    assert math.isclose(sum(recent.share(kind, now) for kind in "abc"), float(bool(counted)))
