@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -14,6 +15,9 @@ __all__ = ["Child"]
 
 _FIRST_PAUSE_SECONDS = 0.1
 _LONGEST_PAUSE_SECONDS = 5.0
+_STARTING_PRIORITY = 1
+"""Of a process of the loop until it asks for its own: before all that is not of the loop, and behind the loop, so that a
+busy machine does not keep the robot braking while a service comes back."""
 _HEALTHY_SECONDS = 10.0
 """After living for so long a process is started again without a pause."""
 
@@ -72,6 +76,9 @@ class Child:
                     "OPENBLAS_NUM_THREADS": "1",
                 },
             )
+        if "--realtime" in self.arguments:
+            with contextlib.suppress(OSError, AttributeError):  # not permitted: an ordinary process, then
+                os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_STARTING_PRIORITY))
         self._started = time.monotonic()
         self._died, self._asked = 0.0, False
 
@@ -103,6 +110,12 @@ class Child:
         if self.exit_code is None and self._process is not None and not self._asked:
             self._asked = True
             self._process.terminate()
+
+    def kill(self) -> None:
+        """Ends it and its group at once, whatever it does."""
+        if self.exit_code is None and self._process is not None:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
 
     def end(self, patience: float) -> None:
         """Asks it to end, waits up to ``patience`` [s], then kills it and its group."""

@@ -19,6 +19,8 @@ _ROBOT_PATIENCE_SECONDS = 8.0
 _BRAKING_SECONDS = 5.0
 _SERVICE_PATIENCE_SECONDS = 6.0
 """The filter takes up to 5 s to see robots stand that it serves beside this loop's."""
+_HUNG_SECONDS = 10.0
+"""Without a heartbeat, of which there are four a second; a busy machine keeps one waiting for a second or two."""
 _LAST = "recorder"
 _BAD_INPUT = 2
 
@@ -79,6 +81,8 @@ class Supervisor:
         for child in self.services:
             if child.exit_code is not None:
                 self._revive(child)
+            elif child.essential and self.watch.has_hung(child.name, child.pid, _HUNG_SECONDS):
+                child.kill()  # a process that lives and does not work is as good as dead; it is started anew
         self.on_turn()
 
     def _revive(self, child: Child) -> None:

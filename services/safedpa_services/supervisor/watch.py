@@ -76,6 +76,11 @@ class Watch:
         """Seconds since the last heartbeat; infinite before the first."""
         return time.monotonic() - self.health[service][1] if service in self.health else float("inf")
 
+    def has_hung(self, service: str, pid: int, seconds: float) -> bool:
+        """Whether this process has told its health before, and has been silent for longer than that since."""
+        told = self.health.get(service)
+        return told is not None and told[0].pid == pid and self.silent_for(service) > seconds
+
     def _take(self, item: Received) -> None:
         message = item.message
         if isinstance(message, HealthMessage):

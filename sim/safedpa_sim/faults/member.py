@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -10,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 __all__ = ["Member"]
+
+_STARTING_PRIORITY = 1
 
 
 @dataclass
@@ -44,6 +47,10 @@ class Member:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, env=environment
             )
+
+        if "--realtime" in self.arguments:  # as the supervisor does
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_STARTING_PRIORITY))
 
     def send(self, number: int) -> None:
         """Sends a signal to the process, if it still runs."""
