@@ -16,7 +16,7 @@ __all__ = ["Child"]
 _FIRST_PAUSE_SECONDS = 0.1
 _LONGEST_PAUSE_SECONDS = 5.0
 _STARTING_PRIORITY = 1
-"""Of a process of the loop until it asks for its own: before all that is not of the loop, and behind the loop, so that a
+"""Of a process of the loop until it asks for its own: before all that is not of the loop, and behind the loop. So a
 busy machine does not keep the robot braking while a service comes back."""
 _HEALTHY_SECONDS = 10.0
 """After living for so long a process is started again without a pause."""
