@@ -134,7 +134,7 @@ def test_a_driving_car_stands_until_it_may_go(enabled: bool) -> None:
 
 def test_a_pendulum_has_no_stand_so_the_corridor_is_kept() -> None:
     robot = PendulumRobot(task_named("balance"), wind_towards(4.0, 135.0), seed=1)
-    seen = stopped_between(robot, "pendulum", 50, 500, 300)
+    seen = stopped_between(robot, "pendulum", 50, 500, 160)
     assert robot.collisions == []
     assert {tick.verdict.status for tick in seen[51:]} == {"stopped"}
     torques = [abs(tick.verdict.action[0]) for tick in seen[51:]]
