@@ -106,6 +106,11 @@ def left(endpoint: str) -> str:
 def test_an_order_holds_over_the_filters_death_and_the_filters_end_brakes(tmp_path: Path, free_port: int) -> None:
     with running(tmp_path, free_port, "--load", "box") as loop:
         loop.until(loop.drives, "it never drove")
+        told = loop.command("status", "--json", "--seconds", "2")
+        status = json.loads(told.stdout)
+        assert [robot["robot"] for robot in status["robots"]] == ["r1"]
+        assert told.returncode == (0 if status["healthy"] else 1)
+        assert {service["service"] for service in status["services"]} >= {"policy", "safety_filter", "recorder"}
         ordered = loop.command("stop", "--robot", "r1", "--who", "Ada")
         assert ordered.returncode == 0, ordered.stderr
         assert "r1: stands" in ordered.stdout

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -23,6 +25,7 @@ _FEWEST_COLUMNS = 80
 @click.option("--robot", default="*", help="this robot alone")
 @click.option("--seconds", type=float, default=3.0, show_default=True, help="how long to listen before telling")
 @click.option("--watch", is_flag=True, help="a live table, until Ctrl-C")
+@click.option("--picture", type=click.Path(path_type=Path), metavar="FILE.svg", help="also draw it into a file")
 def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
     """Show the fleet: robots, processes, rates, ages, late ticks, verdicts, margin, diagnosis, recorder.
 
@@ -32,6 +35,8 @@ def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
 
     if not 0.5 <= seconds <= 3600.0:
         raise InputError(f"--seconds: got {seconds:g}, wanted 0.5 to 3600; heartbeats come four times a second")
+    if options["picture"] is not None and (watch or options["picture"].suffix != ".svg"):
+        raise InputError(f"--picture {options['picture']}: wanted a name that ends with .svg, and no --watch")
     if watch and options["as_json"]:
         raise InputError("--watch, --json: got both, wanted one; a script calls --json as often as it likes")
     with bus_of(options) as bus:
@@ -50,7 +55,7 @@ def _told(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> bool
     elif fleet.nobody:
         raise SafedpaError(_nobody(fleet, seconds, options))
     else:
-        _draw(document)
+        _draw(document, options["picture"])
     return bool(document["healthy"])
 
 
@@ -62,8 +67,9 @@ def _nobody(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> st
     )
 
 
-def _draw(document: dict[str, Any]) -> None:
+def _draw(document: dict[str, Any], picture: Path | None) -> None:
     from rich.console import Console
+    from rich.terminal_theme import SVG_EXPORT_THEME
 
     from safedpa_services.status.table import picture_of
 
@@ -71,6 +77,14 @@ def _draw(document: dict[str, Any]) -> None:
     if not console.is_terminal:
         console = Console(width=max(_FEWEST_COLUMNS, console.width))
     console.print(picture_of(document, console.width))
+    if picture is not None:
+        title = f"safedpa status --fleet {document['fleet']}"
+        drawn = Console(width=console.width, file=io.StringIO(), record=True, force_terminal=True)
+        drawn.print(picture_of(document, console.width))
+        try:
+            drawn.save_svg(str(picture), title=title, unique_id="safedpa", theme=SVG_EXPORT_THEME)
+        except OSError as error:
+            raise InputError(f"--picture {picture}: cannot be written ({error.strerror})") from error
 
 
 def _watched(fleet: FleetOverview) -> bool:

@@ -1,0 +1,73 @@
+"""``safedpa status``, ``stop`` and ``go`` as a script calls them where there is nothing to be heard."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from safedpa_services.command_line.group import safedpa
+
+NOBODY = ("--fleet", "nobody-of-this-name", "--connect")
+
+
+@pytest.fixture
+def endpoint(free_port: int) -> str:
+    """Of a bus on which nobody speaks."""
+    return f"tcp/127.0.0.1:{free_port}"
+
+
+@pytest.fixture
+def empty_bus(endpoint: str):  # type: ignore[no-untyped-def]
+    from safedpa.bus import ZenohSettings, ZenohTransport
+
+    transport = ZenohTransport(ZenohSettings("router", listen=(endpoint,)))
+    yield endpoint
+    transport.close()
+
+
+def run(*arguments: str) -> int:
+    code: int = safedpa.run(list(arguments))  # type: ignore[attr-defined]
+    return code
+
+
+def test_nobody_is_one_clear_line_and_code_1(empty_bus: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("status", *NOBODY, empty_bus, "--seconds", "0.5") == 1
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.count("\n") == 1
+    assert "nobody was heard on the bus within 0.5 s" in errors
+    assert "--connect" in errors
+
+
+def test_nobody_in_json_is_not_healthy(empty_bus: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("status", *NOBODY, empty_bus, "--seconds", "0.5", "--json") == 1
+    document = json.loads(capsys.readouterr().out)
+    assert not document["healthy"]
+    assert document["robots"] == document["services"] == []
+
+
+@pytest.mark.parametrize("command", ["stop", "go"])
+def test_an_order_that_no_filter_hears_is_told(
+    command: str, empty_bus: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(command, *NOBODY, empty_bus) == 1
+    assert "no safety filter answers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--seconds", "0"), "--seconds"),
+        (("--watch", "--json"), "--watch, --json"),
+        (("--picture", "a.png"), ".svg"),
+        (("--certificates", "/no/such/folder"), "authority.pem"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(
+    arguments: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("status", *arguments) in (1, 2)
+    errors = capsys.readouterr().err
+    assert told in errors
+    assert errors.count("\n") == 1
