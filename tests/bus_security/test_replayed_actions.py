@@ -95,7 +95,7 @@ def test_of_this_tick_but_beyond_the_actuators(recorded: Attacked, values: tuple
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e13])
 def test_what_is_no_number_does_not_become_a_message(recorded: Attacked, value: float) -> None:
-    with pytest.raises(MessageError, match="ActionMessage.values"):
+    with pytest.raises(MessageError, match=r"ActionMessage\.values"):
         decode(ActionMessage, encode(dataclasses.replace(recorded.recorded[0], values=(value, 0.0))))
 
 
