@@ -31,12 +31,14 @@ def document_of(fleet: FleetOverview) -> dict[str, Any]:
     }
 
 
-def _concern(concern: Concern) -> dict[str, str]:
+def _concern(concern: Concern) -> dict[str, Any]:
     return {
         "level": concern.level,
         "robot": concern.robot,
         "service": concern.service,
         "sentence": concern.sentence,
+        "kind": concern.kind or concern.sentence,
+        "size": concern.size,
     }
 
 

@@ -98,7 +98,7 @@ _SERVICES = (
 def picture_of(document: dict[str, Any], width: int, height: int = 0) -> Group:
     """Headline, concerns, robots and processes in ``width`` columns; with a ``height`` in so many rows at most."""
     robots, services, concerns = document["robots"], document["services"], document["concerns"]
-    rows = _rows(height, len(robots), len(services), len(concerns))
+    rows = _rows(height, len(robots), len(services), len(_grouped(concerns)))
     parts: list[Any] = [_headline(document)]
     parts += _told(concerns, rows[2], width)
     if robots:
@@ -114,6 +114,8 @@ def _rows(height: int, robots: int, services: int, concerns: int) -> tuple[int, 
     if not height:
         return 20, services, 12
     rest = height - 9  # headline, titles, empty lines, folded lines, the recorder's line
+    if robots + services + concerns <= rest:
+        return robots, services, concerns
     told = min(concerns, max(2, rest // 4))
     processes = min(services, max(3, (rest - told) // 2))
     return max(_FEWEST_ROWS, min(robots, rest - told - processes)), processes, told
@@ -143,13 +145,18 @@ def _told(concerns: Sequence[Row], most: int, width: int) -> list[Text]:
 
 
 def _grouped(concerns: Sequence[Row]) -> list[Row]:
-    """The same sentence about many robots as one line."""
-    names: dict[tuple[str, str], list[str]] = {}
+    """What many robots have in common as one line, with the sentence about the worst of them."""
+    kinds: dict[tuple[str, str], list[Row]] = {}
     for concern in concerns:
-        names.setdefault((concern["level"], concern["sentence"]), []).append(concern["robot"])
-    return [
-        {"level": level, "sentence": sentence, "robot": _listed(robots)} for (level, sentence), robots in names.items()
-    ]
+        kinds.setdefault((concern["level"], concern["kind"]), []).append(concern)
+    lines = []
+    for (level, _), alike in kinds.items():
+        alike.sort(key=lambda concern: -concern["size"])
+        worst = alike[0]["sentence"]
+        same = len({concern["sentence"] for concern in alike}) == 1
+        names = _listed([concern["robot"] for concern in alike])
+        lines.append({"level": level, "sentence": worst if same else f"{worst} (the first one)", "robot": names})
+    return lines
 
 
 def _listed(robots: Sequence[str]) -> str:

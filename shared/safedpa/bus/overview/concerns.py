@@ -32,6 +32,10 @@ class Concern:
     sentence: str
     robot: str = ""
     service: str = ""
+    kind: str = ""
+    """What concerns of several robots have in common, where their numbers differ."""
+    size: float = 0.0
+    """How bad it is among those of its kind."""
 
 
 def concerns_of(robot: RobotOverview, now: float) -> list[Concern]:
@@ -60,7 +64,8 @@ def _about_driving(robot: RobotOverview, now: float) -> Iterator[Concern]:
     state, verdict, name = robot.state, robot.verdict, robot.name
     patience = _SILENT_SECONDS if state is None else max(_SILENT_SECONDS, 5.0 * state.period)
     if robot.silent_for(now) > patience:
-        yield Concern("trouble", f"silent for {robot.silent_for(now):.0f} s", name)
+        sentence = f"silent for {robot.silent_for(now):.0f} s"
+        yield Concern("trouble", sentence, name, kind="silent", size=robot.silent_for(now))
         return
     if state is None or now - robot.state_at > patience:
         yield Concern("trouble", "alive, but it tells no state", name)
@@ -71,9 +76,11 @@ def _about_driving(robot: RobotOverview, now: float) -> Iterator[Concern]:
     late = robot.recent_ticks.share("watchdog", now)
     if late > 0.0:
         level: Literal["trouble", "attention"] = "trouble" if late > _LATE_SHARE else "attention"
-        yield Concern(level, f"{100.0 * late:.1f} % of the last ticks were late: the robot braked by itself", name)
+        sentence = f"{100.0 * late:.1f} % of the last ticks were late: the robot braked by itself"
+        yield Concern(level, sentence, name, kind="late", size=late)
     if state is not None and state.collisions:
-        yield Concern("attention", f"{state.collisions} collisions", name)
+        sentence = f"{state.collisions} collision{'s' if state.collisions > 1 else ''}"
+        yield Concern("attention", sentence, name, kind="collisions", size=state.collisions)
 
 
 def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Concern]:
@@ -86,14 +93,17 @@ def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Concern]:
     elif verdict.status == "fallback":
         yield Concern("trouble", verdict.sentence, name, "safety_filter")
     elif verdict.h_now < 0.0:
-        yield Concern("trouble", f"outside the safe set: h {verdict.h_now:+.3f}", name, "safety_filter")
+        sentence = f"outside the safe set: h {verdict.h_now:+.3f}"
+        yield Concern("trouble", sentence, name, "safety_filter", "outside", -verdict.h_now)
     for status in ("fallback", "relaxed"):
         share = robot.recent_verdicts.share(status, now)
         if share > 0.0 and verdict.status != "fallback":
-            yield Concern("attention", f"{100.0 * share:.1f} % of the last verdicts {status}", name, "safety_filter")
+            sentence = f"{100.0 * share:.1f} % of the last verdicts {status}"
+            yield Concern("attention", sentence, name, "safety_filter", status, share)
     if verdict.tick >= _WATCHED_STEPS and 0.0 <= verdict.coverage < verdict.promised - _MISSED_COVERAGE:
         told, wanted = 100.0 * verdict.coverage, 100.0 * verdict.promised
-        yield Concern("attention", f"the margin held in {told:.1f} % of the steps, promised {wanted:.1f} %", name)
+        sentence = f"the margin held in {told:.1f} % of the steps, promised {wanted:.1f} %"
+        yield Concern("attention", sentence, name, kind="coverage", size=wanted - told)
 
 
 def _about_services(robot: RobotOverview, now: float) -> Iterator[Concern]:
@@ -102,7 +112,8 @@ def _about_services(robot: RobotOverview, now: float) -> Iterator[Concern]:
         if heard is None:
             yield Concern("trouble", f"{service}: no heartbeat", robot.name, service)
         elif now - heard[1] > _SILENT_SECONDS:
-            yield Concern("trouble", f"{service}: silent for {now - heard[1]:.0f} s", robot.name, service)
+            sentence = f"{service}: silent for {now - heard[1]:.0f} s"
+            yield Concern("trouble", sentence, robot.name, service, f"{service} silent", now - heard[1])
         elif heard[0].state == "failing":
             yield Concern("trouble", f"{service}: failing, {heard[0].detail}", robot.name, service)
     models = {service: robot.health[service][0].model for service in _LOOP if service in robot.health}
