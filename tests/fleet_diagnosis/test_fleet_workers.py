@@ -7,8 +7,10 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -42,6 +44,40 @@ def test_threads_are_put_back(monkeypatch):
         assert os.environ["OMP_NUM_THREADS"] == os.environ["MKL_NUM_THREADS"] == "1"
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "MKL_NUM_THREADS" not in os.environ
+
+
+_DRIVER = """
+import operator, os, time
+from functools import partial
+from safedpa.diagnosis.fleet.workers import in_processes
+if __name__ == "__main__":
+    jobs = [partial(os.getpid), partial(time.sleep, 600)]
+    for answer in in_processes(operator.call, jobs, 1, lambda job, reason: reason):
+        print(answer, flush=True)
+"""
+
+
+def alive(process: int) -> bool:
+    try:
+        status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8")
+    except OSError:
+        return False
+    return status.rsplit(")", 1)[1].split()[0] != "Z"
+
+
+def test_a_killed_command_leaves_no_process_behind(tmp_path):
+    script = tmp_path / "driver.py"
+    script.write_text(_DRIVER, encoding="utf-8")
+    driver = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    assert driver.stdout is not None
+    worker = int(driver.stdout.readline())
+    assert alive(worker)
+    driver.kill()
+    driver.wait()
+    deadline = time.monotonic() + 30.0
+    while alive(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(worker)
 
 
 _ON_RAY = """

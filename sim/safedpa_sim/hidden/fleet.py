@@ -19,8 +19,8 @@ __all__ = ["COMMON", "FleetLogs", "fleet_truth", "write_fleet"]
 
 _BRAKE, _OFFSET = 0.05, 0.03
 """Share of the robots with a dragging brake, and with a bent steering."""
-COMMON: Final[Effects] = {"quadratic_drag": {"coefficient": 0.01}}
-"""Hidden in all robots of a fleet with something in common: a twelfth of what is ordinary."""
+COMMON: Final[Effects] = {"quadratic_drag": {"coefficient": 0.02}}
+"""Hidden in all robots of a fleet with something in common: a sixth of what is ordinary."""
 _AT_ONCE = 20
 """Robots that are simulated side by side: memory does not grow with the fleet."""
 

@@ -37,13 +37,14 @@ def fleet_page(document: Mapping[str, Any], analysis: Analysis) -> str:
     return rendered(
         "fleet_page.html",
         document=document,
+        model=Path(document["model_file"]).name,
         title=f"{len(document['robots'])} robots",
         lead=headline(document),
         common=common_sentence(document),
         discovery=discovery_sentence(document),
         tiles=_tiles(document),
         cards=[_card(group, number) for number, group in enumerate(document["groups"])],
-        rows=[_row(robot, document) for robot in document["robots"]],
+        rows=[_row(robot, document) for robot in sorted(document["robots"], key=lambda item: item["group"])],
         has_strips=strips is not None,
         colours=[group_colour(number, document) for number in range(len(document["groups"]))],
         data=embedded({"figures": figures}),
@@ -86,12 +87,13 @@ def _card(group: Mapping[str, Any], number: int) -> dict[str, Any]:
 
 
 def _between(value: Mapping[str, Any]) -> str:
-    """mean 0.45, from robot to robot ± 0.04, each ± 0.001"""
+    """mean 0.45, each known to ± 0.001, ± 0.04 from robot to robot"""
     parts = [f"mean {value['mean']:.3g}"]
-    if value["robots"] > 1:
-        parts.append(f"± {value['spread']:.2g} from robot to robot")
     if value["stated"] is not None:
         parts.append(f"each known to ± {value['stated']:.2g}")
+    if value["robots"] > 1:
+        apart = f"± {value['spread']:.2g}" if value["spread"] > 0 else "no more than that"
+        parts.append(f"{apart} from robot to robot")
     return ", ".join(parts)
 
 

@@ -51,7 +51,8 @@ def error_figure(document: Mapping[str, Any]) -> dict[str, Any]:
                 hovertemplate=f"%{{text}}<br>{what} %{{y:.3g}}<extra></extra>",
             )  # fmt: skip
     panels.axis(at, "x", showticklabels=False, ticks="", showgrid=False, range=[-1.0, len(judged)])
-    panels.axis(at, "y", type="log", dtick="D2", exponentformat="none")
+    ticks = [digit * 10.0**power for power in range(-6, 4) for digit in (1, 2, 5)]
+    panels.axis(at, "y", type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
     return panels.figure("errors")
 
 
@@ -107,7 +108,7 @@ def _panel(panels: Panels, document: Mapping[str, Any], analysis: Analysis, effe
     numbers, unit = _numbers(analysis, effect, parameter)
     lanes = _lanes(document, effect)
     title = parameter + (f" [{unit}]" if unit not in ("", "1") else "")
-    at = panels.add(effect, title, "")
+    at = panels.add(effect if effect != "base" else "free in the given model", title, "")
     rest = _rest(document, lanes, numbers)
     ticks = [_counted(len(document["groups"][lane]["robots"])) for lane in lanes] + (["the others"] if rest else [])
     count = len(ticks)
