@@ -38,8 +38,8 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a fleet with two robots, and of strangers."""
     folder = tmp_path_factory.mktemp("certificates")
     authority = Authority(folder, FLEET)
-    for role in (*roles_of(ROBOTS), *STRANGERS):
-        authority.issue(role, 1.0, HOSTS if role == ROUTER else ())
+    for role in (*roles_of(ROBOTS), *STRANGERS, "router.west"):
+        authority.issue(role, 1.0, HOSTS if role.startswith(ROUTER) else ())
     return folder
 
 

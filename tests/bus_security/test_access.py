@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import TOPICS
@@ -22,6 +22,7 @@ def keys_of(control: dict[str, Any], subject: str, message: str, flow: str) -> s
 
 
 @given(NAMES)
+@settings(max_examples=20)
 def test_it_is_on_and_closed_and_every_rule_belongs_to_somebody(robots: list[str]) -> None:
     control = access_control("f", robots)
     assert control["enabled"] is True
@@ -36,6 +37,7 @@ def test_it_is_on_and_closed_and_every_rule_belongs_to_somebody(robots: list[str
 
 
 @given(NAMES)
+@settings(max_examples=20)
 def test_who_may_put_names_its_robots_one_by_one(robots: list[str]) -> None:
     control = access_control("f", robots)
     for role in set(roles_of(robots)) - {"router"}:

@@ -48,8 +48,14 @@ def _settings(options: argparse.Namespace) -> ZenohSettings:
     if options.certificates is None:
         raise InputError("--certificates: got none, wanted the folder of 'safedpa certificates' (or --plain)")
     certificates = Certificates(options.certificates, options.role)
-    access = access_control(options.fleet, options.robot)
+    access = access_control(options.fleet, options.robot, dict(map(_link, options.link)))
     return ZenohSettings("router", listen, connect, certificates, access, limits)
+
+
+def _link(text: str) -> tuple[str, tuple[str, ...]]:
+    """``router.west=r1,r2``: name of the certificate, and the robots of which it may bring messages."""
+    name, _, robots = text.partition("=")
+    return name, tuple(robots.split(",")) if robots else ()
 
 
 def _parser() -> argparse.ArgumentParser:

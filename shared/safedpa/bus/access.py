@@ -7,8 +7,9 @@ allows is denied, in both directions: whoever may not read a topic is sent nothi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 from safedpa.bus.requests import AGREED, ORDER, REQUEST, STATUS, request_key
@@ -45,17 +46,9 @@ NOBODY = "-"
 ROBOT = "robot"
 ROUTER = "router"
 _IN, _OUT = "ingress", "egress"
-_ALL_MESSAGES = (
-    "put",
-    "declare_subscriber",
-    "query",
-    "reply",
-    "declare_queryable",
-    "liveliness_token",
-    "liveliness_query",
-    "declare_liveliness_subscriber",
-)
-"""All but delete, which nobody may."""
+_CARRIED = ("put", "query", "reply", "liveliness_token")
+_WANTED = ("declare_subscriber", "declare_queryable", "liveliness_query", "declare_liveliness_subscriber")
+"""Together all but delete, which nobody may."""
 _EVERYTHING = tuple(TOPICS.values())
 
 
@@ -126,8 +119,13 @@ def check_names(fleet: str, robots: tuple[str, ...]) -> None:
         raise InputError(f"--robot: got {', '.join(robots)}, wanted every robot once")
 
 
-def access_control(fleet: str, robots: Iterable[str]) -> dict[str, Any]:
+def access_control(
+    fleet: str, robots: Iterable[str], links: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+) -> dict[str, Any]:
     """Zenoh's ``access_control`` for the router of a fleet with these robots.
+
+    ``links`` names further routers that may be linked to this one, by the common names of their certificates, each with
+    the robots of which it may bring messages; none: all. One that shows the same name as this one may bring all.
 
     Raises InputError for names that the bus cannot carry, or a robot named twice.
     """
@@ -135,7 +133,7 @@ def access_control(fleet: str, robots: Iterable[str]) -> dict[str, Any]:
     check_names(fleet, names)
     rules: list[dict[str, Any]] = []
     policies = []
-    for subject, rights in _subjects(fleet, names):
+    for subject, rights in (*_subjects(fleet, names), *_links(fleet, links)):
         own = [_rule(f"{subject} {right.what}", right) for right in rights if right.keys]
         rules += own
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [subject]})
@@ -144,7 +142,7 @@ def access_control(fleet: str, robots: Iterable[str]) -> dict[str, Any]:
         "default_permission": "deny",
         "rules": [*rules, _rule(_EVERYBODY, _NOTHING)],
         "subjects": [
-            *({"id": name, "cert_common_names": [name]} for name in roles_of(names)),
+            *({"id": name, "cert_common_names": [name]} for name in (*roles_of(names), *links)),
             {"id": _EVERYBODY, "link_protocols": ["tls"]},
         ],
         "policies": [*policies, {"rules": [_EVERYBODY], "subjects": [_EVERYBODY]}],
@@ -162,7 +160,15 @@ def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_
     for role in ROLES.values():
         if role.name != ROBOT:
             yield role.name, _rights(role, fleet, (*robots, NOBODY), "*")
-    yield ROUTER, _rights_of_a_router(fleet)
+
+
+def _links(fleet: str, links: Mapping[str, tuple[str, ...]]) -> Iterable[tuple[str, list[_Right]]]:
+    yield ROUTER, _rights_of_a_router(fleet, ())
+    for name, robots in links.items():
+        check_names(fleet, robots)
+        if not name.startswith(f"{ROUTER}."):
+            raise InputError(f"--link {name}: wanted the name of a router's certificate, {ROUTER}.NAME")
+        yield name, _rights_of_a_router(fleet, robots)
 
 
 def _rule(name: str, right: _Right) -> dict[str, Any]:
@@ -218,10 +224,18 @@ def _alive(fleet: str, robot: str, service: str) -> str:
     return f"safedpa/{fleet}/{robot}/alive/{service}/*"
 
 
-def _rights_of_a_router(fleet: str) -> list[_Right]:
-    """Another router of the same fleet has judged its own clients; nobody deletes, not even it."""
+def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_Right]:
+    """Another router of the same fleet has judged its own clients; nobody deletes, not even it.
+
+    Where it may bring messages of some robots only, it may still tell what its clients want to read and ask.
+    """
     everything = (f"safedpa/{fleet}/**",)
-    return [_Right("brings", _ALL_MESSAGES, _IN, everything), _Right("takes away", _ALL_MESSAGES, _OUT, everything)]
+    brings = tuple(f"safedpa/{fleet}/{robot}/**" for robot in (*robots, NOBODY)) if robots else everything
+    return [
+        _Right("brings", _CARRIED, _IN, brings),
+        _Right("wants", _WANTED, _IN, everything),
+        _Right("takes away", (*_CARRIED, *_WANTED), _OUT, everything),
+    ]
 
 
 def size_limits(fleet: str) -> list[dict[str, Any]]:
