@@ -35,7 +35,7 @@ class Durations:
         for index, count in enumerate(self._counts):
             seen += count
             if seen and seen >= wanted:
-                return (index + 1) * _BIN_SECONDS
+                return min((index + 1) * _BIN_SECONDS, self.longest)
         return None
 
     def summary(self) -> dict[str, float | None]:

@@ -7,7 +7,6 @@ import os
 import secrets
 import sys
 from pathlib import Path
-from typing import Any
 
 from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
 from safedpa.errors import InputError
@@ -65,7 +64,7 @@ def _beside(options: argparse.Namespace) -> argparse.Namespace:
     return argparse.Namespace(**{**vars(options), "listen": [], "connect": options.listen or options.connect})
 
 
-def _spent(before: Any, after: Any) -> float:
+def _spent(before: os.times_result, after: os.times_result) -> float:
     return round(after.user + after.system - before.user - before.system, 3)
 
 

@@ -27,6 +27,8 @@ _DEADLINE_SHARE = 0.9
 """Of the period, after which an action is late."""
 _HELD_UP_SHARE = 0.1
 """Of the period, by which a state goes out late before the tick counts as one in which this process was held up."""
+_LARGEST_AGE_PERIODS = 2.0
+"""An action that would begin to act later than so long after its state was sent is not taken any more."""
 _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
 
@@ -77,14 +79,19 @@ class FleetLoop:
         end = self._clock() + seconds
         while not stopped() and self._clock() < end:
             self._take(min(self._events[0][0], end))
-            while self._events[0][0] <= self._clock():
-                _, name, tick, senses = heapq.heappop(self._events)
-                self._take(0.0)  # what is there already counts
-                turning = self._turning[name]
-                if senses:
-                    self._sense(name, turning)
-                elif turning.robot.tick == tick:
-                    self._move(name, turning, late=True)
+            self.turn()
+
+    def turn(self) -> None:
+        """Does what is due now: takes actions, senses, brakes where an action is late. Never waits."""
+        self._take(0.0)
+        while self._events[0][0] <= self._clock():
+            _, name, tick, senses = heapq.heappop(self._events)
+            self._take(0.0)  # what is there already counts
+            turning = self._turning[name]
+            if senses:
+                self._sense(name, turning)
+            elif turning.robot.tick == tick:
+                self._move(name, turning, late=True)
 
     def _sense(self, name: str, turning: _Turning) -> None:
         robot = turning.robot
@@ -112,6 +119,8 @@ class FleetLoop:
 
     def _move(self, name: str, turning: _Turning, *, late: bool) -> None:
         robot = turning.robot
+        if not late and self._clock() - turning.published > _LARGEST_AGE_PERIODS * robot.period:
+            robot.guard.withdraw("too old")  # this process was held up
         robot.advance()
         self.ticks += 1
         self.held_up += turning.held_up

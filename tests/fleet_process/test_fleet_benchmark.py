@@ -1,0 +1,80 @@
+"""The benchmark of many robots: with processes in small, and the search for the largest fleet without."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa.errors import InputError, SafedpaError
+from safedpa_services.benchmarks import fleet as module
+from safedpa_services.benchmarks.fleet import FleetTrial, fleet_benchmark, largest_fleet
+from safedpa_services.benchmarks.usage import usage_of
+from safedpa_services.command_line.bench import command
+
+
+def test_three_robots_through_real_processes() -> None:
+    result = fleet_benchmark(FleetTrial(robots=3, seconds=2.0, loads="none,box"))
+    assert result["robots"] == 3
+    assert result["robot_ticks"] > 60, "it stood most of the time"
+    assert result["late_ticks"] < result["robot_ticks"], "not one action came in time"
+    assert set(result["processes"]) == {"robots", "adaptation", "policy", "safety_filter"}
+    for used in result["processes"].values():
+        assert used["us_per_robot_tick"] > 0.0
+        assert used["mib_end"] > 10.0
+    json.dumps(result)
+
+
+def test_a_process_that_cannot_begin_ends_the_benchmark_with_its_last_words() -> None:
+    with pytest.raises(SafedpaError, match=r"ended with exit code 2.*no_such_load"):
+        fleet_benchmark(FleetTrial(robots=1, seconds=1.0, loads="no_such_load"))
+
+
+@given(largest=st.integers(0, 700), begin=st.integers(1, 80))
+def test_doubling_and_bisection_find_the_largest_fleet(largest: int, begin: int) -> None:
+    tried: list[int] = []
+
+    def measure(trial: FleetTrial) -> dict[str, Any]:
+        return {"holds": trial.robots <= largest, "robots": trial.robots}
+
+    found = largest_fleet(FleetTrial(begin, 1.0), lambda result: tried.append(result["robots"]), measure)
+    assert found <= largest
+    assert found + 1 > largest / 1.07 or largest - found <= 1
+    assert len(tried) == len(set(tried)) <= 16
+
+
+def test_the_kernel_tells_what_a_process_used_until_it_is_gone() -> None:
+    used = usage_of(os.getpid())
+    assert used is not None
+    assert used.cpu_seconds > 0.0
+    assert used.resident_mib > 10.0
+    assert usage_of(2**22 + 1) is None
+
+
+def test_the_command_prints_one_document_or_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = {"p50": 3000, "p99": 5000, "p999": 6000, "longest": 7000}
+    used = {"cores": 0.2, "us_per_robot_tick": 200.0, "mib_begin": 50.0, "mib_end": 50.1}
+    result = {
+        "rate_hz": 20.0, "seconds": 5.0, "robots": 50, "robot_ticks": 5000, "late_ticks": 3, "late_share": 0.0006,
+        "late_while_held_up": 1, "holds": True, "load_average": [0.1, 0.2], "sense_to_act_us": times,
+        "own_lateness_us": times, "processes": {"policy": used}, "goals_reached": 4, "collisions": 0, "refusals": {},
+    }  # fmt: skip
+    monkeypatch.setattr(module, "fleet_benchmark", lambda trial: {**result, "robots": trial.robots})
+    monkeypatch.setattr("safedpa_services.benchmarks.latency.bare_chain", lambda *_: {"p50": 1000.0, "p99": 1500.0})
+    printed = CliRunner().invoke(command, ["fleet", "--robots", "7"], catch_exceptions=False).output
+    assert "7 robots at 20 Hz for 20" in printed or "7 robots at 20 Hz for 5" in printed
+    assert "3 of 5000 ticks late (0.060 %" in printed
+    document = json.loads(CliRunner().invoke(command, ["fleet", "--json"], catch_exceptions=False).output)
+    assert document["bare_chain_us"]["p50"] == 1000.0
+    assert document["trials"][0]["robots"] == 50
+
+
+@pytest.mark.parametrize("options", [("--robots", "0"), ("--robots", "2000"), ("--seconds", "0.1"), ("--rate", "900")])
+def test_odd_wishes_are_refused_in_words(options: tuple[str, str]) -> None:
+    with pytest.raises(InputError, match="wanted"):
+        CliRunner().invoke(command, ["fleet", *options], catch_exceptions=False)

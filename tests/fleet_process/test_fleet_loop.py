@@ -1,0 +1,78 @@
+"""Many cars turned by one process: who is late, and whose fault it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from safedpa.bus import Bus, MemoryTransport
+from safedpa_sim.robots.fleet_loop import FleetLoop
+
+Make = Callable[..., Any]
+NAMES = tuple(f"car{index}" for index in range(5))
+
+
+def test_served_in_time_nothing_is_late(stack: Make) -> None:
+    fleet = stack(NAMES)
+    fleet.drive(1.0)
+    account = fleet.fleet.account()
+    assert (account["robot_ticks"], account["late_ticks"], account["held_up_ticks"]) == (100, 0, 0)
+    assert account["collisions"] == 0
+    assert account["refusals"] == {}
+    assert 0 <= account["sense_to_act_us"]["p50"] <= account["sense_to_act_us"]["longest"] <= 45_000
+
+
+def test_without_services_every_tick_is_late_and_none_of_it_is_the_simulations_fault(stack: Make) -> None:
+    fleet = stack(NAMES, nodes=())
+    fleet.services = []
+    fleet.drive(1.0)
+    account = fleet.fleet.account()
+    assert account["late_ticks"] == account["robot_ticks"] > 90
+    assert account["late_while_held_up"] == 0
+    assert account["robots_with_late_ticks"] == 5
+    assert all(car.watchdog_ticks == car.tick for car in fleet.cars.values())
+
+
+def test_what_the_simulation_is_late_by_is_told_apart(stack: Make) -> None:
+    fleet = stack(NAMES)
+    fleet.drive(0.5)
+    fleet.fleet.begin_counting()
+    fleet.clock.now += 0.03  # held up; the services too, since one hand turns them all
+    fleet.drive(0.5)
+    account = fleet.fleet.account()
+    assert account["held_up_ticks"] > 0
+    assert account["own_lateness_us"]["longest"] > 5_000
+    assert account["late_ticks"] == account["late_while_held_up"]
+
+
+def test_what_is_older_than_two_periods_does_not_begin_to_act(stack: Make) -> None:
+    fleet = stack(("a",))
+    fleet.drive(0.5)
+    car = fleet.cars["a"]
+    fleet.fleet.turn()
+    while not fleet.fleet._inbox.waiting:  # its state is out, its action comes in, and then this process stands still
+        fleet.clock.now += 0.0025
+        for service in fleet.services:
+            service.turn(0.0)
+        if not fleet.fleet._inbox.waiting:
+            fleet.fleet.turn()
+    before = car.watchdog_ticks
+    fleet.clock.now += 0.2
+    fleet.fleet.turn()
+    assert car.guard.refusals["too old"] == 1
+    assert car.watchdog_ticks == before + 1
+
+
+def test_in_step_all_sense_at_once_else_spread_over_the_period(stack: Make) -> None:
+    for in_step, most in ((True, 5), (False, 1)):
+        fleet = stack(NAMES, nodes=())
+        fleet.services = []
+        loop = FleetLoop(fleet.cars, Bus(MemoryTransport(fleet.broker), "test"), in_step=in_step, clock=fleet.clock)
+        states: list[int] = []
+        for _ in range(20):
+            before = sum(loop.lateness.count for _ in (0,))
+            loop.turn()
+            states.append(loop.lateness.count - before)
+            fleet.clock.now += 0.0025
+        assert max(states) == most
+        assert sum(states) == 5

@@ -1,0 +1,62 @@
+"""An inbox holds so much and no more, and who floods it loses its own."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from safedpa.bus import Inbox, Refused
+from safedpa.bus import inbox as module
+
+
+def test_different_keys_beyond_the_most_are_dropped_and_known_ones_kept() -> None:
+    inbox = Inbox()
+    for index in range(module._MOST_KEYS + 50):
+        inbox.keep_latest(f"safedpa/f/r{index}/state", b"1")
+    inbox.keep_latest("safedpa/f/r0/state", b"2")
+    assert inbox.dropped == 50
+    assert len(inbox._latest) == module._MOST_KEYS
+    assert inbox._latest["safedpa/f/r0/state"][0] == b"2"
+
+
+def test_of_a_payload_that_is_too_large_only_so_much_is_kept_that_it_is_refused() -> None:
+    inbox = Inbox()
+    inbox.keep_latest("safedpa/f/a/state", bytes(10_000_000))
+    inbox.keep_all("safedpa/f/a/model", bytes(10_000_000))
+    assert len(inbox._latest["safedpa/f/a/state"][0]) == 65_537
+    assert inbox._queued_bytes == 4 * 1024 * 1024 + 1
+    taken = inbox.take(0.0)
+    assert [type(item) for item in taken] == [Refused, Refused]
+    assert all("wanted at most" in item.reason for item in taken if isinstance(item, Refused))
+
+
+@settings(max_examples=60, deadline=None)
+@given(sent=st.lists(st.tuples(st.sampled_from("abc"), st.integers(1, 50)), max_size=60), longest=st.integers(1, 10))
+def test_the_key_that_has_most_waiting_loses_its_oldest(sent: list[tuple[str, int]], longest: int) -> None:
+    inbox = Inbox(longest_queue=longest)
+    waiting: dict[str, list[int]] = {}
+    dropped = 0
+    for robot, size in sent:
+        inbox.keep_all(f"safedpa/f/{robot}/verdict", bytes(size))
+        waiting.setdefault(robot, []).append(size)
+        if sum(map(len, waiting.values())) > longest:
+            most = max(waiting, key=lambda name: sum(waiting[name]))
+            waiting[most].pop(0)
+            waiting = {name: sizes for name, sizes in waiting.items() if sizes} if not waiting[most] else waiting
+            dropped += 1
+    assert inbox.dropped == dropped
+    kept = {key.split("/")[2]: [len(payload) for payload, _ in queue.messages] for key, queue in inbox._queues.items()}
+    assert kept == {name: sizes for name, sizes in waiting.items() if sizes}
+    assert inbox._queued == sum(map(len, kept.values()))
+    assert inbox._queued_bytes == sum(map(sum, kept.values()))
+
+
+def test_of_each_key_at_most_so_many_are_taken_in_one_turn() -> None:
+    inbox = Inbox()
+    for index in range(30):
+        inbox.keep_all("safedpa/f/flood/verdict", bytes(index + 1))
+    inbox.keep_all("safedpa/f/good/verdict", b"1")
+    first = inbox.take(0.0, 4)
+    assert [item.key.split("/")[2] for item in first] == ["flood"] * 4 + ["good"]
+    assert len(inbox.take(0.0)) == 26
+    assert not inbox.waiting
