@@ -68,12 +68,12 @@ def alive(process: int) -> bool:
 def test_a_killed_command_leaves_no_process_behind(tmp_path):
     script = tmp_path / "driver.py"
     script.write_text(_DRIVER, encoding="utf-8")
-    driver = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
-    assert driver.stdout is not None
-    worker = int(driver.stdout.readline())
-    assert alive(worker)
-    driver.kill()
-    driver.wait()
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, stderr=quiet, text=True) as driver:
+        assert driver.stdout is not None
+        worker = int(driver.stdout.readline())
+        assert alive(worker)
+        driver.kill()
     deadline = time.monotonic() + 30.0
     while alive(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
