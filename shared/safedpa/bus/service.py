@@ -197,6 +197,8 @@ class ServiceLoop:
         slot.keeps_pace(state, at)
         self._spoken_of.pop(robot, None)
         self._journal.met(robot, state.tick, again=again)
+        self._next_setup = self._clock()  # who listens to this robot may have come with it
+        self._next_setup = self._clock()  # whoever records the robot shall know the setup from the first seconds on
         self._expect(robot, slot)
         self._agenda.at(slot.next_heartbeat, robot)
 
