@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from typing import Any
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from safedpa.bus import HEALTH
 from safedpa.bus.overview import Recent, fleet_concerns
 from safedpa_services.status.document import document_of
 from safedpa_services.status.table import picture_of
@@ -185,3 +187,25 @@ def test_recent_counts_are_those_of_the_last_seconds(steps: list[tuple[float, st
     for kind in "abc":
         assert surely.count(kind) <= counted[kind] <= at_most.count(kind)
     assert math.isclose(sum(recent.share(kind, now) for kind in "abc"), float(bool(counted)))
+
+
+def test_steps_of_many_robots_add_up_and_never_fall(fleet: Any) -> None:
+    for steps in (10, 20):
+        for robot in ("r1", "r2"):
+            fleet.beat("policy", robot, steps=steps, stale=1)
+        fleet.now += 1.0
+        fleet.overview.listen(0.0)
+    (policy,) = fleet.overview.services.values()
+    assert (policy.steps, policy.stale, policy.robots) == (40, 2, ["r1", "r2"])
+    assert policy.steps_per_second() == pytest.approx(20.0, rel=0.6)
+    fleet.beat("policy", "r1", steps=3)
+    fleet.overview.listen(0.0)
+    assert policy.steps == 43, "r1 was started again, and its counts with it"
+    for _ in range(6):
+        fleet.now += 1.0
+        fleet.beat("policy", "r1", steps=4)
+        fleet.overview.listen(0.0)
+    assert (policy.steps, policy.robots) == (44, ["r1"]), "r2 left; what was done for it was done"
+    fleet.bus.publish(HEALTH, "r1", dataclasses.replace(policy.health, publish_time=1.0, steps=1), "policy")
+    fleet.overview.listen(0.0)
+    assert policy.steps == 44, "overtaken by a newer one"

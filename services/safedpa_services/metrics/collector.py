@@ -124,7 +124,7 @@ def _of_finding(robot: RobotOverview) -> Iterator[Sample]:
 
 
 def _works(service: ServiceOverview, now: float) -> bool:
-    return service.age(now) <= _SILENT_SECONDS and service.health.state != "failing"
+    return service.age(now) <= _SILENT_SECONDS and not service.failing
 
 
 def _of_service(service: ServiceOverview, now: float) -> Iterator[Sample]:
@@ -133,9 +133,9 @@ def _of_service(service: ServiceOverview, now: float) -> Iterator[Sample]:
     yield "safedpa_service_info", (*which, health.software), 1.0
     yield "safedpa_service_robots", which, float(len(service.robots))
     yield "safedpa_heartbeat_age_seconds", which, service.age(now)
-    yield "safedpa_steps_total", which, float(health.steps)
-    yield "safedpa_stale_steps_total", which, float(health.stale)
-    yield "safedpa_refused_messages_total", which, float(health.refused)
+    yield "safedpa_steps_total", which, float(service.steps)
+    yield "safedpa_stale_steps_total", which, float(service.stale)
+    yield "safedpa_refused_messages_total", which, float(service.refused)
     if service.name == "recorder":
         yield "safedpa_recorder_acknowledged_total", (str(health.pid),), float(health.acknowledged)
         if health.free_bytes:

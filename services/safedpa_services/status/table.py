@@ -155,7 +155,7 @@ def _grouped(concerns: Sequence[Row]) -> list[Row]:
         worst = alike[0]["sentence"]
         same = len({concern["sentence"] for concern in alike}) == 1
         names = _listed([concern["robot"] for concern in alike])
-        lines.append({"level": level, "sentence": worst if same else f"{worst} (the first one)", "robot": names})
+        lines.append({"level": level, "sentence": worst if same else f"{worst} (the first)", "robot": names})
     return lines
 
 
@@ -189,9 +189,10 @@ def _folded(rest: Sequence[Row]) -> list[Text]:
     told = ", ".join(f"{count} {level}" for level, count in worst.items() if count)
     late = max(row["late"] for row in rest)
     slowest = max((row["sense_to_act_p99"] or 0.0) for row in rest)
+    told_slowest = f", p99 at most {1e3 * slowest:.1f} ms" if slowest else ""
     least = min((row["h"] for row in rest if row["h"] is not None), default=0.0)
-    numbers = f"least h {least:+.2f}, late at most {100.0 * late:.2f} %, p99 at most {1e3 * slowest:.1f} ms"
-    return [Text(f"{len(rest)} further robots ({told}): {numbers}", style="dim")]
+    numbers = f"least h {least:+.2f}, late at most {100.0 * late:.2f} %{told_slowest}"
+    return [Text(f"{len(rest)} further robots ({told}): {numbers}", style="dim", no_wrap=True, overflow="ellipsis")]
 
 
 def _more_processes(rest: Sequence[Row]) -> list[Text]:

@@ -134,9 +134,9 @@ def _about_process(service: ServiceOverview, now: float, fleet: FleetOverview) -
         if told and not fleet.replaced(service):
             level: Literal["trouble", "attention"] = "trouble" if name == "recorder" else "attention"
             yield Concern(level, f"{name}: silent for {service.age(now):.0f} s", service=name)
-    elif told and health.state == "failing":
-        yield Concern("trouble", f"{name}: failing, {health.detail}", service=name)
+    elif told and service.failing:
+        yield Concern("trouble", f"{name}: failing, {service.detail}", service=name)
     elif name == "recorder" and 0 < health.free_bytes < _LITTLE_ROOM_BYTES:
         yield Concern("attention", f"recorder: {health.free_bytes / 1e6:.0f} MB of disk left", service=name)
-    elif name == "router" and health.refused:
-        yield Concern("attention", f"router: {health.refused} refused or denied", service=name)
+    elif name == "router" and service.refused:
+        yield Concern("attention", f"router: {service.refused} refused or denied", service=name)

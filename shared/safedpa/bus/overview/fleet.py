@@ -17,6 +17,8 @@ __all__ = ["FleetOverview"]
 
 _FORGET_SECONDS = 300.0
 """What was silent for so long has left; until then its silence is told."""
+_LEFT_SECONDS = 5.0
+"""A service that tells nothing of a robot for so long does not serve it any more."""
 _NO_ROBOT = "-"
 _SILENT_SECONDS = 1.5
 
@@ -79,16 +81,13 @@ class FleetOverview:
 
     def _hear_service(self, robot: str, message: HealthMessage, at: float) -> None:
         which = (message.service, message.pid)
-        if which in self.services:
-            self.services[which].hear(message, at)
-        else:
-            self.services[which] = ServiceOverview(message, at)
-        if robot != _NO_ROBOT:
-            self.services[which].robots[robot] = at
+        if which not in self.services:
+            self.services[which] = ServiceOverview(*which, message, at)
+        self.services[which].hear(robot, message, at)
 
     def _forget(self) -> None:
         oldest = self.clock() - _FORGET_SECONDS
         self.robots = {name: known for name, known in self.robots.items() if known.heard_at() >= oldest}
         self.services = {which: known for which, known in self.services.items() if known.at >= oldest}
         for service in self.services.values():
-            service.robots = {name: at for name, at in service.robots.items() if at >= oldest}
+            service.forget(self.clock() - _LEFT_SECONDS)
