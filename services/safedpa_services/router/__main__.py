@@ -71,6 +71,13 @@ def _parser() -> argparse.ArgumentParser:
         "--robot", action="append", default=[], metavar="NAME", help="a robot that may join; repeatable"
     )
     parser.add_argument(
+        "--link",
+        action="append",
+        default=[],
+        metavar="router.NAME[=ROBOT,...]",
+        help="another router that may be linked, and the robots of which it may bring messages; default: all",
+    )
+    parser.add_argument(
         "--plain", action="store_true", help="no certificates: everybody who connects may do everything"
     )
     return parser
