@@ -50,7 +50,7 @@ def _robot_options(tape: Tape) -> argparse.Namespace:
             "that was started by 'safedpa up'"
         )
     missing = {"wind": 0.0, "wind_direction": 0.0, "task": "balance", "load": "none", "change": "none"}
-    return argparse.Namespace(**{**missing, "change_after": 0.0, **options, "lockstep": True})
+    return argparse.Namespace(**{**missing, "change_after": 0.0, "seconds": 0.0, **options, "lockstep": True})
 
 
 def _told(options: argparse.Namespace) -> dict[str, Any]:

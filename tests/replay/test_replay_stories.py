@@ -60,7 +60,7 @@ def counted(found: Replay) -> dict[str, int]:
     return {topic: count for part in found.services for topic, count in part.compared.items()}
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(events=EVENTS)
 def test_every_story_replays_bit_for_bit(fleet_of: Any, events: list[tuple[int, str, str, int]]) -> None:
     with tempfile.TemporaryDirectory() as folder:

@@ -158,6 +158,8 @@ class VerdictMessage(ComputedMessage):
     """Share that the margin was calibrated for; -1: not told."""
     model: str = ""
     """Fingerprint of the model in force; empty: not told."""
+    ordered: str = ""
+    """Why the robot was ordered to stop; empty: it may drive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,6 +8,7 @@ the model where the service answered them.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import final
@@ -22,10 +23,12 @@ from safedpa.bus import (
     Stale,
     StateMessage,
     Topic,
+    VerdictMessage,
 )
 from safedpa.errors import InputError
 from safedpa.replay.models import ModelChange
 from safedpa.replay.tape import Entry, Tape
+from safedpa.safety.node import SafetyFilterNode
 
 __all__ = ["Driven", "Driver", "Overrule"]
 
@@ -184,19 +187,28 @@ class Driver:
         if self._changes is not None and message is not None:
             unknown = unknown or self._changes.follow(node, robot, state, _model(message))
         inputs, missing = self._inputs(node, state, message)
-        shown = self._overrule.state(state)
-        outputs: dict[Topic, Message] = {}
-        try:
-            outputs.update(node.step(robot, shown, inputs))
-        except InputError:  # as the service's loop does: it goes on with the next state
-            return Driven(state, message, outputs, unknown or missing)
-        if self._changes is not None:
-            self._changes.answer(node, robot, shown)
-        outputs.update(node.afterwards(robot))
+        if isinstance(node, SafetyFilterNode) and isinstance(message, VerdictMessage):
+            node.orders.end(message.ordered)  # by whom and for whom it was does not matter to the decision
+        outputs = self._computed(node, state, inputs)
         self._overrule.done(state, outputs)
         if message is None:
             self._made_up |= {(topic, state.epoch, state.tick): item for topic, item in outputs.items()}
         return Driven(state, message, outputs, unknown or missing)
+
+    def _computed(self, node: AbstractNode, state: StateMessage, inputs: Inputs) -> dict[Topic, Message]:
+        """Step and what comes after it; where they fail, as the service's loop does it."""
+        robot, shown = self._tape.robot, self._overrule.state(state)
+        outputs: dict[Topic, Message] = {}
+        try:
+            outputs.update(node.step(robot, shown, inputs))
+        except Exception as error:  # noqa: BLE001  as in the loop: whatever it is, the node says what is right then
+            reason = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+            return dict(node.rescue(robot, shown, reason))
+        if self._changes is not None:
+            self._changes.answer(node, robot, shown)
+        with contextlib.suppress(Exception):  # as in the loop: the action is on its way
+            outputs.update(node.afterwards(robot))
+        return outputs
 
     def _inputs(self, node: AbstractNode, state: StateMessage, message: ComputedMessage | None) -> tuple[Inputs, str]:
         """The inputs of a step, and what is not known of them."""

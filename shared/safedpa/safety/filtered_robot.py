@@ -54,6 +54,8 @@ class FilteredRobot:
     """Of the scene now, or what is wrong with it."""
     latent: LatentMessage | None = None
     decision: Decided | None = None
+    ordered: str = ""
+    """Why the robot was to stop at the last decision."""
     memory: Any = None
     """What the actuators remember, as the model has it."""
     expected_memory: Any = None

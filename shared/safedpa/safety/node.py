@@ -220,4 +220,5 @@ def _report(
         coverage=memory.margin.coverage if memory else -1.0,
         promised=memory.margin.promised if memory else -1.0,
         model=memory.held.fingerprint if memory else "",
+        ordered=memory.ordered if memory else "",
     )

@@ -1,0 +1,112 @@
+"""Records the golden runs anew: ``python tests/replay/golden/record.py [NAME ...]``; takes about a minute.
+
+To be done on purpose only: when services shall decide otherwise than before. Look at ``safedpa replay`` of the old
+ones first: it names every field that changed.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from safedpa.bus import SETUP, SetupMessage, decode, encode
+from safedpa.records.mcap_messages import read_payloads
+from safedpa.records.schema import schema_of
+
+HERE = Path(__file__).parent
+RUNS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
+    "car_box": (("--lockstep", "--load", "box", "--seconds", "8"), {}),
+    "car_killed": (("--load", "chair", "--seconds", "8"), {"policy": 1.5, "adaptation": 3.5, "safety_filter": 5.5}),
+    "car_learned": (("--lockstep", "--model", "car_learned", "--load", "box", "--seconds", "4"), {}),
+    "pendulum": (("--lockstep", "--robot", "pendulum", "--wind", "2", "--seconds", "2"), {}),
+}
+"""Options of ``safedpa up``, and which services are killed how many seconds after the robot's start."""
+_LEFT_OUT = ("health/", "finding", "setup/recorder")
+"""Keys not needed for a replay."""
+_OPTIONS = ("robot", "load", "seed", "rate", "lockstep", "change", "change_after", "task", "wind", "wind_direction")
+_OPTIONS += ("model", "controller", "settings", "off")
+"""Options that decide something; the others name files and ports."""
+_CHUNK_BYTES = 4 * 1024 * 1024
+
+
+def main(names: list[str]) -> None:
+    """Records the runs named, or all."""
+    for name in names or list(RUNS):
+        with tempfile.TemporaryDirectory() as folder:
+            compacted(recorded(Path(folder), *RUNS[name]), HERE / f"{name}.mcap")
+
+
+def recorded(folder: Path, options: tuple[str, ...], kills: dict[str, float]) -> Path:
+    """Drives and returns the recording."""
+    command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--no-diagnosis", "--json"]
+    process = subprocess.Popen([*command, "--out", str(folder), *options], stdout=subprocess.PIPE, text=True)
+    begin = _began(process.pid)
+    for service, after in kills.items():
+        time.sleep(max(0.0, begin + after - time.monotonic()))
+        _kill(process.pid, service)
+    output, _ = process.communicate(timeout=120)
+    summary = json.loads(output.splitlines()[-1])
+    assert summary["recording_error"] is None, summary
+    return Path(summary["recording"])
+
+
+def _children(pid: int) -> Iterable[tuple[int, str]]:
+    listed = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(pid)], capture_output=True, text=True, check=False)
+    for line in listed.stdout.splitlines():
+        number, _, arguments = line.strip().partition(" ")
+        yield int(number), arguments
+
+
+def _began(pid: int) -> float:
+    """When the robot's process was there."""
+    give_up = time.monotonic() + 60.0
+    while time.monotonic() < give_up:
+        if any("safedpa_sim.robots" in arguments for _, arguments in _children(pid)):
+            return time.monotonic()
+        time.sleep(0.05)
+    raise SystemExit("the robot was not started within a minute")
+
+
+def _kill(pid: int, service: str) -> None:
+    for child, arguments in _children(pid):
+        if f"safedpa_services.{service} " in arguments:
+            subprocess.run(["kill", f"-{int(signal.SIGKILL)}", str(child)], check=True)
+
+
+def compacted(source: Path, target: Path) -> None:
+    """The same messages without those that a replay does not need, in one chunk: a third of the size."""
+    from mcap.writer import IndexType, Writer
+
+    with target.open("wb") as file:
+        writer = Writer(file, chunk_size=_CHUNK_BYTES, index_types=IndexType.NONE, repeat_schemas=False)
+        writer.start(profile="safedpa")
+        channels: dict[str, int] = {}
+        schemas: dict[str, int] = {}
+        for key, at, topic, payload in read_payloads(source):
+            if any(f"/{part}" in key for part in _LEFT_OUT):
+                continue
+            if topic.name not in schemas:
+                name = f"safedpa.{topic.message.__name__}"
+                schemas[topic.name] = writer.register_schema(name, "jsonschema", schema_of(topic.message))
+            if key not in channels:
+                channels[key] = writer.register_channel(key, "msgpack", schemas[topic.name])
+            writer.add_message(channels[key], at, _scrubbed(payload) if topic is SETUP else payload, at)
+        writer.finish()
+
+
+def _scrubbed(payload: bytes) -> bytes:
+    """A setup with the options that decide something."""
+    setup = decode(SetupMessage, payload)
+    options = {name: value for name, value in json.loads(setup.options).items() if name in _OPTIONS}
+    return encode(replace(setup, options=json.dumps(options, sort_keys=True)))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

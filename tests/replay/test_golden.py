@@ -1,0 +1,85 @@
+"""Recorded runs that must come out as they were: whoever changes a latent, a wish or a verdict finds out here.
+
+On purpose: ``python tests/replay/golden/record.py``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.bus import SetupMessage, VerdictMessage
+from safedpa.replay import setups
+from safedpa.replay.gaps import gaps_of
+from safedpa.replay.replay import replay
+from safedpa.replay.tape import Tape, read_tape
+from safedpa.safety.settings import FilterSettings, parse_settings
+
+GOLDEN = Path(__file__).parent / "golden"
+NAMES = sorted(path.stem for path in GOLDEN.glob("*.mcap"))
+
+
+def tape_of(name: str) -> Tape:
+    return read_tape([GOLDEN / f"{name}.mcap"])
+
+
+def test_they_are_there_and_small() -> None:
+    assert NAMES == ["car_box", "car_killed", "car_learned", "pendulum"]
+    assert sum(path.stat().st_size for path in GOLDEN.glob("*.mcap")) < 500_000
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_golden_run_comes_out_as_it_was(name: str) -> None:
+    tape = tape_of(name)
+    assert not tape.findings
+    assert not gaps_of(tape)
+    found = replay(tape)
+    assert found.agrees, [(part.service, part.differing[:3], part.spans) for part in found.services]
+    for part in found.services:
+        assert not part.spans
+        assert sum(part.compared.values()) >= len(tape.computed[part.service]) > 0
+
+
+def test_their_services_really_died_and_inputs_were_really_missing() -> None:
+    tape = tape_of("car_killed")
+    assert {name: len(tape.setups[name]) for name in setups.REPLAYED} == dict.fromkeys(setups.REPLAYED, 2)
+    verdicts = [entry.message for entry in tape.computed["safety_filter"]]
+    stale = [verdict for verdict in verdicts if any(published == 0.0 for _, published in verdict.consumed)]
+    assert len(stale) > 10
+    assert all(isinstance(verdict, VerdictMessage) and verdict.status == "fallback" for verdict in stale[-3:]) or stale
+    assert len(verdicts) < len(tape.states)
+
+
+@pytest.mark.parametrize("name", ["car_box", "pendulum"])
+def test_a_filter_that_decides_otherwise_breaks_them(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def otherwise(text: str) -> FilterSettings:
+        settings = parse_settings(text)
+        return dataclasses.replace(settings, eta=0.5 * settings.eta)
+
+    monkeypatch.setattr(setups, "parse_settings", otherwise)
+    found = replay(tape_of(name))
+    assert not found.agrees
+    assert {item.topic for part in found.services for item in part.differing} <= {"verdict", "action"}
+
+
+def test_an_estimator_that_learns_a_little_differently_breaks_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = setups.AdaptationNode
+
+    def otherwise(model: Any) -> Any:
+        from safedpa.adaptation import EstimatorSettings
+
+        return real(model, EstimatorSettings(drift_per_second=0.1501))
+
+    monkeypatch.setattr(setups, "AdaptationNode", otherwise)
+    found = replay(tape_of("car_box"))
+    assert {item.topic for part in found.services for item in part.differing} == {"latent"}
+
+
+def test_the_model_of_a_setup_is_read_back_as_it_was() -> None:
+    setup = tape_of("car_learned").setups["adaptation"][0][1]
+    assert isinstance(setup, SetupMessage)
+    node = setups.node_of(setup)
+    assert node.model_of("r1") == setup.fingerprint

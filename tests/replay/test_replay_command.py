@@ -1,0 +1,120 @@
+"""``safedpa replay`` as a person runs it: sentences, exit codes, files."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from safedpa.bus import VERDICT, VerdictMessage, decode, encode
+from safedpa.records import McapRecorder
+from safedpa.records.mcap_messages import read_payloads
+from safedpa_services.command_line.group import safedpa
+
+BOX = str(Path(__file__).parent / "golden" / "car_box.mcap")
+
+
+def forged(path: Path) -> Path:
+    """The box drive with one verdict that was never given."""
+    with McapRecorder(path) as recorder:
+        for key, at, topic, payload in read_payloads(BOX):
+            recorder.write(key, other(payload) if topic is VERDICT else payload, at, at)
+    return path
+
+
+def other(payload: bytes) -> bytes:
+    verdict = decode(VerdictMessage, payload)
+    changed = dataclasses.replace(verdict, status="passed", sentence="all is well", slack=1.0)
+    return encode(changed) if verdict.tick == 30 else payload
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = safedpa.run(["replay", *arguments])  # type: ignore[attr-defined]
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_an_identical_recording(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, BOX)
+    assert code == 0
+    assert "verdict 160 of 160" in out
+    code, out, _ = run(capsys, BOX, "--json", "--from", "1", "--to", "2.999")
+    document = json.loads(out)
+    assert code == 0
+    assert document["agrees"] is True
+    assert document["services"][2]["compared"] == {"verdict": 40, "action": 40}
+
+
+def test_a_forged_verdict_is_named_with_tick_field_and_both_values(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = str(forged(tmp_path / "forged.mcap"))
+    code, out, _ = run(capsys, path)
+    assert code == 1
+    assert "tick 30 (1.50 s) verdict.slack: recorded 1.0, replayed 0.0" in out
+    assert out.rstrip().endswith("DIFFERENT")
+    code, out, _ = run(capsys, path, "--json")
+    assert code == 1
+    assert {"verdict.slack", "verdict.sentence"} <= {
+        f"{item['topic']}.{item['field']}" for item in json.loads(out)["differences"]
+    }
+
+
+def test_what_if_is_only_looked_at(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    table = tmp_path / "ticks.csv"
+    code, out, _ = run(capsys, BOX, "--margin", "0.2", "--out", str(table))
+    assert code == 0
+    assert "RECORDED states (open loop" in out
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert len(rows) == 160
+    assert any(row["status_then"] != row["status_now"] for row in rows)
+    code, out, _ = run(capsys, BOX, "--eta", "0.1", "--json")
+    assert code == 0
+    assert json.loads(out)["summary"]["ticks"] == 160
+
+
+def test_closed_loop_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, BOX, "--closed-loop")
+    assert code == 0
+    assert "the same drive to the end" in out
+
+
+def test_what_was_replayed_can_be_replayed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    again = str(tmp_path / "again.mcap")
+    assert run(capsys, BOX, "--out", again)[0] == 0
+    code, out, _ = run(capsys, again)
+    assert code == 0
+    assert "identical" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("nowhere.mcap",), "nowhere.mcap"),
+        ((BOX, "--robot", "r2"), "known: r1"),
+        ((BOX, "--from", "3", "--to", "2"), "beginning before the end"),
+        ((BOX, "--eta", "7"), "eta"),
+        ((BOX, "--model", "pendulum"), "2 states"),
+        ((BOX, "--margin", "nothing.toml"), "nothing.toml"),
+        ((BOX, "--out", "table.csv"), "no .mcap"),
+        ((BOX, "--eta", "0.1", "--out", "table.txt"), "no .csv"),
+    ],
+)
+def test_bad_input_is_answered_in_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], sentence: str
+) -> None:
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert sentence in err
+    assert err.count("\n") == 1
+
+
+def test_a_recording_opens_in_the_viewer(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="Rerun is not installed")
+    drawn = tmp_path / "drive.rrd"
+    assert run(capsys, BOX, "--rrd", str(drawn), "--to", "0.5")[0] == 0
+    assert drawn.read_bytes()[:3] == b"RRF"
+    assert drawn.stat().st_size > 50_000
