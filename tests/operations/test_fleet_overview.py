@@ -190,22 +190,22 @@ def test_recent_counts_are_those_of_the_last_seconds(steps: list[tuple[float, st
 
 
 def test_steps_of_many_robots_add_up_and_never_fall(fleet: Any) -> None:
-    for steps in (10, 20):
+    for steps in (1000, 1010, 1020):
         for robot in ("r1", "r2"):
             fleet.beat("policy", robot, steps=steps, stale=1)
         fleet.now += 1.0
         fleet.overview.listen(0.0)
     (policy,) = fleet.overview.services.values()
-    assert (policy.steps, policy.stale, policy.robots) == (40, 2, ["r1", "r2"])
-    assert policy.steps_per_second() == pytest.approx(20.0, rel=0.6)
+    assert (policy.steps, policy.stale, policy.robots) == (2040, 2, ["r1", "r2"])
+    assert policy.steps_per_second() == pytest.approx(20.0, rel=0.3), "what was counted before is not of these seconds"
     fleet.beat("policy", "r1", steps=3)
     fleet.overview.listen(0.0)
-    assert policy.steps == 43, "r1 was started again, and its counts with it"
+    assert policy.steps == 2043, "r1 was started again, and its counts with it"
     for _ in range(6):
         fleet.now += 1.0
         fleet.beat("policy", "r1", steps=4)
         fleet.overview.listen(0.0)
-    assert (policy.steps, policy.robots) == (44, ["r1"]), "r2 left; what was done for it was done"
+    assert (policy.steps, policy.robots) == (2044, ["r1"]), "r2 left; what was done for it was done"
     fleet.bus.publish(HEALTH, "r1", dataclasses.replace(policy.health, publish_time=1.0, steps=1), "policy")
     fleet.overview.listen(0.0)
-    assert policy.steps == 44, "overtaken by a newer one"
+    assert policy.steps == 2044, "overtaken by a newer one"

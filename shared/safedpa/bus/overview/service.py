@@ -27,7 +27,7 @@ class ServiceOverview:
     """By robot (``-``: none): the newest heartbeat about it, and when it came."""
 
     def __post_init__(self) -> None:
-        self._gone_steps = self._gone_stale = 0
+        self._gone_steps = self._gone_stale = self._seen_steps = 0
         self._samples: deque[tuple[float, int]] = deque()
 
     @property
@@ -72,10 +72,12 @@ class ServiceOverview:
             return
         if before is not None and (message.steps < before[0].steps or message.stale < before[0].stale):
             self._remember(before[0])  # the robot began anew, and with it the counts
+        elif before is not None:
+            self._seen_steps += message.steps - before[0].steps
         self.kept[robot] = (message, at)
         self.health, self.at = message, at
         if not self._samples or at - self._samples[-1][0] >= _SAMPLE_SECONDS:
-            self._samples.append((at, self.steps))
+            self._samples.append((at, self._seen_steps))
         while self._samples[0][0] < at - RECENT_SECONDS:
             self._samples.popleft()
 
@@ -93,6 +95,6 @@ class ServiceOverview:
         return max(0.0, now - self.at)
 
     def steps_per_second(self) -> float:
-        """Over the last seconds; 0 while there is only one heartbeat."""
+        """Of all robots together over the last seconds; 0 while there is only one heartbeat."""
         (begin, first), (end, last) = self._samples[0], self._samples[-1]
         return (last - first) / (end - begin) if end > begin else 0.0
