@@ -15,9 +15,12 @@ from safedpa.replay.setups import REPLAYED, node_of
 from safedpa.replay.tape import Stamp, Tape, options_of
 from safedpa.replay.what_if import Change
 from safedpa_sim.closed_loop import Tick, drive
+from safedpa_sim.robots.__main__ import robot_parser
 from safedpa_sim.robots.made import robot_of
 
 __all__ = ["drive_again"]
+
+_DECIDING = ("load", "change", "change_after", "task", "wind", "wind_direction", "payload", "dry_friction", "rate")
 
 
 def drive_again(tape: Tape, change: Change, folders: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -35,7 +38,7 @@ def drive_again(tape: Tape, change: Change, folders: tuple[Path, ...] = ()) -> d
     return {
         "robot": " ".join(f"{name}={value}" for name, value in _told(options).items()),
         "ticks": len(driven),
-        "lockstep_then": bool(options.lockstep),
+        "lockstep_then": next(iter(tape.states.values())).lockstep,
         "apart_from_tick": _apart(tape, stamps, driven),
         "compared": _compared(tape, stamps, driven),
     }
@@ -49,13 +52,19 @@ def _robot_options(tape: Tape) -> argparse.Namespace:
             f"--closed-loop: the options of robot '{tape.robot}' are not in the recording; wanted a simulated robot "
             "that was started by 'safedpa up'"
         )
-    missing = {"wind": 0.0, "wind_direction": 0.0, "task": "balance", "load": "none", "change": "none"}
-    return argparse.Namespace(**{**missing, "change_after": 0.0, "seconds": 0.0, **options, "lockstep": True})
+    defaults = vars(robot_parser().parse_args([]))  # of options that came later than the recording
+    return argparse.Namespace(**{**defaults, **options, "lockstep": True, "seconds": 0.0})
 
 
 def _told(options: argparse.Namespace) -> dict[str, Any]:
-    names = ("robot", "load", "seed", "change", "task", "wind", "wind_direction")
-    return {name: getattr(options, name) for name in names}
+    """What makes the drive this one: the options that are not as they are by default, and the seed."""
+    defaults = vars(robot_parser().parse_args([]))
+    kept = {name: getattr(options, name) for name in ("robot", "seed")}
+    return kept | {
+        name: value
+        for name, value in vars(options).items()
+        if name in _DECIDING and value is not None and value != defaults.get(name)
+    }
 
 
 def _setup(tape: Tape, service: str) -> SetupMessage:

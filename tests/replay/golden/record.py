@@ -31,7 +31,7 @@ RUNS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
 _LEFT_OUT = ("health/", "finding", "setup/recorder")
 """Keys not needed for a replay."""
 _OPTIONS = ("robot", "load", "seed", "rate", "lockstep", "change", "change_after", "task", "wind", "wind_direction")
-_OPTIONS += ("model", "controller", "settings", "off")
+_OPTIONS += ("payload", "dry_friction", "model", "controller", "settings", "off")
 """Options that decide something; the others name files and ports."""
 _CHUNK_BYTES = 4 * 1024 * 1024
 
