@@ -21,7 +21,7 @@ pytestmark = pytest.mark.processes
 NODES: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode, DiagnosisNode)
 LOOP = {"adaptation", "policy", "safety_filter"}
 SILENT = {"operator", "healthcheck"}
-OBSERVERS = {"recorder", "dashboard", "workbench", "operator"}
+OBSERVERS = {"recorder", "metrics", "dashboard", "workbench", "operator"}
 ALL = tuple(TOPICS.values())
 
 

@@ -79,6 +79,7 @@ ROLES: dict[str, Role] = {
         Role("safety_filter", (STATE, LATENT, WISH, MODEL), (STATUS, AGREED), (AGREED, ORDER), takes_over=True),
         Role("diagnosis", (STATE, LATENT, VERDICT, HEALTH, TAKEOVER), answers=(REQUEST, STATUS)),
         Role("recorder", _EVERYTHING),
+        Role("metrics", _EVERYTHING),
         Role("dashboard", _EVERYTHING, looks=True),
         Role("workbench", _EVERYTHING, asks=(REQUEST, STATUS), looks=True),
         Role("operator", _EVERYTHING, asks=(REQUEST, STATUS, ORDER), lives=False, looks=True),
