@@ -13,6 +13,9 @@ from safedpa.bus.log import log_event
 __all__ = ["capture_zenoh_log"]
 
 _PIPE_BYTES = 1 << 20
+_LONGEST_LINE = 1 << 16
+_PAUSE_SECONDS = 0.02
+_NICE = 10
 _LOST = "[tracing-subscriber] Unable to write"
 
 
@@ -54,9 +57,16 @@ def _watch_what_was_lost() -> None:
 
 
 def _reads(descriptor: int, hear: Callable[[str], None]) -> None:
+    """Reads in gulps, behind everything else: at every line the reader would be woken beside the messages' own way."""
+
     def read() -> None:
-        with os.fdopen(descriptor, "rb", buffering=_PIPE_BYTES) as lines:
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
+        pause, rest = threading.Event(), b""
+        while gulp := os.read(descriptor, _PIPE_BYTES):
+            *lines, rest = (rest + gulp).split(b"\n")
+            rest = rest[-_LONGEST_LINE:]
             for line in lines:
                 hear(line.decode(errors="replace").rstrip())
+            pause.wait(_PAUSE_SECONDS)
 
     threading.Thread(target=read, daemon=True).start()
