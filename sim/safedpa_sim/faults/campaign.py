@@ -22,8 +22,8 @@ DEFAULT_SEED = 9
 _PERIOD = 0.05
 _FAST = 1.0
 """m/s; a fault comes while the car is at least this fast,"""
-_FAST_PATIENCE_SECONDS = 8.0
-"""or after so long as it is."""
+_FAST_PATIENCE_SECONDS = 6.0
+"""and a car that is not after so long is put back to its start."""
 _DRIVING_PATIENCE_SECONDS = 20.0
 _AFTERWARDS_SECONDS = 1.0
 """Driving that still belongs to the fault."""
@@ -120,7 +120,7 @@ def run_faults(
             with world:
                 for fault in _of_one_world(waiting):
                     tell(fault.name, len(outcomes) + len(lived), len(faults))
-                    lived.append(_run(fault, world, _HASTE_SECONDS if is_hasty else _FAST_PATIENCE_SECONDS))
+                    lived.append(_run(fault, world, is_hasty=is_hasty))
                     if not world.drives():
                         break
             waiting = waiting[len(lived) :]
@@ -139,10 +139,13 @@ def _of_one_world(faults: Sequence[Fault]) -> Iterator[Fault]:
     return itertools.takewhile(lambda fault: fault.diagnosis == faults[0].diagnosis, faults)
 
 
-def _run(fault: Fault, world: World, patience: float) -> _Lived:
+def _run(fault: Fault, world: World, *, is_hasty: bool) -> _Lived:
+    patience = _HASTE_SECONDS if is_hasty else _FAST_PATIENCE_SECONDS
     fault.set_up(world)
     world.until(lambda: not world.missing(0.0) and world.drives(), _DRIVING_PATIENCE_SECONDS)
-    world.until(lambda: _speed(world) >= _FAST and world.drives(), patience)
+    if not world.until(lambda: _is_fast(world), patience) and not is_hasty:
+        world.members["robot"].restart()  # it stands somewhere; from its start it drives off at once
+        world.until(lambda: _is_fast(world), _DRIVING_PATIENCE_SECONDS)
     speed, struck = _speed(world), time.monotonic()
     fault.strike(world)
     world.listen(fault.seconds)
@@ -160,6 +163,10 @@ def _run(fault: Fault, world: World, patience: float) -> _Lived:
     fault.clean_up(world)
     world.until(world.drives, _DRIVING_PATIENCE_SECONDS)
     return lived
+
+
+def _is_fast(world: World) -> bool:
+    return _speed(world) >= _FAST and world.drives()
 
 
 def _speed(world: World) -> float:

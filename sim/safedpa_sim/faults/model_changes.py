@@ -75,7 +75,7 @@ def _ask(world: World) -> bool:
 
 
 def _came(observer: Observer, before: int, name: str, moment: Moment) -> bool:
-    said = observer.said[before:]
+    said = [message for _, message in observer.said[before:]]
     if moment == "take":
         return any(isinstance(message, ModelMessage) and message.step == "take" for message in said)
     return any(
@@ -109,17 +109,21 @@ def mixed_in(observer: Observer) -> list[Stamp]:
     The filter's model at a tick is known from its own words: ``taken`` is stamped with the first tick of the new one.
     """
     taken = [
-        message
-        for message in observer.said
+        (at, message)
+        for at, message in observer.said
         if isinstance(message, TakeoverMessage) and message.service == "safety_filter" and message.state == "taken"
     ]
     found = []
-    for stamp, model in sorted(observer.latent_models.items()):
-        verdict = observer.verdicts.get(stamp)
-        before = [message for message in taken if (message.epoch, message.tick) <= stamp]
-        if before and _decided(verdict) and model != before[-1].fingerprint:
+    for stamp, model in observer.latent_models.items():
+        before = [message for at, message in taken if _is_before(at, message, stamp, observer.heard.get(stamp, 0.0))]
+        if before and _decided(observer.verdicts.get(stamp)) and model != before[-1].fingerprint:
             found.append(stamp)
     return found
+
+
+def _is_before(at: float, message: TakeoverMessage, stamp: Stamp, heard: float) -> bool:
+    """By ticks within one run of the robot, by the clock between two."""
+    return message.tick <= stamp[1] if message.epoch == stamp[0] else at < heard
 
 
 def _decided(verdict: VerdictMessage | None) -> bool:

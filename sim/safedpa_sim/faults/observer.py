@@ -41,8 +41,8 @@ class Observer:
     """Fingerprint of the model to which the latent of a state belongs."""
     acknowledged: dict[int, int] = field(default_factory=dict)
     """By process of a recorder: how many messages it said were on the disk."""
-    said: list[ModelMessage | TakeoverMessage] = field(default_factory=list)
-    """Every step of every change of the model."""
+    said: list[tuple[float, ModelMessage | TakeoverMessage]] = field(default_factory=list)
+    """When it came (monotonic, s), and every step of every change of the model."""
     heard: dict[Stamp, float] = field(default_factory=dict)
     """When each state came first; monotonic, s."""
     newest: Stamp = (0, -1)
@@ -81,7 +81,7 @@ class Observer:
             case LatentMessage():
                 self.latent_models[stamp] = message.model
             case ModelMessage() | TakeoverMessage():
-                self.said.append(message)
+                self.said.append((at, message))
             case _:
                 return
 
