@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safedpa.dynamics.dynamics import Array
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
-__all__ = ["batched_difference", "forward_mode", "single_tangent"]
+__all__ = ["batched_difference", "complex_step", "forward_mode", "single_tangent"]
 
 _NUDGE = 1e-5
 """Share of an actuator's range by which the action is moved for a central difference. The error grows with its square
@@ -34,21 +34,22 @@ def single_tangent(
     if takes_complex:
         # Python's cmath refuses numbers that overflow; the differences answer them with NaN
         with contextlib.suppress(ValueError, ArithmeticError):
-            return _complex_step(lambda nudged: step(nudged, COMPLEX), action)
+            return complex_step(lambda nudged: step(nudged, COMPLEX), action)
     return _difference(lambda nudged: step(nudged, FLOATS), action, ranges)
 
 
-def _complex_step(
+def complex_step(
     step: Callable[[Sequence[Any]], Sequence[Any]], action: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """slope = Im step(action + i h) / h: exact tangents, one step per action.
 
     Source: Squire and Trapp, Using complex variables to estimate derivatives of real functions, SIAM Review 40, 1998.
     """
-    after = [
-        step([complex(value, _IMAGINARY) if index == nudged else value for index, value in enumerate(action)])
-        for nudged in range(len(action))
-    ]
+    after = []
+    for index, value in enumerate(action):
+        nudged: list[Any] = list(action)
+        nudged[index] = complex(value, _IMAGINARY)
+        after.append(step(nudged))
     g = [[entry.imag / _IMAGINARY for entry in row] for row in zip(*after, strict=True)]
     return _intercept([entry.real for entry in after[0]], g, action), np.array(g)
 
