@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from safedpa.errors import InputError, SafedpaError
+from safedpa_services.command_line.listening import bus_of, certificates_option
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
@@ -38,6 +39,7 @@ def bus_options(command: _C) -> _C:
             help="where the loop listens, as 'safedpa up' tells; also SAFEDPA_CONNECT",
         ),
         click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus"),
+        certificates_option,
     ):
         command = option(command)
     return command
@@ -48,10 +50,9 @@ def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) ->
 
     Raises InputError when it is refused, SafedpaError when nobody answers or nothing came of it.
     """
-    from safedpa.bus import Bus, Request, ZenohSettings, ZenohTransport
+    from safedpa.bus import Request
 
-    settings = ZenohSettings("client" if options["connect"] else "peer", connect=tuple(options["connect"]))
-    with Bus(ZenohTransport(settings), options["fleet"]) as bus:
+    with bus_of(options) as bus:
         seen = _asked(bus, robot, Request(do="status"))
         if not seen.ok:
             raise InputError(seen.sentence)

@@ -11,20 +11,23 @@ import click
 if TYPE_CHECKING:
     from safedpa.bus import Bus
 
-__all__ = ["bus_of", "listening_options"]
+__all__ = ["bus_of", "certificates_option", "listening_options"]
 
 _C = TypeVar("_C", bound=Callable[..., Any])
+
+
+certificates_option = click.option(
+    "--certificates",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="prove by the operator's certificate there who this is",
+)
 
 
 def listening_options(command: _C) -> _C:
     """``--fleet``, ``--connect``, ``--certificates`` and ``--json``."""
     for option in (
-        click.option(
-            "--certificates",
-            type=click.Path(path_type=Path),
-            metavar="DIR",
-            help="prove by the operator's certificate there who this is",
-        ),
+        certificates_option,
         click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else"),
         click.option(
             "--connect",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,7 @@ CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 )
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
 @click.option("--listen", default="", help="endpoint for others to join, such as tcp/0.0.0.0:7447")
+@click.option("--secure", is_flag=True, help="everything over mutual TLS through a router with access control")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="for recordings")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def command(**options: Any) -> None:
@@ -68,14 +70,26 @@ def command(**options: Any) -> None:
 
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
-    plan = _plan(options)
     stop = Stop()
-    stop.listen_to_signals()
-    summary = _drive(plan, stop, quiet=options["as_json"])
+    with _certificates(options) as folder:
+        plan = _plan({**options, "certificates": folder})
+        stop.listen_to_signals()
+        summary = _drive(plan, stop, quiet=options["as_json"])
     if options["as_json"]:
         click.echo(json.dumps(summary))
     else:
         _tell(summary)
+
+
+def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None]:
+    """The folder of throw-away certificates, if the person wants them."""
+    from safedpa_services.supervisor.securing import throw_away_certificates
+
+    if not options["secure"]:
+        return nullcontext()
+    if options["listen"]:
+        raise InputError("--listen: got it with --secure, which is for this machine alone; docs/security.md has more")
+    return throw_away_certificates(options["fleet"], options["name"])
 
 
 def _plan(options: dict[str, Any]) -> Plan:
@@ -122,7 +136,8 @@ def _plan(options: dict[str, Any]) -> Plan:
         margin=options["margin"],
         controller=_controller(model, options["controller"]),
         fleet=options["fleet"],
-        endpoint=options["listen"] or f"tcp/127.0.0.1:{free_port()}",
+        endpoint=options["listen"] or f"{'tls' if options['secure'] else 'tcp'}/127.0.0.1:{free_port()}",
+        certificates=options["certificates"],
         folder=Plan.new_folder(options["out"], options["name"]),
     )
 
@@ -184,14 +199,16 @@ def _check_rate(model: PhysicsModel, rate: float) -> None:
 
 
 def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
-    from safedpa.bus import Bus, ZenohSettings, ZenohTransport
+    from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
     from safedpa_services.supervisor.summary import summary_of
     from safedpa_services.supervisor.supervisor import Supervisor
     from safedpa_services.supervisor.watch import Watch
 
     services, robot = plan.services(), plan.robot_process()
-    with Bus(ZenohTransport(ZenohSettings(listen=(plan.endpoint,))), plan.fleet) as bus:
+    if plan.certificates is not None:
+        services[0].start()  # the router, through which the supervisor itself hears
+    with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
         watch = Watch(bus, plan.name)
         with _screen(plan, watch, services, robot, quiet=quiet) as on_turn:
             code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried).run()
@@ -209,11 +226,12 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
 def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -> Any:
     from safedpa_services.supervisor.screen import screen
 
-    hints = [f"recording {plan.recording}", f"others join with --connect {plan.endpoint} --fleet {plan.fleet}"]
+    where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
+    where += f" --certificates {plan.certificates}" if plan.certificates is not None else ""
+    hints = [f"recording {plan.recording}", f"others join with {where}"]
     if plan.workbench_port:
         hints.append(f"workbench http://127.0.0.1:{plan.workbench_port}/live")
     if plan.diagnosis:
-        where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
     return screen(watch, services, robot, hints, plan.folder, quiet=quiet)
 

@@ -7,6 +7,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from safedpa.bus import ZenohSettings
+from safedpa.bus.certificates import Certificates
 from safedpa.errors import InputError
 from safedpa_services.supervisor.child import Child
 
@@ -45,6 +47,9 @@ class Plan:
     """What changes about the robot while it drives; empty: nothing."""
     change_after: float = 0.0
     """s until then, by the robot's clock."""
+
+    certificates: Path | None = None
+    """Folder of a certificate for every role: everything goes through a router over mutual TLS; None: plain text."""
 
     @property
     def recording(self) -> Path:
@@ -89,11 +94,23 @@ class Plan:
             )
         if self.workbench_port:
             children.append(self._workbench())
-        return children
+        return children if self.certificates is None else [self._router(self.certificates), *children]
+
+    def _router(self, certificates: Path) -> Child:
+        """Starts first and ends last."""
+        bus = ("--fleet", self.fleet, "--listen", self.endpoint, "--certificates", str(certificates))
+        options = (*bus, "--robot", self.name, *self._scheduling)
+        return Child("router", "safedpa_services.router", options, self.folder / "router.log")
 
     def _workbench(self) -> Child:
         page = ("--model", self.model, "--out", str(self.folder / "workbench"), "--port", str(self.workbench_port))
         return self._child("workbench", "safedpa_services.workbench", *page, essential=False, heartbeat=False)
+
+    def own_session(self) -> ZenohSettings:
+        """How the supervisor itself joins: in plain text it is what the others connect to, else an operator."""
+        if self.certificates is None:
+            return ZenohSettings(listen=(self.endpoint,))
+        return ZenohSettings("client", (), (self.endpoint,), Certificates(self.certificates, "operator"))
 
     def robot_process(self) -> Child:
         """The robot."""
@@ -105,7 +122,10 @@ class Plan:
         return self._child("robot", "safedpa_sim.robots", *options)
 
     def _child(self, name: str, module: str, *arguments: str, essential: bool = True, heartbeat: bool = True) -> Child:
-        bus = ("--fleet", self.fleet, "--connect", self.endpoint)
+        bus = ["--fleet", self.fleet, "--connect", self.endpoint]
+        if self.certificates is not None:
+            role = f"robot.{self.name}" if name == "robot" else name
+            bus += ["--certificates", str(self.certificates), "--role", role]
         return Child(name, module, (*arguments, *bus), self.folder / f"{name}.log", essential, heartbeat)
 
     @staticmethod

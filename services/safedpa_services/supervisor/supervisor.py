@@ -21,7 +21,7 @@ _SERVICE_PATIENCE_SECONDS = 6.0
 """The filter takes up to 5 s to see robots stand that it serves beside this loop's."""
 _HUNG_SECONDS = 10.0
 """Without a heartbeat, of which there are four a second; a busy machine keeps one waiting for a second or two."""
-_LAST = "recorder"
+_LAST = ("recorder", "router")
 _BAD_INPUT = 2
 
 
@@ -45,7 +45,8 @@ class Supervisor:
         """
         try:
             for child in self.services:
-                child.start()
+                if child.pid == 0:  # the router runs already
+                    child.start()
             self._await_services()
             if not self.stopped():
                 self.robot.start()
@@ -96,13 +97,13 @@ class Supervisor:
         self._brake()
         self.robot.end(self._patience(_ROBOT_PATIENCE_SECONDS))
         self.watch.listen(0.0)
-        others = [child for child in self.services if child.name != _LAST]
+        others = [child for child in self.services if child.name not in _LAST]
         for child in others:
             child.terminate()
         for child in others:
             child.end(self._patience(_SERVICE_PATIENCE_SECONDS))
         self.watch.listen(_TURN_SECONDS)
-        for child in self.services:
+        for child in reversed(self.services):  # a router comes first and goes last
             child.end(self._patience(_SERVICE_PATIENCE_SECONDS))
         self.watch.listen(_TURN_SECONDS)  # the recorder's last word
 
