@@ -1,0 +1,107 @@
+"""What a large fleet costs on the network, worked out from a recording of a small one.
+
+    python deploy/fleet_budget.py RECORDING.mcap --robots 1000 --regions 20
+
+From the recording come messages and bytes of each topic, per robot and second. Who reads a topic stands in the table
+of roles. A region's router takes every message of its robots once and hands it to each reader in the region; over the
+link to the centre goes what the recorder and the dashboard there read, once for both of them; the centre's router hands
+it to each. A message on the wire costs its payload and ``--overhead`` bytes: headers of Zenoh, TLS, TCP and IP.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from safedpa.bus import STATE, TOPICS
+from safedpa.bus.access import ROLES, ROUTER
+from safedpa.records.mcap_messages import read_payloads
+
+REGION = ("robot", "adaptation", "policy", "safety_filter", "diagnosis")
+"""Roles that stand beside the robots; recorder and dashboard stand in the centre."""
+CENTRE = ("recorder", "dashboard")
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Messages and bytes per second."""
+
+    messages: float = 0.0
+    octets: float = 0.0
+
+    def __add__(self, other: Flow) -> Flow:
+        return Flow(self.messages + other.messages, self.octets + other.octets)
+
+    def times(self, factor: float) -> Flow:
+        """The same, so many times."""
+        return Flow(self.messages * factor, self.octets * factor)
+
+
+def flows_per_robot(path: Path) -> dict[str, Flow]:
+    """By topic: what one robot and what serves it send; heartbeats of the fleet as a whole are shared out."""
+    count: Counter[str] = Counter()
+    octets: Counter[str] = Counter()
+    robots: set[str] = set()
+    first, last = float("inf"), 0.0
+    for key, at, topic, payload in read_payloads(path, []):
+        count[topic.name] += 1
+        octets[topic.name] += len(payload)
+        if topic is STATE:
+            robots.add(key)
+            first, last = min(first, 1e-9 * at), max(last, 1e-9 * at)
+    if not robots or last <= first:
+        sys.exit(f"{path}: got no states of a second or more, wanted a recording of a driving fleet")
+    shares = len(robots) * (last - first)
+    return {name: Flow(count[name] / shares, octets[name] / shares) for name in TOPICS if count[name]}
+
+
+def readers(topic: str, roles: tuple[str, ...]) -> int:
+    """How many of the roles read a topic; a robot its own alone."""
+    return sum(TOPICS[topic] in ROLES[role].reads for role in roles)
+
+
+def total(flows: dict[str, Flow], copies: dict[str, int], overhead: float) -> Flow:
+    """All topics, each so many times, on the wire."""
+    payload = sum((flows[name].times(copies[name]) for name in flows), Flow())
+    return Flow(payload.messages, payload.octets + overhead * payload.messages)
+
+
+def _tell(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(prog="fleet_budget", description="what a large fleet costs on the network")
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("--robots", type=int, default=1000)
+    parser.add_argument("--regions", type=int, default=20)
+    parser.add_argument("--overhead", type=float, default=200.0, help="bytes of headers per message; measured: 200")
+    options = parser.parse_args()
+    flows = flows_per_robot(options.recording)
+    once = dict.fromkeys(flows, 1)
+    inside = {name: readers(name, REGION) for name in flows}
+    centre = {name: readers(name, CENTRE) for name in flows}
+    link = {name: min(1, centre[name]) for name in flows}
+    each = options.robots / options.regions
+    _tell("one robot and what serves it, payload:")
+    for name, flow in flows.items():
+        read_by = f"readers {inside[name]} beside it, {centre[name]} in the centre"
+        _tell(f"  {name:10} {flow.messages:7.1f} messages/s {flow.octets / 1e3:8.2f} kB/s, {read_by}")
+    _tell(f"{options.robots} robots in {options.regions} regions, on the wire:")
+    for label, copies, robots in (
+        (f"a region's {ROUTER} takes", once, each),
+        (f"a region's {ROUTER} hands on inside", inside, each),
+        ("a region's link to the centre", link, each),
+        (f"the centre's {ROUTER} takes", link, options.robots),
+        (f"the centre's {ROUTER} hands on", centre, options.robots),
+    ):
+        flow = total(flows, copies, options.overhead).times(robots)
+        _tell(f"  {label:34} {flow.messages:9.0f} messages/s {8e-6 * flow.octets:9.1f} Mbit/s")
+
+
+if __name__ == "__main__":
+    main()
