@@ -18,7 +18,7 @@ __all__ = ["agreed", "mixed_in", "partitioned_changes"]
 Moment = Literal["asked", "ready", "take"]
 _MOMENTS: dict[Moment, str] = {
     "asked": "before a change is asked for",
-    "ready": "as soon as it is ready for the change",
+    "ready": "as soon as it (or, of the diagnosis, one of them) is ready for the change",
     "take": "as soon as the change is decided",
 }
 _PARTITION_SECONDS = 4.0

@@ -15,7 +15,7 @@ _BESIDE = ("diagnosis", "recorder")
 _PARTITION_SECONDS = 3.0
 _CUT_SECONDS = 1.0
 _LOSS = 0.3
-_BEND_SECONDS = 5.0
+_BEND_SECONDS = 4.0
 _PAUSE = "0.3 s in every second, and then hands on what waited"
 
 

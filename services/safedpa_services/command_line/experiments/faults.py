@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ import click
 from safedpa.errors import SafedpaError
 
 __all__ = ["command"]
+
+_PIPE_COLUMNS = 120
 
 
 @click.command(name="faults")
@@ -92,13 +95,12 @@ def _tell(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=None, title="periods of 0.05 s; times in s from the recovery")
-    for column in ("fault", "held", "m/s", "hits", "stale", "periods", "watchdog", "fallback", "drives", "all back"):
+    table = Table(box=None, padding=(0, 1), title="periods of 0.05 s; times in s from the recovery")
+    for column in ("fault", "held", "hits", "stale", "watchdog", "fallback", "drives", "back", "not recorded"):
         table.add_column(column, justify="left" if column == "fault" else "right", no_wrap=True)
-    table.add_column("lost of the recording", justify="right")
     for row in result["rows"]:
         table.add_row(*_cells(row))
-    Console().print(table)
+    Console(width=None if sys.stdout.isatty() else _PIPE_COLUMNS).print(table)
     click.echo(f"recordings hold {result['recorded']} messages, {result['acknowledged']} were acknowledged")
     for row in result["rows"]:
         if not row["held"]:
@@ -112,9 +114,9 @@ def _cells(row: dict[str, Any]) -> list[str]:
     return [
         row["name"],
         "yes" if row["held"] else "no",
-        f"{row['speed']:.2f}",
-        *(str(row[name]) for name in ("collisions", "stale_actions", "periods", "watchdog", "fallbacks")),
+        *(str(row[name]) for name in ("collisions", "stale_actions")),
+        *(f"{row[name]}/{row['periods']}" for name in ("watchdog", "fallbacks")),
         seconds(row["recovery_seconds"]),
         seconds(row["whole_seconds"]),
-        f"{row['states_not_recorded']} states, {row['verdicts_not_recorded']} verdicts",
+        f"{row['states_not_recorded']}, {row['verdicts_not_recorded']}",
     ]
