@@ -25,9 +25,11 @@ from safedpa.bus import (
     messages,
     requests,
 )
+from safedpa.bus.events import KINDS
 from safedpa.diagnosis.live.node import DiagnosisNode
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
+from safedpa_services.metrics.families import FAMILIES
 
 LOOP: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode)
 NODES = (*LOOP, DiagnosisNode)
@@ -85,6 +87,20 @@ def asked() -> str:
     return _fields_of([Request, Answer], requests)
 
 
+def events() -> str:
+    """Every kind of event, in the order of the catalogue."""
+    rows = ["| kind | what happened |", "|---|---|"]
+    return "\n".join([*rows, *(f"| `{kind}` | {meaning} |" for kind, meaning in KINDS.items())])
+
+
+def metrics() -> str:
+    """Every metric."""
+    rows = ["| metric | type | labels | meaning |", "|---|---|---|---|"]
+    for name, family in FAMILIES.items():
+        rows.append(f"| `{name}` | {family.kind} | {', '.join(family.labels)} | {family.meaning} |")
+    return "\n".join(rows)
+
+
 def _fields_of(kinds: list[type], module: ModuleType) -> str:
     tree = ast.parse(inspect.getsource(module))
     classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
@@ -112,7 +128,7 @@ def _text(node: ast.stmt | None) -> str:
     return ""
 
 
-GENERATED = {"topics": topics, "flow": flow, "fields": fields, "asked": asked}
+GENERATED = {"topics": topics, "flow": flow, "fields": fields, "asked": asked, "events": events, "metrics": metrics}
 
 
 def renewed(text: str) -> str:

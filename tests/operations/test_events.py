@@ -162,7 +162,7 @@ def test_up_tells_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: py
     recorder.restarts = 2
     warnings.look()
     now[0] += 1.0
-    assert "recorder died and was started again (2 times so far)" in told[-1]
+    assert "recorder died or hung and was started again (2 times so far)" in told[-1]
     kept = json.loads((tmp_path / "supervisor.log").read_text())
     assert kept["kind"] == "child.restarted"
     assert len(warnings.newest) <= 4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,8 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa_services.command_line.listening import bus_of, listening_options
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from safedpa.bus.overview import FleetOverview
 
 _REDRAW_SECONDS = 0.5
@@ -69,7 +72,6 @@ def _nobody(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> st
 
 def _draw(document: dict[str, Any], picture: Path | None) -> None:
     from rich.console import Console
-    from rich.terminal_theme import SVG_EXPORT_THEME
 
     from safedpa_services.status.table import picture_of
 
@@ -78,13 +80,22 @@ def _draw(document: dict[str, Any], picture: Path | None) -> None:
         console = Console(width=max(_FEWEST_COLUMNS, console.width))
     console.print(picture_of(document, console.width))
     if picture is not None:
-        title = f"safedpa status --fleet {document['fleet']}"
         drawn = Console(width=console.width, file=io.StringIO(), record=True, force_terminal=True)
         drawn.print(picture_of(document, console.width))
-        try:
-            drawn.save_svg(str(picture), title=title, unique_id="safedpa", theme=SVG_EXPORT_THEME)
-        except OSError as error:
-            raise InputError(f"--picture {picture}: cannot be written ({error.strerror})") from error
+        _write_svg(drawn, f"safedpa status --fleet {document['fleet']}", picture)
+
+
+def _write_svg(drawn: Console, title: str, picture: Path) -> None:
+    """What was drawn, in a font that the reader's machine has; nothing in the file points to another host."""
+    from rich.console import CONSOLE_SVG_FORMAT
+
+    form = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL)
+    form = re.sub(r"<!-- .*? -->", "", form)
+    text = drawn.export_svg(title=title, unique_id="safedpa", code_format=form)
+    try:
+        picture.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--picture {picture}: cannot be written ({error.strerror})") from error
 
 
 def _watched(fleet: FleetOverview) -> bool:

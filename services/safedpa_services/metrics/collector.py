@@ -63,7 +63,8 @@ class FleetCollector:
             if self._seen.get(which) != service.at:
                 self._seen[which] = service.at
                 seconds = 1e-6 * service.health.step_microseconds
-                self._steps.setdefault(service.name, Histogram(STEP_BUCKETS)).add(seconds)
+                if seconds > 0.0:  # 0 tells that nothing was measured
+                    self._steps.setdefault(service.name, Histogram(STEP_BUCKETS)).add(seconds)
         self._seen = {which: at for which, at in self._seen.items() if which in self._fleet.services}
         self._latencies = {name: kept for name, kept in self._latencies.items() if name in self._fleet.robots}
 

@@ -206,5 +206,5 @@ def _recording(services: Sequence[Row], width: int) -> list[Text]:
     return [
         Text(f"{row['service']}: {_more(row)}", style="dim")
         for row in services
-        if row["service"] in ("recorder", "router")
+        if row["service"] in ("recorder", "router") and _more(row)
     ]

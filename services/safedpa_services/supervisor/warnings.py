@@ -56,7 +56,7 @@ class Warnings:
             "time": round(time.time(), 3),
             "level": "warning",
             "kind": "child.restarted",
-            "sentence": f"{child.name} died and was started again ({child.restarts} times so far)",
+            "sentence": f"{child.name} died or hung and was started again ({child.restarts} times so far)",
             "service": child.name,
             "pid": child.pid,
         }

@@ -10,7 +10,7 @@ KINDS = MappingProxyType(
     {
         "process.started": "A process joined the bus.",
         "process.ended": "A process ends in order; says after which signal.",
-        "child.restarted": "The supervisor starts a process again that had died.",
+        "child.restarted": "The supervisor starts a process again that had died, or that it killed since it hung.",
         "robot.met": "A service hears a robot for the first time.",
         "robot.began_anew": "A robot speaks with a new epoch: it was started again.",
         "robot.forgotten": "A robot was silent for so long that a service forgets it.",

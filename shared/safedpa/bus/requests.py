@@ -24,7 +24,7 @@ class Request:
     """A question to the diagnosis about one robot."""
 
     do: str
-    """``accept``, ``reject``, ``roll_back`` or ``status``."""
+    """``accept``, ``reject``, ``roll_back`` or ``status``; of the safety filter ``stop``, ``go`` or ``status``."""
     effect: str = ""
     """Name of the candidate to accept or reject."""
     model: str = ""
