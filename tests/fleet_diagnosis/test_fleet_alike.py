@@ -111,7 +111,7 @@ def test_the_fleet_in_one_sentence(make_tried, make_robot):
     healthy = [make_robot(f"h{i}") for i in range(40)]
     lost = make_robot("lost", status="unreadable")
     analysis = analysed([*brakes, slope, weak, *healthy, lost], "car")
-    document = fleet_document(analysis, None)
+    document = fleet_document(analysis, [])
     assert headline(document) == (
         "46 robots: 3 lack rolling_resistance (deceleration 0.4 to 0.5 m/s2); 1 lacks constant_force (ax 0.4 m/s2, "
         "ay 0.3 m/s2); in 1 payload is suspected only; in 40 nothing is missing; 1 is unreadable."

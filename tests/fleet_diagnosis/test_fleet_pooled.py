@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.diagnosis.fleet.common import common_effects, confirmed, mended_model, mended_settings
+from safedpa.diagnosis.fleet.common import (
+    common_effects,
+    confirmed,
+    mended_model,
+    mended_settings,
+    together_effects,
+)
 from safedpa.diagnosis.fleet.outcome import Number
 from safedpa.diagnosis.fleet.pooled import evidence_over, pooled_number
 from safedpa.dynamics import load_model
@@ -56,7 +62,8 @@ def test_what_is_too_weak_in_each_is_sure_in_all(make_tried, make_robot):
     evidence = evidence_over(robots)
     assert evidence[0].effect == "quadratic_drag"
     assert evidence[0].score == pytest.approx(1.0 * np.sqrt(32))
-    found = common_effects(robots, evidence, "car")
+    assert common_effects(robots, "car") == []
+    found = together_effects(robots, evidence)
     assert [item.effect for item in found] == ["quadratic_drag"]
     assert found[0].numbers["coefficient"].mean == pytest.approx(0.02)
 
@@ -64,19 +71,19 @@ def test_what_is_too_weak_in_each_is_sure_in_all(make_tried, make_robot):
 def test_a_few_robots_are_not_the_fleet(make_tried, make_robot):
     robots = weak(make_tried, make_robot, [12.0] * 4 + [-0.1] * 28)
     assert evidence_over(robots)[0].score > 4.0
-    assert common_effects(robots, evidence_over(robots), "car") == []
+    assert together_effects(robots, evidence_over(robots)) == []
 
 
 def test_without_evidence_there_is_nothing_in_common(make_tried, make_robot):
     robots = weak(make_tried, make_robot, [0.2, -0.3] * 16)
-    assert common_effects(robots, evidence_over(robots), "car") == []
-    assert common_effects([], [], "car") == []
+    assert together_effects(robots, evidence_over(robots)) == []
+    assert common_effects([], "car") == together_effects([], []) == []
 
 
 @pytest.mark.parametrize(("values", "differs"), [([0.30, 0.31, 0.29] * 4, False), ([0.2, 0.4, 0.8] * 4, True)])
 def test_what_all_have_belongs_to_the_model_free_where_it_differs(make_tried, make_robot, values, differs):
     robots = [make_robot(f"r{i}", make_tried("payload", mass_ratio=value)) for i, value in enumerate(values)]
-    (found,) = common_effects(robots, evidence_over(robots), "car")
+    (found,) = common_effects(robots, "car")
     assert (found.effect, found.found_in, found.differs) == ("payload", 12, differs)
     model = mended_model(load_model("car"), mended_settings("car", [found]))
     setting = model.settings["payload.mass_ratio"]
@@ -87,15 +94,26 @@ def test_what_all_have_belongs_to_the_model_free_where_it_differs(make_tried, ma
 def test_a_robots_own_number_has_no_part_in_the_model_that_is_tried_on_it(make_tried, make_robot):
     values = [0.30] * 9 + [0.36]
     robots = [make_robot(f"r{i}", make_tried("payload", mass_ratio=value)) for i, value in enumerate(values)]
-    (found,) = common_effects(robots, evidence_over(robots), "car")
+    (found,) = common_effects(robots, "car")
     without = mended_settings("car", [found], "r9")["payload"]["mass_ratio"].value
     assert without == pytest.approx(0.30)
     assert mended_settings("car", [found])["payload"]["mass_ratio"].value > 0.30
 
 
+def errors(*values):
+    return {f"r{i}": value for i, value in enumerate(values)}
+
+
 def test_a_coin_does_not_mend_a_model():
-    assert confirmed([(0.2, 0.1)] * 10).holds
-    assert not confirmed([(0.2, 0.1), (0.1, 0.2)] * 10).holds
-    assert not confirmed([(0.2, 0.1)] * 4).holds  # a sixteenth is chance enough
-    assert not confirmed([(0.2, float("nan"))] * 10).holds
-    assert confirmed([(0.2, 0.1)] * 100).holds
+    assert confirmed(errors(*[0.2] * 10), errors(*[0.1] * 10)).holds
+    assert not confirmed(errors(*[0.2, 0.1] * 10), errors(*[0.1, 0.2] * 10)).holds
+    assert not confirmed(errors(*[0.2] * 4), errors(*[0.1] * 4)).holds  # a sixteenth is chance enough
+    assert not confirmed(errors(*[0.2] * 10), errors(*[float("nan")] * 10)).holds
+    assert confirmed(errors(*[0.2] * 100), errors(*[0.1] * 100)).holds
+    assert confirmed(errors(0.2), {}).robots == 0
+
+
+def test_a_number_that_was_pushed_to_its_bound_speaks_for_nothing(make_tried, make_robot):
+    stuck = [make_tried("drive_delay", score=3.0, std=float("nan"), deceleration=0.0) for _ in range(20)]
+    robots = [make_robot(f"r{i}", last={"drive_delay": item}) for i, item in enumerate(stuck)]
+    assert evidence_over(robots)[0].score == 0.0

@@ -20,6 +20,7 @@ __all__ = ["command"]
 @click.option("--seed", type=int, default=0, show_default=True, help="draws faults, drives and noise")
 @click.option("--plain", is_flag=True, help="logs without disturbance, glitches, lost rows and gains that are off")
 @click.option("--common", is_flag=True, help="hide a weak air drag in all robots beside")
+@click.option("--screen", is_flag=True, help="instead: what a search of those with large errors alone would miss")
 @click.option("--runs", type=int, default=4, show_default=True, help="of each robot")
 @click.option("--seconds", type=float, default=40.0, show_default=True, help="of each run")
 @click.option("--jobs", type=int, default=2, show_default=True, help="processes with one thread each")
@@ -37,6 +38,9 @@ def command(**options: Any) -> None:
     from safedpa_sim.experiments.fleet_diagnosis import fleet_diagnosis_experiment, page_of
 
     _check(options)
+    if options["screen"]:
+        _screened(options)
+        return
     given = {key: options[key] for key in ("jobs", "common", "runs", "seconds")}
     with ExitStack() as stack:
         folder = options["out"] or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="safedpa-fleet-")))
@@ -51,6 +55,25 @@ def command(**options: Any) -> None:
     if options["page"] is not None:
         options["page"].write_text(page, encoding="utf-8")
     click.echo(json.dumps(result, allow_nan=False) if options["as_json"] else page.rstrip())
+
+
+def _screened(options: dict[str, Any]) -> None:
+    from safedpa_services.progress import progress
+    from safedpa_sim.experiments.fleet_screen import fleet_screen
+
+    with progress("experiment fleet-diagnosis --screen") as tell:
+        result = fleet_screen(options["seed"], hard=not options["plain"], tell=tell)
+    if options["record"] is not None:
+        options["record"].write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    if options["as_json"]:
+        click.echo(json.dumps(result))
+        return
+    count, quantile = result["effects"], 100 * result["quantile"]
+    click.echo(
+        f"{len(result['missed'])} of {count} effects lie within the errors of {quantile:.0f} % of healthy robots."
+    )
+    for row in result["rows"]:
+        click.echo(f"{row['effect']:22} error {row['error']:.4f}, {row['over_limit']:.3f} of the limit")
 
 
 def _check(options: dict[str, Any]) -> None:

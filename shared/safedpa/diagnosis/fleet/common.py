@@ -38,6 +38,8 @@ _NEARLY_ALL = 0.8
 """Share of the robots in which an effect has to be found to be common."""
 _TOGETHER = 4.0
 """Standard errors over all robots from which an effect that was found in few of them is common: 1 in 1000 for 30."""
+_ALTERNATIVES = 5
+"""Effects that show in all together and are tried on the robots at most."""
 _FALLS = 0.01
 """Chance, by a coin for each robot, below which so many falls of the error confirm the mended model."""
 
@@ -66,7 +68,6 @@ class MendTask:
     robot: RobotLogs
     options: Options
     settings: Mapping[str, Mapping[str, Setting]]
-    before: float
 
 
 @dataclass(frozen=True)
@@ -78,27 +79,41 @@ class Confirmation:
     before: float
     after: float
     """Medians."""
+    fall: float = 0.0
+    """Mean over the robots of log(before / after)."""
 
     @property
     def holds(self) -> bool:
         """Whether so many robots are predicted better that a coin would not do that."""
-        return self.robots > 0 and _coin(self.better, self.robots) < _FALLS and self.after < self.before
+        return self.robots > 0 and _coin(self.better, self.robots) < _FALLS and self.fall > 0
 
 
-def common_effects(outcomes: Sequence[Outcome], evidence: Sequence[PooledEvidence], robot: str) -> list[Common]:
-    """Effects of nearly all robots that were judged, and the strongest one that shows in all of them together only."""
+def common_effects(outcomes: Sequence[Outcome], robot: str) -> list[Common]:
+    """Effects that were found in nearly all robots that were judged, the most frequent first."""
     judged = [item for item in outcomes if item.judged]
     if len(judged) < _FEWEST:
         return []
     votes = Counter(item.effect for outcome in judged for item in outcome.found)
     found = [_strong(name, count, judged, robot) for name, count in votes.items() if _many(count, judged)]
-    found.sort(key=lambda item: -item.found_in)
-    first = evidence[0] if evidence else None
-    if first is not None and _shows(first, judged) and first.effect not in {item.effect for item in found}:
-        said = estimates(first.effect, judged)
+    return sorted(found, key=lambda item: -item.found_in)
+
+
+def together_effects(outcomes: Sequence[Outcome], evidence: Sequence[PooledEvidence]) -> list[Common]:
+    """Effects that show in all robots together only, the strongest first: one of them at most acts, as a rule.
+
+    They resemble each other, so trying them on the robots decides, not their order.
+    """
+    judged = [item for item in outcomes if item.judged]
+    if len(judged) < _FEWEST:
+        return []
+    votes = Counter(item.effect for outcome in judged for item in outcome.found)
+    showing = [item for item in evidence if _shows(item, judged)][:_ALTERNATIVES]
+    found = []
+    for item in showing:
+        said = estimates(item.effect, judged)
+        rivals = tuple(other.effect for other in showing if other is not item)
         numbers = pooled_numbers(list(said.values()))
-        count = votes[first.effect]
-        found.append(Common(first.effect, numbers, said, count, len(judged), first.score, first.rivals, False))
+        found.append(Common(item.effect, numbers, said, votes[item.effect], len(judged), item.score, rivals, False))
     return found
 
 
@@ -156,8 +171,8 @@ def mended_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Settin
     return model
 
 
-def mended_error(task: MendTask) -> tuple[float, float]:
-    """Held-out error of one robot before and with the mended model; NaN where its data cannot be read any more."""
+def mended_error(task: MendTask) -> tuple[str, float]:
+    """The robot's name and its held-out error with the mended model; NaN where its data cannot be read any more."""
     from safedpa.diagnosis.diagnose import prepared
     from safedpa.diagnosis.heldout import heldout_of
     from safedpa.diagnosis.search import begun
@@ -171,17 +186,19 @@ def mended_error(task: MendTask) -> tuple[float, float]:
         heldout = heldout_of(used, task.options.horizon)
         found = begun(model, shooting_of(used, min(task.options.horizon, 2.0)), heldout)
     except SafedpaError:
-        return task.before, math.nan
-    return task.before, found.error.value
+        return task.robot.name, math.nan
+    return task.robot.name, found.error.value
 
 
-def confirmed(errors: Sequence[tuple[float, float]]) -> Confirmation:
-    """How many robots the mended model predicts better."""
-    known = [(before, after) for before, after in errors if math.isfinite(before) and math.isfinite(after)]
+def confirmed(before: Mapping[str, float], after: Mapping[str, float]) -> Confirmation:
+    """How many robots the mended model predicts better, from the errors by robot."""
+    both = [(before[name], after[name]) for name in before if name in after]
+    known = [pair for pair in both if all(math.isfinite(error) and error > 0 for error in pair)]
     if not known:
         return Confirmation(0, 0, math.nan, math.nan)
-    before, after = np.array(known).T
-    return Confirmation(len(known), int((after < before).sum()), float(np.median(before)), float(np.median(after)))
+    old, new = np.array(known).T
+    medians = float(np.median(old)), float(np.median(new))
+    return Confirmation(len(known), int((new < old).sum()), *medians, float(np.log(old / new).mean()))
 
 
 def _coin(hits: int, trials: int) -> float:

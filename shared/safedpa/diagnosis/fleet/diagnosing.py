@@ -5,50 +5,27 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 from uuid import uuid4
 
-import numpy as np
-
-from safedpa.diagnosis.fleet.common import (
-    Confirmation,
-    MendTask,
-    confirmed,
-    mended_error,
-    mended_model,
-    mended_settings,
-)
-from safedpa.diagnosis.fleet.document import Analysis, analysed, fleet_document
+from safedpa.diagnosis.fleet.document import analysed, fleet_document
 from safedpa.diagnosis.fleet.inputs import Options, file_stamp, options_digest
+from safedpa.diagnosis.fleet.mending import Workers, mended
 from safedpa.diagnosis.fleet.one_robot import Task, diagnosed_robot, not_diagnosed
 from safedpa.diagnosis.fleet.outcome import outcome_of
 from safedpa.diagnosis.fleet.page import write_fleet_page
 from safedpa.diagnosis.fleet.robots import Found, RobotLogs
 from safedpa.diagnosis.fleet.splitting import robots_in, split_recording
 from safedpa.diagnosis.fleet.store import clear_others, kept, results, write_result, write_scripts
-from safedpa.dynamics import LearnedBase, load_model, save_model
+from safedpa.dynamics import load_model
 from safedpa.records.atomic import atomic_path
 
 __all__ = ["Fleet", "Workers", "diagnose_fleet"]
 
-Job = TypeVar("Job")
-Answer = TypeVar("Answer")
 Tell = Callable[[int, int], None]
-
-_MOST_TRIED = 40
-"""Robots on which a mended model is tried, evenly spread: more would not change what a coin says."""
-
-
-class Workers(Protocol):
-    """Who does the work: answers in the order in which they are done, ``failed(job, reason)`` for what went wrong."""
-
-    def __call__(
-        self, work: Callable[[Job], Answer], jobs: Sequence[Job], failed: Callable[[Job, str], Answer]
-    ) -> Iterator[Answer]:
-        """Runs ``work`` on every job somewhere."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +59,8 @@ def diagnose_fleet(fleet: Fleet, workers: Workers, tell: Tell = lambda _done, _a
         done += 1
         tell(done, len(tasks))
     analysis = analysed([outcome_of(*pair) for pair in results(tasks, out)], given.system.name)
-    confirmation = _mended(analysis, tasks, fleet, workers)
-    document = fleet_document(analysis, confirmation, **_about(fleet, len(todo)))
+    common = mended(analysis, tasks, workers, out / "model.toml")
+    document = fleet_document(analysis, common, **_about(fleet, len(todo)))
     with atomic_path(out / "fleet.json") as temporary:
         temporary.write_text(json.dumps(document, allow_nan=False, indent=1) + "\n", encoding="utf-8")
     write_fleet_page(document, analysis, out)
@@ -126,38 +103,3 @@ def _split(path: Path, out: Path) -> dict[str, Path]:
         finally:
             shutil.rmtree(part, ignore_errors=True)
     return {piece.stem: piece for piece in folder.glob("*.mcap")}
-
-
-def _mended(analysis: Analysis, tasks: Sequence[Task], fleet: Fleet, workers: Workers) -> Confirmation | None:
-    """Tries the model with what the fleet has in common, each robot with the others' numbers; writes it if it holds."""
-    path = fleet.out / "model.toml"
-    path.unlink(missing_ok=True)  # of an earlier fleet
-    if not analysis.common:
-        return None
-    before = {item.name: item.error_before for item in analysis.outcomes if item.judged}
-    judged = [task for task in tasks if task.robot.name in before]
-    picked = np.unique(np.linspace(0, len(judged) - 1, min(len(judged), _MOST_TRIED)).astype(int))
-    jobs = []
-    for task in (judged[index] for index in picked):
-        name = task.robot.name
-        settings = mended_settings(analysis.robot, analysis.common, name)
-        jobs.append(MendTask(task.robot, fleet.options, settings, before[name]))
-    found = confirmed(list(workers(mended_error, jobs, _not_tried)))
-    if found.holds:
-        model = mended_model(load_model(fleet.options.model), mended_settings(analysis.robot, analysis.common))
-        _save(model, path)
-    return found
-
-
-def _save(model: Any, path: Path) -> None:
-    from safedpa.dynamics import write_model
-
-    if isinstance(model.base, LearnedBase):
-        save_model(model, path)
-        return
-    with atomic_path(path) as temporary:
-        temporary.write_text(write_model(model), encoding="utf-8")
-
-
-def _not_tried(task: MendTask, _reason: str) -> tuple[float, float]:
-    return task.before, float("nan")

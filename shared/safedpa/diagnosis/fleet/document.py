@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from safedpa.diagnosis.fleet.alike import Alike, same_effects, with_one_name
-from safedpa.diagnosis.fleet.common import Common, Confirmation, common_effects
+from safedpa.diagnosis.fleet.common import Common, Confirmation, common_effects, together_effects
 from safedpa.diagnosis.fleet.discovery import FALSE_SHARE, believed, chance
 from safedpa.diagnosis.fleet.outcome import Outcome
 from safedpa.diagnosis.fleet.pooled import PooledEvidence, evidence_over, pooled_number, pooled_numbers
@@ -50,6 +50,8 @@ class Analysis:
     chances: Mapping[str, float]
     limit: float
     common: tuple[Common, ...]
+    together: tuple[Common, ...]
+    """Effects of which one may be common to all: only all robots together show it."""
     evidence: tuple[PooledEvidence, ...]
     odd: tuple[tuple[str, float], ...]
     """Robots that even the model with what was found predicts much worse than the others, and how many times."""
@@ -64,8 +66,20 @@ def analysed(outcomes: Sequence[Outcome], robot: str) -> Analysis:
     sure = {item.name for item, well in zip(judged, stands, strict=True) if well}
     evidence = evidence_over(judged)
     groups = _groups(named, sure, robot)
-    common = common_effects(judged, evidence, robot)
-    return Analysis(robot, tuple(named), groups, chances, limit, tuple(common), tuple(evidence[:_POOLED]), _odd(judged))
+    common = common_effects(judged, robot)
+    taken = {item.effect for item in common}
+    together = [item for item in together_effects(judged, evidence) if item.effect not in taken]
+    return Analysis(
+        robot=robot,
+        outcomes=tuple(named),
+        groups=groups,
+        chances=chances,
+        limit=limit,
+        common=tuple(common),
+        together=tuple(together),
+        evidence=tuple(evidence[:_POOLED]),
+        odd=_odd(judged),
+    )
 
 
 def _groups(outcomes: Sequence[Outcome], sure: set[str], robot: str) -> tuple[Group, ...]:
@@ -104,8 +118,11 @@ def _odd(judged: Sequence[Outcome]) -> tuple[tuple[str, float], ...]:
     return tuple((name, ratio) for name, ratio in far if ratio > _ODD_RATIO and math.log(ratio) > _ODD * width)
 
 
-def fleet_document(analysis: Analysis, confirmation: Confirmation | None, **about: Any) -> dict[str, Any]:
-    """The document of ``fleet.json``; ``about``: model, horizon, by, left_out and what it cost."""
+def fleet_document(analysis: Analysis, mended: Sequence[tuple[Common, Confirmation]], **about: Any) -> dict[str, Any]:
+    """The document of ``fleet.json``; ``mended``: what all have in common, and whether it held on the robots.
+
+    ``about``: model, horizon, by, left_out and what it cost.
+    """
     place = {member.name: number for number, group in enumerate(analysis.groups) for member in group.members}
     return {
         "format": 1,
@@ -113,7 +130,7 @@ def fleet_document(analysis: Analysis, confirmation: Confirmation | None, **abou
         **about,
         "counts": {kind: sum(len(g.members) for g in analysis.groups if g.kind == kind) for kind in ORDER},
         "groups": [_group_document(group) for group in analysis.groups],
-        "common": _common_document(analysis, confirmation),
+        "common": _common_document(mended),
         "false_discovery": _discovery_document(analysis),
         "pooled": [asdict(item) | {"rivals": list(item.rivals)} for item in analysis.evidence],
         "odd": [{"robot": name, "times": round(ratio, 3)} for name, ratio in analysis.odd],
@@ -139,23 +156,24 @@ def _group_document(group: Group) -> dict[str, Any]:
     }
 
 
-def _common_document(analysis: Analysis, confirmation: Confirmation | None) -> dict[str, Any] | None:
-    if not analysis.common:
+def _common_document(mended: Sequence[tuple[Common, Confirmation]]) -> dict[str, Any] | None:
+    if not mended:
         return None
     effects = [
         {
             "effect": item.effect,
-            "indistinguishable_from": list(item.rivals),
+            "indistinguishable_from": list(item.rivals) if item.together is None else [],
+            "instead_of": list(item.rivals) if item.together is not None else [],
             "parameters": {name: _plain(asdict(number)) for name, number in item.numbers.items()},
             "found_in": item.found_in,
             "of": item.of,
             "together": item.together,
             "differs": item.differs,
+            "confirmed": {**_plain(asdict(tried)), "holds": tried.holds},
         }
-        for item in analysis.common
+        for item, tried in mended
     ]
-    tried = None if confirmation is None else {**_plain(asdict(confirmation)), "holds": confirmation.holds}
-    return {"effects": effects, "confirmed": tried, "model": "model.toml" if tried and tried["holds"] else None}
+    return {"effects": effects, "model": "model.toml" if any(tried.holds for _, tried in mended) else None}
 
 
 def _discovery_document(analysis: Analysis) -> dict[str, Any]:

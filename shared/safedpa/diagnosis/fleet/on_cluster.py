@@ -77,12 +77,25 @@ def _started(address: str, cores: int | None) -> Any:
     own = {name: os.environ[name] for name in (EFFECTS_VARIABLE,) if name in os.environ}
     environment = {"env_vars": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **own}}
     settings: dict[str, Any] = {"runtime_env": environment, "log_to_driver": False, "logging_level": "error"}
-    try:
-        if address == "local":
-            ray.init("local", num_cpus=cores or available_cores(), **_LOCAL, **settings)
-        else:
-            ray.init(address, **settings)
-    except (ConnectionError, ValueError, RuntimeError, TimeoutError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"--ray {address}: no cluster answers ({reason}); name its address, or 'local'") from error
+    if address == "local":
+        _patiently(ray, {"address": "local", "num_cpus": cores or available_cores(), **_LOCAL, **settings})
+    else:
+        _begun(ray, {"address": address, **settings})
     return ray
+
+
+def _patiently(ray: Any, settings: dict[str, Any]) -> None:
+    """A local instance; Ray gives it half a minute, which a busy machine may need twice."""
+    try:
+        _begun(ray, settings)
+    except InputError:
+        ray.shutdown()
+        _begun(ray, settings)
+
+
+def _begun(ray: Any, settings: dict[str, Any]) -> None:
+    try:
+        ray.init(**settings)
+    except Exception as error:  # Ray raises just that when a node does not start in time
+        address, reason = settings["address"], " ".join(str(error).split())[:200]
+        raise InputError(f"--ray {address}: no cluster answers ({reason}); name its address, or 'local'") from error

@@ -100,7 +100,7 @@ def evidence_over(outcomes: Sequence[Outcome]) -> list[PooledEvidence]:
     for outcome in outcomes:
         for name, item in (outcome.last or {}).items():
             if math.isfinite(item.score):
-                scores.setdefault(name, {})[outcome.name] = item.score
+                scores.setdefault(name, {})[outcome.name] = item.score if _free(item) else min(item.score, 0.0)
     every = [_evidence(name, own) for name, own in scores.items()]
     every.sort(key=lambda item: -item.score)
     if not every:
@@ -108,6 +108,11 @@ def evidence_over(outcomes: Sequence[Outcome]) -> list[PooledEvidence]:
     best = every[0]
     rivals = tuple(item.effect for item in every[1:] if _close(scores[best.effect], scores[item.effect]))
     return [PooledEvidence(best.effect, best.score, best.robots, best.favourable, rivals), *every[1:]]
+
+
+def _free(item: Tried) -> bool:
+    """Whether any number was not pushed to a bound; there it speaks against the effect, whatever else was refitted."""
+    return any(math.isfinite(number.std) for number in item.numbers.values())
 
 
 def _evidence(effect: str, scores: Mapping[str, float]) -> PooledEvidence:

@@ -73,29 +73,30 @@ def common_sentence(document: Mapping[str, Any]) -> str:
     common = document["common"]
     if common is None:
         return ""
-    parts = [_common_part(item) for item in common["effects"]]
-    text = f"The fleet has in common: {'; '.join(parts)}."
-    tried = common["confirmed"]
-    if tried is None or not tried["robots"]:
-        return f"{text} It was not tried on held-out robots."
-    errors = f"the median error goes from {tried['before']:.3g} to {tried['after']:.3g}"
-    share = (
-        f"{tried['better']} of {tried['robots']} robots are predicted better, each with the others' numbers; {errors}"
-    )
-    if not tried["holds"]:
-        return f"{text} It does not belong to the model: only {share}."
-    return f"{text} Mend the model file: {share}. It is written to {common['model']}."
+    told = " ".join(f"{_common_part(item)} {_tried_text(item)}" for item in common["effects"])
+    text = f"The fleet has in common: {told}"
+    return f"{text} Mend the model file: {common['model']} holds it." if common["model"] else text
 
 
 def _common_part(item: Mapping[str, Any]) -> str:
     numbers = ", ".join(f"{name} {_mean_text(number)}" for name, number in item["parameters"].items())
     if item["together"] is not None:
-        alone = f"found in {item['found_in']} of {item['of']} by itself"
-        where = f"{alone}, in all together {item['together']:.1f} standard errors"
+        where = f"found in {item['found_in']} of {item['of']} robots by themselves, but in all together"
+        where += f" {item['together']:.1f} standard errors"
+        where += f"; better on the robots than {', '.join(item['instead_of'])}" if item["instead_of"] else ""
     else:
-        where = f"{item['found_in']} of {item['of']} robots"
+        where = f"found in {item['found_in']} of {item['of']} robots"
     kind = "; it differs from robot to robot, so it stands free in the model" if item["differs"] else ""
-    return f"{_effect_title(item)}, {numbers} ({where}{kind})"
+    return f"{_effect_title(item)}, {numbers} ({where}{kind})."
+
+
+def _tried_text(item: Mapping[str, Any]) -> str:
+    tried = item["confirmed"]
+    if not tried["robots"]:
+        return "It could not be tried on the robots."
+    share = f"{tried['better']} of {tried['robots']} robots are predicted better with the others' numbers"
+    errors = f"the median error goes from {tried['before']:.3g} to {tried['after']:.3g}"
+    return f"{share}; {errors}." if tried["holds"] else f"It does not belong to the model: only {share}; {errors}."
 
 
 def _mean_text(number: Mapping[str, Any]) -> str:
@@ -106,13 +107,13 @@ def _mean_text(number: Mapping[str, Any]) -> str:
 def discovery_sentence(document: Mapping[str, Any]) -> str:
     """How sure the groups are in a fleet of this size."""
     found = document["false_discovery"]
-    if not found["judged"]:
+    if not found["found"]:
         return ""
     demoted = found["found"] - found["believed"]
     text = (
-        f"Of {found['judged']} robots that were judged, {found['found']} lack something by themselves; "
-        f"{found['believed']} of them stand up to a fleet of this size (at most {100 * found['share']:.0f} % of "
-        "those are expected to be false, Benjamini and Hochberg)"
+        f"Something is missing in {found['found']} of {found['judged']} robots that were judged; {found['believed']} "
+        f"of these findings stand up to a fleet of this size (at most {100 * found['share']:.0f} % of them are "
+        "expected to be false, Benjamini and Hochberg)"
     )
     return f"{text}, {demoted} {'is' if demoted == 1 else 'are'} suspected only." if demoted else f"{text}."
 
