@@ -1,0 +1,58 @@
+"""``safedpa up --secure``: the loop of one command as it would run over several machines."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.bus import ZenohSettings, ZenohTransport
+from safedpa.errors import BusError, InputError
+from safedpa_services.supervisor.securing import throw_away_certificates
+
+pytestmark = pytest.mark.processes
+
+
+def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> None:
+    options = ("--secure", "--headless", "--lockstep", "--seconds", "6", "--json", "--out", str(tmp_path / "runs"))
+    command = [sys.executable, "-m", "safedpa_services", "up", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        log = tmp_path / "runs"
+
+        def said() -> list[dict[str, Any]]:
+            lines = [line for path in log.glob("*/router.log") for line in path.read_text().splitlines()]
+            return [json.loads(line) for line in lines if line.startswith("{")]
+
+        assert network.until(lambda: any(event["kind"] == "router.open" for event in said()))
+        opened = next(event for event in said() if event["kind"] == "router.open")
+        endpoint = str(opened["sentence"]).split(" on ")[1]
+        foreign = ZenohSettings("client", (), (endpoint,), network.card("safety_filter"), patience=0.5)
+        with pytest.raises(BusError, match="could not open"):
+            ZenohTransport(foreign)
+        output, errors = running.communicate(timeout=90)
+    assert running.returncode == 0, errors
+    assert json.loads(output)["ticks"] == 120
+    kinds = [event["kind"] for event in said()]
+    assert "bus.denied" not in kinds, "everybody may do what he has to do"
+    assert "bus.handshake_refused" in kinds
+
+
+def test_the_certificates_are_gone_afterwards_and_nobody_can_make_more() -> None:
+    with throw_away_certificates("f", "r1") as folder:
+        assert (folder / "robot.r1.key.pem").exists()
+        assert not (folder / "authority.key.pem").exists()
+        assert folder.stat().st_mode & 0o077 == 0
+    assert not folder.exists()
+    with pytest.raises(InputError), throw_away_certificates("f", "*"):
+        pass
+
+
+def test_it_is_for_this_machine_alone() -> None:
+    command = [sys.executable, "-m", "safedpa_services", "up", "--secure", "--listen", "tls/0.0.0.0:7447"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "--listen: got it with --secure" in done.stderr
