@@ -40,7 +40,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 def test_an_identical_recording(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, BOX)
     assert code == 0
-    assert "verdict 160 of 160" in out
+    assert "verdict 120 of 120" in out
     code, out, _ = run(capsys, BOX, "--json", "--from", "1", "--to", "2.999")
     document = json.loads(out)
     assert code == 0
@@ -69,11 +69,11 @@ def test_what_if_is_only_looked_at(capsys: pytest.CaptureFixture[str], tmp_path:
     assert code == 0
     assert "RECORDED states (open loop" in out
     rows = list(csv.DictReader(table.read_text().splitlines()))
-    assert len(rows) == 160
+    assert len(rows) == 120
     assert any(row["status_then"] != row["status_now"] for row in rows)
     code, out, _ = run(capsys, BOX, "--eta", "0.1", "--json")
     assert code == 0
-    assert json.loads(out)["summary"]["ticks"] == 160
+    assert json.loads(out)["summary"]["ticks"] == 120
 
 
 def test_closed_loop_in_words(capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,7 +20,7 @@ from safedpa.replay.tape import Tape, read_tape
 SERVICES = ("adaptation", "policy", "safety_filter")
 EVENTS = st.lists(
     st.tuples(
-        st.integers(2, 55),
+        st.integers(2, 40),
         st.sampled_from(["kill", "restart", "stall", "robot"]),
         st.sampled_from(SERVICES),
         st.integers(1, 6),
@@ -60,11 +60,11 @@ def counted(found: Replay) -> dict[str, int]:
     return {topic: count for part in found.services for topic, count in part.compared.items()}
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(events=EVENTS)
 def test_every_story_replays_bit_for_bit(fleet_of: Any, events: list[tuple[int, str, str, int]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        fleet = driven(fleet_of(), 60, events)
+        fleet = driven(fleet_of(), 45, events)
         tape, found = replayed(fleet.record(Path(folder) / "drive.mcap"))
     assert found.exact, (events, [part.differing[:2] or part.spans for part in found.services])
     said = {topic.name: sum(item.topic is topic for item in fleet.heard) for topic in (LATENT, WISH, VERDICT)}

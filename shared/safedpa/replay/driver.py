@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from safedpa.bus import (
@@ -48,6 +48,8 @@ class Driven:
     """Empty when the node refused the state."""
     unknown: str = ""
     """Why the service's memory or an input is not known from this step on; empty where nothing new is unknown."""
+    anew: bool = False
+    """Whether the service's memory of the robot began with this step: what was unknown before matters no more."""
 
 
 class Overrule:
@@ -100,14 +102,15 @@ class Driver:
             state = self._tape.states.get((message.epoch, message.tick))
             if state is None:
                 continue  # lost on the way to the recording: counts as a missing step
-            unknown = ""
-            if self._is_anew(message):
+            anew = self._is_anew(message)
+            if anew:
                 unknown = self._begin(entry)
+                yield from (self._step(before, None, "") for before in self._first(message))
             else:
                 lost = self._lost(message)
                 yield from (self._step(between, None, "") for between in lost)
                 unknown = self._gap(message, len(lost))
-            yield self._step(state, message, unknown)
+            yield replace(self._step(state, message, unknown), anew=anew)
             self._previous = message
         yield from (self._step(state, None, "") for state in self._behind())
 
@@ -145,7 +148,23 @@ class Driver:
         if self._changes is not None:
             missing = self._changes.begin(self._node, self._tape.robot, _model(message))
         first = message.step == 1 if message.step else message.tick == 0
-        return missing or ("" if first else f"the first {max(message.step - 1, 0) or 'few'} steps were not recorded")
+        return missing or ("" if first else f"{_outputs(message.step - 1)} before it not recorded")
+
+    def _first(self, message: ComputedMessage) -> list[StateMessage]:
+        """States of the steps before the first recorded one: most likely the last ones, without a gap.
+
+        A process that was started a moment ago may speak before the recorder can hear it.
+        """
+        passed_over = set(message.skipped)
+        found: list[StateMessage] = []
+        tick = message.tick
+        while len(found) < message.step - 1:
+            tick -= 1
+            state = self._tape.states.get((message.epoch, tick))
+            if state is None:
+                return []
+            found += [] if float(tick) in passed_over else [state]
+        return found[::-1]
 
     def _is_new_process(self, entry: Entry) -> bool:
         """Whether another instance of the service had begun; its setup is in force then."""
@@ -175,7 +194,7 @@ class Driver:
     def _gap(self, message: ComputedMessage, made_up: int) -> str:
         previous = self._previous
         missing = message.step - previous.step - 1 - made_up if previous is not None and message.step else 0
-        return f"{missing} steps before it were not recorded" if missing > 0 else ""
+        return f"{_outputs(missing)} before it not recorded" if missing > 0 else ""
 
     def _step(self, state: StateMessage, message: ComputedMessage | None, unknown: str) -> Driven:
         node, robot = self._node, self._tape.robot
@@ -243,3 +262,7 @@ class Driver:
 def _model(message: ComputedMessage) -> str:
     """Fingerprint of the model with which a message was computed; empty where an older program did not tell."""
     return str(getattr(message, "model", ""))
+
+
+def _outputs(count: int) -> str:
+    return "some outputs" if count < 1 else f"{count} output{'s' if count > 1 else ''}"

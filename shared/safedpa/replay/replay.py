@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from safedpa.bus import ACTION, LATENT, VERDICT, WISH, ActionMessage, Message, Topic, VerdictMessage
+from safedpa.bus import ACTION, LATENT, VERDICT, WISH, ActionMessage, Message, StateMessage, Topic, VerdictMessage
 from safedpa.replay.comparison import TOLERANCE, Difference, differences
 from safedpa.replay.driver import Driven, Driver
 from safedpa.replay.setups import REPLAYED, node_of
@@ -23,14 +23,20 @@ _STATISTICS = frozenset({"coverage"})
 
 @dataclass
 class Span:
-    """Steps whose memory was not known, because something was not recorded."""
+    """Steps whose memory was not known, because something was not recorded.
+
+    It reaches to the last output that came out otherwise before the memory began anew: what differs behind a gap may
+    stem from the gap, and is no difference that can be held against the service.
+    """
 
     reason: str
     epoch: int
     tick: int
     robot_time: float
     agrees_from: int | None = None
-    """Tick from which on all came out as recorded again; None: it did not until the end."""
+    """Tick from which on all came out as recorded again; None: it did not until the end of the span."""
+    anew_from: int | None = None
+    """Tick at which the memory began anew, and was known again; None: at none."""
     steps: int = 0
     """Not compared."""
 
@@ -50,8 +56,7 @@ class ServiceReplay:
     """Fields that differ within the tolerance."""
     spans: list[Span] = field(default_factory=list)
     lost: int = 0
-    """Outputs that the service sent and that are not in the recording."""
-    restarts: int = 0
+    """Outputs that are not in the recording, and were made up to know the memory."""
 
 
 @dataclass
@@ -63,8 +68,13 @@ class Replay:
     @property
     def agrees(self) -> bool:
         """Whether everything that can be compared came out as recorded, and nothing stayed unknown to the end."""
-        unsettled = any(span.agrees_from is None for part in self.services for span in part.spans)
-        return not unsettled and not any(part.differing for part in self.services)
+        return self.unsettled is None and not any(part.differing for part in self.services)
+
+    @property
+    def unsettled(self) -> Span | None:
+        """A span that reaches to the end of the recording; None: there is none."""
+        last = [part.spans[-1] for part in self.services if part.spans]
+        return next((span for span in last if span.agrees_from is None and span.anew_from is None), None)
 
     @property
     def exact(self) -> bool:
@@ -93,6 +103,10 @@ def replay(
     return Replay(found)
 
 
+_Judged = list[tuple[Topic, list[Difference]]]
+"""The differences of one step's messages, within the tolerance or not."""
+
+
 class _Judge:
     """Holds the steps of one service against the recording."""
 
@@ -100,49 +114,57 @@ class _Judge:
         self._tape, self._window, self._tolerance = tape, window, tolerance
         self._found = ServiceReplay(service)
         self._span: Span | None = None
-        self._in_a_row = 0
-        self._pending: list[tuple[Span, int]] = []
+        self._agreeing: list[tuple[StateMessage, _Judged]] = []
+        """Within a span: since the last output that came out otherwise."""
 
     def judged(self, steps: Iterator[Driven], tell: Callable[[Driven], None]) -> ServiceReplay:
         for step in steps:
             tell(step)
+            if step.anew or step.unknown:
+                self._close(step.state.tick if step.anew else None)
             if step.unknown:
-                self._open(step)
+                state = step.state
+                self._span = Span(step.unknown, state.epoch, state.tick, state.robot_time)
+                self._found.spans.append(self._span)
             if step.recorded is None:
                 self._found.lost += 1
             else:
-                self._judge(step, list(self._pairs(step)))
+                self._judge(step)
+        self._close()
         return self._found
 
-    def _open(self, step: Driven) -> None:
+    def _judge(self, step: Driven) -> None:
+        found = [(topic, self._differences(topic, one, other)) for topic, one, other in self._pairs(step)]
         if self._span is None:
-            state = step.state
-            self._span = Span(step.unknown, state.epoch, state.tick, state.robot_time)
-            self._found.spans.append(self._span)
-        self._in_a_row = 0
+            self._count(step.state, found)
+        elif any(not item.exact_only for _, items in found for item in items):
+            self._span.steps += len(self._agreeing) + 1
+            self._agreeing.clear()
+        else:
+            self._agreeing.append((step.state, found))
 
-    def _judge(self, step: Driven, pairs: list[tuple[Topic, Message, Message | None]]) -> None:
-        found = [self._differences(topic, one, other) for topic, one, other in pairs]
-        same = not any(not item.exact_only for items in found for item in items)
+    def _close(self, anew_from: int | None = None) -> None:
+        """Ends the span: what agreed behind its last difference counts, if it is more than chance."""
         if self._span is not None:
-            self._settle(step, same=same)
-            if self._span is not None:
-                self._span.steps += 1
-                return
-        if self._window[0] <= step.state.robot_time <= self._window[1]:
-            for (topic, _, _), items in zip(pairs, found, strict=True):
-                self._count(topic, items)
+            self._span.anew_from = anew_from
+        if self._span is not None and len(self._agreeing) >= _AGREED:
+            self._span.agrees_from = self._agreeing[0][0].tick
+            for state, found in self._agreeing:
+                self._count(state, found)
+        elif self._span is not None:
+            self._span.steps += len(self._agreeing)
+        self._span = None
+        self._agreeing.clear()
 
-    def _settle(self, step: Driven, *, same: bool) -> None:
-        assert self._span is not None
-        if not same:
-            self._in_a_row, self._span.agrees_from = 0, None
+    def _count(self, state: StateMessage, judged: _Judged) -> None:
+        if not self._window[0] <= state.robot_time <= self._window[1]:
             return
-        self._in_a_row += 1
-        if self._in_a_row == 1:
-            self._span.agrees_from = step.state.tick
-        if self._in_a_row >= _AGREED:
-            self._span = None
+        found = self._found
+        for topic, items in judged:
+            found.compared[topic.name] = found.compared.get(topic.name, 0) + 1
+            found.identical[topic.name] = found.identical.get(topic.name, 0) + (not items)
+            found.differing += [item for item in items if not item.exact_only]
+            found.rounded += sum(item.exact_only for item in items)
 
     def _differences(self, topic: Topic, recorded: Message, replayed: Message | None) -> list[Difference]:
         if replayed is None:
@@ -150,13 +172,6 @@ class _Judge:
             return [Difference(*stamp, topic.name, "message", "sent", "none", exact_only=False)]
         told = self._tape.fields[topic.message] - (_STATISTICS if self._found.spans else frozenset())
         return list(differences(topic.name, recorded, replayed, told, self._tolerance))
-
-    def _count(self, topic: Topic, items: list[Difference]) -> None:
-        found = self._found
-        found.compared[topic.name] = found.compared.get(topic.name, 0) + 1
-        found.identical[topic.name] = found.identical.get(topic.name, 0) + (not items)
-        found.differing += [item for item in items if not item.exact_only]
-        found.rounded += sum(item.exact_only for item in items)
 
     def _pairs(self, step: Driven) -> Iterator[tuple[Topic, Message, Message | None]]:
         """Topic, recorded and replayed message of a step; the action belongs to its verdict."""

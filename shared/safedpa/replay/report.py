@@ -8,7 +8,7 @@ from typing import Any
 
 from safedpa.replay.comparison import Difference
 from safedpa.replay.gaps import Gap
-from safedpa.replay.replay import Replay, ServiceReplay
+from safedpa.replay.replay import Replay, ServiceReplay, Span
 from safedpa.replay.tape import Tape
 from safedpa.replay.what_if import Decision, Summary
 
@@ -46,9 +46,16 @@ def _service_lines(part: ServiceReplay) -> Iterator[str]:
         f"{topic} {part.identical[topic]} of {count} identical" for topic, count in part.compared.items()
     )
     yield f"  {part.service:<14} {counts or 'nothing to compare'}" + (f"; {part.lost} made up" if part.lost else "")
-    for span in part.spans:
-        again = "never agreed again" if span.agrees_from is None else f"agrees again from tick {span.agrees_from} on"
-        yield f"    memory not known from tick {span.tick} on ({span.reason}): {span.steps} not compared, {again}"
+    yield from (f"    {_span_sentence(span)}" for span in part.spans)
+
+
+def _span_sentence(span: Span) -> str:
+    began = f"memory not known from tick {span.tick} on ({span.reason}): {span.steps} outputs not compared"
+    if span.agrees_from is not None:
+        return f"{began}, agrees again from tick {span.agrees_from} on"
+    if span.anew_from is not None:
+        return f"{began}, known again from tick {span.anew_from} on, where it began anew"
+    return f"{began}, never agreed again"
 
 
 def _verdict(found: Replay) -> str:

@@ -22,10 +22,10 @@ from safedpa.records.schema import schema_of
 
 HERE = Path(__file__).parent
 RUNS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
-    "car_box": (("--lockstep", "--load", "box", "--seconds", "8"), {}),
-    "car_killed": (("--load", "chair", "--seconds", "8"), {"policy": 1.5, "adaptation": 3.5, "safety_filter": 5.5}),
-    "car_learned": (("--lockstep", "--model", "car_learned", "--load", "box", "--seconds", "4"), {}),
-    "pendulum": (("--lockstep", "--robot", "pendulum", "--wind", "2", "--seconds", "2"), {}),
+    "car_box": (("--lockstep", "--load", "box", "--seconds", "6"), {}),
+    "car_killed": (("--load", "chair", "--seconds", "9"), {"policy": 1.5, "adaptation": 3.5, "safety_filter": 5.5}),
+    "car_learned": (("--lockstep", "--model", "car_learned", "--load", "box", "--seconds", "3"), {}),
+    "pendulum": (("--lockstep", "--robot", "pendulum", "--wind", "2", "--seconds", "1"), {}),
 }
 """Options of ``safedpa up``, and which services are killed how many seconds after the robot's start."""
 _LEFT_OUT = ("health/", "finding", "setup/recorder")
