@@ -16,6 +16,7 @@ from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety import FilterSettings, SafetyFilter, Status, car_barriers
+from safedpa.safety.margin import OnlineMargin
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.orders import EVERYBODY, Orders
 from safedpa.safety.shipped import margin_for, settings_named
@@ -159,3 +160,17 @@ def test_a_filter_that_ends_waits_until_the_car_stands() -> None:
 def test_the_state_message_of_a_car_has_no_corridor() -> None:
     state: StateMessage = CarRobot(Scene.random(1, "none"), 0.05, True, epoch=1).state_message()
     assert state.corridor == (), "by this the filter knows that braking brings it to rest"
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats(-0.1, 0.3), min_size=1, max_size=60), st.integers(1, 20))
+def test_the_told_coverage_is_the_share_of_steps_in_which_the_margin_held(errors: list[float], window: int) -> None:
+    margin = OnlineMargin(0.1, 0.9, window=window)
+    assert margin.coverage is None
+    held = []
+    for error in errors:
+        held.append(error <= margin.value)
+        margin.update(error)
+    told = margin.coverage
+    assert told is not None
+    assert told == pytest.approx(sum(held[-window:]) / len(held[-window:]))

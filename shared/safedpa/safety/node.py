@@ -164,7 +164,7 @@ class SafetyFilterNode(AbstractNode):
             return False
         state, _, verdict = memory.decision
         speeds = [state.values[index] for index in memory.speeds if index < len(state.values)]
-        return verdict.status is Status.stopped and all(abs(speed) <= _STANDS for speed in speeds)
+        return verdict.status in (Status.stopped, Status.fallback) and all(abs(speed) <= _STANDS for speed in speeds)
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
         """The resting action, which needs neither model nor memory, and a verdict that says so.
