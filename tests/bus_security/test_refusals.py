@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa_services.router.refusals import Refusals
+from safedpa_services.router.router import Twins
 
 ACCESS = "2026-11-21T20:33:54.423019Z TRACE  rx-1 ThreadId({0}) zenoh::net::routing::interceptor::access_control: {1}"
 END = "2026-11-21T20:33:54.423033Z TRACE  rx-1 ThreadId({0}) zenoh::net::routing::interceptor: Msg intercepted!"
@@ -100,3 +101,27 @@ def test_no_line_breaks_it_and_no_refusal_is_missed(lines: list[str]) -> None:
     for line in lines:
         refusals.hear(line)
     assert refusals.total == sum(line == END.format("1") for line in lines)
+
+
+def test_a_certificate_shown_by_two_is_told_once_it_lasts(capsys: pytest.CaptureFixture[str]) -> None:
+    members: list[tuple[str, str]] = [("a", "policy"), ("b", "robot.r1")]
+    twins = Twins(lambda: members)
+    assert twins.look() == []
+    members.append(("c", "robot.r1"))
+    assert twins.look() == [], "a process that was just started anew"
+    assert twins.look() == ["robot.r1"]
+    (event,) = events(capsys)
+    assert (event["kind"], event["service"]) == ("bus.twice", "robot.r1")
+    members.pop()
+    assert twins.look() == []
+
+
+@pytest.mark.parametrize("name", ["operator", "healthcheck", "router", "", "stranger"])
+def test_people_and_checks_may_come_in_any_number(name: str) -> None:
+    twins = Twins(lambda: [("a", name), ("b", name), ("b", name)])
+    assert not any(twins.look() for _ in range(3))
+
+
+def test_two_links_of_one_session_are_one_process() -> None:
+    twins = Twins(lambda: [("a", "policy"), ("a", "policy")])
+    assert not any(twins.look() for _ in range(3))

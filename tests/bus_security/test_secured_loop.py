@@ -164,6 +164,14 @@ def test_nobody_is_denied_what_he_needs(network: Any, stack: ExitStack, tmp_path
     assert joined >= {*SERVICES, "diagnosis", "recorder", "robot.r1", "healthcheck"}
 
 
+def test_a_copied_certificate_is_seen(network: Any, stack: ExitStack) -> None:
+    routing = router(stack, network)
+    for _ in range(2):
+        network.join("safety_filter")
+    assert network.until(lambda: routing.of("bus.twice"))
+    assert routing.of("bus.twice")[0]["service"] == "safety_filter"
+
+
 def test_a_refused_handshake_is_told(network: Any, stack: ExitStack) -> None:
     routing = router(stack, network)
     import socket

@@ -32,7 +32,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
             service=ROUTER,
             robots=", ".join(options.robot),
         )
-        Router(bus, refusals).run(stop)
+        Router(bus, refusals, transport.members).run(stop)
     return 0
 
 

@@ -240,12 +240,13 @@ class ZenohTransport(AbstractTransport):
 
         threading.Thread(target=ask, daemon=True).start()
 
+    def members(self) -> list[tuple[str, str]]:
+        """(Zenoh id, common name of the certificate) of every session linked to this one; no name in plain text."""
+        return [(str(link.zid), str(link.auth_identifier or "")) for link in self._session.info.links()]
+
     def name_of(self, session: str) -> str:
-        """Common name of the certificate with which the session of that Zenoh id is linked to this one; or nothing."""
-        for link in self._session.info.links():
-            if str(link.zid) == session:
-                return str(link.auth_identifier or "")
-        return ""
+        """Common name of the certificate of a linked session by its Zenoh id; empty when there is none."""
+        return dict(self.members()).get(session, "")
 
     def close(self) -> None:  # noqa: D102
         if not self._session.is_closed():
