@@ -109,6 +109,15 @@ def test_missing_files_are_named_with_what_to_do(tmp_path: Path) -> None:
         Certificates(tmp_path, "")
 
 
+def test_a_key_that_everybody_can_read_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Authority(tmp_path, "f").issue("policy", 1.0)
+    Certificates(tmp_path, "policy")
+    assert capsys.readouterr().err == ""
+    (tmp_path / "policy.key.pem").chmod(0o644)
+    Certificates(tmp_path, "policy")
+    assert '"kind": "bus.key_exposed"' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

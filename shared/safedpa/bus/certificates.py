@@ -10,6 +10,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from safedpa.bus.log import log_event
 from safedpa.errors import BusError
 
 __all__ = ["AUTHORITY", "Certificates"]
@@ -38,6 +39,13 @@ class Certificates:
                     f"{path}: {'cannot be read by this user' if path.exists() else 'is not there'}; make it with "
                     f"'safedpa certificates {self.folder}', and hand a process its own key alone"
                 )
+        if self.key.stat().st_mode & 0o007:
+            log_event(
+                "bus.key_exposed",
+                f"{self.key}: every user of this machine can read or write it and pass for {self.role}; chmod 600 it",
+                level="warning",
+                service=self.role,
+            )
 
     @property
     def authority(self) -> Path:
