@@ -26,6 +26,35 @@ from safedpa_services.metrics.histogram import Histogram
 pytest.importorskip("prometheus_client", reason="prometheus_client is not installed; install 'safedpa[metrics]'")
 
 RULES = Path(__file__).resolve().parents[2] / "deploy" / "prometheus"
+SCENARIO = """
+rule_files: [ALERTS]
+evaluation_interval: 5s
+tests:
+  - interval: 5s
+    input_series:
+      - {series: 'safedpa_robot_up{robot="r1"}', values: '1x24 0x12'}
+      - {series: 'safedpa_ticks_total{robot="r1"}', values: '0+100x36'}
+      - {series: 'safedpa_late_ticks_total{robot="r1"}', values: '0x12 0+5x24'}
+      - {series: 'safedpa_verdicts_total{robot="r1",status="fallback"}', values: '7x36'}
+      - {series: 'safedpa_service_processes{service="recorder"}', values: '1x36'}
+      - {series: 'safedpa_unreadable_messages_total', values: '0x36'}
+    alert_rule_test:
+      - {eval_time: 1m, alertname: SafedpaRobotSilent}
+      - {eval_time: 1m, alertname: SafedpaLateTicks}
+      - {eval_time: 2m30s, alertname: SafedpaFallback}
+      - {eval_time: 2m30s, alertname: SafedpaServiceGone}
+      - {eval_time: 2m30s, alertname: SafedpaExporterGone}
+      - eval_time: 2m30s
+        alertname: SafedpaRobotSilent
+        exp_alerts:
+          - exp_labels: {severity: page, robot: r1}
+            exp_annotations: {summary: "Robot r1 says nothing; its watchdog brakes it, if it lives."}
+      - eval_time: 2m30s
+        alertname: SafedpaLateTicks
+        exp_alerts:
+          - exp_labels: {severity: page, robot: r1}
+            exp_annotations: {summary: "5% of the ticks of r1 come without an action in time."}
+"""
 NAME = re.compile(r"\bsafedpa_[a-z0-9_]+")
 UNITS = ("_seconds", "_bytes", "_total", "_info")
 
@@ -145,6 +174,12 @@ def promtool(*arguments: str, text: str = "") -> str:
 def test_promtool_accepts_rules_and_configuration() -> None:
     assert "SUCCESS" in promtool("check", "rules", "alerts.yml")
     assert "SUCCESS" in promtool("check", "config", "prometheus.yml")
+
+
+def test_alerts_are_raised_when_they_should_and_not_before(tmp_path: Path) -> None:
+    scenario = tmp_path / "scenario.yml"
+    scenario.write_text(SCENARIO.replace("ALERTS", str(RULES / "alerts.yml")), encoding="utf-8")
+    assert "SUCCESS" in promtool("test", "rules", str(scenario))
 
 
 def test_promtool_finds_nothing_to_criticise_in_the_page(talked: Any) -> None:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from safedpa.bus.log import EventLog
 from safedpa_services.supervisor.child import Child
 
 __all__ = ["Warnings", "readable"]
@@ -36,7 +35,7 @@ class Warnings:
         self._restarts = {child.name: 0 for child in children}
         self._next_look = 0.0
         self._written: dict[tuple[str, str, str], float] = {}
-        self._log = EventLog(lambda line: _append(folder / "supervisor.log", line))
+        self._own_log = folder / "supervisor.log"
         self.newest: deque[str] = deque(maxlen=_SHOWN)
 
     def look(self) -> None:
@@ -60,7 +59,8 @@ class Warnings:
             "service": child.name,
             "pid": child.pid,
         }
-        self._log.log(event)
+        with self._own_log.open("a", encoding="utf-8") as log:
+            log.write(json.dumps(event) + "\n")
         return event
 
     def _new_events(self, child: Child) -> list[dict[str, Any]]:
@@ -108,8 +108,3 @@ def readable(event: dict[str, Any]) -> str:
     about += [f"tick {event['tick']}"] if "tick" in event else []
     sentence = " ".join(str(event.get("sentence", "")).split())
     return f"{stamp} {' '.join(about)}: {sentence}" if about else f"{stamp} {sentence}"
-
-
-def _append(path: Path, line: str) -> None:
-    with path.open("a", encoding="utf-8") as file:
-        file.write(line)

@@ -36,6 +36,8 @@ KINDS = MappingProxyType(
         "recorder.lost": "The recorder could not keep up; says how many messages are missing.",
         "router.open": "The router accepts connections.",
         "bus.plain_text": "The bus can be reached from other machines without certificates.",
+        "bus.key_exposed": "A private key can be read by every user of the machine.",
+        "bus.twice": "Two connect with one certificate; one of them may not be who it says.",
         "bus.joined": "Somebody connects to the router with a certificate.",
         "bus.handshake_refused": "Somebody was refused at the router's door.",
         "bus.denied": "Somebody tried what its role may not; the router let nothing through.",
