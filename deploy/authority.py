@@ -29,13 +29,18 @@ LARGEST_REQUEST = 8192
 _PATIENCE_SECONDS = 5.0
 
 
-def issue_to_services(authority: Authority, issued: Path, days: float) -> None:
-    """Gives every service its certificate, key, and the authority's certificate, unless it has good ones."""
-    for role in roles_of(()):
+def issue_to_services(authority: Authority, issued: Path, days: float, routers: tuple[str, ...] = ()) -> None:
+    """Gives every service its certificate, key, and the authority's certificate, unless it has good ones.
+
+    ``routers`` are further routers, linked to the first one, with the role ``router.NAME`` under the host name NAME.
+    """
+    linked = {f"{ROUTER}.{name}": (*HOSTS, name) for name in routers}
+    hosts = {ROUTER: HOSTS, **linked}
+    for role in (*roles_of(()), *linked):
         folder = issued / role
         if not folder.is_dir() or _is_good(folder / f"{role}.pem", authority.folder / "authority.pem", days):
             continue
-        authority.issue(role, days, HOSTS if role == ROUTER else ())
+        authority.issue(role, days, hosts.get(role, ()))
         for name in (f"{role}.key.pem", f"{role}.pem"):
             shutil.move(authority.folder / name, folder / name)
         shutil.copy(authority.folder / "authority.pem", folder / "authority.pem")
@@ -94,9 +99,10 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("/authority"), help="where its own key lies")
     parser.add_argument("--issued", type=Path, default=Path("/issued"), help="one folder a role")
     parser.add_argument("--days", type=float, default=90.0)
+    parser.add_argument("--router", action="append", default=[], metavar="NAME", help="a further, linked router")
     options = parser.parse_args()
     authority = Authority(options.folder, options.fleet)
-    issue_to_services(authority, options.issued, options.days)
+    issue_to_services(authority, options.issued, options.days, tuple(options.router))
     Enrolment.authority, Enrolment.days = authority, options.days
     with Server(("0.0.0.0", PORT), Enrolment) as server:
         READY.touch()  # for the health check: who depends on certificates may start

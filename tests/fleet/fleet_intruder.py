@@ -1,7 +1,7 @@
 """Runs in a container on the fleet's bus and tries what it should not: says as one line of JSON what it did.
 
 ``enter``: opens a session as HOW says. ``capture``: records what robots are told. ``act``: commands a robot to drive at
-full speed, for the ticks to come. ``replay``: sends what was captured, again. ``large``, ``malformed``: sends bytes
+full speed, or HOW. ``replay``: sends what was captured, again. ``large``, ``malformed``: sends bytes
 that are no command. ``enrol``: asks the authority for a robot's certificate.
 """
 
@@ -16,18 +16,18 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.authority import Authority
 from safedpa.bus.certificates import Certificates
-from safedpa.bus.codec import encode
-from safedpa.bus.messages import ActionMessage
+from safedpa.bus.codec import decode, encode
+from safedpa.bus.messages import ActionMessage, StateMessage
 from safedpa.errors import SafedpaError
 
 SECONDS = 3.0
 TICK_SECONDS = 0.05
-AHEAD = 3
 Send = Callable[[str, bytes], None]
 
 
@@ -75,17 +75,20 @@ def capture(transport: ZenohTransport) -> dict[str, Any]:
     return {"heard": list(heard)}
 
 
-def act(options: argparse.Namespace, send: Send) -> int:
-    """Full speed for every tick that may be the robot's next one."""
-    sent, begin, last = 0, time.monotonic(), options.tick
-    while (passed := time.monotonic() - begin) < SECONDS:
-        newest = options.tick + round(passed / TICK_SECONDS) + AHEAD
-        for tick in range(last, newest + 40):
-            for place in (options.robot, "*"):
-                send(f"safedpa/fleet/{place}/{options.topic}", _action(options.epoch, tick))
-                sent += 1
-        last = newest
-        time.sleep(TICK_SECONDS / 2.0)
+def act(options: argparse.Namespace, transport: ZenohTransport, send: Send) -> int:
+    """A command for every state that is heard, at once: before the filter has decided; under a wildcard as well."""
+    states: SimpleQueue[bytes] = SimpleQueue()
+    transport.subscribe(f"safedpa/fleet/{options.robot}/state", lambda _key, payload: states.put(payload))
+    values = (0.0, 0.0) if options.how == "brake" else (4.0, 0.3)
+    sent, end = 0, time.monotonic() + SECONDS
+    while (rest := end - time.monotonic()) > 0.0:
+        try:
+            state = decode(StateMessage, states.get(timeout=rest))
+        except Empty:
+            break
+        for place in (options.robot, "*"):
+            send(f"safedpa/fleet/{place}/{options.topic}", _action(state.epoch, state.tick, values))
+            sent += 1
     return sent
 
 
@@ -145,7 +148,7 @@ def _on_the_bus(options: argparse.Namespace) -> dict[str, Any]:
         if options.what == "capture":
             return capture(transport)
         if options.what == "act":
-            return {"sent": act(options, send)}
+            return {"sent": act(options, transport, send)}
         if options.what == "replay":
             return {"sent": replay(send)}
         payloads = [bytes(1_000_000)] * 5 if options.what == "large" else list(malformed(options))

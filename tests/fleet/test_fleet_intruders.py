@@ -36,7 +36,7 @@ class Attempt:
         did: dict[str, Any] = json.loads(done.stdout)
         return did
 
-    def moved_nobody(self, driving: bool = True) -> str:
+    def moved_nobody(self) -> str:
         """Every action that a robot applied was its filter's; nobody collided; the victim is driven on."""
         victim = self.before["robots"][VICTIM]["checked"]
         after = self.watch.until(lambda told: told["robots"][VICTIM]["checked"] > victim + 40, 30.0)
@@ -91,7 +91,7 @@ def test_a_certificate_of_the_wrong_role_commands_nothing(
     role: str, topic: str, attempt: Attempt, rows: list[tuple[str, ...]]
 ) -> None:
     did = attempt.make(f"{role}-key", "act", "--role", role, "--topic", topic)
-    assert did["sent"] > 100, did
+    assert did["sent"] > 20, did
     moved = attempt.moved_nobody()
     told = attempt.logged("router", "bus.denied", lambda event: event.get("service") == role and topic in event["key"])
     rows.append((f"{topic} with the certificate of {role}", moved, told))
@@ -141,14 +141,14 @@ def test_the_authority_signs_nothing_for_a_container_that_is_no_robot(
     attempt: Attempt, rows: list[tuple[str, ...]]
 ) -> None:
     did = attempt.make("", "enrol", network="enrolment")
-    assert did == {"got": ""}
+    assert not did.get("got"), did
     told = attempt.logged("authority", "authority.refused")
     rows.append(("request for a robot's certificate", attempt.moved_nobody(), told))
 
 
 def test_a_stranger_with_the_key_and_the_tick_would_be_seen(attempt: Attempt, rows: list[tuple[str, ...]]) -> None:
     """The twin of all above: who holds the filter's key is the filter, and the check that nobody was moved can fail."""
-    attempt.make("safety-filter-key", "act", "--role", "safety_filter")
+    attempt.make("safety-filter-key", "act", "--role", "safety_filter", "--how", "brake")
     seen = attempt.watch.until(lambda told: told["robots"][VICTIM]["foreign"] > 0, 10.0)
     assert seen is not None
     rows.append(("action with the stolen key of the filter", "MOVES the robot, as it must: the check can fail"))

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 
 from safedpa.bus import ACTION, HEALTH, SETUP, STATE, Bus, Received
+from safedpa.bus.log import log_event
 from safedpa.bus.messages import ActionMessage, HealthMessage, SetupMessage, StateMessage
 from safedpa.bus.setup import SETUP_SECONDS
 from safedpa.bus.version import software_version
@@ -31,6 +32,8 @@ _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
 """The loop looks at ``stopped`` and its heartbeat at least so often."""
 _LONGEST_BRAKING_SECONDS = 5.0
+_USUAL_IN_LOCKSTEP = ("late", "repeated")
+"""A state that is repeated is answered again."""
 _MOST_TOLD_LATENCIES = 100
 
 
@@ -180,10 +183,19 @@ class RobotLoop:
                     self._accepted = item.message
                     self.latencies.append(item.at - self._published)
             self._detail = f"refused: {reason}" if reason else ""
+            if reason:
+                self._tell_refusal(reason)
         if self._clock() >= self._next_heartbeat:
             self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
             self._tell_health("running")
             self._tell_setup()
+
+    def _tell_refusal(self, reason: str) -> None:
+        if self.robot.lockstep and reason in _USUAL_IN_LOCKSTEP:
+            return
+        sentence = f"an action was refused: {reason}"
+        tick = self.robot.tick
+        log_event("message.refused", sentence, level="warning", robot=self._name, tick=tick, service="robot")
 
     def _why(self) -> str:
         return f" ({self._detail})" if self._detail else ""
