@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 @click.option("--model", metavar="MODEL", help="What if: the filter had this model (file, or name of a shipped one).")
 @click.option("--eta", type=float, metavar="X", help="What if: the filter had this eta.")
 @click.option("--margin", metavar="X|FILE", help="What if: this margin, as a number or a file of 'safedpa calibrate'.")
+@click.option("--filtered", is_flag=True, help="What if: the filter had not been switched off.")
 @click.option("--closed-loop", is_flag=True, help="Drive the recorded scene again (simulated robots only).")
 @click.option("--exact", is_flag=True, help="Fail on a different last digit, too.")
 @click.option("--recorded-model", default="", metavar="MODEL", help="Of a recording that does not tell its setup.")
@@ -39,7 +40,7 @@ def command(**options: Any) -> int:
     """Feed recorded messages through the real services, and compare all that they say, field by field.
 
     RUN is the folder of a run, or its recording (.mcap); of several recordings one goes on where the other ended. Exit
-    code 0: identical (or only looked at under --model, --eta or --margin), 1: something came out differently.
+    code 0: identical (or only looked at under another model, eta or margin), 1: something came out differently.
     """
     from safedpa.dynamics import load_own
     from safedpa.replay.assumed import complete_setups
@@ -81,7 +82,7 @@ def _change(options: dict[str, Any]) -> Change:
         except ValueError:
             margin = MarginCalibration.load(Path(options["margin"]))
     model = None if options["model"] is None else load_model(options["model"])
-    return Change(model, options["eta"], margin)
+    return Change(model, options["eta"], margin, options["filtered"])
 
 
 def _compared(tape: Tape, assumed: list[str], options: dict[str, Any]) -> int:
@@ -134,6 +135,7 @@ def _changed(tape: Tape, change: Change, assumed: list[str], options: dict[str, 
 
 def _words(options: dict[str, Any]) -> str:
     given = [f"{name} {options[name]}" for name in ("model", "eta", "margin") if options[name] is not None]
+    given += ["the filter on"] if options["filtered"] else []
     return ", ".join(given) or "nothing changed"
 
 

@@ -52,11 +52,13 @@ class Change:
     model: PhysicsModel | None = None
     eta: float | None = None
     margin: float | MarginCalibration | None = None
+    filtered: bool = False
+    """Whether a filter that was switched off is on."""
 
     @property
     def is_none(self) -> bool:
         """Whether nothing is."""
-        return self.model is None and self.eta is None and self.margin is None
+        return self.model is None and self.eta is None and self.margin is None and not self.filtered
 
     def applied(self, setup: SetupMessage) -> SetupMessage:
         """A service's setup with what is different. Raises InputError for values that no filter can have."""
@@ -64,6 +66,7 @@ class Change:
         if setup.service != "safety_filter":
             return changed
         settings = parse_settings(setup.settings)
+        settings = replace(settings, enabled=settings.enabled or self.filtered)
         if self.eta is not None:
             settings = replace(settings, eta=self.eta)
         if isinstance(self.margin, MarginCalibration):
