@@ -186,3 +186,41 @@ def test_a_fleets_own_folder_is_no_recording(small_fleet):
     found = robots_in_folder(small_fleet.folder / "recordings")
     assert [robot.name for robot in found.robots] == [f"car_{i:03d}" for i in range(5)]
     assert found.by == "folder"
+
+
+def test_the_experiment_counts_what_is_wrong():
+    from safedpa_sim.experiments.fleet_diagnosis import judged_fleet
+
+    def group(kind, robots, *effects):
+        found = [{"effect": effect, "indistinguishable_from": [], "parameters": {}} for effect in effects]
+        return {"kind": kind, "robots": robots, "effects": found}
+
+    groups = [
+        group("missing", ["a"], "payload"),
+        group("missing", ["b", "c"], "understeer"),
+        group("nothing", ["d", "e"]),
+    ]
+    rows = [{"robot": name, "found": []} for name in "abcde"]
+    document = {"groups": groups, "robots": rows, "common": None, "false_discovery": {}}
+    truth = {"a": {}, "b": {"understeer": {}}, "c": {}, "d": {"payload": {}}, "e": {}}
+    result = judged_fleet(document, truth)
+    assert (result["hidden"]["hits"], result["hidden"]["of"]) == (1, 2)
+    assert (result["healthy"]["hits"], result["healthy"]["of"]) == (1, 3)
+    assert (result["groups_right"], result["groups_hidden"], result["groups_false"]) == (0, 2, 1)
+    assert [row["robot"] for row in result["wrong"]] == ["a", "c", "d"]
+
+
+def test_what_is_hidden_in_all_counts_in_no_robot():
+    from safedpa_sim.experiments.fleet_diagnosis import judged_fleet
+
+    found = [{"effect": "quadratic_drag", "indistinguishable_from": [], "parameters": {}}]
+    groups = [
+        {"kind": "missing", "robots": ["a"], "effects": found},
+        {"kind": "nothing", "robots": ["b"], "effects": []},
+    ]
+    common = {"effects": [{"effect": "quadratic_drag", "confirmed": {"holds": True}}]}
+    rows = [{"robot": name, "found": []} for name in "ab"]
+    document = {"groups": groups, "robots": rows, "common": common, "false_discovery": {}}
+    result = judged_fleet(document, {"a": {"quadratic_drag": {}}, "b": {"quadratic_drag": {}}})
+    assert result["healthy"]["hits"] == 2
+    assert result["common_hidden"] == result["common_named"] == ["quadratic_drag"]

@@ -6,7 +6,7 @@ import os
 import platform
 import resource
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
@@ -71,11 +71,13 @@ def _pool(jobs: int, work: Any, items: Sequence[Any], failed: Any) -> Any:
 def judged_fleet(document: Mapping[str, Any], truth: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Whether every robot stands in a group that names what is hidden in it, and the groups are those of the truth.
 
-    A group names an effect that it holds, or that its robots' data cannot tell from one that it holds.
+    A group names an effect that it holds, or that its robots' data cannot tell from one that it holds. What is hidden
+    in all robots has to be named as common; in a robot it counts neither way.
     """
-    groups = document["groups"]
+    groups, shared = document["groups"], set.intersection(*(set(own) for own in truth.values()))
+    truth = {name: {key: own[key] for key in own if key not in shared} for name, own in truth.items()}
     place = {name: group for group in groups for name in group["robots"]}
-    rows = [_robot(name, hidden, place[name], document) for name, hidden in truth.items()]
+    rows = [_robot(name, hidden, place[name], document, shared) for name, hidden in truth.items()]
     healthy = [row for row in rows if not row["hidden"]]
     ill = [row for row in rows if row["hidden"]]
     false = [group for group in groups if group["kind"] in ("missing", "unexplained") and not _any_hidden(group, truth)]
@@ -88,6 +90,8 @@ def judged_fleet(document: Mapping[str, Any], truth: Mapping[str, Mapping[str, A
         "groups_false": len(false),
         "within_two_deviations": _share([value <= 2.0 for value in deviations]),
         "largest_deviation": max(deviations, default=None),
+        "common_hidden": sorted(shared),
+        "common_named": sorted(_common_named(document)),
         "common": document["common"],
         "false_discovery": document["false_discovery"],
         "groups": groups,
@@ -95,19 +99,31 @@ def judged_fleet(document: Mapping[str, Any], truth: Mapping[str, Mapping[str, A
     }
 
 
+def _common_named(document: Mapping[str, Any]) -> list[str]:
+    """Effects that were written into the model of the whole fleet."""
+    common = document["common"] or {"effects": []}
+    return [item["effect"] for item in common["effects"] if item["confirmed"]["holds"]]
+
+
 def _robot(
-    name: str, hidden: Mapping[str, Mapping[str, float]], group: Mapping[str, Any], document: Mapping[str, Any]
+    name: str,
+    hidden: Mapping[str, Mapping[str, float]],
+    group: Mapping[str, Any],
+    document: Mapping[str, Any],
+    shared: Set[str],
 ) -> dict[str, Any]:
     found = next(row for row in document["robots"] if row["robot"] == name)
-    missing = group["kind"] == "missing"
     named = [{item["effect"], *item["indistinguishable_from"]} for item in group["effects"]]
+    named = [each for each in named if not each & shared]
+    missing = group["kind"] == "missing"
+    nothing = group["kind"] == "nothing" or (missing and not named)
     right = all(any(effect in each for each in named) for effect in hidden) and len(hidden) == len(named)
     return {
         "robot": name,
         "hidden": list(hidden),
         "found": [item["effect"] for item in group["effects"]],
         "kind": group["kind"],
-        "right": (missing and right) if hidden else group["kind"] == "nothing",
+        "right": (missing and right) if hidden else nothing,
         "deviations": _deviations(hidden, found["found"]),
     }
 
@@ -196,16 +212,26 @@ def _rows(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     memory = (result["memory_mebibytes_of_a_worker"], result["memory_mebibytes_of_the_command"])
     kinds = f"{result['groups_right']} of {result['groups_hidden']}"
     clock = f"{result['wall_seconds']:.0f} s with {result['jobs']} processes, load {load:g} on {os.cpu_count()} cores"
+    if result["diagnosed_now"] < result["robots"]:
+        clock += f"; {result['robots'] - result['diagnosed_now']} robots had been diagnosed before"
     return [
         ("robots with something hidden that stand in a group that names it", _of(result["hidden"])),
         ("kinds of faults of which all robots, and no other, make up one group", kinds),
         ("robots with nothing hidden of which that is said", _of(result["healthy"])),
         ("false groups", str(result["groups_false"])),
+        *_common_rows(result),
         ("numbers within two stated deviations of the truth", _of(result["within_two_deviations"])),
         ("seconds of one core a robot: median, largest", f"{seconds['median']:.1f}, {seconds['largest']:.1f}"),
         ("memory of a worker, of the command at most", f"{memory[0]} MiB, {memory[1]} MiB"),
         ("by the clock", clock),
     ]
+
+
+def _common_rows(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    if not result["common_hidden"] and not result["common_named"]:
+        return []
+    words = [", ".join(result[key]) or "nothing" for key in ("common_hidden", "common_named")]
+    return [(f"hidden in all robots: {words[0]}; written into the model of all", words[1])]
 
 
 def _group_line(group: Mapping[str, Any]) -> str:
