@@ -24,6 +24,7 @@ LATE_SHARE = 0.001
 _SERVICES = ("adaptation", "policy", "safety_filter")
 _PATIENCE_SECONDS = 60.0
 """Beyond what a run takes, until it is given up."""
+_LOOK_SECONDS = 0.1
 _SMALLEST_STEP = 1.06
 """Ratio of two fleet sizes that are not told apart any more."""
 
@@ -44,9 +45,10 @@ class FleetTrial:
     """Ask for real-time scheduling, as ``safedpa up`` does."""
 
 
-def fleet_benchmark(trial: FleetTrial) -> dict[str, Any]:
+def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda _done, _all: None) -> dict[str, Any]:
     """Drives the fleet and tells late ticks, sense to act, and each process's processor time and memory.
 
+    ``tell(seconds, of)`` hears how far it is.
     Raises SafedpaError when a process ends by itself, or the fleet does not come to its end in time.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -56,7 +58,13 @@ def fleet_benchmark(trial: FleetTrial) -> dict[str, Any]:
         with _running(children):
             _await(begun, children, _PATIENCE_SECONDS)
             before = _usages(children)
-            _await(summary, children, trial.seconds + _PATIENCE_SECONDS)
+            began = time.monotonic()
+            _await(
+                summary,
+                children,
+                trial.seconds + _PATIENCE_SECONDS,
+                lambda: tell(round(min(time.monotonic() - began, trial.seconds)), round(trial.seconds)),
+            )
             after = _usages(children)
             account = json.loads(summary.read_text(encoding="utf-8"))
     ticks = max(account["robot_ticks"], 1)
@@ -124,15 +132,16 @@ def _running(children: list[Child]) -> Iterator[None]:
             child.end(2.0)
 
 
-def _await(file: Path, children: list[Child], patience: float) -> None:
+def _await(file: Path, children: list[Child], patience: float, tell: Callable[[], None] = lambda: None) -> None:
     deadline = time.monotonic() + patience
     while not file.exists():
+        tell()
         for child in children:
             if child.exit_code is not None:
                 raise SafedpaError(f"{child.name} ended with exit code {child.exit_code}: {child.last_words()}")
         if time.monotonic() > deadline:
             raise SafedpaError(f"the fleet was not ready within {patience:.0f} s: {children[0].last_words()}")
-        time.sleep(0.02)
+        time.sleep(_LOOK_SECONDS)
 
 
 def _usages(children: list[Child]) -> dict[str, Usage | None]:

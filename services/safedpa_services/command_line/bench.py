@@ -56,6 +56,7 @@ def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **o
     """Many robots through one process of each service: late ticks, sense to act, processor time, memory."""
     from safedpa_services.benchmarks.fleet import FleetTrial, fleet_benchmark, largest_fleet
     from safedpa_services.benchmarks.latency import bare_chain
+    from safedpa_services.progress import progress
 
     _check(seconds, options["rate"])
     if not 1 <= robots <= 1000:
@@ -69,11 +70,15 @@ def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **o
         if not as_json:
             _show(result)
 
+    def measure(wanted: FleetTrial) -> dict[str, Any]:
+        with progress(f"{wanted.robots} robots") as tell:
+            return fleet_benchmark(wanted, tell)
+
     if not as_json:
         click.echo(f"bare chain of as many processes, one robot: p50 {bare['p50']:.0f}, p99 {bare['p99']:.0f} us")
-    largest = largest_fleet(trial, measured, fleet_benchmark) if find_largest else None
+    largest = largest_fleet(trial, measured, measure) if find_largest else None
     if not find_largest:
-        measured(fleet_benchmark(trial))
+        measured(measure(trial))
     if as_json:
         found = {} if largest is None else {"largest_fleet": largest}
         click.echo(json.dumps({"bare_chain_us": bare, **found, "trials": results}))
