@@ -145,3 +145,17 @@ def test_plain_text_beyond_this_machine_is_said_loudly(free_port: int, capsys: p
     assert capsys.readouterr().err == ""
     ZenohTransport(ZenohSettings("router", (f"tcp/0.0.0.0:{free_port}",))).close()
     assert '"kind": "bus.plain_text"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "milliseconds"),
+    [
+        (ZenohSettings(), 2000),
+        (ZenohSettings(listen=("tcp/127.0.0.1:7447",)), 2000),
+        (ZenohSettings(connect=("tcp/10.0.0.1:7447",)), 500),
+        (ZenohSettings("client", (), ("tcp/127.0.0.1:7447",)), 500),
+        (ZenohSettings("router", ("tcp/127.0.0.1:7447",)), 500),
+    ],
+)
+def test_a_partition_is_noticed_within_half_a_second(settings: ZenohSettings, milliseconds: int) -> None:
+    assert settings.configuration()["transport/link/tx/lease"] == milliseconds

@@ -30,6 +30,10 @@ __all__ = ["Mode", "ZenohSettings", "ZenohTransport"]
 Mode = Literal["peer", "client", "router"]
 
 _LEASE_MILLISECONDS = 500
+_LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
+"""No network parts peers on one machine, but a machine that has too much to do keeps signs of life waiting for 0.5 s
+and more, and a link between peers that found each other is not made anew. A process that dies is seen at once anyway.
+"""
 _ALIVE_TIMEOUT_SECONDS = 1.0
 
 
@@ -75,6 +79,11 @@ class ZenohSettings:
             if not endpoint.startswith("tls/") and not _is_loopback(endpoint)
         )
 
+    @property
+    def _lease_milliseconds(self) -> int:
+        alone = self.mode == "peer" and all(map(_is_loopback, (*self.listen, *self.connect)))
+        return _LEASE_ON_ONE_MACHINE_MILLISECONDS if alone else _LEASE_MILLISECONDS
+
     def configuration(self) -> dict[str, Any]:
         """The Zenoh configuration as paths and values."""
         alone = not self.listen and not self.connect
@@ -91,7 +100,7 @@ class ZenohSettings:
             "scouting/gossip/enabled": self.mode == "peer",
             "scouting/delay": 200 if alone else 0,
             "timestamping/enabled": True,
-            "transport/link/tx/lease": _LEASE_MILLISECONDS,
+            "transport/link/tx/lease": self._lease_milliseconds,
             "transport/shared_memory/enabled": False,
             **({} if self.certificates is None else _tls(self.certificates)),
             **({} if self.access is None else {"access_control": dict(self.access)}),
