@@ -125,6 +125,8 @@ def test_a_driving_car_stands_until_it_may_go(enabled: bool) -> None:
     speeds = [abs(tick.state.values[3]) for tick in seen]
     assert speeds[15] > 0.3, "it drove"
     assert {tick.verdict.status for tick in seen[17:80]} == {"stopped"}
+    assert {tick.verdict.ordered for tick in seen[17:80]} == {"ordered by a test"}
+    assert {tick.verdict.ordered for tick in (*seen[:16], *seen[81:])} == {""}
     assert max(speeds[60:80]) < 0.02
     places = np.array([tick.state.values[:2] for tick in seen[60:80]])
     assert np.ptp(places, axis=0).max() < 0.01, "it stays where it stands"

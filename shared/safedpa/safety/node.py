@@ -119,7 +119,7 @@ class SafetyFilterNode(AbstractNode):
             "epsilon": memory.margin.epsilon,
             "stale": stale,
         }
-        ordered = self.orders.reason(robot)
+        ordered = memory.ordered = self.orders.reason(robot)
         if ordered:
             verdict = memory.filter.stop(ordered, state.values, latent, stands=not state.corridor, **known)
         elif holds:
