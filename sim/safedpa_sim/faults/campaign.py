@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import random
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +31,7 @@ _AFTERWARDS_SECONDS = 1.0
 _HASTE_SECONDS = 1.5
 _FLUSH_SECONDS = 0.7
 """The recorder writes within half a second."""
-_LARGEST_DISTURBED_SHARE = 0.05
+_LARGEST_DISTURBED_SHARE = 0.1
 """Of periods, where the loop must not notice: a busy machine costs one now and then."""
 _LEAST_DRIVEN_SHARE = 0.3
 """Of periods, where it must go on driving."""
@@ -146,6 +147,7 @@ def _run(fault: Fault, world: World, *, is_hasty: bool) -> _Lived:
     if not world.until(lambda: _is_fast(world), patience) and not is_hasty:
         world.members["robot"].restart()  # it stands somewhere; from its start it drives off at once
         world.until(lambda: _is_fast(world), _DRIVING_PATIENCE_SECONDS)
+    world.listen(random.Random(f"{world.settings.seed} {fault.name}").uniform(0.0, _PERIOD))
     speed, struck = _speed(world), time.monotonic()
     fault.strike(world)
     world.listen(fault.seconds)

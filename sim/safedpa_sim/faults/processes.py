@@ -18,6 +18,8 @@ _BESIDE = ("diagnosis", "recorder")
 """The loop must not even notice their end."""
 _PAUSE_SECONDS = 2.0
 _START_SECONDS = 20.0
+_INTO_THE_PERIOD_SECONDS = 0.02
+"""Of 0.05 s; the action is there after a few milliseconds and acts after 0.045 s."""
 _SILENT_SECONDS = 0.75
 """Three heartbeats."""
 
@@ -48,7 +50,7 @@ def paused() -> list[Fault]:
         Fault(
             f"stop {name}",
             f"SIGSTOP of {name} for {_PAUSE_SECONDS:.0f} s",
-            strike=_send(name, signal.SIGSTOP),
+            strike=_stop_with_an_action if name == "robot" else _send(name, signal.SIGSTOP),
             mend=_send(name, signal.SIGCONT),
             seconds=_PAUSE_SECONDS,
             look=nothing_to_see if name == "router" else _shows(name, alive=False),
@@ -121,6 +123,14 @@ def _restart(*names: str) -> Work:
 
 def _send(name: str, number: signal.Signals) -> Work:
     return lambda world: world.members[name].send(number)
+
+
+def _stop_with_an_action(world: World) -> None:
+    """In the middle of a period, when the robot holds the action of this tick and has not begun to act on it."""
+    before = world.observer.newest
+    world.until(lambda: world.observer.newest != before, _START_SECONDS)
+    world.listen(_INTO_THE_PERIOD_SECONDS)
+    world.members["robot"].send(signal.SIGSTOP)
 
 
 def _shows(name: str, *, alive: bool) -> Look:
