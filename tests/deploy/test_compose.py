@@ -36,7 +36,7 @@ from robot import command as robot_command  # noqa: E402  deploy/ is no package
 
 DOCKERFILE = (ROOT / "deploy" / "Dockerfile").read_text(encoding="utf-8")
 LOOP = ("router", "safety_filter", "adaptation", "policy", "diagnosis", "recorder", "robot")
-PAGES = ("dashboard", "workbench")
+PAGES = ("dashboard", "metrics", "workbench")
 WRITES = {"recorder": ["recordings:/recordings"], "diagnosis": ["versions:/versions"]}
 
 each_service = pytest.mark.parametrize("name", sorted(SERVICES))
@@ -147,7 +147,7 @@ def test_what_is_installed_by_name_has_a_pinned_version() -> None:
     joined = DOCKERFILE.replace("\\\n", " ")
     named = re.findall(r"--constraint \S+((?: +[a-z][a-z0-9-]*)+)", joined)
     assert {name for names in named for name in names.split()} <= pinned
-    assert len(named) == 5
+    assert len(named) == 6
 
 
 class OutsideContainers:
