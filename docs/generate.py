@@ -25,6 +25,7 @@ from safedpa.bus import (
     messages,
     requests,
 )
+from safedpa.bus.access import ROLES, may_write
 from safedpa.bus.events import KINDS
 from safedpa.diagnosis.live.node import DiagnosisNode
 from safedpa.policy import PolicyNode
@@ -82,6 +83,23 @@ def fields() -> str:
     return _fields_of([Message, ComputedMessage, *(topic.message for topic in TOPICS.values())], messages)
 
 
+def roles() -> str:
+    """Who may do what on a secured bus, from the table of roles and the writer column."""
+    rows = ["| role | writes | reads | asks | answers |", "|---|---|---|---|---|"]
+    for role in ROLES.values():
+        own = f"/{role.name}"
+        writes = [
+            topic.name + (own if topic.per_service else "") for topic in TOPICS.values() if may_write(role, topic)
+        ]
+        reads = "everything" if set(role.reads) == set(TOPICS.values()) else ", ".join(t.name for t in role.reads)
+        name = "robot.NAME (its own topics alone)" if role.name == "robot" else role.name
+        rows.append(
+            f"| {name} | {', '.join(writes) or '-'} | {reads} | {', '.join(role.asks) or '-'} "
+            f"| {', '.join(role.answers) or '-'} |"
+        )
+    return "\n".join(rows)
+
+
 def asked() -> str:
     """Requests and answers with their fields."""
     return _fields_of([Request, Answer], requests)
@@ -128,7 +146,15 @@ def _text(node: ast.stmt | None) -> str:
     return ""
 
 
-GENERATED = {"topics": topics, "flow": flow, "fields": fields, "asked": asked, "events": events, "metrics": metrics}
+GENERATED = {
+    "topics": topics,
+    "flow": flow,
+    "fields": fields,
+    "asked": asked,
+    "events": events,
+    "metrics": metrics,
+    "roles": roles,
+}
 
 
 def renewed(text: str) -> str:

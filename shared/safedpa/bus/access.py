@@ -188,12 +188,12 @@ def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) 
         key_of(fleet, robot, topic, role.name)
         for topic in TOPICS.values()
         for robot in writes_for
-        if _may_write(role, topic, robot)
+        if may_write(role, topic, robot)
     )
     written = tuple(
         key_of(fleet, "*", topic, "*")  # as readers subscribe to it: a publisher who hears of no reader sends nothing
         for topic in TOPICS.values()
-        if any(_may_write(role, topic, robot) for robot in writes_for)
+        if any(may_write(role, topic, robot) for robot in writes_for)
     )
     reads = tuple(key_of(fleet, reads_of, topic, "*") for topic in role.reads)
     asks = tuple(request_key(fleet, reads_of, kind) for kind in role.asks)
@@ -215,7 +215,8 @@ def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) 
     ]
 
 
-def _may_write(role: Role, topic: Topic, robot: str) -> bool:
+def may_write(role: Role, topic: Topic, robot: str = "") -> bool:
+    """Whether a role writes a topic, of a robot or, with the robot ``-``, of a service for the whole fleet."""
     if not topic.per_service:
         return role.name == topic.writer and robot != NOBODY
     return role.takes_over if topic is TAKEOVER else role.lives
