@@ -87,11 +87,9 @@ def _draw(document: dict[str, Any], picture: Path | None) -> None:
 
 def _write_svg(drawn: Console, title: str, picture: Path) -> None:
     """What was drawn, in a font that the reader's machine has; nothing in the file points to another host."""
-    from rich.console import CONSOLE_SVG_FORMAT
-
-    form = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL)
-    form = re.sub(r"<!-- .*? -->", "", form)
-    text = drawn.export_svg(title=title, unique_id="safedpa", code_format=form)
+    text = drawn.export_svg(title=title, unique_id="safedpa")
+    text = re.sub(r"@font-face \{.*?\}", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!-- .*? -->", "", text)
     try:
         picture.write_text(text, encoding="utf-8")
     except OSError as error:

@@ -229,6 +229,7 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
     where += f" --certificates {plan.certificates}" if plan.certificates is not None else ""
     hints = [f"recording {plan.recording}", f"others join with {where}"]
+    hints.append(f"how it is: safedpa status --watch {where}")
     if plan.workbench_port:
         hints.append(f"workbench http://127.0.0.1:{plan.workbench_port}/live")
     if plan.diagnosis:
