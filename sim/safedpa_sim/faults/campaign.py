@@ -12,11 +12,12 @@ from pathlib import Path
 
 from safedpa_sim.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
 from safedpa_sim.faults.fault import Fault
+from safedpa_sim.faults.outcome import Campaign, Outcome, joined
 from safedpa_sim.faults.recorded import Recorded, read_recorded
 from safedpa_sim.faults.world import ROBOT, World, WorldSettings
 from safedpa_sim.robots.trace import LivedPeriod, read_trace
 
-__all__ = ["DEFAULT_SEED", "Campaign", "Outcome", "run_faults"]
+__all__ = ["DEFAULT_SEED", "run_faults"]
 
 DEFAULT_SEED = 9
 """A scene in which the car is seldom slower than a fault wants it for more than a few seconds."""
@@ -35,51 +36,6 @@ _LARGEST_DISTURBED_SHARE = 0.1
 """Of periods, where the loop must not notice: a busy machine costs one now and then."""
 _LEAST_DRIVEN_SHARE = 0.3
 """Of periods, where it must go on driving."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What one fault did, from its beginning to a second after the loop drove again."""
-
-    name: str
-    sentence: str
-    held: bool
-    """Whether every invariant held."""
-    broken: tuple[str, ...]
-    """Those that did not, in words."""
-    speed: float
-    """m/s when it struck."""
-    collisions: int
-    stale_actions: int
-    """Applied, and older than allowed or of another state."""
-    periods: int
-    watchdog: int
-    """Periods in which the robot braked by itself."""
-    fallbacks: int
-    """Periods in which the filter braked for want of an input."""
-    recovery_seconds: float | None
-    """From the recovery until the loop drove again; 0 when it had never stopped, None when it did not."""
-    whole_seconds: float | None
-    """From the recovery until every process had told its health again; None when one did not."""
-    states_not_recorded: int
-    verdicts_not_recorded: int
-    """Of those that were heard on the bus."""
-
-
-@dataclass(frozen=True)
-class Campaign:
-    """What came of all faults."""
-
-    outcomes: tuple[Outcome, ...]
-    acknowledged: int
-    """Messages that the recorders said were on the disk."""
-    recorded: int
-    """Messages that can be read from the recordings; fewer than acknowledged would be a broken promise."""
-
-    @property
-    def held(self) -> bool:
-        """Whether every invariant of every fault held, and no acknowledged message was lost."""
-        return all(outcome.held for outcome in self.outcomes) and self.recorded >= self.acknowledged
 
 
 @dataclass(frozen=True)
@@ -108,28 +64,23 @@ def run_faults(
     ``folder`` keeps what the processes wrote. ``is_hasty``: faults last at most 1.5 s and hardly wait for the car to be
     fast. Raises SafedpaError when a fleet does not come up at all.
     """
-    outcomes: list[Outcome] = []
-    acknowledged = recorded = 0
+    parts: list[Campaign] = []
     waiting = [_hastened(fault) for fault in faults] if is_hasty else list(faults)
     with tempfile.TemporaryDirectory(prefix="safedpa-faults-") as own:
-        for number in itertools.count():
-            if not waiting:
-                break
-            settings = WorldSettings(seed=seed + number, diagnosis=waiting[0].diagnosis)
-            world = World((folder or Path(own)) / f"world-{number}", settings)
+        while waiting:
+            done = len(faults) - len(waiting)
+            settings = WorldSettings(seed=seed + len(parts), diagnosis=waiting[0].diagnosis)
+            world = World((folder or Path(own)) / f"world-{len(parts)}", settings)
             lived: list[_Lived] = []
             with world:
                 for fault in _of_one_world(waiting):
-                    tell(fault.name, len(outcomes) + len(lived), len(faults))
+                    tell(fault.name, done + len(lived), len(faults))
                     lived.append(_run(fault, world, is_hasty=is_hasty))
                     if not world.drives():
                         break
             waiting = waiting[len(lived) :]
-            kept = read_recorded(world.recordings, ROBOT)
-            outcomes += _judged(world, lived, kept)
-            acknowledged += sum(world.observer.acknowledged.values())
-            recorded += kept.messages
-    return Campaign(tuple(outcomes), acknowledged, recorded)
+            parts.append(_judged(world, lived))
+    return joined(parts)
 
 
 def _hastened(fault: Fault) -> Fault:
@@ -141,19 +92,16 @@ def _of_one_world(faults: Sequence[Fault]) -> Iterator[Fault]:
 
 
 def _run(fault: Fault, world: World, *, is_hasty: bool) -> _Lived:
-    patience = _HASTE_SECONDS if is_hasty else _FAST_PATIENCE_SECONDS
     fault.set_up(world)
-    world.until(lambda: not world.missing(0.0) and world.drives(), _DRIVING_PATIENCE_SECONDS)
-    if not world.until(lambda: _is_fast(world), patience) and not is_hasty:
-        world.members["robot"].restart()  # it stands somewhere; from its start it drives off at once
-        world.until(lambda: _is_fast(world), _DRIVING_PATIENCE_SECONDS)
-    world.listen(random.Random(f"{world.settings.seed} {fault.name}").uniform(0.0, _PERIOD))
+    _drive_off(fault, world, is_hasty=is_hasty)
     speed, struck = _speed(world), time.monotonic()
-    fault.strike(world)
-    world.listen(fault.seconds)
-    seen = fault.look(world)
-    mended = time.monotonic()
-    fault.mend(world)
+    try:
+        fault.strike(world)
+        world.listen(fault.seconds)
+        seen = fault.look(world)
+    finally:  # whatever happens here, nothing that a fault started stays on the machine
+        mended = time.monotonic()
+        fault.mend(world)
     whole = world.until(lambda: not world.missing(mended), fault.recovers_within)
     absent = [] if whole else [f"{name} is not back" for name in world.missing(mended)]
     back = time.monotonic() - mended if whole else None
@@ -167,6 +115,16 @@ def _run(fault: Fault, world: World, *, is_hasty: bool) -> _Lived:
     return lived
 
 
+def _drive_off(fault: Fault, world: World, *, is_hasty: bool) -> None:
+    """Returns at some moment of a period in which everything runs and the car is fast."""
+    world.until(lambda: not world.missing(0.0) and world.drives(), _DRIVING_PATIENCE_SECONDS)
+    patience = _HASTE_SECONDS if is_hasty else _FAST_PATIENCE_SECONDS
+    if not world.until(lambda: _is_fast(world), patience) and not is_hasty:
+        world.members["robot"].restart()  # it stands somewhere; from its start it drives off at once
+        world.until(lambda: _is_fast(world), _DRIVING_PATIENCE_SECONDS)
+    world.listen(random.Random(f"{world.settings.seed} {fault.name}").uniform(0.0, _PERIOD))
+
+
 def _is_fast(world: World) -> bool:
     return _speed(world) >= _FAST and world.drives()
 
@@ -176,11 +134,19 @@ def _speed(world: World) -> float:
     return 0.0 if state is None else float(state.values[3])
 
 
-def _judged(world: World, lived: Sequence[_Lived], recorded: Recorded) -> list[Outcome]:
+def _judged(world: World, lived: Sequence[_Lived]) -> Campaign:
     """After the world has ended: the trace is whole and the recordings are closed."""
-    observer = world.observer
-    evidence = Evidence(list(read_trace(world.trace)), observer.verdicts, observer.actions, _PERIOD)
-    return [_outcome(one, evidence, recorded) for one in lived]
+    observer, recorded = world.observer, read_recorded(world.recordings, ROBOT)
+    periods = list(read_trace(world.trace))
+    evidence = Evidence(periods, observer.verdicts, observer.actions, _PERIOD)
+    return Campaign(
+        outcomes=tuple(_outcome(one, evidence, recorded) for one in lived),
+        periods=len(periods),
+        collisions=collisions_in(periods),
+        stale_actions=len(stale_in(periods, evidence)),
+        acknowledged=sum(observer.acknowledged.values()),
+        recorded=recorded.messages,
+    )
 
 
 def _outcome(lived: _Lived, evidence: Evidence, recorded: Recorded) -> Outcome:

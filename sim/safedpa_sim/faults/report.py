@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +37,9 @@ def markdown_of(result: Mapping[str, Any]) -> str:
         f"`{result['command']}`, {result['date']}, {result['seconds']:.0f} s, {result['cores']} cores; load of the "
         f"machine {result['load_before']:.1f} at the beginning, {result['load_after']:.1f} at the end.",
         "",
-        f"**{held} of {len(rows)} held; {_sum(rows, 'collisions')} collisions, {_sum(rows, 'stale_actions')} stale "
-        f"actions in {_sum(rows, 'periods')} periods.** The recorders acknowledged {result['acknowledged']} messages; "
+        f"**{held} of {len(rows)} held; {result['collisions']} collisions, {result['stale_actions']} stale actions in "
+        f"{result['periods']} periods, those between the faults included.** The recorders "
+        f"acknowledged {result['acknowledged']} messages; "
         f"{result['recorded']} can be read.",
         "",
         _HEAD,
@@ -48,10 +49,6 @@ def markdown_of(result: Mapping[str, Any]) -> str:
     ]
     broken = [f"- {row['name']}: {'; '.join(row['broken'])}" for row in rows if not row["held"]]
     return "\n".join([*lines, *(["What did not hold:", "", *broken, ""] if broken else [])])
-
-
-def _sum(rows: Sequence[Mapping[str, Any]], name: str) -> int:
-    return sum(row[name] for row in rows)
 
 
 def _line(row: Mapping[str, Any]) -> str:

@@ -53,7 +53,8 @@ def command(**options: Any) -> None:
     else:
         _tell(result)
     if not result["held"]:
-        broken = [row["name"] for row in result["rows"] if not row["held"]] or ["the recorder's acknowledgement"]
+        between = "something between the faults, or the recorder's acknowledgement"
+        broken = [row["name"] for row in result["rows"] if not row["held"]] or [between]
         raise SafedpaError(f"faults: did not hold: {', '.join(broken)}")
 
 
@@ -80,6 +81,9 @@ def _measured(faults: Any, options: dict[str, Any]) -> dict[str, Any]:
         "load_before": load,
         "load_after": os.getloadavg()[0],
         "held": campaign.held,
+        "periods": campaign.periods,
+        "collisions": campaign.collisions,
+        "stale_actions": campaign.stale_actions,
         "acknowledged": campaign.acknowledged,
         "recorded": campaign.recorded,
         "rows": [dataclasses.asdict(outcome) for outcome in campaign.outcomes],
@@ -101,7 +105,10 @@ def _tell(result: dict[str, Any]) -> None:
     for row in result["rows"]:
         table.add_row(*_cells(row))
     Console(width=None if sys.stdout.isatty() else _PIPE_COLUMNS).print(table)
-    click.echo(f"recordings hold {result['recorded']} messages, {result['acknowledged']} were acknowledged")
+    click.echo(
+        f"{result['periods']} periods in all: {result['collisions']} collisions, {result['stale_actions']} stale "
+        f"actions; recordings hold {result['recorded']} messages, {result['acknowledged']} were acknowledged"
+    )
     for row in result["rows"]:
         if not row["held"]:
             click.echo(f"{row['name']}: {'; '.join(row['broken'])}")
