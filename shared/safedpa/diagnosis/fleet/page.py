@@ -88,12 +88,13 @@ def _card(group: Mapping[str, Any], number: int) -> dict[str, Any]:
 
 def _between(value: Mapping[str, Any]) -> str:
     """mean 0.45, each known to ± 0.001, ± 0.04 from robot to robot"""
+    if value["robots"] == 1:
+        return "" if value["stated"] is None else f"known to ± {value['stated']:.2g}"
     parts = [f"mean {value['mean']:.3g}"]
     if value["stated"] is not None:
         parts.append(f"each known to ± {value['stated']:.2g}")
-    if value["robots"] > 1:
-        apart = f"± {value['spread']:.2g}" if value["spread"] > 0 else "no more than that"
-        parts.append(f"{apart} from robot to robot")
+    apart = f"± {value['spread']:.2g}" if value["spread"] > 0 else "no more than that"
+    parts.append(f"{apart} from robot to robot")
     return ", ".join(parts)
 
 

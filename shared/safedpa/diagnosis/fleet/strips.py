@@ -83,7 +83,9 @@ def strip_figure(document: Mapping[str, Any], analysis: Analysis) -> dict[str, A
 
 
 def _wanted(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(effect, parameter) of everything that was found, by group; then (base, parameter) of what is free."""
+    """(effect, parameter): what all have in common, what was found, then (base, parameter) of what is free."""
+    common = (document["common"] or {"effects": []})["effects"]
+    shared = [(item["effect"], parameter) for item in common for parameter in item["parameters"]]
     found = [
         (item["effect"], parameter)
         for group in document["groups"]
@@ -91,7 +93,7 @@ def _wanted(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         for parameter in item["parameters"]
     ]
     free = [(path.split(".")[0], path.split(".")[1]) for path in document["free"]]
-    return list(dict.fromkeys(found + free))
+    return list(dict.fromkeys(shared + found + free))
 
 
 def _lanes(document: Mapping[str, Any], effect: str) -> list[int]:
