@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from safedpa.errors import InputError
 
 __all__ = ["markdown_of", "write_report"]
 
+_KINDS_HEAD = "| kind | faults | held | braked by robot, by filter | drives again after s | all back after s |"
 _HEAD = (
     "| fault | what happened | held | speed m/s | collisions | stale actions | periods | watchdog | fallback "
     "| drives again after s | all back after s | not recorded: states, verdicts |"
@@ -42,6 +43,12 @@ def markdown_of(result: Mapping[str, Any]) -> str:
         f"acknowledged {result['acknowledged']} messages; "
         f"{result['recorded']} can be read.",
         "",
+        _KINDS_HEAD,
+        "|---|---|---|---|---|---|",
+        *(_kind_line(kind, of_kind) for kind, of_kind in _kinds(rows).items()),
+        "",
+        "Times count from the recovery. 0.00: the loop had not stopped, but for at most two periods in a row.",
+        "",
         _HEAD,
         "|" + "---|" * _HEAD.count(" | ") + "---|",
         *(_line(row) for row in rows),
@@ -49,6 +56,28 @@ def markdown_of(result: Mapping[str, Any]) -> str:
     ]
     broken = [f"- {row['name']}: {'; '.join(row['broken'])}" for row in rows if not row["held"]]
     return "\n".join([*lines, *(["What did not hold:", "", *broken, ""] if broken else [])])
+
+
+def _kinds(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """By the first word of the name, up to a hyphen's moment: ``change-ready policy`` is a ``change``."""
+    kinds: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        word = row["name"].split()[0]
+        kinds.setdefault("change" if word.startswith("change-") else word, []).append(row)
+    return kinds
+
+
+def _kind_line(kind: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    periods = sum(row["periods"] for row in rows)
+    braked = ", ".join(f"{sum(row[name] for row in rows) / max(periods, 1):.0%}" for name in ("watchdog", "fallbacks"))
+    drives, back = (_range([row[name] for row in rows]) for name in ("recovery_seconds", "whole_seconds"))
+    return f"| {kind} | {len(rows)} | {sum(row['held'] for row in rows)} | {braked} | {drives} | {back} |"
+
+
+def _range(seconds: Sequence[float | None]) -> str:
+    known = [value for value in seconds if value is not None]
+    told = f"{min(known):.2f} to {max(known):.2f}" if len(known) > 1 else _seconds(known[0] if known else None)
+    return told if len(known) == len(seconds) else f"{told}, {len(seconds) - len(known)} never"
 
 
 def _line(row: Mapping[str, Any]) -> str:
