@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -40,10 +41,27 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     """Prints what each fault and each intruder brought about."""
     rows = config.stash[_ROWS]
     if rows:
+        if os.environ.get("SAFEDPA_FLEET_TABLE"):
+            Path(os.environ["SAFEDPA_FLEET_TABLE"]).write_text(_markdown(rows), encoding="utf-8")
         terminalreporter.section("the fleet")
         width = max(len(row[0]) for row in rows)
         for row in rows:
             terminalreporter.write_line(f"{row[0]:<{width}}  {'  '.join(row[1:])}")
+
+
+def _markdown(rows: list[tuple[str, ...]]) -> str:
+    """The table as a page of the documentation."""
+    load = "/".join(f"{value:.0f}" for value in os.getloadavg())
+    when = f"{time.strftime('%Y-%m-%d %H:%M')} UTC, {os.cpu_count()} cores, load average over 1/5/15 minutes {load}"
+    lines = [f"| {row[0]} | {'; '.join(' '.join(cell.split()) for cell in row[1:])} |" for row in rows]
+    head = [
+        "# A fleet of containers under faults",
+        "",
+        f"`make test-fleet`, {when} at the end.",
+        "",
+        "| what | came of it |",
+    ]
+    return "\n".join([*head, "|---|---|", *lines, ""])
 
 
 @pytest.fixture(scope="session")
