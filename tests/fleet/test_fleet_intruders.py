@@ -27,7 +27,17 @@ class Attempt:
         self.before = watch.now()
 
     def make(self, key: str, *words: str, given: str = "", network: str = "bus") -> dict[str, Any]:
-        """Runs the intruder with the key of one role; it knows the victim's epoch and tick."""
+        """Runs the intruder with the key of one role; it knows the victim's epoch and tick.
+
+        One whose session could not be opened on a busy machine, though it may, tries again.
+        """
+        for _ in range(3):
+            did = self._make(key, *words, given=given, network=network)
+            if "error" not in did or words[0] == "enrol":
+                break
+        return did
+
+    def _make(self, key: str, *words: str, given: str, network: str) -> dict[str, Any]:
         robot = self.watch.now()["robots"][VICTIM]
         stamp = ("--robot", VICTIM, "--epoch", str(robot["epoch"]), "--tick", str(robot["tick"]))
         command = self.fleet.guest("fleet_intruder.py", key, *words, *stamp)
