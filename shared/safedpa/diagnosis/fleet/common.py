@@ -30,6 +30,7 @@ __all__ = [
     "mended_error",
     "mended_model",
     "mended_settings",
+    "together_effects",
 ]
 
 _FEWEST = 5
