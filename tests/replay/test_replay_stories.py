@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import LATENT, STATE, VERDICT, WISH, ModelMessage, VerdictMessage
+from safedpa.errors import RunError
+from safedpa.records import McapRecorder
 from safedpa.replay.gaps import gaps_of
 from safedpa.replay.replay import Replay, replay
 from safedpa.replay.tape import Tape, read_tape
@@ -176,3 +178,20 @@ def test_only_the_window_is_compared(fleet_of: Any, tmp_path: Path) -> None:
     found = replay(tape, (0.5, 0.999))
     assert counted(found) == {"latent": 10, "wish": 10, "verdict": 10, "action": 10}
     assert found.exact
+
+
+def test_of_several_robots_the_one_that_is_named_is_replayed(fleet_of: Any, tmp_path: Path) -> None:
+    fleet = driven(fleet_of(), 20)
+    path = tmp_path / "two.mcap"
+    with McapRecorder(path) as recorder:
+        for item in fleet.heard:
+            at = round(1e9 * item.at)
+            for name in ("r1", "r2") if item.robot == "r1" else (item.robot,):
+                recorder.write(item.key.replace("/r1/", f"/{name}/"), item.payload, at, at)
+    with pytest.raises(RunError, match="holds 2 robots: r1, r2; name one with --robot"):
+        read_tape([path])
+    with pytest.raises(RunError, match="robot 'r3'"):
+        read_tape([path], "r3")
+    tape = read_tape([path], "r2")
+    assert tape.robot == "r2"
+    assert replay(tape).exact

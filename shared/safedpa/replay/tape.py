@@ -15,6 +15,7 @@ import msgpack
 
 from safedpa.bus import (
     LATENT,
+    NO_ROBOT,
     VERDICT,
     WISH,
     ActionMessage,
@@ -159,12 +160,14 @@ def read_tape(runs: Sequence[Path], robot: str | None = None) -> Tape:
     setups: list[tuple[int, str, SetupMessage]] = []
     findings: list[Finding] = []
     fields: dict[type[Message], frozenset[str]] = {}
-    for name, at, message in _messages(files, findings, fields):
+    others: set[str] = set()
+    """Robots that nobody asked for; their messages are not even decoded."""
+    for name, at, message in _messages(files, robot, others, findings, fields):
         if isinstance(message, SetupMessage):
             setups.append((at, name, message))
         else:
             tapes.setdefault(name, Tape(name, files)).add(at, message)
-    tape = _chosen(files, {name: tape for name, tape in tapes.items() if tape.states}, robot)
+    tape = _chosen(files, {name: tape for name, tape in tapes.items() if tape.states}, robot, others)
     tape.fields, tape.findings = fields, findings
     for at, name, setup in setups:
         if name == tape.robot or _serves(setup, tape.robot):
@@ -187,19 +190,27 @@ def options_of(setup: SetupMessage) -> dict[str, Any]:
 
 
 def _messages(
-    files: Iterable[Path], findings: list[Finding], fields: dict[type[Message], frozenset[str]]
+    files: Iterable[Path],
+    robot: str | None,
+    others: set[str],
+    findings: list[Finding],
+    fields: dict[type[Message], frozenset[str]],
 ) -> Iterator[tuple[str, int, Message]]:
-    """(robot, log time, message) of all files."""
+    """(robot, log time, message) of all files, of the robot named and of the services; without a name of all."""
     refused = 0
     for path in files:
         for key, at, topic, payload in read_payloads(path, findings):
+            name = topic_of(key)[1]
+            if robot is not None and name not in (robot, NO_ROBOT):
+                others.add(name)
+                continue
             try:
                 message = decode(topic.message, payload)
             except MessageError:
                 refused += 1
                 continue
             _note_fields(fields, topic, payload)
-            yield topic_of(key)[1], at, message
+            yield name, at, message
     if refused:
         findings.append(Finding("unreadable_message", f"{refused} messages could not be decoded; left out", refused))
 
@@ -209,12 +220,12 @@ def _note_fields(fields: dict[type[Message], frozenset[str]], topic: Topic, payl
         fields[topic.message] = frozenset(msgpack.unpackb(payload))
 
 
-def _chosen(files: tuple[Path, ...], tapes: dict[str, Tape], robot: str | None) -> Tape:
+def _chosen(files: tuple[Path, ...], tapes: dict[str, Tape], robot: str | None, others: set[str]) -> Tape:
     where = files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
-    if not tapes:
+    if not tapes and not others:
         raise RunError(f"{where}: no robot's states in it; wanted a recording of a drive")
     if robot is None and len(tapes) > 1:
         raise RunError(f"{where}: holds {len(tapes)} robots: {', '.join(sorted(tapes))}; name one with --robot")
     if robot is not None and robot not in tapes:
-        raise RunError(f"{where}: robot '{robot}': {did_you_mean(robot, tapes)}")
+        raise RunError(f"{where}: robot '{robot}': {did_you_mean(robot, {*tapes, *others})}")
     return tapes[robot] if robot is not None else next(iter(tapes.values()))
