@@ -85,6 +85,17 @@ def test_the_plain_file_changes_endpoints_and_certificates_alone() -> None:
         ]
 
 
+def test_the_centre_may_look_and_speaks_for_no_robot() -> None:
+    linked = _read("deploy/linked-routers.yml")["services"]
+    assert _value(linked["router"]["command"], "--link") == "router.centre=nobody"
+    assert "nobody" not in linked["router"]["command"]
+    assert _value(linked["centre"]["command"], "--role") == "router.centre"
+    assert set(linked["centre"]["networks"]).isdisjoint(COMPOSE["networks"])
+    words = " ".join(word for service in linked.values() for word in service["command"])
+    assert "tcp/" not in words
+    assert "--plain" not in words
+
+
 def _value(words: list[str], option: str) -> Any:
     return words[words.index(option) + 1] if option in words else None
 

@@ -116,8 +116,8 @@ def test_the_budget_counts_what_was_recorded(tmp_path: Path) -> None:
                 recorder.write(f"safedpa/fleet/{robot}/{topic}", payload, at, at)
     recorder.close()
     flows = fleet_budget.flows_per_robot(path)
-    assert flows["state"].messages == pytest.approx(41 / 2.0)
-    assert sum(flow.octets for flow in flows.values()) == pytest.approx(sent / (2 * 2.0))
+    assert flows["state"].messages == pytest.approx(20.0)
+    assert sum(flow.octets for flow in flows.values()) == pytest.approx(sent / (2 * 41 / 20.0))
     assert fleet_budget.readers("action", fleet_budget.CENTRE) == 2
     total = fleet_budget.total(flows, {"state": 3, "action": 1}, 200.0)
-    assert total.messages == pytest.approx(4 * 41 / 2.0)
+    assert total.messages == pytest.approx(4 * 20.0)
