@@ -213,6 +213,6 @@ def _message(held: _Held, state: StateMessage, estimator: AbstractEstimator) -> 
         robot_time=state.robot_time,
         publish_time=time.time(),
         model=held.fingerprint,
-        values=tuple(float(value) for value in estimator.latent),
-        deviations=tuple(float(value) for value in estimator.deviations),
+        values=tuple(estimator.latent.tolist()),
+        deviations=tuple(estimator.deviations.tolist()),
     )

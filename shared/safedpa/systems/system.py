@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +72,12 @@ class System:
 
     def is_plausible(self, state: NDArray[np.float64]) -> bool:
         """Whether a measured state (states,) is finite and within the bounds outside which none is believed."""
-        return bool(np.all(np.isfinite(state)) and np.all(self.state_low <= state) and np.all(state <= self.state_high))
+        bounds = zip(state.tolist(), self._state_bounds, strict=True)  # a few numbers, faster than arrays
+        return all(isfinite(value) and low <= value <= high for value, (low, high) in bounds)
+
+    @cached_property
+    def _state_bounds(self) -> tuple[tuple[float, float], ...]:
+        return tuple(zip(self.state_low.tolist(), self.state_high.tolist(), strict=True))
 
     def difference(self, later: NDArray[np.float64], earlier: NDArray[np.float64]) -> NDArray[np.float64]:
         """later - earlier, shape (..., states), with angles taken the short way round, in [-pi, pi)."""
