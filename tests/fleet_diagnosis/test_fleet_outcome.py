@@ -23,7 +23,7 @@ def candidate(stage, effect, score, decision="rejected", equals=(), **parameters
 def report(*candidates, added=(), parameters=(), **more):
     return {
         "robot": "car", "added": list(added), "candidates": list(candidates), "unexplained": None,
-        "stages": [{"heldout_error": 0.3}, {"heldout_error": 0.1}], "data_quality": [{"message": "a"}, {"message": "a"}],
+        "stages": [{"heldout_error": 0.3}, {"heldout_error": 0.1}], "data_quality": [{"message": "a"}] * 2,
         "parameters": {path: {"value": value, "std": std, "unit": "1"} for path, value, std in parameters},
     } | more  # fmt: skip
 

@@ -93,6 +93,14 @@ def test_a_copy_with_another_time_is_the_same_recording(task, done):
     assert kept(task, done)
 
 
+def test_a_fleet_that_was_moved_is_the_same_fleet(task, done, tmp_path):
+    shutil.move(tmp_path / "recordings", tmp_path / "archive")
+    shutil.move(tmp_path / "model.toml", tmp_path / "archive" / "model.toml")
+    options = Options(str(tmp_path / "archive" / "model.toml"))
+    files = tuple(sorted((tmp_path / "archive" / "car_000").glob("*.csv")))
+    assert kept(Task(RobotLogs("car_000", files), options, options_digest(options)), done)
+
+
 def test_changed_contents_of_the_same_size_are_done_again(task, done):
     path = task.robot.files[0]
     content = path.read_bytes()
@@ -171,7 +179,8 @@ def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, 
         (["car", "--jobs", "2", "a.csv"], "--jobs: got no fleet"),
         (["car", "--anew", "a.csv"], "--anew: got no fleet"),
         (["car", "--fleet", "nowhere"], "is no folder"),
-        (["car", "--fleet", ".", "a.csv"], "leave one of the two out"),
+        (["car", "--fleet", ".", "a.csv", "--out", "out"], "leave one of the two out"),
+        (["car", "--fleet", "."], "choose another one for the results"),
     ],
 )
 def test_what_makes_no_fleet_is_told_in_one_line(arguments, told, tmp_path, monkeypatch, capsys):
@@ -180,6 +189,15 @@ def test_what_makes_no_fleet_is_told_in_one_line(arguments, told, tmp_path, monk
     shown = capsys.readouterr().err
     assert told in shown
     assert shown.count("\n") == 1
+
+
+def test_the_given_model_is_not_overwritten(small_fleet, tmp_path, monkeypatch, capsys):
+    shutil.copy(small_fleet.folder / "model.toml", tmp_path / "model.toml")
+    monkeypatch.chdir(tmp_path)
+    before = Path("model.toml").read_bytes()
+    assert safedpa.run(["diagnose", "model.toml", "--fleet", str(small_fleet.folder / "recordings")]) == 2
+    assert "the given model's own folder" in capsys.readouterr().err
+    assert Path("model.toml").read_bytes() == before
 
 
 def test_a_fleets_own_folder_is_no_recording(small_fleet):

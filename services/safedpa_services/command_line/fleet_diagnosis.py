@@ -75,6 +75,8 @@ def diagnosed_fleet(model: str, runs: Sequence[str], **options: Any) -> int:
         from safedpa.dynamics import load_own_everywhere
 
         load_own_everywhere(effects)
+    if options["fleet"] is not None and out.resolve() == options["fleet"].resolve():
+        raise InputError(f"--out {out}: got the folder of the recordings; choose another one for the results")
     found = _found(runs, options)
     writable(out, create=True)
     columns = _absolute(options["columns"]) if options["columns"] else None

@@ -21,6 +21,7 @@ from safedpa.diagnosis.fleet.robots import Found, RobotLogs
 from safedpa.diagnosis.fleet.splitting import robots_in, split_recording
 from safedpa.diagnosis.fleet.store import clear_others, kept, results, write_result, write_scripts
 from safedpa.dynamics import load_model
+from safedpa.errors import InputError
 from safedpa.records.atomic import atomic_path
 
 __all__ = ["Fleet", "Workers", "diagnose_fleet"]
@@ -47,6 +48,7 @@ def diagnose_fleet(fleet: Fleet, workers: Workers, tell: Tell = lambda _done, _a
     """
     options, out = fleet.options, fleet.out
     given = load_model(options.model)
+    _refuse_given(Path(options.model), out)
     digest = options_digest(options)
     tasks = [Task(robot, options, digest) for robot in _own_recordings(fleet)]
     clear_others(tasks, out)
@@ -65,6 +67,14 @@ def diagnose_fleet(fleet: Fleet, workers: Workers, tell: Tell = lambda _done, _a
         temporary.write_text(json.dumps(document, allow_nan=False, indent=1) + "\n", encoding="utf-8")
     write_fleet_page(document, analysis, out)
     return document
+
+
+def _refuse_given(model: Path, out: Path) -> None:
+    """The mended model must not take the place of the given one."""
+    if model.exists() and model.resolve() == (out / "model.toml").resolve():
+        raise InputError(
+            f"--out {out}: got the given model's own folder; choose another one, model.toml is written there"
+        )
 
 
 def _about(fleet: Fleet, diagnosed: int) -> dict[str, Any]:

@@ -33,9 +33,10 @@ def options_digest(options: Options) -> str:
     """Hex digest of everything but the recordings: the version too, another one may judge otherwise."""
     digest = hashlib.sha256(f"{version('safedpa')} {options.horizon!r}".encode())
     for source in (options.model, options.columns, options.effects):
-        digest.update(f"|{source}|".encode())
-        for path in _files_of(source):
-            digest.update(path.read_bytes())
+        files = _files_of(source)
+        digest.update(f"|{'' if files else source}|".encode())
+        for path in files:
+            digest.update(f"{path.name} {path.stat().st_size} ".encode() + path.read_bytes())
     return digest.hexdigest()
 
 
@@ -64,9 +65,9 @@ def file_stamp(path: Path) -> dict[str, Any]:
 
 
 def same_files(stamps: Iterable[Mapping[str, Any]], paths: Iterable[Path]) -> bool:
-    """Whether files are still those that were stamped."""
+    """Whether files are still those that were stamped, wherever they lie now."""
     before, now = list(stamps), list(paths)
-    if [item["path"] for item in before] != [str(path) for path in now]:
+    if [Path(item["path"]).name for item in before] != [path.name for path in now]:
         return False
     try:
         return all(_same(item, path) for item, path in zip(before, now, strict=True))
@@ -78,4 +79,5 @@ def _same(stamp: Mapping[str, Any], path: Path) -> bool:
     status = path.stat()
     if status.st_size != stamp["bytes"]:
         return False
-    return bool(status.st_mtime_ns == stamp["modified_ns"] or file_stamp(path)["sha256"] == stamp["sha256"])
+    untouched = status.st_mtime_ns == stamp["modified_ns"] and str(path) == stamp["path"]
+    return bool(untouched or file_stamp(path)["sha256"] == stamp["sha256"])
