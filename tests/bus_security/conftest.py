@@ -19,7 +19,7 @@ FLEET = "f"
 ROBOTS = ("r1", "r2")
 STRANGERS = ("intruder", "robot.r3", "robot", "safety_filter.f")
 """To whom the authority gave certificates, but who are none of the router's roles."""
-PATIENCE = 10.0
+PATIENCE = 30.0
 
 
 def until(condition: Callable[[], bool]) -> bool:

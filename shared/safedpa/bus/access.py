@@ -36,6 +36,7 @@ __all__ = [
     "Role",
     "access_control",
     "check_names",
+    "may_write",
     "role_of_robot",
     "roles_of",
     "size_limits",
