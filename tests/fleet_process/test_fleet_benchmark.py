@@ -18,12 +18,12 @@ from safedpa_services.benchmarks.usage import usage_of
 from safedpa_services.command_line.bench import command
 
 
-def test_three_robots_through_real_processes() -> None:
-    result = fleet_benchmark(FleetTrial(robots=3, seconds=2.0, loads="none,box"))
+def test_three_robots_and_a_flood_through_real_processes() -> None:
+    result = fleet_benchmark(FleetTrial(robots=3, seconds=2.0, loads="none,box", flood=True))
     assert result["robots"] == 3
     assert result["robot_ticks"] > 60, "it stood most of the time"
     assert result["late_ticks"] < result["robot_ticks"], "not one action came in time"
-    assert set(result["processes"]) == {"robots", "adaptation", "policy", "safety_filter"}
+    assert set(result["processes"]) == {"robots", "adaptation", "policy", "safety_filter", "flood"}
     for used in result["processes"].values():
         assert used["us_per_robot_tick"] > 0.0
         assert used["mib_end"] > 10.0

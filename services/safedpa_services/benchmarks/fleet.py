@@ -43,6 +43,8 @@ class FleetTrial:
     in_step: bool = False
     realtime: bool = False
     """Ask for real-time scheduling, as ``safedpa up`` does."""
+    flood: bool = False
+    """One more robot floods the bus with a thousand messages a second; it is not counted."""
 
 
 def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda _done, _all: None) -> dict[str, Any]:
@@ -73,6 +75,7 @@ def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda
         "seconds": trial.seconds,
         "model": trial.model,
         "in_step": trial.in_step,
+        "flood": trial.flood,
         **account,
         "late_share": account["late_ticks"] / ticks,
         "holds": account["late_ticks"] <= LATE_SHARE * ticks,
@@ -116,6 +119,9 @@ def _children(trial: FleetTrial, folder: Path, begun: Path, summary: Path) -> li
     children = [Child("robots", "safedpa_sim.robots.fleet", robots, folder / "robots.log")]
     for name in _SERVICES:
         children.append(Child(name, f"safedpa_services.{name}", options[name], folder / f"{name}.log"))
+    if trial.flood:
+        module = "safedpa_services.benchmarks.flood"
+        children.append(Child("flood", module, ("--connect", endpoint), folder / "flood.log"))
     return children
 
 

@@ -50,6 +50,7 @@ def latency(seconds: float, rate: float, *, as_json: bool) -> None:
 @click.option("--controller", default="", help="the policy's; by default the one that the model allows")
 @click.option("--in-step", is_flag=True, help="all robots sense at the same moment; else spread over the period")
 @click.option("--realtime", is_flag=True, help="ask for real-time scheduling, as 'safedpa up' does")
+@click.option("--flood", is_flag=True, help="one more robot floods the bus with 1000 messages a second")
 @click.option("--find-largest", is_flag=True, help="double and bisect, from --robots on, for the largest that holds")
 @_JSON
 def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **options: Any) -> None:
