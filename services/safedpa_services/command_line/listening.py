@@ -42,13 +42,13 @@ def listening_options(command: _C) -> _C:
     return command
 
 
-def bus_of(options: dict[str, Any]) -> Bus:
-    """The bus that the options describe. Raises BusError when it cannot be opened."""
+def bus_of(options: dict[str, Any], role: str = "operator") -> Bus:
+    """The bus that the options describe, joined in a role. Raises BusError when it cannot be opened."""
     from safedpa.bus import Bus, ZenohSettings, ZenohTransport
     from safedpa.bus.certificates import Certificates
 
     folder = options["certificates"]
-    certificates = None if folder is None else Certificates(folder, "operator")
+    certificates = None if folder is None else Certificates(folder, role)
     mode: Literal["client", "peer"] = "client" if options["connect"] else "peer"
     settings = ZenohSettings(mode, connect=tuple(options["connect"]), certificates=certificates)
     return Bus(ZenohTransport(settings), options["fleet"])

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from safedpa_services.command_line.listening import bus_of
+
 __all__ = ["command"]
 
 
@@ -33,6 +35,12 @@ __all__ = ["command"]
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the web page; default: 8080 or the next free one.")
 @click.option("--fleet", help="Watch the robots of this fleet live.")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="Where their bus listens, as 'safedpa up' tells.")
+@click.option(
+    "--certificates",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Prove by the workbench's certificate there who this is.",
+)
 @click.option(
     "--replay",
     type=click.Path(path_type=Path),
@@ -79,11 +87,8 @@ def _serve(options: dict[str, Any]) -> None:
         return
     import os
 
-    from safedpa.bus import Bus, ZenohSettings, ZenohTransport
-
-    os.nice(10)  # the loop that it looks at comes first
-    settings = ZenohSettings("client" if options["connect"] else "peer", connect=options["connect"])
-    with Bus(ZenohTransport(settings), options["fleet"] or "fleet") as bus:
+    with bus_of({**options, "fleet": options["fleet"] or "fleet"}, "workbench") as bus:
+        os.nice(10)  # the loop that it looks at comes first; the bus keeps its links up, and so is not put behind it
         serve(choice, out, host, port, browser=browser, bus=bus)
 
 
@@ -93,7 +98,7 @@ def _take_pictures(options: dict[str, Any]) -> None:
 
     live = bool(options["fleet"] or options["connect"] or options["replay"])
     arguments = [options["model"], *options["runs"]] if options["model"] else []
-    for name in ("columns", "horizon", "out", "effects", "fleet", "replay"):
+    for name in ("columns", "horizon", "out", "effects", "fleet", "replay", "certificates"):
         arguments += [f"--{name}", str(options[name])] if options[name] is not None else []
     arguments += [item for endpoint in options["connect"] for item in ("--connect", endpoint)]
     for path in take_pictures(arguments, options["pictures"], live=live):
