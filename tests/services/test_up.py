@@ -80,9 +80,12 @@ def pid_of(folder: Path, module: str) -> int:
     deadline = time.monotonic() + 20.0
     while time.monotonic() < deadline:
         for pid in processes_with(module):
-            line = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace")
-            if "--supervised" in line and _belongs(pid, folder):
-                return pid
+            try:
+                line = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace")
+                if "--supervised" in line and _belongs(pid, folder):
+                    return pid
+            except OSError:  # somebody else's process, which has ended meanwhile
+                continue
         time.sleep(0.05)
     raise AssertionError(f"{module} never started")
 
