@@ -67,6 +67,11 @@ def answer(bus: Bus, robot: subprocess.Popen[str], ticks: int) -> list[StateMess
     raise AssertionError("the robot did not come so far")
 
 
+def told(errors: str) -> list[str]:
+    """The kinds of the events on standard error; nothing else may stand there."""
+    return [json.loads(line)["kind"] for line in errors.splitlines()]
+
+
 def test_a_lockstep_run_ends_with_an_account_and_repeats(bus, start, tmp_path):
     hashes = set()
     for run in range(2):
@@ -74,7 +79,8 @@ def test_a_lockstep_run_ends_with_an_account_and_repeats(bus, start, tmp_path):
         robot = start("--lockstep", "--seconds", "2", "--seed", "3", "--summary", str(path))
         answer(bus, robot, 40)
         output, errors = robot.communicate(timeout=20)
-        assert (robot.returncode, errors) == (0, "")
+        assert robot.returncode == 0
+        assert told(errors) == ["process.started", "process.ended"]
         account = json.loads(path.read_text())
         assert account == json.loads(output)
         assert (account["ticks"], account["watchdog_ticks"], account["end"]) == (40, 0, "time is over")
@@ -90,7 +96,12 @@ def test_sigterm_brakes_first(bus, start):
     inbox = bus.inbox((STATE,), "r1")
     robot.send_signal(signal.SIGTERM)
     output, errors = robot.communicate(timeout=20)
-    assert (robot.returncode, errors) == (0, "")
+    assert robot.returncode == 0
+    assert set(told(errors)) <= {
+        "process.started",
+        "message.refused",
+        "process.ended",
+    }  # a late action on a busy machine
     account = json.loads(output)
     assert account["end"] == "SIGTERM"
     assert account["watchdog_ticks"] > 3
