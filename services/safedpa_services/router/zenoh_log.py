@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import sys
@@ -60,7 +61,10 @@ def _reads(descriptor: int, hear: Callable[[str], None]) -> None:
     """Reads in gulps, behind everything else: at every line the reader would be woken beside the messages' own way."""
 
     def read() -> None:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
+        thread = threading.get_native_id()
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))  # --realtime is for the messages
+            os.setpriority(os.PRIO_PROCESS, thread, _NICE)
         pause, rest = threading.Event(), b""
         while gulp := os.read(descriptor, _PIPE_BYTES):
             *lines, rest = (rest + gulp).split(b"\n")
