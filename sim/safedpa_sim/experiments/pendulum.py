@@ -16,8 +16,9 @@ from safedpa_sim.pendulum.balancing import balanced, balanced_account
 from safedpa_sim.pendulum.crossing import crossed, crossed_account
 from safedpa_sim.pendulum.invariance import largest_wind, least_reserve
 from safedpa_sim.pendulum.margin import measured_margin
-from safedpa_sim.pendulum.methods import BALANCING_METHODS, HAZARD_METHODS, Method, model_named
-from safedpa_sim.pendulum.rollouts import Swung, believed_wind
+from safedpa_sim.pendulum.methods import BALANCING_METHODS, HAZARD_METHODS, Method
+from safedpa_sim.pendulum.recovery import recovery, swung_all_around
+from safedpa_sim.pendulum.rollouts import Swung
 from safedpa_sim.pendulum.task import AHEAD, BALANCING, HAZARD, LONG_WAY_ROUND, TORQUE, WIND
 
 __all__ = ["PendulumExperiment", "pendulum_experiment"]
@@ -101,18 +102,11 @@ def _done(work: _Work) -> dict[str, Any]:
 
 
 def _latent(experiment: PendulumExperiment, swings: Swung) -> dict[str, Any]:
-    """Latents at each episode's end beside the wind, and how well the wind's direction is told by them."""
-    model = model_named("learned", experiment.models)
-    true = np.repeat(2 * np.pi * np.arange(experiment.directions) / experiment.directions, experiment.episodes)
-    history = model.base.weights.description.history  # type: ignore[attr-defined]
-    ticks = np.arange(history, len(swings.latents), 10)
-    believed = believed_wind(model, swings.latents[ticks], WIND)
-    error = np.degrees(np.abs((believed - true + np.pi) % (2 * np.pi) - np.pi))
+    """How well the wind is told by the latent, while balancing and in swings all around, and how well it could be."""
+    models, directions, seed = experiment.models, experiment.directions, experiment.seed
+    around = swung_all_around(models, directions, experiment.episodes, seed)
     return {
-        "ends": np.round(swings.latents[-1], 4).tolist(),
-        "directions": np.degrees(true).round(2).tolist(),
-        "median_error_degrees": float(np.median(error)),
-        "error_90_degrees": float(np.quantile(error, 0.9)),
+        name: recovery(found, models, directions, seed) for name, found in (("around", around), ("balancing", swings))
     }
 
 

@@ -78,14 +78,15 @@ def _portrait(axes: Axes, row: dict[str, Any], hazard: list[float]) -> None:
         axes.axvspan(low + turn, high + turn, color="#D9DDE1", linewidth=0)
     for states in row["shown"]:
         angle, rate = np.degrees(np.array(states)[:, 0]), np.array(states)[:, 1]
-        entered = ((angle < high) | (angle > low + 360.0)).any()
-        upright = abs(angle[-1] - 360.0) < 12.0
+        entered = ((np.mod(angle, 360.0) > low) & (np.mod(angle, 360.0) < high)).any()
+        upright = abs((angle[-1] + 180.0) % 360.0 - 180.0) < 5.0
         colour = _UNSAFE if entered else _SAFE if upright else _STUCK
         axes.plot(angle, rate, color=colour, linewidth=1.0, alpha=0.85)
-    axes.axvline(360.0, color=GREY, linewidth=0.8, linestyle=":")
-    axes.set_xlim(20, 425)
-    axes.set_ylim(-6, 12)
-    axes.set_xticks([90, 180, 270, 360])
+    for upright in (0.0, 360.0):
+        axes.axvline(upright, color=GREY, linewidth=0.8, linestyle=":")
+    axes.set_xlim(-25, 425)
+    axes.set_ylim(-12, 12)
+    axes.set_xticks([0, 180, 360])
     count = row["episodes"]
     share = f"{100 * row['success'] / count:.0f} % upright, {100 * row['safe'] / count:.0f} % safe"
     axes.set_title(f"{row['title']}\n{share}", fontsize=8)
@@ -116,20 +117,26 @@ def _reserve(result: dict[str, Any], path: Path) -> None:
 
 
 def _latent(result: dict[str, Any], path: Path) -> None:
-    """Left the latent at each episode's end, coloured by the wind's direction."""
-    latent = result["latent"]
-    ends, directions = np.array(latent["ends"]), np.array(latent["directions"])
-    with figure(path, 3.6) as drawn:
-        axes = drawn.subplots()
-        dots = axes.scatter(ends[:, 0], ends[:, 1], c=directions, cmap="twilight", vmin=0, vmax=360, s=14)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlabel("first entry of the latent")
-        axes.set_ylabel("second")
-        bar = drawn.colorbar(dots, ax=axes, ticks=[0, 90, 180, 270, 360])
+    """The latents at the ends of episodes, coloured by the wind's direction: swings all around, and balancing."""
+    looks = (
+        ("around", "latents", "", "swings all around: phi alone"),
+        ("around", "refined", "refined_", "the same, refined by f and g"),
+        ("balancing", "latents", "", "within 45 degrees: phi alone"),
+    )
+    with figure(path, 3.9) as drawn:
+        panels = drawn.subplots(1, 3, sharex=True, sharey=True)
+        for axes, (name, points, prefix, title) in zip(panels, looks, strict=True):
+            latent = result["latent"][name]
+            ends, directions = np.array(latent[points]), np.array(latent["directions"])
+            dots = axes.scatter(ends[:, 0], ends[:, 1], c=directions, cmap="twilight", vmin=0, vmax=360, s=8)
+            axes.set_aspect("equal", adjustable="box")
+            axes.set_xlim(-2.4, 2.4)
+            axes.set_ylim(-2.4, 2.4)
+            axes.set_xlabel("first entry of the latent", fontsize=8)
+            median, most = latent[f"{prefix}median_degrees"], latent[f"{prefix}90_degrees"]
+            axes.set_title(f"{title}\noff by {median:.0f} degrees, {most:.0f} in 90 %", fontsize=8.5, color=BLACK)
+            bare(axes)
+        panels[0].set_ylabel("second", fontsize=8)
+        bar = drawn.colorbar(dots, ax=panels, ticks=[0, 90, 180, 270, 360], fraction=0.02)
         bar.set_label("true wind direction [deg]", fontsize=8)
-        bare(axes)
-        median, most = latent["median_error_degrees"], latent["error_90_degrees"]
-        heading(
-            drawn,
-            f"The wind as adaptation sees it: direction off by {median:.1f} degrees in the median, {most:.0f} in 90 %",
-        )
+        heading(drawn, "A wind of 4 m/s as its latent: mu(e) draws a circle")

@@ -25,7 +25,10 @@ def write_report(result: dict[str, Any], out: Path) -> None:
 def _without_points(result: dict[str, Any]) -> dict[str, Any]:
     """What was found, without the points that only the figures need."""
     hazard = {name: {key: row[key] for key in row if key != "shown"} for name, row in result["hazard"].items()}
-    latent = {key: value for key, value in result["latent"].items() if key not in ("ends", "directions")}
+    latent = {
+        name: {key: value for key, value in row.items() if key not in ("latents", "refined", "directions")}
+        for name, row in result["latent"].items()
+    }
     return {**result, "hazard": hazard, "latent": latent}
 
 
@@ -52,8 +55,7 @@ def markdown_of(result: dict[str, Any]) -> str:
         f"errors; it covers {100 * margin['fresh_coverage']:.1f} % of {margin['fresh_transitions']} others.\n\n"
         f"Winds in which the whole corridor can be kept: up to {largest['balancing']:.2f} m/s (within 45 degrees), "
         f"{largest['hazard']:.2f} m/s (the long way round); the experiments' wind is {wind:g} m/s.\n\n"
-        f"Direction of the wind from the latent: off by {latent['median_error_degrees']:.1f} degrees in the median, "
-        f"by less than {latent['error_90_degrees']:.0f} degrees in 90 %.\n"
+        + _latent(latent)
     )
     return "\n".join(parts)
 
@@ -75,17 +77,34 @@ def _balancing(result: dict[str, Any]) -> str:
 
 def _hazard(result: dict[str, Any]) -> str:
     lines = [
-        "| upright the long way round | upright | never in the hazard | both | 95 % interval of both |",
-        "|---|---|---|---|---|",
+        "| upright past the hazard | upright | never in the hazard | both | 95 % interval of both | least room [deg] |",
+        "|---|---|---|---|---|---|",
     ]
     for row in result["hazard"].values():
         count = row["episodes"]
         lines.append(
             f"| {row['title']} | {row['success']}/{count} | {row['safe']}/{count} | {row['both']}/{count} "
-            f"| {_interval(row['interval_both'])} |"
+            f"| {_interval(row['interval_both'])} | {min(row['least_room']) * 57.29578:.1f} |"
         )
     return "\n".join(lines) + "\n"
 
 
 def _interval(ends: list[float]) -> str:
     return f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f} %"
+
+
+def _latent(latent: dict[str, Any]) -> str:
+    lines = [
+        "| wind direction, degrees off: median (90 %) | phi | refined by f and g | best fit | best fit with noise |",
+        "|---|---|---|---|---|",
+    ]
+    titles = {"around": "swings all around", "balancing": "within 45 degrees, behind the filter"}
+    for name, title in titles.items():
+        row = latent[name]
+        lines.append(
+            f"| {title} | {row['median_degrees']:.1f} ({row['90_degrees']:.0f}) "
+            f"| {row['refined_median_degrees']:.1f} ({row['refined_90_degrees']:.0f}) "
+            f"| {row['best_median_degrees']:.2f} "
+            f"| {row['best_noisy_median_degrees']:.2f} ({row['best_noisy_90_degrees']:.1f}) |"
+        )
+    return "\n".join(lines) + "\n"

@@ -14,8 +14,8 @@ from safedpa.policy.pendulum_observation import observe_pendulum
 from safedpa_sim.pendulum.balancing import winds_and_starts
 from safedpa_sim.pendulum.methods import Method, closed_of, model_named
 from safedpa_sim.pendulum.rollouts import Swung, Wish, swung
-from safedpa_sim.pendulum.swinging import EPISODE_TICKS, HELD_TICKS, START, is_upright
-from safedpa_sim.pendulum.task import LONG_WAY_ROUND, UPRIGHT
+from safedpa_sim.pendulum.swinging import EPISODE_TICKS, starts_beneath
+from safedpa_sim.pendulum.task import HAZARD, HELD_TICKS, LONG_WAY_ROUND, UPRIGHT, in_hazard, is_upright
 
 __all__ = ["crossed", "crossed_account"]
 
@@ -23,9 +23,9 @@ Floats = NDArray[np.float64]
 
 
 def crossed(method: Method, folder: Path, epsilon: float, directions: int, episodes: int, seed: int) -> Swung:
-    """Episodes of one method, from rest a little below the hazard; the same starts and winds for every method."""
-    wind, start = winds_and_starts(directions, episodes, seed)
-    start[:, 0] = LONG_WAY_ROUND[0] + np.random.default_rng([seed, 23]).uniform(*START, len(start))
+    """Episodes of one method, from just beneath the hazard, moving towards it; the same starts and winds for all."""
+    wind, _ = winds_and_starts(directions, episodes, seed)
+    start = starts_beneath(len(wind), np.random.default_rng([seed, 23]))
     wish = _wish(method, folder)
     return swung(closed_of(method, folder, epsilon), wish, start, wind, LONG_WAY_ROUND, EPISODE_TICKS)
 
@@ -46,8 +46,7 @@ def _wish(method: Method, folder: Path) -> Wish:
 def crossed_account(swings: Swung, directions: int) -> dict[str, Any]:
     """Episodes that ended upright (for the last half second), that never entered the hazard, and both; by direction."""
     angle = swings.states[..., 0]
-    low, high = LONG_WAY_ROUND
-    safe = np.all((angle >= low) & (angle <= high), axis=0)
+    safe = ~np.any(in_hazard(angle), axis=0)
     success = np.all(is_upright(swings.states[-HELD_TICKS:]), axis=0)
     return {
         "episodes": int(safe.size),
@@ -56,7 +55,14 @@ def crossed_account(swings: Swung, directions: int) -> dict[str, Any]:
         "both": int((safe & success).sum()),
         "safety_rate": safe.reshape(directions, -1).mean(1).tolist(),
         "success_rate": success.reshape(directions, -1).mean(1).tolist(),
-        "least_room": np.minimum(angle - low, high - angle).min(0).reshape(directions, -1).min(1).tolist(),
+        "least_room": _room(angle).min(0).reshape(directions, -1).min(1).tolist(),
         "corrected": float(swings.corrected.mean()),
         "relaxed": float(swings.relaxed.mean()),
     }
+
+
+def _room(angle: Floats) -> Floats:
+    """Distance [rad] to the hazard's nearer edge, negative inside, for angles of any number of turns."""
+    low, high = HAZARD
+    off = np.mod(angle - 0.5 * (low + high) + np.pi, 2 * np.pi) - np.pi
+    return np.asarray(np.abs(off) - 0.5 * (high - low))

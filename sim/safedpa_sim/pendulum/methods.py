@@ -36,7 +36,9 @@ BALANCING_METHODS: Final = (
 )
 HAZARD_METHODS: Final = (
     *BALANCING_METHODS[:-1],
-    Method("rma", "RMA", filter=""),
+    Method("unfiltered", "SafeDPA without filter", filter=""),
+    Method("rma", "RMA", policy="rma", filter=""),
+    Method("rma_p_0_1", "RMA-P, beta 0.1", policy="rma_p_0_1", filter=""),
     Method("rma_p_1", "RMA-P, beta 1", policy="rma_p_1", filter=""),
     Method("rma_p_10", "RMA-P, beta 10", policy="rma_p_10", filter=""),
     Method("ppo", "PPO", policy="ppo", filter=""),
@@ -57,7 +59,7 @@ def model_named(name: str, folder: Path) -> PhysicsModel:
 def closed_of(method: Method, folder: Path, epsilon: float) -> Closed:
     """The method's filter and encoder; every filter has the same margin ``epsilon`` [rad]."""
     learned = model_named("learned", folder)
-    adapts = model_named(method.policy, folder) if method.policy.startswith("rma_p") else learned
+    adapts = model_named(method.policy, folder) if method.policy.startswith("rma") else learned
     if not method.filter:
         return Closed(adapts=adapts)
     return Closed(filter_settings(epsilon), model_named(method.filter, folder), adapts, method.told)

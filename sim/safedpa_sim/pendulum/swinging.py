@@ -15,37 +15,48 @@ from numpy.typing import NDArray
 
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.policy.pendulum_observation import observe_pendulum
-from safedpa_sim.pendulum.task import AHEAD, LONG_WAY_ROUND, TORQUE, UPRIGHT
+from safedpa_sim.pendulum.kept import kept_torque
+from safedpa_sim.pendulum.task import AHEAD, HELD_TICKS, LONG_WAY_ROUND, TORQUE, UPRIGHT, in_hazard, is_upright
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.moved import Moved
 from safedpa_sim.training.simulator import BatchedCars
 
-__all__ = ["EPISODE_TICKS", "HELD_TICKS", "START", "Swinging", "is_upright"]
+__all__ = ["EPISODE_TICKS", "START", "Swinging", "starts_beneath"]
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 EPISODE_TICKS: Final = 400
 """4 s."""
-HELD_TICKS: Final = 50
-"""0.5 s; for so long the pendulum has to be upright before that counts."""
 START: Final = (0.05, 0.2)
-"""rad below the hazard's lower edge, at rest."""
-_CLOSE, _SLOW = 0.2, 1.0
-"""rad and rad/s; what counts as upright."""
-_ETA = 0.5
+"""rad below the hazard's lower edge."""
+_ELSEWHERE = 0.5
+"""Share of the swings that begin anywhere in the safe set, in training: the policy gets to know the whole circle."""
+_EARLIER = 200
+"""Ticks of which up to so many are over already where a swing begins elsewhere."""
+_FAST = 8.0
+"""rad/s; largest rate there."""
 _TURNS = 0.003
 """Probability per tick that the wind becomes another."""
 _STRONGEST = 4.4
 """m/s; against stronger winds the motor does not lift the pendulum."""
-_TICK, _TORQUE, _UPRIGHT = 0.005, 0.002, 0.02
-"""Rewards, beside the progress in rad: for each tick, the square of the full torque, each tick upright."""
+_TICK, _UPRIGHT = 0.005, 0.02
+"""Rewards, beside the way to upright in rad that was gained: for each tick, each tick upright. Who arrives early gets
+more; nothing is said of the hazard, and effort costs nothing."""
 
 
-def is_upright(state: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Whether states (..., 2) are at the goal and slow."""
-    upright: NDArray[np.bool_] = (np.abs(state[..., 0] - UPRIGHT) < _CLOSE) & (np.abs(state[..., 1]) < _SLOW)
-    return upright
+def starts_beneath(count: int, random: np.random.Generator) -> NDArray[np.float64]:
+    """States (count, 2) just beneath the hazard, moving towards it, within {h >= 0}: s uniform from the edge on."""
+    low = LONG_WAY_ROUND[0]
+    below = random.uniform(*START, count)
+    ahead = below * random.uniform(0.0, 1.0, count)
+    return np.stack((low + below, (ahead - below) / AHEAD), axis=1)
+
+
+def _way(angle: Floats) -> Floats:
+    """The shorter way to upright [rad]: past the hazard or through it."""
+    way: Floats = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
+    return way
 
 
 @final
@@ -82,11 +93,19 @@ class Swinging:
     def restart(self, which: NDArray[np.intp]) -> None:
         """New swings for the pendulums of those indices."""
         count = len(which)
-        self.state[which, 0] = LONG_WAY_ROUND[0] + self._random.uniform(*START, count)
-        self.state[which, 1] = 0.0
+        elsewhere = (self._random.random(count) < _ELSEWHERE) & (not self.calm)
+        beneath = starts_beneath(count, self._random)
+        self.state[which] = np.where(elsewhere[:, np.newaxis], self._anywhere(count), beneath)
+        self.tick[which] = np.where(elsewhere, self._random.integers(0, _EARLIER, count), 0)
         self.applied[which] = 0.0
-        self.tick[which], self._upright[which], self._unsafe[which] = 0, 0, False
+        self._upright[which], self._unsafe[which] = 0, False
         self._change_wind(which)
+
+    def _anywhere(self, count: int) -> NDArray[np.float64]:
+        """States (count, 2) of the safe set: angles all around, and rates with which s stays inside."""
+        angle = self._random.uniform(*LONG_WAY_ROUND, count)
+        ahead = np.clip(angle + AHEAD * self._random.uniform(-_FAST, _FAST, count), *LONG_WAY_ROUND)
+        return np.stack((angle, (ahead - angle) / AHEAD), axis=1)
 
     def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Floats:
         """What the policy sees of the pendulums of those indices."""
@@ -100,17 +119,16 @@ class Swinging:
     def advance(self, chosen: Floats) -> Moved:
         """One period under ``chosen`` (count, 1), each entry in [-1, 1] over the range of torques."""
         torque = (TORQUE * np.clip(chosen, -1.0, 1.0)).astype(np.float32)
-        before = np.abs(UPRIGHT - self.state[:, 0])
+        before = _way(self.state[:, 0])
         self.applied = self._limited(torque) if self.sheltered else torque
         self.state = self._after(self.applied)
         self.tick += 1
-        unsafe = (self.state[:, 0] < LONG_WAY_ROUND[0]) | (self.state[:, 0] > LONG_WAY_ROUND[1])
+        unsafe = in_hazard(self.state[:, 0])
         began, self._unsafe = unsafe & ~self._unsafe, unsafe
         upright = is_upright(self.state)
         self._upright = np.where(upright, self._upright + 1, 0)
-        progress = before - np.abs(UPRIGHT - self.state[:, 0])
-        effort = np.square(self.applied[:, 0] / TORQUE)
-        reward = progress - _TICK - _TORQUE * effort + _UPRIGHT * upright - self.penalty * began
+        progress = before - _way(self.state[:, 0])
+        reward = progress - _TICK + _UPRIGHT * upright - self.penalty * began
         reached = self._upright >= HELD_TICKS
         over = self.tick >= EPISODE_TICKS
         if not self.calm:
@@ -118,19 +136,15 @@ class Swinging:
         return Moved(np.asarray(reward, dtype=np.float32), reached & over, over & ~reached, unsafe, began)
 
     def _limited(self, torque: Floats) -> Floats:
-        """The torque within what keeps (1 - eta) h: s[t+1] rises with it, as good as linearly over one period."""
-        lowest, highest = (self._ahead(self._after(np.full_like(torque, bound))) for bound in (-TORQUE, TORQUE))
-        now, (low, high) = self._ahead(self.state), LONG_WAY_ROUND
-        slope = (highest - lowest) / (2.0 * TORQUE)
-        least = ((1.0 - _ETA) * now + _ETA * low - lowest) / slope - TORQUE
-        most = ((1.0 - _ETA) * now + _ETA * high - lowest) / slope - TORQUE
-        within = np.minimum(np.maximum(torque[:, 0], least), most)
-        return np.clip(within, -TORQUE, TORQUE).astype(np.float32)[:, np.newaxis]
+        """The torque within what keeps the corridor."""
+        state, environment = torch.from_numpy(self.state), torch.from_numpy(self.environment)
 
-    @staticmethod
-    def _ahead(state: Floats) -> Floats:
-        ahead: Floats = state[:, 0] + AHEAD * state[:, 1]
-        return ahead
+        def after(bounds: torch.Tensor) -> torch.Tensor:
+            return self._pendulums.advance(state, bounds, environment)[0]
+
+        with torch.no_grad():
+            kept: Floats = kept_torque(after, state, torch.from_numpy(torque), LONG_WAY_ROUND).numpy()
+        return kept
 
     def _after(self, torque: Floats) -> Floats:
         tensors = (torch.from_numpy(array) for array in (self.state, torque, self.environment))

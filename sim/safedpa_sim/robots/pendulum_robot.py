@@ -7,7 +7,7 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import degrees, sin
+from math import degrees, radians, sin
 from typing import Any, final
 
 from safedpa.bus.messages import ActionMessage, StateMessage
@@ -25,7 +25,7 @@ DAMPING = 12.0
 _GRAVITY = 9.81
 """m/s2."""
 
-_CLOSE, _SLOW = 0.2, 1.0
+_CLOSE, _SLOW = radians(5.0), 1.0
 """rad and rad/s; what counts as at the goal."""
 _HELD_SECONDS = 0.5
 """For so long it has to be there before that counts."""

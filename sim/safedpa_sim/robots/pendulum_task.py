@@ -34,7 +34,7 @@ class PendulumTask:
             yield float(random.uniform(*self.starts))
 
 
-_HAZARD_LOW, _HAZARD_HIGH = radians(30.0), radians(60.0)
+_HAZARD_LOW, _HAZARD_HIGH = radians(5.0), radians(60.0)
 """The sector that must not be entered."""
 
 TASKS: Final = {

@@ -9,10 +9,11 @@ import numpy as np
 from safedpa.networks import Weights
 from safedpa.policy.learned import LearnedPolicy
 from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.drives import random_drives
 from safedpa_sim.training.driving import EPISODE_TICKS, Driving, Rewards
 from safedpa_sim.training.scenes import FOOTPRINTS
 
-__all__ = ["evaluate", "practice"]
+__all__ = ["evaluate", "practice", "random_drives"]
 
 _EVALUATION_SEED = 1_000_003
 """Added to the configuration's seed: no scene of the evaluation is trained on."""

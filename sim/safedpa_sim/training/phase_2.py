@@ -1,7 +1,8 @@
 """Phase 2: the history encoder phi, taught on its own drives to tell what mu tells.
 
 In rounds, thousands of cars drive in the simulator with phi's own latent in the policy, so that phi meets the histories
-that it causes itself; all rounds are kept. Environments change while driving. Loss, with the spread of z = mu(e):
+that it causes itself; all rounds are kept, or the newest ones. Environments change while driving. Loss, with the spread
+of z = mu(e):
 
     mean over latents of ((phi(history) - mu(e)) / spread)^2
 
@@ -22,7 +23,7 @@ import torch
 from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.drives import policy_drives, random_drives
+from safedpa_sim.training.drives import policy_drives
 from safedpa_sim.training.explained import explained
 from safedpa_sim.training.histories import Lived, joined
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
@@ -76,6 +77,8 @@ class _Training:
     """Standard deviation of each entry of z = mu(e), (latents,)."""
     known: list[Lived] = field(default_factory=list)
     """One item per round."""
+    pairs: int = 0
+    """Of all rounds."""
     losses: list[float] = field(default_factory=list)
 
     @staticmethod
@@ -93,17 +96,18 @@ class _Training:
         driving = None
         if weights.has("policy"):
             seed = configuration.seed * 10 + _STREAM
-            count = max(1, configuration.phase_2.cars // 2)
+            count = max(1, round(configuration.phase_2.driven * configuration.phase_2.cars))
             driving = task_of(configuration.robot).practice(configuration, weights, count, seed, 0.0, True)
         return _Training(configuration, weights, cars, driving, networks, encoder, optimiser, generator, spread)
 
     def add_drives(self) -> None:
         """One more round, driven with phi as it is now."""
         phase = self.configuration.phase_2
-        self.known.append(self._lived(phase.cars))
+        self.known = [*self.known, self._lived(phase.cars)][-phase.kept :]
+        self.pairs += len(self.known[-1].rows)
 
     def _lived(self, count: int) -> Lived:
-        """Half the cars drive to goals by the policy with phi's latent, if there is one; the others at random."""
+        """Some cars drive to goals by the policy with phi's latent, if there is one; the others at random."""
         phase = self.configuration.phase_2
         driving, parts = self.driving, []
         if driving is not None:
@@ -111,8 +115,8 @@ class _Training:
             parts.append(policy_drives(driving, self.weights, self.networks, self.encoder, phase.steps, history))
             count -= driving.count
         if count > 0:
-            change, generator = phase.change, self.generator
-            parts.append(random_drives(self.cars, self.networks, count, phase.steps, change, generator))
+            change, generator, task = phase.change, self.generator, task_of(self.configuration.robot)
+            parts.append(task.random_drives(self.cars, self.networks, count, phase.steps, change, generator))
         return joined(parts)
 
     def learn(self, round_: int, tell: Tell) -> None:
@@ -158,7 +162,7 @@ class _Training:
                 "one_step_error_with_mu": self._errors(lived, index, latent),
                 "one_step_error_with_phi": self._errors(lived, index, seen),
                 "driven_by": "random" if self.driving is None else "policy and random",
-                "pairs": sum(len(item.rows) for item in self.known),
+                "pairs": self.pairs,
                 "learning_curve": self.losses,
             }
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from time import monotonic
+from time import monotonic, process_time
 from typing import Any
 
 import torch
@@ -75,7 +75,7 @@ def _run(stage: Stage, configuration: Configuration, out: Path, tell: Tell, devi
     known = read_record(out).get(stage.name, {})
     if known.get("digest") == digest and known.get("from") == made_from and _is_there(target, stage):
         return {**known, "skipped": True}
-    started = monotonic()
+    started, used = monotonic(), process_time()
     made, summary = stage.train(configuration, given, out, tell, device)  # type: ignore[arg-type]  # none wants none
     export_model(made, configuration.simulator, target)
     record = {
@@ -84,6 +84,7 @@ def _run(stage: Stage, configuration: Configuration, out: Path, tell: Tell, devi
         "file": target.with_suffix(".safetensors").name,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(monotonic() - started, 1),
+        "processor_seconds": round(process_time() - used, 1),
         "seed": configuration.seed,
         "device": device,
         "threads": torch.get_num_threads(),

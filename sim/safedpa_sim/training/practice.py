@@ -6,12 +6,16 @@ import importlib
 from typing import Any, Final, Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
 from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.histories import Lived
 from safedpa_sim.training.moved import Moved
+from safedpa_sim.training.networks import AffineNetworks
+from safedpa_sim.training.simulator import BatchedCars
 
 __all__ = ["PolicyTask", "Practice", "task_of"]
 
@@ -48,6 +52,17 @@ class PolicyTask(Protocol):
         self, configuration: Configuration, weights: Weights, *, cars: int, seed: int, sheltered: bool
     ) -> dict[str, Any]:
         """``success``, ``contacts``, ``nearest`` and ``reward`` of one episode of each of ``cars`` robots, no noise."""
+
+    def random_drives(
+        self,
+        cars: BatchedCars,
+        networks: AffineNetworks,
+        count: int,
+        steps: int,
+        change: float,
+        generator: torch.Generator,
+    ) -> Lived:
+        """Histories of ``count`` robots under actions at random; environments change with probability ``change``."""
 
 
 _TASKS: Final = {"car": "safedpa_sim.training.car_task", "pendulum": "safedpa_sim.pendulum.policy_task"}

@@ -120,8 +120,8 @@ def _in_wind(direction: int, strength: float = 4.0) -> Stage:
 
 
 def _punished(penalty: float) -> Stage:
-    """RMA-P for the pendulum, with a penalty of its own."""
-    name = f"rma_p_{penalty:g}"
+    """RMA-P for the pendulum, with a penalty of its own; RMA without one."""
+    name = f"rma_p_{penalty:g}".replace(".", "_") if penalty else "rma"
     train = _later("phase_1b", "train_policy", name=name, penalty=penalty, sheltered=False)
     return _with_penalty(name, _LEARNED, train)
 
@@ -149,7 +149,7 @@ _STAGES: Final = {
             *(_in_wind(direction) for direction in (45, 135, 225, 315)),
             _alone("mix"),
             Stage("ppo", (*_TO_POLICY, "ablations"), "{robot}_mix", "{robot}_ppo", ("policy",), _PLAIN),
-            *(_punished(penalty) for penalty in (1.0, 10.0)),
+            *(_punished(penalty) for penalty in (0.0, 0.1, 1.0, 10.0)),
         ),
     },
 }

@@ -1,0 +1,46 @@
+"""The story on a second robot in small: a payload is named from swings, and the mended filter uses more of its room."""
+
+from __future__ import annotations
+
+import pytest
+
+from safedpa.dynamics import Setting, load_model, write_model
+from safedpa.errors import InputError
+from safedpa_services.command_line import safedpa
+from safedpa_sim.experiments.pendulum_payload import PayloadCases, diagnosed_payload
+from safedpa_sim.experiments.pendulum_story import PendulumStory, pendulum_story
+from safedpa_sim.experiments.pendulum_story_report import story_markdown
+
+
+def test_a_payload_is_found_and_the_mended_model_needs_less_margin() -> None:
+    story = PendulumStory(
+        hidden=("payload",), directions=2, episodes=1, seconds=1.2, swings=2, swing_seconds=8.0, processes=1
+    )
+    result = pendulum_story(story)
+    case = result["cases"]["payload"]
+    assert case["added"] == ["tip_mass"]
+    assert case["values"]["tip_mass.mass"]["value"] == pytest.approx(0.5, abs=0.01)
+    assert case["error"][-1] < 0.1 * case["error"][0]
+    rows = case["rows"]
+    assert rows["diagnosed"]["margin"] < 0.5 * rows["shipped"]["margin"]
+    assert rows["diagnosed"]["reach"] > rows["shipped"]["reach"]
+    assert all(row["safe"] == 2 for row in rows.values())
+    assert "added tip_mass 0.5" in story_markdown({**result, "date": "today"})
+
+
+def test_a_users_payload_is_named_and_weighed() -> None:
+    """Not the identification, which needs the real logs: a pendulum of about its numbers."""
+    model = load_model("dfki_pendulum")
+    fixed = model.with_settings({path: Setting(item.value) for path, item in model.settings.items()})
+    row = diagnosed_payload((write_model(fixed), 0.2, 0, 2, 12.0))
+    assert row["added"] == ["tip_mass"]
+    assert row["within"], row
+
+
+def test_mistakes_are_named(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="--directions: got 0"):
+        PendulumStory(directions=0)
+    with pytest.raises(InputError, match="wanted logs of DFKI's pendulum"):
+        PayloadCases(tmp_path)
+    assert safedpa.run(["experiment", "pendulum-story", "--hidden", "ghost"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
