@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from safedpa.dynamics import Setting, load_model, write_model
+from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa_services.command_line import safedpa
 from safedpa_sim.experiments.pendulum_payload import PayloadCases, diagnosed_payload
@@ -29,8 +30,12 @@ def test_a_payload_is_found_and_the_mended_model_needs_less_margin() -> None:
 
 
 def test_a_users_payload_is_named_and_weighed() -> None:
-    """Not the identification, which needs the real logs: a pendulum of about its numbers."""
-    model = load_model("dfki_pendulum")
+    """Not the identification, which needs the real logs: a pendulum of about its numbers.
+
+    Without friction nothing could tell a payload from a weaker motor: both scale the torque alone.
+    """
+    friction = effect("pendulum", "coulomb_friction")
+    model = load_model("dfki_pendulum").with_effect(friction, {"torque": Setting(0.19)})
     fixed = model.with_settings({path: Setting(item.value) for path, item in model.settings.items()})
     row = diagnosed_payload((write_model(fixed), 0.2, 0, 2, 12.0))
     assert row["added"] == ["tip_mass"]

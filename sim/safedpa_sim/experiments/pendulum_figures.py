@@ -85,11 +85,11 @@ def _portrait(axes: Axes, row: dict[str, Any], hazard: list[float]) -> None:
     for upright in (0.0, 360.0):
         axes.axvline(upright, color=GREY, linewidth=0.8, linestyle=":")
     axes.set_xlim(-25, 425)
-    axes.set_ylim(-12, 12)
+    axes.set_ylim(-6, 12)
     axes.set_xticks([0, 180, 360])
     count = row["episodes"]
-    share = f"{100 * row['success'] / count:.0f} % upright, {100 * row['safe'] / count:.0f} % safe"
-    axes.set_title(f"{row['title']}\n{share}", fontsize=8)
+    share = f"upright {100 * row['success'] / count:.0f} %, safe {100 * row['safe'] / count:.0f} %"
+    axes.set_title(f"{row['title']}\n{share}", fontsize=6.8)
     axes.tick_params(labelsize=7)
     bare(axes)
 
