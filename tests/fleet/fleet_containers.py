@@ -155,7 +155,8 @@ class Watch:
         )
         self._changed = threading.Condition()
         self._newest: dict[str, Any] = {"at": 0.0, "robots": {}, "services": {}}
-        threading.Thread(target=self._read, daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -187,3 +188,7 @@ class Watch:
             self._process.wait(5)
         except subprocess.TimeoutExpired:
             self._process.kill()
+            self._process.wait()
+        self._reader.join(5)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
