@@ -1,0 +1,146 @@
+"""Room that is left to hazards while a robot with thrust along its heading stops and stands against the wind.
+
+The manoeuvre (thrust and turn are all that it has): with the acceleration that would end the motion,
+
+    wanted = -velocity / time - (wind - drag velocity)
+    thrust acceleration = clip(wanted . heading, +-strongest)
+    turn = clip(gain angle from heading, or its opposite, to wanted, +-fastest)
+
+it turns its nose, or its tail, to where it has to push, pushes as well as it already can, and ends at rest with the
+wind held. h_i = least distance to hazard i along the manoeuvre, less its radius; of nose and tail first, the one that
+leaves more room to the nearest hazard. Whoever takes the manoeuvre's own action keeps every h_i from falling, for all
+hazards at once: the conditions can always be met together.
+Source: the backup control barrier function of Gurriet, Mote, Singletary, Feron, Ames, A Scalable Safety Critical
+Control Framework for Nonlinear Systems, IEEE Access 2020.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.safety.barrier import AbstractBarrier
+
+__all__ = ["ENDS", "Motion", "StoppingBarrier", "stopping_action", "stopping_path", "stopping_room"]
+
+Floats = NDArray[np.float64]
+
+STEP_SECONDS: Final = 0.04
+STEPS: Final = 40
+"""1.6 s: half a second to turn by a right angle, half to stop from full speed, the rest to stand."""
+ENDS: Final = np.array([1.0, -1.0])
+"""Nose first, tail first."""
+_TIME = 0.15
+"""s in which the velocity shall end."""
+_GAIN = 12.0
+"""1/s of the turning."""
+_FAINT = 0.05
+"""m/s2 of wanted acceleration below which the turning fades: a robot at rest in still air need not turn."""
+_FAR = 0.5
+"""Cosine: the other end takes over when this one is more than 120 degrees from where it has to push."""
+_NUDGE = 1e-4
+
+
+@final
+@dataclass(frozen=True)
+class Motion:
+    """What is known of how the robots move; numbers, or arrays with one entry a robot."""
+
+    wind: Any
+    """(2,) or (2, robots): acceleration by the wind [m/s2], in the world."""
+    drag: Any
+    """1/s: deceleration over velocity."""
+    strongest: Any
+    """m/s2 of thrust along the heading, forwards and backwards."""
+    fastest: float
+    """rad/s of turning."""
+    ahead: float = 0.0
+    """m by which the position of the state, the centre of mass, lies ahead of the middle, whose room counts."""
+
+
+def stopping_action(state: Floats, motion: Motion, end: Floats) -> tuple[Floats, Floats, Floats]:
+    """(thrust acceleration [m/s2], turn [rad/s]) of the manoeuvre for states (5, robots), and the end that pushes.
+
+    ``end`` (robots,): 1 where the nose shall point to where the robot has to push, -1 where the tail shall; it changes
+    once the other end is nearer by far.
+    """
+    ahead, aside = np.cos(state[2]), np.sin(state[2])
+    wanted_x = -state[3] / _TIME - motion.wind[0] + motion.drag * state[3]
+    wanted_y = -state[4] / _TIME - motion.wind[1] + motion.drag * state[4]
+    along = wanted_x * ahead + wanted_y * aside
+    across = wanted_y * ahead - wanted_x * aside
+    size = np.sqrt(along * along + across * across)
+    end = np.where(end * along < -_FAR * size, -end, end)
+    error = np.arctan2(end * across, end * along) * size / (size + _FAINT)
+    thrust = np.clip(along, -motion.strongest, motion.strongest)
+    return thrust, np.clip(_GAIN * error, -motion.fastest, motion.fastest), end
+
+
+def stopping_path(state: Floats, motion: Motion, end: Floats) -> Floats:
+    """Places (1 + STEPS, 2, robots) of the middle along the manoeuvre from states (5, robots), from now on."""
+    now = np.array(state, dtype=np.float64)
+    path = np.empty((STEPS + 1, 2, now.shape[1]))
+    path[0] = _middle(now, motion)
+    for step in range(1, STEPS + 1):
+        thrust, turn, end = stopping_action(now, motion, end)
+        middle = now[2] + 0.5 * STEP_SECONDS * turn
+        now[2] += STEP_SECONDS * turn
+        for axis, heading in ((0, np.cos(middle)), (1, np.sin(middle))):
+            push = thrust * heading + motion.wind[axis] - motion.drag * now[3 + axis]
+            now[axis] += STEP_SECONDS * (now[3 + axis] + 0.5 * STEP_SECONDS * push)
+            now[3 + axis] += STEP_SECONDS * push
+        path[step] = _middle(now, motion)
+    return path
+
+
+def _middle(state: Floats, motion: Motion) -> Floats:
+    if motion.ahead == 0.0:
+        return state[:2]
+    return state[:2] - motion.ahead * np.stack((np.cos(state[2]), np.sin(state[2])))
+
+
+def stopping_room(path: Floats, hazards: Floats, radii: Floats) -> Floats:
+    """h (robots, hazards) [m] of paths (steps, 2, robots) among hazards (robots, hazards, 2) of those radii."""
+    nearest = np.full(hazards.shape[:2], np.inf)
+    for place in path:
+        apart = hazards - place.T[:, np.newaxis]
+        np.minimum(nearest, np.einsum("rhk,rhk->rh", apart, apart), out=nearest)
+    room: Floats = np.sqrt(nearest) - radii
+    return room
+
+
+@final
+class StoppingBarrier(AbstractBarrier):
+    """h of one robot among ``hazards`` (m, 3): x, y, radius [m]; state x, y, yaw, vx, vy."""
+
+    kind = "obstacle"
+
+    def __init__(self, hazards: Floats, motion: Motion) -> None:
+        rows = np.asarray(hazards, dtype=np.float64).reshape(-1, 3)
+        self.names = tuple(f"hazard {index}" for index in range(len(rows)))
+        self._places, self._radii, self._motion = rows[:, :2], rows[:, 2], motion
+
+    def values(self, state: Floats) -> Floats:  # noqa: D102
+        return self._best(np.asarray(state, dtype=np.float64))[0]
+
+    def evaluate(self, state: Floats) -> tuple[Floats, Floats]:  # noqa: D102
+        state = np.asarray(state, dtype=np.float64)
+        room, end = self._best(state)
+        around = np.repeat(state[:, np.newaxis], 10, axis=1)
+        index = np.arange(5)
+        around[index, index] += _NUDGE
+        around[index, 5 + index] -= _NUDGE
+        rooms = self._rooms(around, np.full(10, end))
+        return room, (rooms[:5] - rooms[5:]).T / (2.0 * _NUDGE)
+
+    def _best(self, state: Floats) -> tuple[Floats, float]:
+        rooms = self._rooms(np.repeat(state[:, np.newaxis], 2, axis=1), ENDS)
+        best = int(np.argmax(rooms.min(axis=1))) if rooms.size else 0
+        return rooms[best], float(ENDS[best])
+
+    def _rooms(self, states: Floats, end: Floats) -> Floats:
+        path = stopping_path(states, self._motion, end)
+        return stopping_room(path, np.broadcast_to(self._places, (states.shape[1], *self._places.shape)), self._radii)
