@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,6 @@ def test_services_in_one_process_live_by_the_robots_clock():
     for _ in drive(CarRobot(live_scene(1), 0.05), nodes, 41, hear=hear):
         pass
     ticks = [tick for service, tick in beats if service == "policy"]
-    apart = [after - before for before, after in zip(ticks, ticks[1:], strict=False)]
+    apart = [after - before for before, after in pairwise(ticks)]
     assert apart[0] <= 5  # robots take turns: the second heartbeat comes after a part of the time
     assert apart[1:] == [5] * 7
