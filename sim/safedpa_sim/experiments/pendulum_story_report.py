@@ -100,5 +100,5 @@ def _picture(result: dict[str, Any], path: Path) -> None:
             bare(axes)
         panels[1].set_ylim(25, 47)
         panels[1].axhline(45.0, color="#D55E00", linewidth=1.0)
-        panels[0].legend(fontsize=6.5, loc="upper right")
+        drawn.legend(loc="outside lower center", ncols=len(names), fontsize=6.5, frameon=False)
         heading(drawn, "What knowing the missing effect is worth: a smaller margin, more of the 45 degrees")
