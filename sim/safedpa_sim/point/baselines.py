@@ -8,44 +8,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from time import monotonic
-from typing import Any, Final, final
+from time import monotonic, process_time
+from typing import Any, final
 
 import numpy as np
 import torch
-from sb3_contrib import TRPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa_sim.point.constrained import ConstrainedTRPO, Multiplier
+from safedpa_sim.point.fisher import FisherTRPO
+from safedpa_sim.point.plan import BASELINES, Plan
 from safedpa_sim.point.policy_file import BaselinePolicy, load_policy, save_policy
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.point.vector_environment import PointEnvironment
 from safedpa_sim.training.progress import Tell, silent
 
-__all__ = ["BASELINES", "Plan", "evaluate_policy", "train_baseline"]
-
-BASELINES: Final = ("ppo", "trpo", "ppo_lagrangian", "trpo_lagrangian", "cpo")
+__all__ = ["evaluate_policy", "train_baseline"]
 
 _EVALUATED = 256
 """Whole episodes of the last evaluation."""
 _EVALUATION_SEED = 1_000_003
-
-
-@final
-@dataclass(frozen=True)
-class Plan:
-    """What a baseline is trained on: how long, in which winds [N], with which thrust."""
-
-    steps: int = 5_000_000
-    robots: int = 128
-    largest_force: float = 0.0
-    stock: bool = False
-    seed: int = 0
 
 
 def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> dict[str, Any]:
@@ -59,7 +45,8 @@ def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> di
     made_from = {"name": name, **plan.__dict__}
     if path.exists() and (known := load_policy(path)).told.get("plan") == made_from:
         return {**known.told, "skipped": True}
-    started = monotonic()
+    started, worked = monotonic(), process_time()
+    torch.set_num_threads(1)  # the same weights however many cores there are
     environment = PointEnvironment(_task(plan, plan.seed), plan.seed)
     algorithm = _algorithm(name, environment, plan)
     watch = _Watch(name, environment, plan, tell)
@@ -73,8 +60,9 @@ def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> di
         "plan": made_from,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(monotonic() - started, 1),
+        "processor_seconds": round(process_time() - worked, 1),
         **evaluate_policy(policy.act, _task(plan, plan.seed + _EVALUATION_SEED, _EVALUATED)),
-        "multiplier": environment.weight,
+        "multiplier": round(environment.weight, 4),
         "learning_curve": watch.curve,
     }
     save_policy(BaselinePolicy(policy.tensors, account), path)
@@ -120,7 +108,7 @@ def _algorithm(name: str, environment: PointEnvironment, plan: Plan) -> Any:
     if name.startswith("ppo"):
         options: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 8, "ent_coef": 0.0}
         return PPO("MlpPolicy", learning_rate=lambda left: 6e-4 * max(left, 0.1), **options, **common)
-    kind = ConstrainedTRPO if name == "cpo" else TRPO
+    kind = ConstrainedTRPO if name == "cpo" else FisherTRPO
     return kind("MlpPolicy", n_steps=128, batch_size=2048, n_critic_updates=5, learning_rate=1e-3, **common)
 
 

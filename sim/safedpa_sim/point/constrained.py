@@ -19,12 +19,12 @@ from typing import Any, Final, final
 
 import numpy as np
 import torch
-from sb3_contrib import TRPO
 from sb3_contrib.common.utils import conjugate_gradient_solver
 from stable_baselines3.common.callbacks import BaseCallback
 from torch.distributions import kl_divergence
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from safedpa_sim.point.fisher import FisherTRPO
 from safedpa_sim.point.task import EPISODE_STEPS
 from safedpa_sim.point.vector_environment import PointEnvironment
 
@@ -152,7 +152,7 @@ def _within(number: float, bounds: tuple[float, float]) -> float:
 
 
 @final
-class ConstrainedTRPO(TRPO):
+class ConstrainedTRPO(FisherTRPO):
     """TRPO whose update heeds the cost; its environment is a ``PointEnvironment``."""
 
     def __init__(self, *arguments: Any, limit: float = COST_LIMIT, **named: Any) -> None:
@@ -165,6 +165,7 @@ class ConstrainedTRPO(TRPO):
 
     def train(self) -> None:
         """One update of policy and critics with the rollout that was just collected."""
+        self._take_fisher()
         costs = torch.as_tensor(np.stack(self.recent_costs), dtype=torch.float32)
         self.recent_costs = []
         buffer = self.rollout_buffer

@@ -1,0 +1,80 @@
+"""What the baselines' training is made of: the Fisher matrix, the constrained step, files that are left alone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sb3_contrib import TRPO
+from torch.distributions import kl_divergence
+
+from safedpa.errors import InputError
+from safedpa_sim.point import fisher
+from safedpa_sim.point.baseline_set import baseline_named, train_baselines
+from safedpa_sim.point.baselines import _algorithm, _task
+from safedpa_sim.point.constrained import constrained_step
+from safedpa_sim.point.plan import Plan
+from safedpa_sim.point.vector_environment import PointEnvironment
+
+
+def test_the_fisher_products_are_those_of_the_divergence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fisher, "EVERY", 1)
+    algorithm = _algorithm("trpo", PointEnvironment(_task(Plan(robots=16), 0), 0), Plan(robots=16))
+    buffer = algorithm.rollout_buffer
+    buffer.observations[:] = np.random.default_rng(0).normal(size=buffer.observations.shape)
+    algorithm._take_fisher()
+    observations = torch.as_tensor(buffer.observations).flatten(0, 1)
+    now = algorithm.policy.get_distribution(observations).distribution
+    old = torch.distributions.Normal(now.mean.detach(), now.stddev.detach())
+    distance = kl_divergence(now, old).sum(-1).mean()
+    objective = algorithm.policy.get_distribution(observations).log_prob(torch.ones(len(observations), 2)).mean()
+    parameters, _, gradient, _ = algorithm._compute_actor_grad(distance, objective)
+    vector = torch.randn(len(gradient), generator=torch.Generator().manual_seed(1))
+    by_graph = TRPO.hessian_vector_product(algorithm, parameters, gradient, vector)
+    written_out = algorithm.hessian_vector_product(parameters, gradient, vector)
+    torch.testing.assert_close(written_out, by_graph, rtol=1e-3, atol=1e-4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.floats(-0.05, 0.05))
+def test_the_constrained_step_is_the_best_that_a_search_finds(seed: int, excess: float) -> None:
+    """Two parameters: the trust region is an ellipse, its best point lies on the edge or where the limit cuts it."""
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(2, 2)) + 2.0 * np.eye(2)
+    matrix, g, b = root @ root.T, random.normal(size=2), random.normal(size=2)
+    largest = 0.01
+
+    def solve(vector: torch.Tensor) -> torch.Tensor:
+        return torch.as_tensor(np.linalg.solve(matrix, vector.numpy()))
+
+    step = constrained_step(torch.as_tensor(g), torch.as_tensor(b), excess, largest, solve)
+    x = step.direction.numpy()
+    assert 0.5 * x @ matrix @ x <= largest * 1.001
+    angle = np.linspace(0.0, 2.0 * np.pi, 721)
+    edge = np.linalg.solve(root.T, np.stack((np.cos(angle), np.sin(angle)))) * np.sqrt(2.0 * largest)
+    points = (edge[:, None] * np.linspace(0.0, 1.0, 101)[None, :, None]).reshape(2, -1)
+    allowed = excess + b @ points <= 0.0
+    if allowed.any():
+        assert step.for_reward
+        assert excess + b @ x <= 1e-6
+        assert g @ x >= (g @ points[:, allowed]).max() - 1e-6
+    elif not step.for_reward:
+        assert b @ x == pytest.approx((b @ points).min(), abs=1e-4)
+
+
+def test_a_baseline_that_is_there_stays_as_it_is(tmp_path: Path) -> None:
+    first = train_baselines(tmp_path, ["cpo", "ppo_lagrangian"], ["still"], steps=16_000)
+    assert 0.0 < first["cpo_still"]["processor_seconds"] < 60.0
+    written = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert set(written) == {"cpo_still.safetensors", "ppo_lagrangian_still.safetensors"}
+    again = train_baselines(tmp_path, ["cpo", "ppo_lagrangian"], ["still"], steps=16_000)
+    assert all(account["skipped"] for account in again.values())
+    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
+    act = baseline_named("cpo", "still", tmp_path).act(np.zeros((3, 31)))
+    assert act.shape == (3, 2)
+    with pytest.raises(InputError, match="did you mean"):
+        train_baselines(tmp_path, ["cppo"])
+    with pytest.raises(InputError, match="train-baselines"):
+        baseline_named("none", "still", tmp_path)
