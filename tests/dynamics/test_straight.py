@@ -16,7 +16,7 @@ from safedpa.dynamics.straight import StraightSteps
 from safedpa.effects import Context, Parameter, RateEffect, Stage
 from safedpa.effects.library import effects_of
 
-MODELS = ("car", "car_measured", "dart_car", "pendulum", "dfki_pendulum", "point")
+MODELS = ("car", "car_measured", "dart_car", "pendulum", "dfki_pendulum", "point", "car_learned", "pendulum_learned")
 
 
 def quick(model: PhysicsModel) -> PhysicsModel:
@@ -70,7 +70,7 @@ def agree(model: PhysicsModel, draw: np.random.Generator) -> None:
             slow.affine(there, latent, around=action, memory=theirs, time=0.1),
             strict=True,
         ):
-            assert got.tobytes() == wanted.tobytes() or (np.isnan(got) == np.isnan(wanted)).all()
+            np.testing.assert_array_equal(got, wanted)
         here, ours = fast.advance(here, action, ours, latent, time=0.1 * step)
         there, theirs = slow.advance(there, action, theirs, latent, time=0.1 * step)
         np.testing.assert_array_equal(here, there)
@@ -84,6 +84,16 @@ def test_both_roads_give_the_same_bits(model: PhysicsModel) -> None:
     quick(model)
     for seed in range(8):
         agree(model, np.random.default_rng(seed))
+
+
+def test_a_model_tells_its_straight_step_once_it_has_one() -> None:
+    model, delayed = quick(load_model("car_learned")), quick(load_model("dart_car"))
+    state, action = np.array([0.1, 0.2, 0.3, 1.0]), np.array([1.0, 0.1])
+    step = model.straight(model.period)
+    assert step is not None
+    assert step(state.tolist(), action.tolist(), model.latent.tolist(), 0.0) == model.step(state, action).tolist()
+    assert load_model("car").straight(0.05) is None
+    assert (delayed.straight(delayed.period) is None) == bool(delayed.initial_memory(action))
 
 
 def test_every_equation_of_the_project_can_be_recorded() -> None:

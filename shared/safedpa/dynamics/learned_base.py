@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any, final
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.runge_kutta import Derivative, euler
 from safedpa.dynamics.settings import LATENT_PREFIX
+from safedpa.dynamics.straight import called, is_recorded
 from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
@@ -29,7 +31,6 @@ class LearnedBase(AbstractBase):
     kind = "learned"
     equation = "x' = f(x, z) + g(x, z) a"
     source = "Xiao, He, Dolan, Shi, Safe Deep Policy Adaptation, ICRA 2024"
-    straight = False
 
     def __init__(self, nominal: AbstractBase, weights: Weights) -> None:
         described, system = weights.description, nominal.system
@@ -47,7 +48,7 @@ class LearnedBase(AbstractBase):
         self.networks = LearnedNetworks(weights)
         self.parameters = (*nominal.parameters, *_latent_parameters(weights))
         self._latents = tuple(f"{LATENT_PREFIX}{index}" for index in range(described.latents))
-        self._last: tuple[tuple[float, ...], list[float], list[list[float]]] | None = None
+        self._last: tuple[tuple[float, ...], list[float]] | None = None
         self._torch: Any = None
 
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:  # noqa: D102
@@ -55,7 +56,7 @@ class LearnedBase(AbstractBase):
         entries = [state[name] for name in names]
         latent = [parameters[name] for name in self._latents]
         wish = [action[name] for name in self.system.action_names]
-        if operations is FLOATS or operations is COMPLEX:
+        if operations is FLOATS or operations is COMPLEX or is_recorded(entries[0]):
             change = self._single(entries, latent, wish)
         elif operations is NUMPY:
             change = self._batch(entries, latent, wish)
@@ -68,16 +69,22 @@ class LearnedBase(AbstractBase):
         return euler(derivative, state, time, period)
 
     def _single(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
-        """The change of one robot; f and g of the last state are kept, for the many actions that the filter tries."""
-        known = (*entries, *latent)
-        if self._last is None or self._last[0] != known:
-            f, g = self.networks.increment(np.array(entries), np.array(latent))
-            self._last = (known, f.tolist(), g.tolist())
-        _, f_rows, g_rows = self._last
+        """The change of one robot."""
+        states, actions = len(entries), len(wish)
+        known = called(self._of_one, (*entries, *latent), states * (1 + actions))
+        rows = [known[start : start + actions] for start in range(states, len(known), actions)]
         return [
             start + sum(slope * felt for slope, felt in zip(row, wish, strict=True))
-            for start, row in zip(f_rows, g_rows, strict=True)
+            for start, row in zip(known[:states], rows, strict=True)
         ]
+
+    def _of_one(self, *known: float) -> list[float]:
+        """f and g in a row, from state and latent; the last are kept, for the many actions that the filter tries."""
+        if self._last is None or self._last[0] != known:
+            states = len(self.system.state)
+            f, g = self.networks.increment(np.array(known[:states]), np.array(known[states:]))
+            self._last = (known, [*f.tolist(), *chain.from_iterable(g.tolist())])
+        return self._last[1]
 
     def _batch(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
         arrays = np.broadcast_arrays(*entries, *latent, *wish)

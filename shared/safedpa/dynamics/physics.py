@@ -14,12 +14,12 @@ from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
 from safedpa.dynamics.settings import Setting, base_default, check_effects, check_settings
-from safedpa.dynamics.straight import StraightStep, StraightSteps, straight_step
-from safedpa.dynamics.tangent import batched_difference, complex_step, forward_mode, single_tangent
+from safedpa.dynamics.straight import Straight, StraightStep, StraightSteps, straight_step
+from safedpa.dynamics.tangent import batched_difference, forward_mode, intercept, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
-from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar
+from safedpa.operations import FLOATS, NUMPY, Operations, Scalar
 
 __all__ = ["PhysicsModel", "Setting"]
 
@@ -118,10 +118,18 @@ class PhysicsModel(AbstractDynamics):
         entries, memory = self._advance(true, named, memory, values, used, time, operations)
         return joined(entries, operations), memory
 
+    def straight(self, period: float) -> StraightStep | None:
+        """One robot's step as a function of plain numbers, for who takes thousands; None: use ``advance``.
+
+        There is none for actuators that remember, for equations that cannot be recorded, and before the model was asked
+        often enough for recording to pay.
+        """
+        return None if self._commands else self._straight.floats(period)
+
     def held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
     ) -> tuple[list[list[float]], Any]:
-        step = None if self._commands or not _single(state, action, latent) else self._straight.floats(period)
+        step = self.straight(period) if _single(state, action, latent) else None
         if step is not None:
             entries, felt, rows = state.tolist(), action.tolist(), []
             free = (self.latent if latent is None else latent).tolist()
@@ -245,13 +253,12 @@ class PhysicsModel(AbstractDynamics):
         self, state: Array, around: Array, latent: Array | None, time: float
     ) -> tuple[Array, Array] | None:
         """The tangent for one robot along the straight line, by complex steps; None where the reference answers."""
-        if not _single(state, around, latent) or self._straight.floats(self.period) is None:
+        if not _single(state, around, latent) or (tangent := self._straight.tangent(self.period)) is None:
             return None
-        step = self._straight.of(self.period, COMPLEX)
-        assert step is not None
-        entries, free = state.tolist(), (self.latent if latent is None else latent).tolist()
+        free, action = (self.latent if latent is None else latent).tolist(), around.tolist()
         with contextlib.suppress(ValueError, ArithmeticError):
-            return complex_step(lambda nudged: step(entries, nudged, free, time), around.tolist())
+            value, g = tangent(state.tolist(), action, free, time)
+            return intercept(value, g, action), np.array(g)
         return None
 
     @cached_property
@@ -260,7 +267,7 @@ class PhysicsModel(AbstractDynamics):
         straight = self._takes_complex and self.base.straight
         return StraightSteps(self._recorded if straight else None)
 
-    def _recorded(self, period: float) -> dict[str, StraightStep] | None:
+    def _recorded(self, period: float) -> Straight | None:
         def equations(
             state: Sequence[Scalar],
             action: Sequence[Scalar],

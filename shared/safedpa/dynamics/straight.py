@@ -15,9 +15,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, final
 
+from safedpa.dynamics.straight_tangent import StraightTangent, compiled_tangent
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
-__all__ = ["StraightStep", "StraightSteps", "straight_step"]
+__all__ = ["Straight", "StraightStep", "StraightSteps", "called", "is_recorded", "straight_step"]
 
 StraightStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
 """Entries after one period from the entries of state, felt action and latent, and the time [s]."""
@@ -54,6 +55,8 @@ class _Tape:
     def __init__(self) -> None:
         self.lines: list[tuple[str, str, tuple[str, ...]]] = []
         """(name, form, operands); the form has a place for each operand, or is a function's name."""
+        self.calls: dict[str, Callable[..., Any]] = {}
+        """Functions that are no arithmetic, such as networks, by the name that they are called under."""
         self._known: dict[tuple[str, tuple[str, ...]], _Recorded] = {}
 
     def record(self, form: str, *operands: Any) -> _Recorded:
@@ -63,6 +66,13 @@ class _Tape:
             self.lines.append((name, form, names))
             self._known[form, names] = _Recorded(self, name)
         return self._known[form, names]
+
+    def call(self, function: Callable[..., Any], operands: Sequence[Any], count: int) -> list[_Recorded]:
+        """The ``count`` results of a function of all ``operands``, called as it is."""
+        name = f"call{len(self.calls)}"
+        self.calls[name] = function
+        results = self.record(f"{name}({', '.join(f'{{{index}}}' for index in range(len(operands)))})", *operands)
+        return [self.record(f"{{0}}[{index}]", results) for index in range(count)]
 
     def operations(self) -> Operations:
         """A table whose functions write themselves down."""
@@ -111,6 +121,21 @@ for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "
     setattr(_Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
 
 
+def called(function: Callable[..., Sequence[Any]], operands: Sequence[Any], count: int) -> Sequence[Any]:
+    """The ``count`` results of ``function(*operands)``, among equations that may be recorded.
+
+    For what is no arithmetic on single numbers, such as a network. It gets the same floats whenever the equations run,
+    so its operands must not depend on the action.
+    """
+    tape = next((operand.tape for operand in operands if isinstance(operand, _Recorded)), None)
+    return function(*operands) if tape is None else tape.call(function, operands, count)
+
+
+def is_recorded(number: Any) -> bool:
+    """Whether it is not known yet, because equations are being recorded."""
+    return isinstance(number, _Recorded)
+
+
 def _written(operand: Any) -> str:
     """The variable's name, or the constant exactly as it is."""
     if isinstance(operand, _Recorded):
@@ -120,22 +145,31 @@ def _written(operand: Any) -> str:
     return f"({operand!r})" if isinstance(operand, int) else f"({float(operand)!r})"
 
 
+Straight = tuple[StraightStep, StraightStep, StraightTangent]
+"""For floats, for complex numbers, and the tangent in the action."""
+
+
 @final
 class StraightSteps:
     """The straight-line functions of one model, by period, recorded once they are worth it.
 
-    ``record(period)`` makes them, ``floats`` and ``complex``, or None where the equations cannot be recorded.
+    ``record(period)`` makes them, or None where the equations cannot be recorded.
     """
 
-    def __init__(self, record: Callable[[float], dict[str, StraightStep] | None] | None) -> None:
+    def __init__(self, record: Callable[[float], Straight | None] | None) -> None:
         self._record = record
         self._asked: dict[float, int] = {}
         self._floats: dict[float, StraightStep] = {}
         self._complex: dict[float, StraightStep] = {}
+        self._tangents: dict[float, StraightTangent] = {}
 
     def floats(self, period: float) -> StraightStep | None:
         """For Python floats; None: take the other road."""
         return self._floats.get(period) or self._considered(period)
+
+    def tangent(self, period: float) -> StraightTangent | None:
+        """Values and slopes in one go; None: take the other road."""
+        return self._tangents.get(period) or (self._tangents.get(period) if self._considered(period) else None)
 
     def of(self, period: float, operations: Operations) -> StraightStep | None:
         """For the numbers that the table is made for; None: take the other road."""
@@ -152,18 +186,18 @@ class StraightSteps:
             if made is None:
                 self._record = None
                 return None
-            self._floats[period], self._complex[period] = made["floats"], made["complex"]
+            self._floats[period], self._complex[period], self._tangents[period] = made
         return self._floats.get(period)
 
     def __getstate__(self) -> dict[str, Any]:
         """Functions made here do not travel to another process; they are made there again."""
-        return {**self.__dict__, "_asked": {}, "_floats": {}, "_complex": {}}
+        return {**self.__dict__, "_asked": {}, "_floats": {}, "_complex": {}, "_tangents": {}}
 
 
 def straight_step(
     equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
-) -> dict[str, StraightStep] | None:
-    """The equations as straight-line functions, ``floats`` and ``complex``; None where they cannot be recorded.
+) -> Straight | None:
+    """The equations as straight-line functions; None where they cannot be recorded.
 
     Of the names only the number counts.
     """
@@ -181,10 +215,11 @@ def straight_step(
         f"[{', '.join(number.name for number in numbers)}] = {whole}"
         for whole, numbers in (("state", state), ("action", action), ("latent", latent))
     ]
-    return {
-        "floats": _compiled(head, tape, names, _FLOAT_FORMS, FLOATS),
-        "complex": _compiled(head, tape, names, {}, COMPLEX),
-    }
+    return (
+        _compiled(head, tape, names, _FLOAT_FORMS, FLOATS),
+        _compiled(head, tape, names, {}, COMPLEX),
+        compiled_tangent(head, tape.lines, tape.calls, names, [number.name for number in action]),
+    )
 
 
 def _compiled(
@@ -192,11 +227,11 @@ def _compiled(
 ) -> StraightStep:
     lines = ["def step(state, action, latent, time):", *head]
     for name, form, operands in tape.lines:
-        called = f"{form}({', '.join(operands)})"
+        function = f"{form}({', '.join(operands)})"
         written = forms.get(form) if form in _FUNCTIONS else form
-        lines.append(f"{name} = {called if written is None else written.format(*operands)}")
+        lines.append(f"{name} = {function if written is None else written.format(*operands)}")
     lines.append(f"return [{', '.join(after)}]")
-    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan}
+    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
     scope.update({name: getattr(table, name) for name in _FUNCTIONS})
     exec("\n    ".join(lines), scope)  # arithmetic on names of our own, nothing from outside
     step: StraightStep = scope["step"]

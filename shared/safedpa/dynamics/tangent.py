@@ -12,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.dynamics import Array
+from safedpa.dynamics.straight_tangent import IMAGINARY
 from safedpa.operations import COMPLEX, FLOATS, Operations
 
-__all__ = ["batched_difference", "complex_step", "forward_mode", "single_tangent"]
+__all__ = ["batched_difference", "complex_step", "forward_mode", "intercept", "single_tangent"]
 
 _NUDGE = 1e-5
 """Share of an actuator's range by which the action is moved for a central difference. The error grows with its square
 (curvature: 1e-10) and with its inverse (rounding: 1e-16 of a position, 1e-10 at 10 m)."""
-
-_IMAGINARY = 1e-30
-"""Imaginary part of a nudged action: its square vanishes beside every real part, so the slope is exact."""
 
 
 def single_tangent(
@@ -48,10 +46,10 @@ def complex_step(
     after = []
     for index, value in enumerate(action):
         nudged: list[Any] = list(action)
-        nudged[index] = complex(value, _IMAGINARY)
+        nudged[index] = complex(value, IMAGINARY)
         after.append(step(nudged))
-    g = [[entry.imag / _IMAGINARY for entry in row] for row in zip(*after, strict=True)]
-    return _intercept([entry.real for entry in after[0]], g, action), np.array(g)
+    g = [[entry.imag / IMAGINARY for entry in row] for row in zip(*after, strict=True)]
+    return intercept([entry.real for entry in after[0]], g, action), np.array(g)
 
 
 def _difference(
@@ -66,10 +64,10 @@ def _difference(
         down[index] -= nudge
         slopes.append([(high - low) / (2.0 * nudge) for high, low in zip(step(up), step(down), strict=True)])
     g = list(zip(*slopes, strict=True))
-    return _intercept(step(action), g, action), np.array(g)
+    return intercept(step(action), g, action), np.array(g)
 
 
-def _intercept(value: Sequence[float], g: Sequence[Sequence[float]], action: Sequence[float]) -> NDArray[np.float64]:
+def intercept(value: Sequence[float], g: Sequence[Sequence[float]], action: Sequence[float]) -> NDArray[np.float64]:
     """f = value - g action."""
     return np.array(
         [
