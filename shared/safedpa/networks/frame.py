@@ -1,19 +1,20 @@
 """What networks see of a state, and in which frame they tell its change.
 
 A car that stands elsewhere moves alike: its networks see no position, and tell the change of position along and across
-the heading. So they need not learn what geometry knows. The equations run on numpy arrays and on torch tensors.
+the heading. So they need not learn what geometry knows. The equations run on the entries of one state, Python floats,
+on numpy arrays and on torch tensors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from safedpa.errors import InputError
-from safedpa.operations import NUMPY, Operations, operations_for
+from safedpa.operations import FLOATS, Operations, Scalar, operations_for
 
 __all__ = ["Frame", "frame_of"]
 
@@ -26,48 +27,60 @@ class Frame:
     """Features of a state, and changes of state in the robot's own frame."""
 
     feature_names: tuple[str, ...]
-    _features: Callable[[Array, Operations], list[Array]]
-    _rotation: Callable[[Array, Operations], tuple[Array, Array]] | None
-    """Cosine and sine of the heading, for robots that have one; their first two entries are the position."""
+    _features: Callable[[Sequence[Scalar], Operations], list[Scalar]]
+    _rotation: Callable[[Sequence[Scalar], Operations], tuple[Scalar, Scalar]] | None
+    """Cosine and sine of the heading, for robots that have one."""
     _angle: int | None
     """Which entry of the state is an angle."""
+    _turned: tuple[tuple[int, int], ...] = ((0, 1),)
+    """Entries of the state that are vectors of the world, x and y each: the position, a velocity."""
 
     def features(self, state: Array) -> Array:
         """What the networks see of states (..., states): shape (..., features)."""
-        return _stacked(self._features(state, operations_for(state)))
+        return _stacked(self._features(_entries(state), operations_for(state)))
 
-    def features_of_one(self, state: Array) -> Array:
-        """``features`` of one state (states,), a numpy array, without what only batches need."""
-        return np.array(self._features(state, NUMPY))
+    def features_of_one(self, state: Sequence[float]) -> list[float]:
+        """``features`` of the entries of one state, without arrays."""
+        return self._features(state, FLOATS)
 
-    def world_matrix(self, state: Array) -> Array:
-        """R (states, states) of one state (states,): ``world_increment`` as a matrix."""
-        matrix = np.eye(len(state))
-        if self._rotation is not None:
-            cosine, sine = self._rotation(state, NUMPY)
-            matrix[0, 0] = matrix[1, 1] = cosine
-            matrix[0, 1], matrix[1, 0] = -sine, sine
-        return matrix
+    def own_increment_of_one(self, state: Sequence[float], following: Sequence[float]) -> list[float]:
+        """``own_increment`` of the entries of one state and the one that follows, without arrays."""
+        return self._own(state, [after - before for before, after in zip(state, following, strict=True)], FLOATS)
+
+    def turn_to_world(self, state: Sequence[float], own: Sequence[list[float]]) -> None:
+        """``world_increment`` of one state in place: ``own[entry]`` holds that entry of several own-frame changes."""
+        if self._rotation is None:
+            return
+        cosine, sine = self._rotation(state, FLOATS)
+        for x, y in self._turned:
+            for index, (along, across) in enumerate(zip(own[x], own[y], strict=True)):
+                own[x][index] = cosine * along - sine * across
+                own[y][index] = sine * along + cosine * across
 
     def own_increment(self, state: Array, following: Array) -> Array:
         """The change from ``state`` to ``following`` (..., states) in the frame of ``state``; angles the short way."""
         change = [following[..., index] - state[..., index] for index in range(state.shape[-1])]
-        if self._angle is not None:
-            turn = change[self._angle]
-            change[self._angle] = (turn + np.pi) % (2.0 * np.pi) - np.pi
-        if self._rotation is not None:
-            cosine, sine = self._rotation(state, operations_for(state))
-            change[:2] = cosine * change[0] + sine * change[1], cosine * change[1] - sine * change[0]
-        return _stacked(change)
+        return _stacked(self._own(_entries(state), change, operations_for(state)))
 
     def world_increment(self, state: Array, own: Array) -> Array:
         """An own-frame change (..., states) as a change of the state's entries: the inverse of ``own_increment``."""
         if self._rotation is None:
             return own
-        cosine, sine = self._rotation(state, operations_for(state))
-        along, across = own[..., 0], own[..., 1]
-        turned = [cosine * along - sine * across, sine * along + cosine * across]
-        return _stacked([*turned, *(own[..., index] for index in range(2, own.shape[-1]))])
+        cosine, sine = self._rotation(_entries(state), operations_for(state))
+        change = _entries(own)
+        for x, y in self._turned:
+            change[x], change[y] = cosine * change[x] - sine * change[y], sine * change[x] + cosine * change[y]
+        return _stacked(change)
+
+    def _own(self, state: Sequence[Scalar], change: list[Scalar], operations: Operations) -> list[Scalar]:
+        """The change of each entry of the state, turned into its frame; angles the short way."""
+        if self._angle is not None:
+            change[self._angle] = (change[self._angle] + np.pi) % (2.0 * np.pi) - np.pi
+        if self._rotation is not None:
+            cosine, sine = self._rotation(state, operations)
+            for x, y in self._turned:
+                change[x], change[y] = cosine * change[x] + sine * change[y], cosine * change[y] - sine * change[x]
+        return change
 
 
 def frame_of(robot: str) -> Frame:
@@ -85,22 +98,32 @@ def _stacked(entries: list[Array]) -> Array:
     return torch.stack(torch.broadcast_tensors(*entries), dim=-1)  # type: ignore[no-untyped-call]
 
 
-def _car_features(state: Array, operations: Operations) -> list[Array]:
-    yaw = state[..., 2]
-    return [operations.cos(yaw), operations.sin(yaw), state[..., 3]]
+def _entries(state: Array) -> list[Array]:
+    return [state[..., index] for index in range(state.shape[-1])]
 
 
-def _car_rotation(state: Array, operations: Operations) -> tuple[Array, Array]:
-    yaw = state[..., 2]
-    return operations.cos(yaw), operations.sin(yaw)
+def _car_features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
+    return [operations.cos(state[2]), operations.sin(state[2]), state[3]]
 
 
-def _pendulum_features(state: Array, operations: Operations) -> list[Array]:
-    angle = state[..., 0]
-    return [operations.cos(angle), operations.sin(angle), state[..., 1]]
+def _car_rotation(state: Sequence[Scalar], operations: Operations) -> tuple[Scalar, Scalar]:
+    return operations.cos(state[2]), operations.sin(state[2])
+
+
+def _pendulum_features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
+    return [operations.cos(state[0]), operations.sin(state[0]), state[1]]
+
+
+def _point_features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
+    cosine, sine = _car_rotation(state, operations)
+    x, y = state[3], state[4]
+    return [cosine, sine, cosine * x + sine * y, cosine * y - sine * x]
 
 
 _FRAMES = {
     "car": Frame(("cos(yaw)", "sin(yaw)", "speed"), _car_features, _car_rotation, 2),
     "pendulum": Frame(("cos(angle)", "sin(angle)", "rate"), _pendulum_features, None, 0),
+    "point": Frame(
+        ("cos(yaw)", "sin(yaw)", "speed along", "speed across"), _point_features, _car_rotation, 2, ((0, 1), (3, 4))
+    ),
 }
