@@ -19,7 +19,7 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("robot", type=click.Choice(["car", "pendulum"]))
+@click.argument("robot", type=click.Choice(["car", "pendulum", "point"]))
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
 @click.option("--configuration", "source", metavar="FILE", help="what to train on; 'car' when left out")
 @click.option("--model", metavar="MODEL.toml", help="simulate this one, of `safedpa diagnose` say; its effects join e")

@@ -4,7 +4,8 @@
 
 with h_i's tangent over the action at the predicted next state, posed anew once at the solution. Two entries of the
 action leave few corners, so all of them are tried. Where none will do, or the conditions do not hold at the prediction
-for the solution, the stopping manoeuvre's own action is taken: it holds them all.
+for the solution, the stopping manoeuvre's own action is taken: it holds them all. Where there is no room any more,
+h_i(x) < 0 for some i, and the conditions cannot be met, the action that leaves most room is taken: recovery.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ Flags = NDArray[np.bool_]
 ETA: Final = 0.2
 _NUDGE = 0.02
 """Of the action's range, for the tangent."""
+_GRID: Final = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 5), np.linspace(-1.0, 1.0, 5)), axis=-1).reshape(-1, 2)
+"""Actions that are tried in recovery, beside the manoeuvre's."""
 _TOLERANCE = 1e-4
 """m by which a condition may be missed."""
 
@@ -51,13 +54,15 @@ class Believed:
     def of(self, which: NDArray[np.intp]) -> Believed:
         """The same for the robots of those indices."""
         motion = self.motion
-        wind, drag, strongest = (_some(part, which) for part in (motion.wind, motion.drag, motion.strongest))
-        return Believed(
-            self.drift[which],
-            self.gain[which],
-            Motion(wind, drag, strongest, motion.fastest, motion.ahead),
-            _some(self.scale, which),
+        wind = np.asarray(motion.wind, dtype=np.float64)
+        some = Motion(
+            wind[:, which] if wind.ndim > 1 else wind,
+            _some(motion.drag, which),
+            _some(motion.strongest, which),
+            motion.fastest,
+            motion.ahead,
         )
+        return Believed(self.drift[which], self.gain[which], some, self.scale)
 
 
 @final
@@ -83,7 +88,8 @@ def filtered(
     wrong = np.flatnonzero(np.any(reached < needed - _TOLERANCE, axis=1))
     stopping = np.zeros(len(wish), bool)
     if len(wrong):
-        around = Around(hazards[wrong], radii, believed.of(wrong), end[wrong])
+        without_room = present[wrong].min(axis=1) < 0.0
+        around = Around(hazards[wrong], radii, believed.of(wrong), end[wrong], without_room)
         action[wrong], stopping[wrong] = _corrected(state[wrong], wish[wrong], around, needed[wrong])
     corrected = np.zeros(len(wish), bool)
     corrected[wrong] = True
@@ -106,6 +112,8 @@ class Around:
     radii: Floats
     believed: Believed
     end: Floats
+    without_room: Flags
+    """(robots,): where h < 0 for some hazard now."""
 
     def rooms(self, action: Floats) -> Floats:
         """h (robots, m) at the predictions for actions (robots, 2)."""
@@ -126,7 +134,32 @@ def _corrected(state: Floats, wish: Floats, around: Around, needed: Floats) -> t
     thrust, turn, _ = stopping_action(state.T, around.believed.motion, around.end)
     manoeuvre = np.clip(np.stack((thrust, turn), axis=1) / around.believed.scale, -1.0, 1.0)
     action[~good] = manoeuvre[~good]
+    lost = np.flatnonzero(~good & around.without_room)
+    if len(lost):
+        action[lost] = _roomiest(np.concatenate((manoeuvre[lost, np.newaxis], _tried(len(lost))), axis=1), around, lost)
     return action, ~good
+
+
+def _tried(count: int) -> Floats:
+    return np.broadcast_to(_GRID, (count, *_GRID.shape))
+
+
+def _roomiest(tried: Floats, around: Around, which: NDArray[np.intp]) -> Floats:
+    """Of the actions (robots, actions, 2) for the robots ``which``, the one with the largest least h; first of equals.
+
+    Rounded to a tenth of a millimetre, so that among actions that do alike the manoeuvre's, the first, is taken.
+    """
+    count = tried.shape[1]
+    every = np.repeat(which, count)
+    rooms, _ = best_end(
+        around.believed.of(every).next_state(tried.reshape(-1, 2)),
+        around.hazards[every],
+        around.radii,
+        around.believed.of(every).motion,
+    )
+    least = np.round(rooms.min(axis=1).reshape(-1, count), 4)
+    best: Floats = tried[np.arange(len(which)), least.argmax(axis=1)]
+    return best
 
 
 def _tangent(action: Floats, around: Around) -> tuple[Floats, Floats]:
@@ -173,6 +206,6 @@ def _rooms(state: Floats, hazards: Floats, radii: Floats, motion: Motion, end: F
 
 
 def _some(part: object, which: NDArray[np.intp]) -> Floats:
-    """The robots' own entries; numbers that hold for all stay as they are."""
+    """The robots' own entries; a number that holds for all stays as it is."""
     array = np.asarray(part, dtype=np.float64)
-    return array[..., which] if array.ndim and array.shape[-1] > 2 else array
+    return array[which] if array.ndim else array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, final
 
 import numpy as np
@@ -92,9 +93,7 @@ def policy_drives(
 
     An episode's end, or touching something, ends a drive: the simulator's free motion tells nothing of either.
     """
-    from safedpa.policy.learned import LearnedPolicy
-
-    policy = LearnedPolicy(weights)
+    choose = _chooser(weights)
     low, high = weights["latent_low"], weights["latent_high"]
     count = driving.count
     seen = torch.zeros(count, history, networks.sizes.features + networks.sizes.states + networks.sizes.actions)
@@ -105,7 +104,7 @@ def policy_drives(
         with torch.no_grad():
             latent = encoder(seen).numpy().clip(low, high)
         truth, driving.latent = driving.latent, latent
-        chosen = (policy.act(driving.observation()) - weights["action_middle"]) / weights["action_scale"]
+        chosen = choose(driving.observation())
         driving.latent = truth
         before, known = driving.state.copy(), truth.copy()
         moved = driving.advance(chosen.astype(np.float32))
@@ -119,6 +118,18 @@ def policy_drives(
         seen[torch.from_numpy(over)] = 0.0
         first[over] = step + 1
     return _cut(columns, np.stack(firsts, 1))
+
+
+def _chooser(weights: Weights) -> Callable[[Any], Any]:
+    """Actions (count, actions), each entry in [-1, 1] over its range, for observations, by the weights' policy."""
+    if weights.description.robot == "point":
+        from safedpa_sim.point.policy_task import LatentPolicy
+
+        return LatentPolicy(weights).chosen
+    from safedpa.policy.learned import LearnedPolicy
+
+    policy = LearnedPolicy(weights)
+    return lambda observation: (policy.act(observation) - weights["action_middle"]) / weights["action_scale"]
 
 
 def _cut(columns: list[tuple[Any, ...]], firsts: np.ndarray[Any, Any]) -> Lived:

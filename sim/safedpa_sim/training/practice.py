@@ -65,7 +65,11 @@ class PolicyTask(Protocol):
         """Histories of ``count`` robots under actions at random; environments change with probability ``change``."""
 
 
-_TASKS: Final = {"car": "safedpa_sim.training.car_task", "pendulum": "safedpa_sim.pendulum.policy_task"}
+_TASKS: Final = {
+    "car": "safedpa_sim.training.car_task",
+    "pendulum": "safedpa_sim.pendulum.policy_task",
+    "point": "safedpa_sim.point.policy_task",
+}
 
 
 def task_of(robot: str) -> PolicyTask:

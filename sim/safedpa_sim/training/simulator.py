@@ -9,6 +9,7 @@ import torch
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import CommandEffect, effect
 from safedpa.networks import EnvironmentEntry
+from safedpa_sim.training.bodies import body_of
 from safedpa_sim.training.configuration import Configuration
 
 __all__ = ["BatchedCars"]
@@ -21,7 +22,8 @@ class BatchedCars:
     """Robots in environments e that differ: x[t+1] = ``PhysicsModel.advance``(x[t], a[t], e), in single precision.
 
     e holds the randomised parameters in SI units, in the order of ``entries``. Everything is drawn by a generator that
-    the caller seeds and keeps. There is no second implementation of the physics: the effects' own equations run.
+    the caller seeds and keeps. There is no second implementation of the physics: the effects' own equations run, or
+    those of the body itself, where there is one (see ``bodies``).
     """
 
     def __init__(self, configuration: Configuration, device: str | torch.device = "cpu") -> None:
@@ -46,6 +48,8 @@ class BatchedCars:
         """The same of the action, shape (actions, 2)."""
         self.remembers = any(isinstance(item, CommandEffect) for item in self.model.effects)
         """Whether any actuator does: then what follows depends on earlier actions too."""
+        paths = [entry.path for entry in self.entries]
+        self._body = body_of(system.name, paths, self.nominal.tolist())
 
     def generator(self, seed: int) -> torch.Generator:
         """A source of random numbers on the robots' device."""
@@ -69,10 +73,14 @@ class BatchedCars:
 
     def settled(self, action: Tensor, environment: Tensor) -> Any:
         """What the actuators remember after an action (count, actions) has been held for long."""
+        if self._body is not None:
+            return ()
         return self.model.initial_memory(action, environment)
 
     def advance(self, state: Tensor, action: Tensor, environment: Tensor, memory: Any = ()) -> tuple[Tensor, Any]:
         """States (count, states) and memory one period later."""
+        if self._body is not None:
+            return self._body(state, action, environment, memory)
         return self.model.advance(state, action, memory, environment)
 
     def _uniform(self, count: int, ranges: Tensor, generator: torch.Generator) -> Tensor:

@@ -119,6 +119,15 @@ def _in_wind(direction: int, strength: float = 4.0) -> Stage:
     return _alone(f"fix_{direction}", wind)
 
 
+def _in_force(direction: int, strength: float = 1.54) -> Stage:
+    """Fix for the point robot: it knows the force [m/s2 over its mass] of one direction [degrees] alone."""
+    from math import cos, sin
+
+    towards = radians(direction)
+    force = {"constant_force.ax": strength * cos(towards), "constant_force.ay": strength * sin(towards)}
+    return _alone(f"fix_{direction}", force)
+
+
 def _punished(penalty: float) -> Stage:
     """RMA-P for the pendulum, with a penalty of its own; RMA without one."""
     name = f"rma_p_{penalty:g}".replace(".", "_") if penalty else "rma"
@@ -152,5 +161,13 @@ _STAGES: Final = {
             *(_punished(penalty) for penalty in (0.0, 0.1, 1.0, 10.0)),
         ),
     },
+    "point": {
+        **_common(_LEARNED),
+        "ablations": (
+            *(_in_force(direction) for direction in (45, 135, 225, 315)),
+            _alone("mix"),
+            _with_penalty("rma_p", _LEARNED, _penalised),
+        ),
+    },
 }
-"""The pendulum has no phase 3: its simulator is the robot."""
+"""Pendulum and point have no phase 3: their simulator is the robot."""

@@ -1,0 +1,185 @@
+"""What a point robot's policy pi(x, z) learns: to drive from goal to goal among hazards, the wind's latent in view."""
+
+from __future__ import annotations
+
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+from safedpa.networks import LearnedNetworks, Weights, dense_stack
+from safedpa.networks.layers import layers_of
+from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, to_task_action
+from safedpa_sim.point.body_steps import centre_state
+from safedpa_sim.point.filtering import filtered
+from safedpa_sim.point.layout import HAZARD_RADIUS
+from safedpa_sim.point.task import EPISODE_STEPS, PointTask
+from safedpa_sim.training.configuration import Configuration
+from safedpa_sim.training.drives import random_drives
+from safedpa_sim.training.moved import Moved
+
+__all__ = ["EPSILON", "LARGEST_FORCE", "LatentPolicy", "PointPractice", "evaluate", "practice", "random_drives"]
+
+Floats = NDArray[np.float32]
+
+LARGEST_FORCE: Final = 0.008
+"""N."""
+EPSILON: Final = 0.003
+"""m of the filter's stand-in."""
+_EVALUATION_SEED = 1_000_003
+"""Added to the configuration's seed: no layout of the evaluation is trained on."""
+_EVALUATION_TICKS = 500
+_TURNS = 0.001
+"""Probability per tick that the wind becomes another."""
+_LARGEST = 10.0
+"""Scaled observations are clipped to it."""
+
+
+@final
+class LatentPolicy:
+    """a = clip(pi([o, z]), -1, 1) over the range of commands, scaled as it was trained; o: ``PointTask.observation``.
+
+    Raises InputError for weights without a policy, or with one for other observations.
+    """
+
+    def __init__(self, weights: Weights) -> None:
+        self._layers = layers_of(weights.tensors, "policy")
+        if not self._layers:
+            raise InputError("weights: got no policy (policy.0.weight), wanted one; run phase 1b of 'safedpa train'")
+        self._middle, self._scale = weights["observation_middle"], weights["observation_scale"]
+
+    def act(self, observation: NDArray[np.floating[Any]], latent: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Actions (robots, 2) of ``PointTask`` for observations (robots, 31) and latents (robots, latents)."""
+        return to_task_action(self.chosen(np.concatenate((observation, latent), axis=1)))
+
+    def chosen(self, seen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Actions (robots, 2) in [-1, 1] of the fastest thrust and turn, for [o, z]."""
+        scaled = ((seen - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
+        return np.asarray(dense_stack(scaled, self._layers, "tanh").clip(-1.0, 1.0), dtype=np.float64)
+
+
+@final
+class PointPractice:
+    """Robots that practise in winds within a disc; ``sheltered`` by the filter with the simulated physics itself.
+
+    ``penalty`` is taken off the reward for each step in a hazard. No wind turns while ``calm``.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        weights: Weights,
+        count: int,
+        seed: int,
+        *,
+        penalty: float = 0.0,
+        sheltered: bool = True,
+        calm: bool = False,
+    ) -> None:
+        self.count = count
+        self.task = PointTask(count, seed, largest_force=LARGEST_FORCE)
+        self.period = configuration.simulator.period
+        self._penalty, self._sheltered, self._calm = penalty, sheltered, calm
+        self._networks = LearnedNetworks(weights) if weights.description.latents else None
+        self._paths = [entry.path for entry in weights.description.environment]
+        self._random = np.random.default_rng([seed, 17])
+        self._belief = TrueBelief(self.task.simulation)
+        if not calm:
+            self.task.steps[:] = self._random.integers(0, EPISODE_STEPS, count)
+        self.latent: Floats = np.zeros((count, weights.description.latents), np.float32)
+        self._know_wind()
+        self.applied: Floats = np.zeros((count, 2), np.float32)
+        self._within = np.zeros(count, bool)
+
+    @property
+    def state(self) -> Floats:
+        """(robots, 5), centre of mass."""
+        return centre_state(self.task.simulation).astype(np.float32)
+
+    def restart(self, which: NDArray[np.intp]) -> None:
+        """New layouts and winds for the robots of those indices."""
+        if len(which):
+            self.task.restart(which)
+            self._within[which] = False
+            self._know_wind()
+
+    def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Floats:
+        """[o, z] (robots, 31 + latents)."""
+        seen = np.concatenate((self.task.observation(), self.latent), axis=1)
+        return seen[which].astype(np.float32)
+
+    def exploring(self, random: np.random.Generator) -> Floats:
+        """Actions at random, for the scales of what is observed."""
+        return random.uniform(-1.0, 1.0, (self.count, 2)).astype(np.float32)
+
+    def advance(self, chosen: Floats) -> Moved:
+        """One period under ``chosen`` (robots, 2), each entry in [-1, 1] over the range of commands."""
+        task = self.task
+        action = np.clip(np.asarray(chosen, dtype=np.float64), -1.0, 1.0)
+        if self._sheltered:
+            state = centre_state(task.simulation)
+            believed = self._belief.believed(state, np.zeros((self.count, 0)))
+            action = filtered(state, action, task.layout.hazards, HAZARD_RADIUS, believed, EPSILON).action
+        self.applied = (action * ACTION_SCALE).astype(np.float32)
+        stepped = task.advance(to_task_action(action))
+        within = stepped.cost > 0.0
+        began, self._within = within & ~self._within, within
+        reward = (stepped.reward - self._penalty * stepped.cost).astype(np.float32)
+        self.goals = stepped.reached
+        if not self._calm:
+            self._turn_wind()
+        never = np.zeros(self.count, bool)
+        return Moved(reward, never, stepped.timed_out, never, began)
+
+    def _turn_wind(self) -> None:
+        which = np.flatnonzero(self._random.random(self.count) < _TURNS)
+        if len(which):
+            direction = self._random.uniform(0.0, 2.0 * np.pi, len(which))
+            strength = LARGEST_FORCE * np.sqrt(self._random.random(len(which)))
+            self.task.simulation.force[:, which] = strength * np.stack((np.cos(direction), np.sin(direction)))
+            self._know_wind()
+
+    def _know_wind(self) -> None:
+        """z = mu(e) of the winds as they are."""
+        if self._networks is None:
+            return
+        simulation = self.task.simulation
+        wind = dict(
+            zip(("constant_force.ax", "constant_force.ay"), simulation.force / simulation.body.mass, strict=True)
+        )
+        environment = np.stack([wind.get(path, np.zeros(self.count)) for path in self._paths], axis=1)
+        self.latent = self._networks.encode(environment).astype(np.float32)
+
+
+def practice(
+    configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
+) -> PointPractice:
+    """Robots to train on; ``penalty`` is for each step in a hazard, ``sheltered`` by a stand-in for the filter."""
+    return PointPractice(configuration, weights, count, seed, penalty=penalty, sheltered=sheltered)
+
+
+def evaluate(
+    configuration: Configuration, weights: Weights, *, cars: int = 128, seed: int = 0, sheltered: bool = True
+) -> dict[str, Any]:
+    """Ten seconds of each robot under the policy without noise: the share that reach a goal, and what it cost.
+
+    ``goals``: reached by each; ``contacts``: hazards entered; ``nearest``: mean of the least room to a hazard [m].
+    """
+    robots = PointPractice(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
+    policy = LatentPolicy(weights)
+    goals, contacts, gained = np.zeros(cars), np.zeros(cars), np.zeros(cars)
+    nearest = np.full(cars, np.inf)
+    for _ in range(_EVALUATION_TICKS):
+        moved = robots.advance(policy.chosen(robots.observation()).astype(np.float32))
+        goals += robots.goals
+        contacts += moved.began
+        gained += moved.reward
+        nearest = np.minimum(nearest, robots.task.hazard_distance())
+    return {
+        "success": float((goals > 0).mean()),
+        "goals": float(goals.mean()),
+        "contacts": float(contacts.mean()),
+        "nearest": float(nearest.mean()),
+        "reward": float(gained.mean()),
+    }
