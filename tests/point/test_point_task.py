@@ -77,3 +77,19 @@ def test_episodes_end_after_a_thousand_steps_and_begin_anew_with_another_wind() 
 def test_the_stock_thrust_is_full_beyond_a_twentieth() -> None:
     np.testing.assert_allclose(control_of(np.array([[1.0, 0.5]])), [[0.05], [0.5]])
     np.testing.assert_allclose(control_of(np.array([[1.0, 0.5]]), stock=True), [[1.0], [0.5]])
+
+
+def test_paired_robots_meet_the_same_goals_whatever_the_others_do() -> None:
+    met = []
+    for first in (1.0, -1.0):
+        task = PointTask(2, 7, paired=True)
+        goals = []
+        for _ in range(3):
+            task.simulation.pose[:2] = task.layout.goal.T  # both reach theirs, or the second alone
+            if first < 0.0:
+                task.simulation.pose[:2, 0] += 5.0
+            assert task.advance(np.zeros((2, 2))).reached.tolist() == [first > 0.0, True]
+            goals.append(task.layout.goal[1].copy())
+        met.append(goals)
+    np.testing.assert_array_equal(*met)
+    assert len(np.unique(met[0], axis=0)) == 3

@@ -13,13 +13,14 @@ from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS, draw_goals, dra
 from safedpa_sim.point.observation import goal_seen, hazard_lidar
 from safedpa_sim.point.simulation import PointSimulation
 
-__all__ = ["EPISODE_STEPS", "PointTask", "Stepped", "control_of"]
+__all__ = ["EPISODE_STEPS", "GOAL_REWARD", "PointTask", "Stepped", "control_of"]
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 EPISODE_STEPS: Final = 1000
-_GOAL_REWARD = 1.0
+GOAL_REWARD: Final = 1.0
+"""For each goal."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +48,22 @@ def control_of(action: NDArray[np.floating[Any]], stock: bool = False) -> Floats
 
 
 class PointTask:
-    """``count`` robots, each in a layout and a wind of its own; the same seed gives the same episodes."""
+    """``count`` robots, each in a layout and a wind of its own; the same seed gives the same episodes.
 
-    def __init__(self, count: int, seed: int, *, largest_force: float = 0.0, stock: bool = False) -> None:
+    ``paired``: each robot's goals come from a sequence of its own, whatever the others reach and when, so that several
+    methods meet the same.
+    """
+
+    def __init__(
+        self, count: int, seed: int, *, largest_force: float = 0.0, stock: bool = False, paired: bool = False
+    ) -> None:
         self.count = count
         self.simulation = PointSimulation(count)
         self.largest_force = largest_force
         """N; winds are drawn within that disc at each restart."""
         self._stock = stock
         self._random = np.random.default_rng(seed)
+        self._own = np.random.default_rng([seed, 1]).spawn(count) if paired else []
         self.layout = draw_layouts(count, self._random)
         self.steps = np.zeros(count, int)
         self.control = np.zeros((2, count))
@@ -86,15 +94,20 @@ class PointTask:
         distance = self._goal_distance()
         reward = self._distance - distance
         reached = distance <= GOAL_RADIUS
-        reward[reached] += _GOAL_REWARD
+        reward[reached] += GOAL_REWARD
         which = np.flatnonzero(reached)
         if len(which):
-            place = self.simulation.pose[:2, which].T
-            self.layout.goal[which] = draw_goals(place, self.layout.hazards[which], self._random)
+            self._put_goals(which)
             distance[which] = self._goal_distance()[which]
         self._distance = distance
         cost = (self.hazard_distance() <= 0.0).astype(float)
         return Stepped(reward, cost, reached, self.steps >= EPISODE_STEPS)
+
+    def _put_goals(self, which: NDArray[np.intp]) -> None:
+        groups = [(np.array([index]), self._own[index]) for index in which] if self._own else [(which, self._random)]
+        for some, random in groups:
+            place = self.simulation.pose[:2, some].T
+            self.layout.goal[some] = draw_goals(place, self.layout.hazards[some], random)
 
     def hazard_distance(self) -> Floats:
         """(count,) m from the robot's middle to the edge of the nearest hazard, negative within."""
