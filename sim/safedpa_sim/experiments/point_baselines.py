@@ -8,20 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from safedpa_sim.experiments.car_style import BLACK, GREY, bare, figure, heading
 from safedpa_sim.point.baseline_set import PUBLISHED, TASKS
+from safedpa_sim.point.methods import BASELINE_TITLES
 from safedpa_sim.point.plan import BASELINES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["TITLES", "markdown_of", "write_baselines"]
+__all__ = ["markdown_of", "write_baselines"]
 
-TITLES = {
-    "ppo": "PPO",
-    "trpo": "TRPO",
-    "ppo_lagrangian": "PPO-Lagrangian",
-    "trpo_lagrangian": "TRPO-Lagrangian",
-    "cpo": "CPO",
-}
 _COLOURS = {
     "ppo": "#D55E00",
     "trpo": "#E69F00",
@@ -54,7 +48,9 @@ def markdown_of(found: dict[str, dict[str, Any]]) -> str:
         steps = ", ".join(sorted({f"{row['plan']['steps'] / 1e6:g}" for row in known}))
         minutes = ", ".join(f"{row['processor_seconds'] / 60:.1f}" for row in known)
         reward, cost = PUBLISHED[name]
-        lines.append(f"| {TITLES[name]} | {told[0]} | {reward:.1f} / {cost:.1f} | {told[1]} | {steps} | {minutes} |")
+        lines.append(
+            f"| {BASELINE_TITLES[name]} | {told[0]} | {reward:.1f} / {cost:.1f} | {told[1]} | {steps} | {minutes} |"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -79,5 +75,5 @@ def _curves(axes: Axes, found: dict[str, dict[str, Any]], task: str, entry: int)
         if (row := found.get(f"{name}_{task}")) is not None:
             curve = row["learning_curve"]
             steps, values = [point[0] / 1e6 for point in curve], [point[entry] for point in curve]
-            axes.plot(steps, values, color=_COLOURS[name], linewidth=1.5, label=TITLES[name])
+            axes.plot(steps, values, color=_COLOURS[name], linewidth=1.5, label=BASELINE_TITLES[name])
     bare(axes)

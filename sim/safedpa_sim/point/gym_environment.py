@@ -27,7 +27,7 @@ ENVIRONMENT_ID: Final = "safedpa/PointGoal-v0"
 
 
 @final
-class PointGoalEnvironment(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class PointGoalEnvironment(gymnasium.Env):  # type: ignore[misc] # gymnasium is not type-checked here
     """Action: thrust and turn in [-1, 1]. Observation (31,): 12 sensors, 3 of the goal, 16 of the hazards' lidar.
 
     ``force``: of the wind [N] in the world, the same in every episode; without it one is drawn at each reset within a

@@ -14,7 +14,7 @@ __all__ = ["steps_per_second"]
 
 
 def steps_per_second(robots: int = 128, steps: int = 200, repeats: int = 5) -> dict[str, float]:
-    """The best of ``repeats``: ``simulation`` (10 physics steps each) and ``task`` (reward, cost and observation too) of
+    """The best of ``repeats``: ``simulation`` (10 physics steps each) and ``task`` (reward, cost, observation too) of
     so many robots at once; ``mujoco``, ``environment``: the same of one robot."""
     from safedpa_sim.point.gym_environment import PointGoalEnvironment
     from safedpa_sim.point.world import MujocoPoint

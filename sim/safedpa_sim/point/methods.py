@@ -1,0 +1,93 @@
+"""The methods that are compared on the point robot: each a policy, and a filter or none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa_sim.point.baseline_set import baseline_named
+from safedpa_sim.point.driven import Driver, PolicyDriver
+from safedpa_sim.point.plan import BASELINES
+from safedpa_sim.point.shield import FIXED_DIRECTIONS, Shield, shield_of, weights_named
+from safedpa_sim.point.task import PointTask
+
+__all__ = ["BASELINE_TITLES", "METHODS", "Method", "ShieldedDriver", "driver_of"]
+
+Floats = NDArray[np.float64]
+Wish = Callable[[Floats, Floats], NDArray[np.floating[Any]]]
+
+BASELINE_TITLES: Final = {
+    "ppo": "PPO",
+    "trpo": "TRPO",
+    "ppo_lagrangian": "PPO-Lagrangian",
+    "trpo_lagrangian": "TRPO-Lagrangian",
+    "cpo": "CPO",
+}
+
+
+@final
+@dataclass(frozen=True)
+class Method:
+    """One line of the table. ``policy``: a learned model's (by ``adapts``' latent), or a baseline's; ``filter``: whose
+    model it believes, empty for none."""
+
+    name: str
+    title: str
+    policy: str = "learned"
+    filter: str = ""
+
+
+_FIXED: Final = [
+    Method(f"fix_{direction}", f"Fix-{direction}", filter=f"fix_{direction}") for direction in FIXED_DIRECTIONS
+]
+METHODS: Final = {
+    method.name: method
+    for method in (
+        Method("safedpa", "SafeDPA", filter="safedpa"),
+        *_FIXED,
+        Method("mix", "Mix", filter="mix"),
+        Method("physics", "knows all but the wind", filter="physics"),
+        Method("oracle", "knows the wind", filter="oracle"),
+        Method("unfiltered", "SafeDPA without filter"),
+        Method("rma_p", "RMA-P", policy="rma_p"),
+        *(Method(name, BASELINE_TITLES[name], policy=name) for name in BASELINES),
+        Method("ppo_filtered", "PPO behind SafeDPA's filter", policy="ppo", filter="safedpa"),
+    )
+}
+
+
+@final
+class ShieldedDriver:
+    """A wish of observations and latents, through the filter."""
+
+    def __init__(self, task: PointTask, shield: Shield, wish: Wish) -> None:
+        self._task, self._shield, self._wish = task, shield, wish
+        self.corrected = self.stopping = np.zeros(task.count, bool)
+
+    def act(self) -> Floats:  # noqa: D102
+        wish = self._wish(self._task.observation(), self._shield.see(self._task))
+        found = self._shield.act(self._task, wish)
+        self.corrected, self.stopping = found.corrected, found.stopping
+        return found.action
+
+
+def driver_of(method: Method, task: PointTask, models: Path, baselines: Path) -> Driver:
+    """The method at the wheel of a task's robots; weights from the folders, or else those that ship.
+
+    Raises InputError where there are none.
+    """
+    if method.policy in BASELINES:
+        policy = baseline_named(method.policy, "wind", baselines)
+        if not method.filter:
+            return PolicyDriver(task, policy)
+        return ShieldedDriver(task, shield_of(method.filter, task, folder=models), lambda seen, _: policy.act(seen))
+    from safedpa_sim.point.policy_task import LatentPolicy
+
+    learned = LatentPolicy(weights_named(method.policy, models))
+    shield = shield_of(method.filter or "none", task, adapts=method.policy, folder=models)
+    return ShieldedDriver(task, shield, learned.act)

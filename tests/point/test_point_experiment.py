@@ -1,0 +1,112 @@
+"""The experiment in small: pairing of the methods, what is counted, the filter that knows the wind, the report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from safedpa.errors import InputError
+from safedpa_services.command_line import safedpa
+from safedpa_sim.experiments.point import PointExperiment
+from safedpa_sim.experiments.statistics import mean_interval, ratio_interval
+from safedpa_sim.point.driven import PolicyDriver, driven, windy_task
+from safedpa_sim.point.methods import ShieldedDriver
+from safedpa_sim.point.policy_file import BaselinePolicy, save_policy
+from safedpa_sim.point.shield import shield_of
+
+FORCE = 0.008
+
+
+def towards_goal(seen: np.ndarray, _: object = None) -> np.ndarray:
+    """Straight to the goal, whatever lies there."""
+    off = np.arctan2(seen[:, 13], seen[:, 12])
+    thrust = np.clip(1.5 * np.cos(off) * seen[:, 14], -1.0, 1.0)
+    return np.stack((thrust, np.clip(2.0 * off, -1.0, 1.0)), axis=1)
+
+
+class Reckless:
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        return towards_goal(observation)
+
+
+def test_every_direction_has_its_robots_and_every_method_the_same_world() -> None:
+    one, two = (windy_task(8, 3, FORCE, 5) for _ in range(2))
+    np.testing.assert_array_equal(one.layout.hazards, two.layout.hazards)
+    np.testing.assert_array_equal(one.simulation.pose, two.simulation.pose)
+    force = one.simulation.force
+    assert np.linalg.norm(force, axis=0) == pytest.approx(np.full(24, FORCE))
+    angle = np.degrees(np.arctan2(force[1], force[0])) % 360.0
+    np.testing.assert_allclose(angle.reshape(8, 3), np.repeat(45.0 * np.arange(8), 3).reshape(8, 3), atol=1e-9)
+
+
+def test_what_is_counted_is_what_the_task_tells() -> None:
+    task = windy_task(4, 2, FORCE, 1)
+    found = driven(PolicyDriver(task, Reckless()), task, 300, np.array([0, 5]))
+    assert (found.cost > 0.0).any(), "who drives straight meets a hazard"
+    np.testing.assert_array_equal(found.least_room <= 0.0, found.cost > 0.0)
+    np.testing.assert_array_equal(np.isfinite(found.first_goal), found.goals > 0.0)
+    for shown, robot in zip(found.shown, (0, 5), strict=True):
+        assert sum(shown["within"]) == found.cost[robot]
+        assert len(shown["places"]) == 300
+        assert len(shown["goals"]) == 1 + len(shown["reached_at"]) == 1 + found.goals[robot]
+
+
+def test_the_filter_that_knows_the_wind_keeps_a_reckless_wish_safe() -> None:
+    costs = {}
+    for name in ("oracle", "none"):
+        task = windy_task(8, 1, FORCE, 2)
+        driver = ShieldedDriver(task, shield_of(name, task, adapts=""), towards_goal)
+        found = driven(driver, task, 150)
+        costs[name] = found.cost.sum()
+        assert (found.corrected > 0.0) == (name == "oracle")
+    assert costs["oracle"] == 0.0
+    assert costs["none"] > 20.0
+
+
+def test_intervals_of_means_and_ratios() -> None:
+    random = np.random.default_rng(0)
+    covered = 0
+    for _ in range(400):
+        others = random.normal(10.0, 2.0, 60)
+        values = 0.9 * others + random.normal(0.0, 1.0, 60)
+        _, low, high = ratio_interval(values, others)
+        covered += low <= 0.9 <= high
+    assert 0.91 < covered / 400 < 0.985
+    mean, low, high = mean_interval(np.array([1.0, 3.0]))
+    assert (mean, high - mean) == (pytest.approx(2.0), pytest.approx(1.96, abs=0.01))
+    assert low < mean
+    with pytest.raises(ValueError, match="pairs"):
+        ratio_interval(np.ones(2), np.zeros(2))
+
+
+def _untrained(folder: Path) -> None:
+    random = np.random.default_rng(0)
+    sizes = (31, 64, 64, 2)
+    tensors = {}
+    for index in range(3):
+        tensors[f"policy.{index}.weight"] = random.normal(0.0, 0.2, (sizes[index + 1], sizes[index])).astype(np.float32)
+        tensors[f"policy.{index}.bias"] = np.zeros(sizes[index + 1], np.float32)
+    for name in ("ppo", "cpo"):
+        save_policy(BaselinePolicy(tensors, {}), folder / f"{name}_wind.safetensors")
+
+
+def test_the_command_writes_table_numbers_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _untrained(tmp_path)
+    options = ["--methods", "ppo, cpo", "--baselines", str(tmp_path), "--processes", "1", "--steps", "60"]
+    small = ["--directions", "4", "--episodes", "2"]
+    assert safedpa.run(["experiment", "point", *options, *small, "--out", str(tmp_path / "out")]) == 0
+    assert "| CPO |" in capsys.readouterr().out
+    result = json.loads((tmp_path / "out" / "point.json").read_text())
+    assert set(result["methods"]) == {"ppo", "cpo"}
+    assert result["methods"]["cpo"]["goals"] == result["methods"]["ppo"]["goals"], "the same policy, the same world"
+    assert len(list((tmp_path / "out").glob("*.png"))) == 3
+    assert safedpa.run(["experiment", "point", "--methods", "cppo"]) == 2
+    assert "did you mean" in capsys.readouterr().err
+
+
+def test_numbers_that_are_none_are_refused() -> None:
+    with pytest.raises(InputError, match="--episodes"):
+        PointExperiment(Path(), Path(), episodes=0)
