@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import atan, cos, pi, sin
+from typing import Any
 
 import pymunk
 
@@ -11,6 +12,8 @@ from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.tyres import axle_force
 
 __all__ = ["TowedBody"]
+
+_set_force: Any = pymunk.Body.force.fset  # type: ignore[attr-defined]
 
 _FEET = 0.45
 """The feet stand at this share of the side from the centre, under the middle of each edge. Under the corners the joints
@@ -36,6 +39,7 @@ class TowedBody:
         self.load = load
         self._space = space
         self.body, self.shape = _body_behind(car, hitch, load)
+        self._grip = self.body.mass * load.grip
         space.add(self.body, self.shape)
         arm = _FEET * load.side
         for place in ((arm, 0.0), (-arm, 0.0), (0.0, arm), (0.0, -arm)):
@@ -74,8 +78,8 @@ class TowedBody:
         cosine, sine = cos(body.angle), sin(body.angle)
         vx, vy = body.velocity
         forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
-        _, across = axle_force(forward, sideways, 0.0, body.mass * load.grip, _RUNNER_SLIP, _RUNNER_SPEED)
-        body.force = (-across * sine, across * cosine)
+        _, across = axle_force(forward, sideways, 0.0, self._grip, _RUNNER_SLIP, _RUNNER_SPEED)
+        _set_force(body, (-across * sine, across * cosine))
 
     def unhitch(self) -> None:
         """Lets the load go; it slides to rest and stays where it is. The car can bump into it."""

@@ -18,6 +18,6 @@ def axle_force(
     ``rolling`` and ``sideways`` [m/s] are the velocity of the axle's middle along and across its wheels. Source: the
     combined-slip friction circle, Rajamani, Vehicle Dynamics and Control, 2nd ed., ch. 13, with a smooth saturation.
     """
-    along = min(max(drive, -limit), limit)
+    along = -limit if drive < -limit else limit if drive > limit else drive
     slip = sideways / (slip_scale * (abs(rolling) + slip_speed))
     return along, -sqrt(limit * limit - along * along) * slip / sqrt(1.0 + slip * slip)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import ceil, cos, sin, tanh
+from typing import Any
 
 import pymunk
 
@@ -14,6 +15,10 @@ from safedpa_sim.robots.towing import TowedBody
 from safedpa_sim.robots.tyres import axle_force
 
 __all__ = ["CarWorld"]
+
+_set_force: Any = pymunk.Body.force.fset  # type: ignore[attr-defined]
+_set_torque: Any = pymunk.Body.torque.fset  # type: ignore[attr-defined]
+"""As ``body.force = ...``, without pymunk's look at the attribute's name, which costs as much as the setting."""
 
 _ROLLING_SPEED = 0.02
 """m/s below which rolling resistance fades, so that it cannot push a standing car."""
@@ -106,9 +111,10 @@ class CarWorld:
         drive = self.servo.advance(target_speed, forward, seconds)
         angle = self.steering.advance(steer + self.steering_offset, seconds)
         along, across, torque = self._ground_forces(forward, sideways, drive, angle)
-        east, north = (self.parameters.mass * push for push in self.wind)
-        body.force = (along * cosine - across * sine + east, along * sine + across * cosine + north)
-        body.torque = torque
+        mass, (east, north) = self.parameters.mass, self.wind
+        across_east, across_north = across * sine, across * cosine
+        _set_force(body, (along * cosine - across_east + mass * east, along * sine + across_north + mass * north))
+        _set_torque(body, torque)
         for load in self._loads:
             load.apply_runners()
         self.time += seconds
@@ -120,7 +126,8 @@ class CarWorld:
         car, rate = self.parameters, self.body.angular_velocity
         to_rear, to_front = car.centre_of_mass, car.wheelbase - car.centre_of_mass
         shift = drive * car.centre_height / GRAVITY
-        share_front = min(max((to_rear - shift) / car.wheelbase, 0.0), 1.0)
+        share_front = (to_rear - shift) / car.wheelbase
+        share_front = 0.0 if share_front < 0.0 else 1.0 if share_front > 1.0 else share_front
         force, limit = car.mass * drive, car.mass * GRAVITY * car.friction
         front_sideways = sideways + rate * to_front
         cosine, sine = cos(steer), sin(steer)
