@@ -13,10 +13,11 @@ from torch.distributions import kl_divergence
 from safedpa.errors import InputError
 from safedpa_sim.point import fisher
 from safedpa_sim.point.baseline_set import baseline_named, train_baselines
-from safedpa_sim.point.baselines import _algorithm, _task
+from safedpa_sim.point.baselines import _algorithm, _task, _Watch
 from safedpa_sim.point.constrained import constrained_step
 from safedpa_sim.point.plan import Plan
 from safedpa_sim.point.vector_environment import PointEnvironment
+from safedpa_sim.training.progress import silent
 
 
 def test_the_fisher_products_are_those_of_the_divergence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,16 +66,26 @@ def test_the_constrained_step_is_the_best_that_a_search_finds(seed: int, excess:
 
 
 def test_a_baseline_that_is_there_stays_as_it_is(tmp_path: Path) -> None:
-    first = train_baselines(tmp_path, ["cpo", "ppo_lagrangian"], ["still"], steps=16_000)
-    assert 0.0 < first["cpo_still"]["processor_seconds"] < 60.0
+    first = train_baselines(tmp_path, ["ppo_lagrangian"], ["still"], steps=16_000)
+    assert 0.0 < first["ppo_lagrangian_still"]["processor_seconds"] < 60.0
     written = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    assert set(written) == {"cpo_still.safetensors", "ppo_lagrangian_still.safetensors"}
-    again = train_baselines(tmp_path, ["cpo", "ppo_lagrangian"], ["still"], steps=16_000)
+    assert set(written) == {"ppo_lagrangian_still.safetensors"}
+    again = train_baselines(tmp_path, ["ppo_lagrangian"], ["still"], steps=16_000)
     assert all(account["skipped"] for account in again.values())
     assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
-    act = baseline_named("cpo", "still", tmp_path).act(np.zeros((3, 31)))
+    act = baseline_named("ppo_lagrangian", "still", tmp_path).act(np.zeros((3, 31)))
     assert act.shape == (3, 2)
     with pytest.raises(InputError, match="did you mean"):
         train_baselines(tmp_path, ["cppo"])
     with pytest.raises(InputError, match="train-baselines"):
         baseline_named("none", "still", tmp_path)
+
+
+@pytest.mark.parametrize(("limit", "grows"), [(-1.0, True), (1000.0, False)])
+def test_the_margin_grows_only_while_the_cost_is_above_its_limit(limit: float, grows: bool) -> None:
+    plan = Plan(robots=16)
+    environment = PointEnvironment(_task(plan, 0), 0)
+    algorithm = _algorithm("cpo", environment, plan)
+    algorithm.limit = limit
+    algorithm.learn(2 * 128 * plan.robots, _Watch("cpo", environment, plan, silent))
+    assert (algorithm.margin > 0.0) == grows
