@@ -74,7 +74,7 @@ class TowedBody:
 
     def apply_runners(self) -> None:
         """Sets the runners' force for the coming substep."""
-        body, load = self.body, self.load
+        body = self.body
         cosine, sine = cos(body.angle), sin(body.angle)
         vx, vy = body.velocity
         forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
