@@ -34,13 +34,29 @@ class Bus:
     def __init__(self, transport: AbstractTransport, fleet: str) -> None:
         self.fleet = fleet
         self._transport = transport
+        self._held: list[tuple[str, bytes, bool]] | None = None
 
     def publish(self, topic: Topic, robot: str, message: Message, service: str = "") -> None:
         """Sends one message; ``service`` names the sender where every service writes under its own name."""
         if type(message) is not topic.message:
             raise MessageError(f"{topic.name}: got {type(message).__name__}, wanted {topic.message.__name__}")
         key = key_of(self.fleet, robot, topic, service)
-        self._transport.put(key, encode(message), never_drop=topic.delivery == "all")
+        payload, never_drop = encode(message), topic.delivery == "all"
+        if self._held is None:
+            self._transport.put(key, payload, never_drop=never_drop)
+        else:
+            self._held.append((key, payload, never_drop))
+
+    def hold(self) -> None:
+        """Keeps what is published until ``flush``: messages sent at one moment travel as one batch."""
+        if self._held is None:
+            self._held = []
+
+    def flush(self) -> None:
+        """Sends what was held, in order, and holds nothing any more."""
+        held, self._held = self._held or (), None
+        for key, payload, never_drop in held:
+            self._transport.put(key, payload, never_drop=never_drop)
 
     def forget(self, robot: str) -> None:
         """Releases what sending about a robot holds: it left."""
@@ -58,7 +74,9 @@ class Bus:
         inbox = Inbox(clock)
         for topic in topics:
             accept = inbox.keep_all if keep_all or topic.delivery == "all" else inbox.keep_latest
-            self._transport.subscribe(key_of(self.fleet, robot, topic, "*"), accept)
+            subscription = self._transport.subscribe(key_of(self.fleet, robot, topic, "*"), accept)
+            if accept == inbox.keep_latest:  # what must not be lost has no place in a ring
+                inbox.fill_from(subscription)
         return inbox
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:

@@ -13,6 +13,7 @@ from safedpa.bus.codec import decode
 from safedpa.bus.messages import Message
 from safedpa.bus.requests import Answer
 from safedpa.bus.topics import TOPICS, Topic, topic_of
+from safedpa.bus.transport import Subscription
 from safedpa.errors import InputError, MessageError
 
 __all__ = ["Answered", "Inbox", "Received", "Refused"]
@@ -85,13 +86,38 @@ class Inbox:
         self._queues: dict[str, _Queue] = {}
         self._queued = self._queued_bytes = 0
         self._answers: list[Answered] = []
+        self._subscriptions: list[Subscription] = []
+        self._quantum, self._collected = 0.0, 0.0
         self.dropped = 0
         """Messages lost because too many were waiting."""
 
     @property
     def waiting(self) -> bool:
         """Whether something can be taken now."""
+        self._collect()
         return bool(self._latest or self._queues or self._answers)
+
+    def fill_from(self, subscription: Subscription) -> None:
+        """Names a subscription that fills this inbox and may gather while there are many messages."""
+        self._subscriptions.append(subscription)
+
+    def coalesce(self, quantum: float) -> None:
+        """From now on ``take`` waits until ``quantum`` [s] after it last collected, and takes all as one batch.
+
+        With 0 it takes each message as it comes. Meant for the one thread that takes.
+        """
+        if (quantum > 0.0) is not (self._quantum > 0.0):
+            for subscription in self._subscriptions:
+                if quantum > 0.0:
+                    subscription.gather()
+                else:
+                    subscription.pass_on()
+        self._quantum = quantum
+
+    def _collect(self) -> None:
+        if self._quantum > 0.0:
+            for subscription in self._subscriptions:
+                subscription.collect()
 
     def keep_latest(self, key: str, payload: bytes) -> None:
         """Accepts one payload; replaces an unread one of the same key."""
@@ -147,6 +173,9 @@ class Inbox:
 
         Of each key at most ``most`` messages: who has sent a thousand does not keep the others waiting.
         """
+        if self._quantum > 0.0:
+            self._sleep(timeout)
+            timeout = 0.0
         with self._filled:
             if timeout > 0.0 and not self.waiting:
                 self._filled.wait(timeout)
@@ -157,6 +186,14 @@ class Inbox:
                 waiting += [(key, *self._pop(key)) for _ in range(count)]
         waiting.sort(key=itemgetter(2))
         return [_opened(key, payload, at) for key, payload, at in waiting]
+
+    def _sleep(self, timeout: float) -> None:
+        """Until the quantum is over, unless it shall not wait at all; then collects."""
+        rest = self._collected + self._quantum - time.monotonic()
+        if timeout > 0.0 and rest > 0.0:
+            time.sleep(min(rest, self._quantum))
+        self._collected = time.monotonic()
+        self._collect()
 
 
 def _cut(payload: bytes, largest: int) -> bytes:

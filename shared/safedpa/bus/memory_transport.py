@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample
+from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
 from safedpa.errors import BusError
 
 __all__ = ["MemoryBroker", "MemoryTransport"]
@@ -35,8 +35,9 @@ class MemoryTransport(AbstractTransport):
             if _matches(expression, key):
                 on_sample(key, payload)
 
-    def subscribe(self, key_expression: str, on_sample: OnSample) -> None:  # noqa: D102
+    def subscribe(self, key_expression: str, on_sample: OnSample) -> Subscription:  # noqa: D102
         self._broker.subscribers.append((self, key_expression, on_sample))
+        return Subscription()
 
     def declare_alive(self, key: str) -> None:  # noqa: D102
         self._broker.tokens.append((self, key))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-__all__ = ["AbstractTransport", "OnAnswer", "OnQuestion", "OnSample"]
+__all__ = ["AbstractTransport", "OnAnswer", "OnQuestion", "OnSample", "Subscription"]
 
 OnSample = Callable[[str, bytes], None]
 """Called with key and payload, on any thread; must return at once and raise nothing."""
@@ -16,6 +16,24 @@ raises nothing."""
 
 OnAnswer = Callable[[bytes | None], None]
 """Called once with the first answer, or None when there was none; on any thread."""
+
+
+class Subscription:
+    """What ``subscribe`` returns: its receiver is called for each message as it comes, or, while it gathers, for all of
+    them when the owner says so.
+
+    A call into Python for each message costs a wake-up and a struggle with whatever runs there; a transport that can
+    keep messages elsewhere spares both while there are many. One that delivers at once has nothing to gather.
+    """
+
+    def gather(self) -> None:
+        """From now on keeps what comes until ``collect``; of very many messages the oldest are lost."""
+
+    def collect(self) -> None:
+        """Calls the receiver for everything gathered, in order, on the caller's thread; never waits."""
+
+    def pass_on(self) -> None:
+        """From now on calls the receiver as messages come; what was gathered first."""
 
 
 class AbstractTransport(ABC):
@@ -33,7 +51,7 @@ class AbstractTransport(ABC):
         del beginning
 
     @abstractmethod
-    def subscribe(self, key_expression: str, on_sample: OnSample) -> None:
+    def subscribe(self, key_expression: str, on_sample: OnSample) -> Subscription:
         """Calls ``on_sample`` for everything that is put under matching keys from now on, until ``close``."""
 
     @abstractmethod

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, final
 
 from safedpa.bus.certificates import Certificates
 from safedpa.bus.log import log_event
-from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample
+from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
 from safedpa.errors import BusError
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
 and more, and a link between peers that found each other is not made anew. A process that dies is seen at once anyway.
 """
 _ALIVE_TIMEOUT_SECONDS = 1.0
+_MOST_GATHERED = 4096
+"""Messages of one subscription that wait to be collected; beyond, the oldest give way. A thousand robots send so many
+in four of their periods, and the loop collects every few milliseconds."""
 
 
 @dataclass(frozen=True)
@@ -186,19 +189,10 @@ class ZenohTransport(AbstractTransport):
         for key, never_drop in [entry for entry in self._publishers if entry[0].startswith(beginning)]:
             self._publishers.pop((key, never_drop)).undeclare()  # type: ignore[no-untyped-call]
 
-    def subscribe(self, key_expression: str, on_sample: OnSample) -> None:  # noqa: D102
-        import zenoh
-
-        def received(sample: zenoh.Sample) -> None:
-            if sample.kind != zenoh.SampleKind.PUT:
-                return
-            try:
-                on_sample(str(sample.key_expr), sample.payload.to_bytes())
-            except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, deaf
-                sys.excepthook(type(error), error, error.__traceback__)
-
-        handler: Any = zenoh.handlers.Callback(received, indirect=False)
-        self._declared.append(self._session.declare_subscriber(key_expression, handler))
+    def subscribe(self, key_expression: str, on_sample: OnSample) -> Subscription:  # noqa: D102
+        subscription = _ZenohSubscription(self._session, key_expression, on_sample)
+        self._declared.append(subscription)
+        return subscription
 
     def declare_alive(self, key: str) -> None:  # noqa: D102
         self._declared.append(self._session.liveliness().declare_token(key))
@@ -260,6 +254,60 @@ class ZenohTransport(AbstractTransport):
     def close(self) -> None:  # noqa: D102
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
+
+
+@final
+class _ZenohSubscription(Subscription):
+    """Called by Zenoh's own thread, or gathering in a ring on Zenoh's side, which needs nothing of Python.
+
+    Measured with 1000 messages a second in groups of 16, processor time of the receiver for each: 125 us by calls,
+    40 us by the ring.
+    """
+
+    def __init__(self, session: zenoh.Session, key_expression: str, on_sample: OnSample) -> None:
+        self._session, self._key_expression, self._on_sample = session, key_expression, on_sample
+        self._calling: Any = self._called()
+        self._gathering: Any = None
+
+    def gather(self) -> None:
+        import zenoh
+
+        if self._gathering is None:  # both for a moment, so that nothing falls between them
+            ring: Any = zenoh.handlers.RingChannel(_MOST_GATHERED)
+            self._gathering = self._session.declare_subscriber(self._key_expression, ring)
+            self._calling.undeclare()
+
+    def collect(self) -> None:
+        if self._gathering is not None:
+            receive = self._gathering.handler.try_recv
+            for _ in range(_MOST_GATHERED):
+                sample = receive()
+                if sample is None:
+                    return
+                self._received(sample)
+
+    def pass_on(self) -> None:
+        if self._gathering is not None:
+            calling = self._called()
+            self.collect()
+            self._gathering.undeclare()
+            self._calling, self._gathering = calling, None
+
+    def _called(self) -> Any:
+        import zenoh
+
+        handler: Any = zenoh.handlers.Callback(self._received, indirect=False)
+        return self._session.declare_subscriber(self._key_expression, handler)
+
+    def _received(self, sample: zenoh.Sample) -> None:
+        import zenoh
+
+        if sample.kind != zenoh.SampleKind.PUT:
+            return
+        try:
+            self._on_sample(str(sample.key_expr), sample.payload.to_bytes())
+        except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, deaf
+            sys.excepthook(type(error), error, error.__traceback__)
 
 
 def _warn_of_plain_text(endpoints: tuple[str, ...]) -> None:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, Received
+from safedpa.bus.coalescing import quantum_for
 from safedpa.bus.messages import ActionMessage
 from safedpa_sim.robots.durations import Durations
 from safedpa_sim.robots.robot import SimulatedRobot
@@ -58,6 +59,8 @@ class FleetLoop:
     ) -> None:
         self._bus, self._clock = bus, clock
         self._inbox = bus.inbox((ACTION,), clock=clock)
+        self._quantum = quantum_for([robot.period for robot in robots.values()], coalescing=False)
+        self._inbox.coalesce(self._quantum)
         begin = clock()
         self._turning = {
             name: _Turning(robot, begin + (0.0 if in_step else index / len(robots) * robot.period))
@@ -84,6 +87,8 @@ class FleetLoop:
     def turn(self) -> None:
         """Does what is due now: takes actions, senses, brakes where an action is late. Never waits."""
         self._take(0.0)
+        if self._quantum > 0.0:
+            self._bus.hold()
         while self._events[0][0] <= self._clock():
             _, name, tick, senses = heapq.heappop(self._events)
             self._take(0.0)  # what is there already counts
@@ -92,6 +97,7 @@ class FleetLoop:
                 self._sense(name, turning)
             elif turning.robot.tick == tick:
                 self._move(name, turning, late=True)
+        self._bus.flush()
 
     def _sense(self, name: str, turning: _Turning) -> None:
         robot = turning.robot
