@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from safedpa.bus.codec import _float, _rows, _tuple_of, _vector
 from safedpa.dynamics import AbstractDynamics, load_model
 from safedpa.errors import MessageError
-from safedpa.safety.barrier import RememberingBarrier
+from safedpa.safety.barrier import RememberingStack
 from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.car_stack import stacked
 from safedpa.safety.margin import OnlineMargin
 from safedpa.safety.settings import FilterSettings
 from safedpa_sim.robots.durations import Durations
@@ -96,17 +97,17 @@ def test_a_margin_with_ordered_errors_is_the_one_that_sorts(errors: list[float],
 
 @settings(max_examples=50, deadline=None)
 @given(states=st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 4), min_size=1, max_size=30))
-def test_a_barrier_that_remembers_says_what_the_barrier_says(states: list[tuple[float, ...]]) -> None:
+def test_a_stack_that_remembers_says_what_the_stack_says(states: list[tuple[float, ...]]) -> None:
     obstacles, field = ((0.5, 0.5, 0.2), (1.0, -1.0, 0.3)), (-4.0, 4.0, -4.0, 4.0)
-    for part in car_barriers(FilterSettings(), (0.08, 0.4, 0.12), obstacles, field):
-        remembering = RememberingBarrier(part)
-        for values in (*states, *states[-3:]):
-            state = np.array(values)
-            h = remembering.values(state)
-            assert h.tobytes() == part.values(state).tobytes()
-            assert not h.flags.writeable
-            assert remembering.evaluate(state)[1].tobytes() == part.evaluate(state)[1].tobytes()
-        assert len(remembering._known) <= 8
+    stack = stacked(car_barriers(FilterSettings(), (0.08, 0.4, 0.12), obstacles, field))
+    remembering = RememberingStack(stack)
+    for values in (*states, *states[-3:]):
+        state = np.array(values)
+        h = remembering.values(state)
+        assert h.tobytes() == stack.values(state).tobytes()
+        assert not h.flags.writeable
+        assert remembering.gradient(state).tobytes() == stack.gradient(state).tobytes()
+    assert len(remembering._known) <= 8
 
 
 @pytest.mark.parametrize("name", ["car", "car_measured", "car_learned", "pendulum"])

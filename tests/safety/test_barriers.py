@@ -146,10 +146,11 @@ def test_states_may_have_more_entries_than_the_four() -> None:
 def test_stack_keeps_order_names_and_margins() -> None:
     parts = [ObstacleBarrier([(1, 1, 0.2), (2, 2, 0.2)], FOOTPRINT, BRAKING), SpeedBarrier(-1.0, 2.0)]
     stack, state = Barriers(parts), np.array([0.0, 0.0, 0.0, 0.5])
-    assert len(stack) == 4
+    assert list(stack) == parts
+    assert (stack[1], stack[:1]) == (parts[1], (parts[0],))
+    assert stack.kinds == ("obstacle", "obstacle", "speed", "speed")
     assert stack.names == ("obstacle 0", "obstacle 1", "highest speed", "lowest speed")
-    h, gradient = stack.evaluate(state)
-    np.testing.assert_array_equal(h, stack.values(state))
+    h, gradient = stack.values(state), stack.gradient(state)
     np.testing.assert_array_equal(h[2:], [1.5, 1.5])
     np.testing.assert_array_equal(gradient[2:, 3], [-1.0, 1.0])
     np.testing.assert_array_equal(stack.of_each({"speed": 0.3}, 0.1), [0.1, 0.1, 0.3, 0.3])

@@ -82,8 +82,8 @@ class LearnedBase(AbstractBase):
         """f and g in a row, from state and latent; the last are kept, for the many actions that the filter tries."""
         if self._last is None or self._last[0] != known:
             states = len(self.system.state)
-            f, g = self.networks.increment(np.array(known[:states]), np.array(known[states:]))
-            self._last = (known, [*f.tolist(), *chain.from_iterable(g.tolist())])
+            f, g = self.networks.increment_of_one(known[:states], known[states:])
+            self._last = (known, [*f, *chain.from_iterable(g)])
         return self._last[1]
 
     def _batch(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
-from typing import final
+from typing import final, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AbstractBarrier", "Barriers", "RememberingBarrier"]
+__all__ = ["AbstractBarrier", "AbstractStack", "Barriers", "RememberingStack"]
 
 Values = NDArray[np.float64]
 
@@ -35,16 +35,71 @@ class AbstractBarrier(ABC):
         """h (m,) and its gradient d(h_i)/d(x_j) (m, states) at ``state`` (states,)."""
 
 
+class AbstractStack(Sequence[AbstractBarrier]):
+    """Several barriers, side by side: h stacked in the order given; as a sequence, the barriers themselves."""
+
+    def __init__(self, parts: Sequence[AbstractBarrier]) -> None:
+        self.parts = tuple(parts)
+        self.names = tuple(chain.from_iterable(part.names for part in self.parts))
+        """(m,)."""
+        self.kinds = tuple(chain.from_iterable([part.kind] * len(part.names) for part in self.parts))
+        """(m,)."""
+
+        self.rows = {kind: tuple(row for row, own in enumerate(self.kinds) if own == kind) for kind in self.kinds}
+        """By kind of barrier: where its values stand."""
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    @overload
+    def __getitem__(self, index: int) -> AbstractBarrier: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[AbstractBarrier, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> AbstractBarrier | tuple[AbstractBarrier, ...]:
+        return self.parts[index]
+
+    @abstractmethod
+    def values(self, state: Values) -> Values:
+        """h (m,) of all parts at ``state`` (states,)."""
+
+    @abstractmethod
+    def gradient(self, state: Values) -> Values:
+        """d(h_i)/d(x_j) (m, states) of all parts at ``state`` (states,)."""
+
+    @property
+    def one_by_one(self) -> Barriers:
+        """The reference for these parts."""
+        return Barriers(self.parts)
+
+    def of_each(self, by_kind: Mapping[str, float], otherwise: float) -> Values:
+        """(m,) the number that belongs to each barrier's kind."""
+        return np.array([by_kind.get(kind, otherwise) for kind in self.kinds], dtype=np.float64)
+
+
 @final
-class RememberingBarrier(AbstractBarrier):
-    """Another barrier, with h at the last few states remembered: within one tick the same states come up again.
+class Barriers(AbstractStack):
+    """The parts one by one: the reference, and what serves barriers of any kind."""
+
+    def values(self, state: Values) -> Values:  # noqa: D102
+        return np.concatenate([part.values(state) for part in self.parts])
+
+    def gradient(self, state: Values) -> Values:  # noqa: D102
+        return np.concatenate([part.evaluate(state)[1] for part in self.parts])
+
+
+@final
+class RememberingStack(AbstractStack):
+    """Another stack, with h at the last few states remembered: within one tick the same states come up again.
 
     A prediction is judged when the action is decided, and again beside the measured state when the margin is watched.
     The arrays that it hands out are shared, and so cannot be written to.
     """
 
-    def __init__(self, part: AbstractBarrier) -> None:
-        self._part, self.kind, self.names = part, part.kind, part.names
+    def __init__(self, stack: AbstractStack) -> None:
+        super().__init__(stack.parts)
+        self._stack = stack
         self._known: dict[bytes, Values] = {}
 
     def values(self, state: Values) -> Values:  # noqa: D102
@@ -53,37 +108,9 @@ class RememberingBarrier(AbstractBarrier):
         if h is None:
             if len(self._known) >= _REMEMBERED_STATES:
                 del self._known[next(iter(self._known))]
-            h = self._known[key] = self._part.values(state)
+            h = self._known[key] = self._stack.values(state)
             h.flags.writeable = False
         return h
 
-    def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
-        return self._part.evaluate(state)
-
-
-@final
-class Barriers:
-    """Several barriers, side by side: h stacked in the order given."""
-
-    def __init__(self, parts: Sequence[AbstractBarrier]) -> None:
-        self.parts = tuple(parts)
-        self.names = tuple(chain.from_iterable(part.names for part in self.parts))
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def values(self, state: Values) -> Values:
-        """h (m,) of all parts at ``state`` (states,)."""
-        return np.concatenate([part.values(state) for part in self.parts])
-
-    def evaluate(self, state: Values) -> tuple[Values, Values]:
-        """h (m,) and gradient (m, states) of all parts at ``state`` (states,)."""
-        pairs = [part.evaluate(state) for part in self.parts]
-        return np.concatenate([h for h, _ in pairs]), np.concatenate([gradient for _, gradient in pairs])
-
-    def of_each(self, by_kind: dict[str, float], otherwise: float) -> Values:
-        """(m,) the number that belongs to each barrier's kind."""
-        numbers: list[float] = []
-        for part in self.parts:
-            numbers += [by_kind.get(part.kind, otherwise)] * len(part.names)
-        return np.array(numbers, dtype=np.float64)
+    def gradient(self, state: Values) -> Values:  # noqa: D102
+        return self._stack.gradient(state)

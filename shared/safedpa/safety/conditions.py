@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa.safety.barrier import Barriers
+from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.inputs import all_finite
 from safedpa.safety.prediction import Prediction
 
@@ -60,7 +60,7 @@ class Conditions:
 
     def __init__(
         self,
-        barriers: Barriers,
+        barriers: AbstractStack,
         prediction: Prediction,
         state: Values,
         latent: Values | None,
@@ -73,7 +73,7 @@ class Conditions:
         self.barriers, self._prediction = barriers, prediction
         self._state, self._latent, self._memory = state, latent, memory
         self._low, self._high = low, high
-        self.h_now = _finite("h at the state", barriers.values(state), (len(barriers),))
+        self.h_now = _finite("h at the state", barriers.values(state), (len(barriers.names),))
         self.required = (1.0 - eta) * self.h_now + epsilon
         self._last_g: Values | None = None
 
@@ -95,7 +95,7 @@ class Conditions:
     def _slopes(self, about: Outcome) -> Values:
         _, g = self._prediction.tangent(self._state, about.action, self._latent, self._memory)
         _finite("g of the model", g, (len(self._state), len(about.action)))
-        _, p = self.barriers.evaluate(about.next_state)
+        p = self.barriers.gradient(about.next_state)
         _finite("gradient of h", p, (len(self.required), len(self._state)))
         return np.asarray(p.dot(self._unsaturated(g, about)))
 

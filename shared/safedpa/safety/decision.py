@@ -10,7 +10,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.barrier import AbstractBarrier, Barriers
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.car_stack import Stacks
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.inputs import Plausible, Unusable, all_finite, checked_input
 from safedpa.safety.prediction import Prediction
@@ -37,6 +38,7 @@ class Tools:
     settings: FilterSettings
     prediction: Prediction
     program: QuadraticProgram
+    stacks: Stacks
     backup: Backup | None
     resting_action: Values
     state_range: Plausible | None
@@ -125,8 +127,8 @@ class Decision:
         request, settings = self._request, self._tools.settings
         if self._state is None or (self._needs_latent and self._latent is None):
             raise DecisionError("state or latent unusable")
-        barriers = Barriers(request.barriers)
-        if len(barriers) == 0:
+        barriers = self._tools.stacks.of(request.barriers)
+        if not barriers.names:
             raise DecisionError("there is no barrier to keep")
         margins = {**settings.epsilon, **request.epsilon}
         epsilon = barriers.of_each(margins, margins.get("default", 0.0))

@@ -14,11 +14,11 @@ from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.braking import Braking
 from safedpa.safety.obstacle_barrier import checked_footprint
 
-__all__ = ["FieldBarrier"]
+__all__ = ["NORMALS", "FieldBarrier"]
 
 Values = NDArray[np.float64]
 
-_NORMALS = np.array(((1.0, -1.0, 0.0, 0.0) * 2, (0.0, 0.0, 1.0, -1.0) * 2))
+NORMALS = np.array(((1.0, -1.0, 0.0, 0.0) * 2, (0.0, 0.0, 1.0, -1.0) * 2))
 """d(h)/d(x, y) (2, 8): the walls' inward normals, for both ends."""
 
 
@@ -50,8 +50,13 @@ class FieldBarrier(AbstractBarrier):
         self.rear, self.front, radius = checked_footprint(footprint)
         self.braking = braking
         room = radius + clearance
-        self._low_x, self._high_x = sides[0] + room, sides[1] - room
-        self._low_y, self._high_y = sides[2] + room, sides[3] - room
+        self.low_x, self.high_x = sides[0] + room, sides[1] - room
+        self.low_y, self.high_y = sides[2] + room, sides[3] - room
+
+    @property
+    def body(self) -> tuple[float, float, Braking]:
+        """Rear and front end [m] and how it brakes: what the swept segment follows from."""
+        return self.rear, self.front, self.braking
 
     def values(self, state: Values) -> Values:  # noqa: D102
         return np.array(self._heights(state))
@@ -69,7 +74,7 @@ class FieldBarrier(AbstractBarrier):
             turning += [-reach * s, reach * s, reach * c, -reach * c]
             stretching += [change * c, -change * c, change * s, -change * s]
         columns = np.zeros((len(state), 8))  # transposed: its rows lie together and are quicker to fill
-        columns[:2] = _NORMALS
+        columns[:2] = NORMALS
         columns[2], columns[3] = turning, stretching
         return np.array(self._heights(state)), columns.T
 
@@ -80,5 +85,5 @@ class FieldBarrier(AbstractBarrier):
         heights = []
         for reach in (self.front + max(stretch, 0.0), -self.rear + min(stretch, 0.0)):
             end_x, end_y = x + reach * c, y + reach * s
-            heights += [end_x - self._low_x, self._high_x - end_x, end_y - self._low_y, self._high_y - end_y]
+            heights += [end_x - self.low_x, self.high_x - end_x, end_y - self.low_y, self.high_y - end_y]
         return heights

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
 from safedpa.errors import InputError
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.held_model import HeldModel
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
@@ -18,13 +18,14 @@ from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
 
-__all__ = ["Decided", "FilteredRobot"]
+__all__ = ["NO_BARRIERS", "Decided", "FilteredRobot"]
 
 Values = NDArray[np.float64]
 
 _LATENT_PATIENCE = 1.0
 """s; for so long the last latent stands in for a missing one: in a second a load does not change unnoticed."""
 _PREDICTED_STEPS = 8
+NO_BARRIERS = Barriers(())
 
 
 class Decided(NamedTuple):
@@ -50,7 +51,7 @@ class FilteredRobot:
     tick: int = -1
     prepared: tuple[int, int] = (0, -1)
     """Epoch and tick of the state that the fields below belong to."""
-    barriers: tuple[AbstractBarrier, ...] | str = ()
+    barriers: AbstractStack | str = NO_BARRIERS
     """Of the scene now, or what is wrong with it."""
     latent: LatentMessage | None = None
     decision: Decided | None = None
@@ -81,7 +82,7 @@ class FilteredRobot:
         if state.tick != self.tick + 1 or state.applied_by != "filter":
             self.margin.expect(None)  # what was predicted is not what was done
         self.tick = state.tick
-        self.margin.observe(np.array(state.values), () if isinstance(self.barriers, str) else self.barriers)
+        self.margin.observe(np.array(state.values), NO_BARRIERS if isinstance(self.barriers, str) else self.barriers)
 
     def usable_latent(self, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
         """The latent to use, and what is wrong with it."""
@@ -117,7 +118,7 @@ class FilteredRobot:
         rows, after_one = model.held(values, verdict.action, self.memory, latent, _PREDICTED_STEPS, period=state.period)
         return (tuple(map(tuple, rows)), after_one) if np.isfinite(rows).all() else ((), None)
 
-    def try_out(self, decided: Decided, barriers: tuple[AbstractBarrier, ...] | str) -> None:
+    def try_out(self, decided: Decided, barriers: AbstractStack | str) -> None:
         """Decides once more what another model decided. Raises InputError where only this one has to fall back."""
         if isinstance(barriers, str) or decided.verdict.status is Status.fallback:
             return

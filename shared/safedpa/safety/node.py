@@ -32,7 +32,7 @@ from safedpa.bus import (
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.filtered_robot import Decided, FilteredRobot
+from safedpa.safety.filtered_robot import NO_BARRIERS, Decided, FilteredRobot
 from safedpa.safety.held_model import HeldModel, checked_calibration, held_offer, uncalibrated
 from safedpa.safety.orders import Orders
 from safedpa.safety.settings import FilterSettings
@@ -112,7 +112,7 @@ class SafetyFilterNode(AbstractNode):
             stale.append(absent)
         if isinstance(memory.barriers, str):
             stale.append(f"the {memory.barriers}")
-        barriers = () if isinstance(memory.barriers, str) else memory.barriers
+        barriers = NO_BARRIERS if isinstance(memory.barriers, str) else memory.barriers
         known: dict[str, Any] = {
             "memory": memory.memory,
             "barriers": barriers,

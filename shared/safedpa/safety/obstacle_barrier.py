@@ -13,13 +13,13 @@ from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.braking import Braking
 
-__all__ = ["Footprint", "ObstacleBarrier", "checked_footprint"]
+__all__ = ["SMALLEST_DISTANCE", "Footprint", "ObstacleBarrier", "checked_footprint"]
 
 Values = NDArray[np.float64]
 Footprint = tuple[float, float, float]
 """(rear, front, radius) [m]: the body is the segment p - rear e .. p + front e, thickened by the radius."""
 
-_SMALLEST_DISTANCE = 1e-12
+SMALLEST_DISTANCE = 1e-12
 """m; keeps the gradient finite when an obstacle's centre lies on the segment (then h < 0 anyway)."""
 
 
@@ -66,15 +66,23 @@ class ObstacleBarrier(AbstractBarrier):
         self.names = tuple(names) if names is not None else tuple(f"obstacle {i}" for i in range(len(table)))
         if len(self.names) != len(table):
             raise InputError(f"names of obstacles: got {len(self.names)}, wanted {len(table)}, one for each obstacle")
-        self._centres = table[:, :2].T.copy()
-        self._reach = table[:, 2] + (self.radius + clearance)
+        self.centres = table[:, :2].T.copy()
+        """(2, m) in m."""
+        self.reach = table[:, 2] + (self.radius + clearance)
+        """(m,) in m: what the centre's distance from the segment has to exceed."""
+        self.centres.flags.writeable = self.reach.flags.writeable = False
+
+    @property
+    def body(self) -> tuple[float, float, Braking]:
+        """Rear and front end [m] and how it brakes: what the swept segment follows from."""
+        return self.rear, self.front, self.braking
 
     def values(self, state: Values) -> Values:  # noqa: D102
-        return self._geometry(state)[0] - self._reach
+        return self._geometry(state)[0] - self.reach
 
     def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
         distance, offset, nearest, low, high, turn = self._geometry(state)
-        direction = offset / np.maximum(distance, _SMALLEST_DISTANCE)
+        direction = offset / np.maximum(distance, SMALLEST_DISTANCE)
         direction[1] += distance == 0.0  # on the segment itself (0, 0) / 1e-12 is no direction: to the left is one
         speed = float(state[3])
         stretched = nearest == (high if speed >= 0.0 else low)
@@ -84,7 +92,7 @@ class ObstacleBarrier(AbstractBarrier):
         columns[:2] = turn.T.dot(-direction)
         columns[2] = -nearest * direction[1]
         columns[3] = -self.braking.slope(speed) * direction[0] * stretched
-        return distance - self._reach, columns.T
+        return distance - self.reach, columns.T
 
     def _geometry(self, state: Values) -> tuple[Values, Values, Values, float, float, Values]:
         """Distances d (m,), offsets (u - t, w) (2, m), t (m,), its least and greatest value, turn to the heading."""
@@ -93,7 +101,7 @@ class ObstacleBarrier(AbstractBarrier):
         stretch = self.braking.distance(speed)
         low, high = -self.rear + min(stretch, 0.0), self.front + max(stretch, 0.0)
         turn = np.array(((c, s), (-s, c)))
-        offset = turn.dot(self._centres - state[:2, np.newaxis])
+        offset = turn.dot(self.centres - state[:2, np.newaxis])
         nearest = np.minimum(np.maximum(offset[0], low), high)
         offset[0] -= nearest
         return np.hypot(offset[0], offset[1]), offset, nearest, low, high, turn

@@ -21,6 +21,7 @@ import numpy as np
 
 from safedpa.dynamics import AbstractDynamics, PhysicsModel
 from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.car_stack import Stacks
 from safedpa.safety.decision import Backup, Decision, Request, Tools
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.prediction import Prediction
@@ -64,6 +65,7 @@ class SafetyFilter:
             program=QuadraticProgram(
                 low, high, settings.weight_vector, settings.slack_quadratic, settings.slack_linear
             ),
+            stacks=Stacks(),
             backup=backup,
             resting_action=settings.resting_action,
             state_range=state_range,

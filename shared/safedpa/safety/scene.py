@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
-from safedpa.safety.barrier import AbstractBarrier, RememberingBarrier
+from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
 from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.car_stack import stacked
 from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.settings import FilterSettings
 
@@ -22,9 +23,9 @@ class SceneBarriers:
     def __init__(self, settings: FilterSettings) -> None:
         self._settings = settings
         self._scene: tuple[object, ...] = ()
-        self._barriers: tuple[AbstractBarrier, ...] = ()
+        self._barriers: AbstractStack = Barriers(())
 
-    def of(self, state: StateMessage) -> tuple[AbstractBarrier, ...] | str:
+    def of(self, state: StateMessage) -> AbstractStack | str:
         """The barriers around this robot, or a sentence about what cannot be a scene.
 
         A robot with a corridor has that one barrier; every other one is a car and has to say what is around it.
@@ -38,14 +39,14 @@ class SceneBarriers:
             self._scene = scene
         return self._barriers
 
-    def _built(self, state: StateMessage) -> tuple[AbstractBarrier, ...]:
+    def _built(self, state: StateMessage) -> AbstractStack:
         if not state.corridor:
             if len(state.obstacles) > _MOST_OBSTACLES:
                 raise InputError(
                     f"obstacles: got {len(state.obstacles)}, wanted at most {_MOST_OBSTACLES}; send the nearest"
                 )
             found = car_barriers(self._settings, state.footprint, state.obstacles, state.field)
-            return tuple(map(RememberingBarrier, found))
+            return RememberingStack(stacked(found))
         if state.obstacles or state.field or state.footprint:
             raise InputError("corridor: got one of a robot that drives between obstacles; wanted the one or the other")
         if len(state.values) != 2:  # a car must not get rid of its obstacles by naming a corridor
@@ -55,4 +56,4 @@ class SceneBarriers:
         if len(state.corridor) != 2:
             raise InputError(f"corridor: got {len(state.corridor)} numbers, wanted 2: lower and upper edge")
         low, high = state.corridor
-        return (CorridorBarrier(low, high, self._settings.corridor_seconds),)
+        return Barriers((CorridorBarrier(low, high, self._settings.corridor_seconds),))

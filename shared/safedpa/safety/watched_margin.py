@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, isfinite, isnan, nan
+from math import isfinite, isnan, nan
 from typing import final
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.car_stack import stacked
 from safedpa.safety.margin import OnlineMargin
 
 __all__ = ["WatchedMargin"]
@@ -58,16 +59,14 @@ class WatchedMargin:
         expected, self._expected = self._expected, None
         if expected is None or expected.shape != state.shape:
             return
-        errors: dict[str, float] = {}
-        for part in barriers:
-            worst = _largest(part.values(expected) - part.values(state))
-            errors[part.kind] = max(errors.get(part.kind, -inf), worst)
-        for kind, error in errors.items():
-            if kind in self._margins and isfinite(error):
-                self._margins[kind].update(error)
+        stack = stacked(barriers)
+        errors: list[float] = (stack.values(expected) - stack.values(state)).tolist() if stack.names else []
+        for kind, rows in stack.rows.items():
+            worst = _largest([errors[row] for row in rows])
+            if kind in self._margins and isfinite(worst):
+                self._margins[kind].update(worst)
 
 
-def _largest(errors: Values) -> float:
-    """NaN where an entry is; -inf of none. A few numbers are compared faster than an array."""
-    entries: list[float] = errors.tolist()
-    return nan if any(map(isnan, entries)) else max(entries, default=-inf)
+def _largest(errors: list[float]) -> float:
+    """NaN where one is. A few numbers are compared faster than an array."""
+    return nan if any(map(isnan, errors)) else max(errors)
