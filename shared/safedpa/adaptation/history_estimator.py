@@ -12,7 +12,7 @@ from safedpa.adaptation.abstract import AbstractEstimator, check_transition
 from safedpa.dynamics import LearnedBase, PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX
 from safedpa.errors import InputError
-from safedpa.networks import HistoryEncoder
+from safedpa.networks import HistoryEncoder, HistoryStreams
 
 __all__ = ["HistoryEstimator"]
 
@@ -33,18 +33,18 @@ class HistoryEstimator(AbstractEstimator):
         if not isinstance(model.base, LearnedBase):
             raise InputError("model: got physics, wanted learned networks with a history encoder")
         self._encoder = HistoryEncoder(model.base.weights)
+        self._history = HistoryStreams(self._encoder)
         self._period = model.period
-        self._entries = [
-            index for index, path in enumerate(model.latent_names) if path.startswith(f"base.{LATENT_PREFIX}")
-        ]
-        if len(self._entries) != self._encoder.latents:
+        entries = [index for index, path in enumerate(model.latent_names) if path.startswith(f"base.{LATENT_PREFIX}")]
+        if len(entries) != self._encoder.latents:
             raise InputError(
-                f"model: {len(self._entries)} of {self._encoder.latents} entries of the latent are free, wanted all; "
+                f"model: {len(entries)} of {self._encoder.latents} entries of the latent are free, wanted all; "
                 f"remove base.{LATENT_PREFIX}... from the model file"
             )
-        self._rows = np.zeros((self._encoder.length, self._encoder.row_length))
         self.latent: Vector = model.latent.copy()
-        self._deviations = _deviations(model, self._entries)
+        self._estimated = self.latent[entries[0] : entries[-1] + 1] if entries else self.latent[:0]
+        """A view: the entries of the networks' latent stand side by side."""
+        self._deviations = _deviations(model, entries)
 
     @property
     def deviations(self) -> Vector:  # noqa: D102
@@ -56,22 +56,22 @@ class HistoryEstimator(AbstractEstimator):
             raise InputError(
                 f"period: got {period:g} s, the networks were trained for {self._period:g} s; run the robot at that"
             )
-        self._remember(state, action, next_state)
-        self.latent[self._entries] = self._encoder.encode(self._rows)
+        self._estimated[:] = self._remember(state, action, next_state)
 
     def begin_with(self, transitions: Sequence[tuple[Vector, Vector, Vector, float]]) -> None:
         """Reads the whole history at once: the estimate goes on where another with the same networks was."""
-        for state, action, next_state, _ in transitions[-len(self._rows) : -1]:
+        for state, action, next_state, _ in transitions[-self._encoder.length : -1]:
             self._remember(state, action, next_state)
         super().begin_with(transitions)
 
-    def _remember(self, state: Vector, action: Vector, next_state: Vector) -> None:
-        self._rows[:-1] = self._rows[1:]
-        self._rows[-1] = self._encoder.rows(np.stack([state, next_state]), action[None])[0]
+    def _remember(self, state: Vector, action: Vector, next_state: Vector) -> NDArray[np.float32]:
+        row = self._encoder.row_of_one(state.tolist(), action.tolist(), next_state.tolist())
+        latent: NDArray[np.float32] = self._history.push([row])[0]
+        return latent
 
     def forget_transient(self) -> None:
         """Begins a new history; the estimate stays until it says something."""
-        self._rows[:] = 0.0
+        self._history.reset()
 
 
 def _deviations(model: PhysicsModel, entries: list[int]) -> Vector:

@@ -4,6 +4,7 @@ from safedpa.networks.frame import Frame, frame_of
 from safedpa.networks.history import HistoryEncoder
 from safedpa.networks.layers import Layer, convolution_stack, dense_stack
 from safedpa.networks.learned import LearnedNetworks
+from safedpa.networks.stream import HistoryStreams
 from safedpa.networks.weights import Description, EnvironmentEntry, Weights, load_weights, save_weights
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "EnvironmentEntry",
     "Frame",
     "HistoryEncoder",
+    "HistoryStreams",
     "Layer",
     "LearnedNetworks",
     "Weights",

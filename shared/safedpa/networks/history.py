@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import final
+from collections.abc import Sequence
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from safedpa.networks.weights import STRIDE, Weights
 __all__ = ["HistoryEncoder"]
 
 Values = NDArray[np.float64]
+
+_CHUNK = 16
+"""Histories at a time: twice as many, and the memory for what lies between the layers is fetched anew each time."""
 
 
 @final
@@ -36,11 +40,14 @@ class HistoryEncoder:
             weights[name].astype(np.float64)
             for name in ("feature_middle", "feature_scale", "increment_scale", "action_middle", "action_scale")
         ]
+        feature_middle, feature_scale, increment_scale, action_middle, action_scale = self._scales
+        self._middles = np.concatenate([feature_middle, 0.0 * increment_scale, action_middle]).tolist()
+        self._sizes = np.concatenate([feature_scale, increment_scale, action_scale]).tolist()
         self.row_length = sum(len(self._scales[index]) for index in (0, 2, 3))
-        self._dense = layers_of(weights.tensors, "phi.dense")
-        self._convolutions = layers_of(weights.tensors, "phi.conv")
-        self._out = Layer(weights["phi.out.weight"], weights["phi.out.bias"])
-        self._low, self._high = (weights[name].astype(np.float64) for name in ("latent_low", "latent_high"))
+        self.dense = layers_of(weights.tensors, "phi.dense")
+        self.convolutions = layers_of(weights.tensors, "phi.conv")
+        self.out = Layer(weights["phi.out.weight"], weights["phi.out.bias"])
+        self.low, self.high = (weights[name].astype(np.float64) for name in ("latent_low", "latent_high"))
 
     def rows(self, states: Values, actions: Values) -> Values:
         """The rows (..., n, row_length) of n transitions: states (..., n + 1, states), actions (..., n, actions)."""
@@ -59,6 +66,15 @@ class HistoryEncoder:
             axis=-1,
         )
 
+    def row_of_one(self, state: Sequence[float], action: Sequence[float], following: Sequence[float]) -> list[float]:
+        """The row (row_length,) of one transition, given and returned as plain numbers."""
+        seen = [
+            *self._frame.features_of_one(state),
+            *self._frame.own_increment_of_one(state, following),
+            *action,
+        ]
+        return [(value - middle) / scale for value, middle, scale in zip(seen, self._middles, self._sizes, strict=True)]
+
     def padded(self, rows: Values) -> Values:
         """The last k rows (..., k, row_length), with rows of zeros in front where there are fewer."""
         kept = rows[..., max(0, rows.shape[-2] - self.length) :, :]
@@ -75,8 +91,15 @@ class HistoryEncoder:
                 f"history: got {rows.shape[-2]} rows of {rows.shape[-1]}, wanted {self.length} of {self.row_length}; "
                 "a history that has just begun must be padded"
             )
-        seen = dense_stack(rows.astype(np.float32), self._dense, "relu", last_linear=False)
-        seen = convolution_stack(seen, self._convolutions, STRIDE)
-        flat = np.swapaxes(seen, -1, -2).reshape(*seen.shape[:-2], -1)
-        latent = dense_stack(flat, [self._out], "relu").astype(np.float64)
-        return np.clip(latent, self._low, self._high)
+        flat = rows.reshape(-1, *rows.shape[-2:])
+        latent = np.empty((len(flat), self.latents))
+        for start in range(0, len(flat), _CHUNK):
+            latent[start : start + _CHUNK] = self._encoded(flat[start : start + _CHUNK])
+        return np.clip(latent.reshape(*rows.shape[:-2], -1), self.low, self.high)
+
+    def _encoded(self, rows: Values) -> NDArray[Any]:
+        """Of histories (n, k, row_length)."""
+        seen = dense_stack(rows.astype(np.float32), self.dense, "relu", last_linear=False)
+        seen = convolution_stack(seen, self.convolutions, STRIDE)
+        by_channel = np.swapaxes(seen, -1, -2).reshape(len(seen), -1)
+        return dense_stack(by_channel, [self.out], "relu")

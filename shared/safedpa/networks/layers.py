@@ -42,12 +42,14 @@ def dense_stack(x: Values, layers: Sequence[Layer], activation: Activation, *, l
 
     ``last_linear`` false applies the activation after the last layer, too.
     """
-    last = len(layers) - 1
+    last, leading = len(layers) - 1, x.shape[:-1]
+    x = x.reshape(-1, x.shape[-1]) if x.ndim > 2 else x  # one product of matrices instead of one for each leading index
     for index, (weight, bias) in enumerate(layers):
-        x = x @ weight.T + bias
+        x = x @ weight.T
+        x += bias
         if index < last or not last_linear:
-            x = np.maximum(x, 0.0) if activation == "relu" else np.tanh(x)
-    return x
+            x = np.maximum(x, 0.0, out=x) if activation == "relu" else np.tanh(x, out=x)
+    return x.reshape(*leading, x.shape[-1])
 
 
 def convolution_stack(x: Values, layers: Sequence[Layer], stride: int) -> Values:
@@ -56,9 +58,12 @@ def convolution_stack(x: Values, layers: Sequence[Layer], stride: int) -> Values
     y[t, o] = relu(b[o] + sum over i, j of W[o, i, j] x[stride t + j, i]).
     """
     for weight, bias in layers:
-        kernel = weight.shape[2]
-        steps = (x.shape[-2] - kernel) // stride + 1
-        windows = np.lib.stride_tricks.sliding_window_view(x, kernel, axis=-2)[..., ::stride, :, :]
-        flat = windows[..., :steps, :, :].reshape(*x.shape[:-2], steps, -1)
-        x = np.maximum(flat @ weight.reshape(len(weight), -1).T + bias, 0.0)
+        out, inputs, kernel = weight.shape
+        leading, steps = x.shape[:-2], (x.shape[-2] - kernel) // stride + 1
+        row_by_row = x.reshape(*leading, -1)
+        windows = np.lib.stride_tricks.sliding_window_view(row_by_row, kernel * inputs, axis=-1)
+        flat = windows[..., :: stride * inputs, :].reshape(-1, kernel * inputs)
+        y = flat @ weight.transpose(2, 1, 0).reshape(-1, out)
+        y += bias
+        x = np.maximum(y, 0.0, out=y).reshape(*leading, steps, out)
     return x

@@ -1,0 +1,180 @@
+"""The history encoder phi tick by tick: what was computed for earlier rows is kept instead of computed again.
+
+phi looks at the last k rows. A tick brings one new row, and moves every other one by one place. The dense layers see
+one row each, so the newest alone is new. A convolution with kernel K and stride 4 sees windows that end at the newest
+value and at every fourth one before it; four ticks ago the newest window was what is the second newest now. So its
+newest output alone is new as well: with c the outputs of the layer before, of which every D-th enters (D = 1, 4, ...),
+
+    c'[t] = relu(b + sum over j of W[j] c[t - D (K - 1 - j)])
+
+A tick costs one product with a vector per layer, a tenth of phi over the whole history, and every sum is over the same
+numbers. Source: Paine et al., Fast WaveNet generation algorithm, arXiv:1611.09482.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.errors import InputError
+from safedpa.networks.history import HistoryEncoder
+from safedpa.networks.layers import Layer
+from safedpa.networks.weights import STRIDE
+
+__all__ = ["HistoryStreams"]
+
+Rows = NDArray[np.float32]
+Values = NDArray[np.float64]
+
+_ZERO = np.zeros((), dtype=np.float32)
+
+
+@final
+class HistoryStreams:
+    """phi of the last k rows of each of several robots, which all get a row at the same moment.
+
+    ``push`` gives what ``HistoryEncoder.encode`` gives for the last k rows pushed (zeros in front of the first), to
+    single precision.
+    """
+
+    def __init__(self, encoder: HistoryEncoder, robots: int = 1) -> None:
+        self.robots, self._encoder = robots, encoder
+        # for one robot np.dot has less overhead; it cannot write into the rows that several robots need
+        self._product: Any = np.dot if robots == 1 else np.matmul
+        self._input = np.ones((robots, encoder.row_length), dtype=np.float32)
+        self._dense = [_Dense(layer, robots) for layer in encoder.dense]
+        self._series, lag = _series_of(encoder, robots)
+        self._lag = lag
+        self._kernels = [(_by_time(layer.weight), layer.bias) for layer in encoder.convolutions]
+        last = self._series[-1]
+        self._out = _by_time(encoder.out.weight.reshape(len(encoder.out.weight), last.width, last.kernel))
+        self._out_bias = encoder.out.bias
+        self._latent: Rows = np.zeros((robots, encoder.latents), dtype=np.float32)
+        self._low, self._high = encoder.low.astype(np.float32), encoder.high.astype(np.float32)
+        self._ticks = 0
+        self._of_nothing = _values_of_nothing(encoder)
+        self.reset()
+
+    def push(self, rows: Values | Sequence[Sequence[float]]) -> Rows:
+        """z (robots, latents) after one more row (robots, row_length) of each; the next call overwrites it."""
+        product, tick = self._product, self._ticks
+        self._input[:] = rows
+        value = self._input
+        for dense in self._dense:
+            value = dense.of(value, product)
+        self._series[0].keep(value, tick)
+        for (matrix, bias), before, after in zip(self._kernels, self._series, self._series[1:], strict=False):
+            y = after.place(tick)
+            product(before.window(tick), matrix, out=y)
+            np.add(y, bias, out=y)
+            np.maximum(y, _ZERO, out=y)
+            after.kept(tick)
+        self._ticks = tick + 1
+        return self._encoded(tick)
+
+    def reset(self, which: slice | Sequence[int] = slice(None)) -> None:
+        """Begins new histories, of all robots or of those that are named."""
+        for series, value in zip(self._series, self._of_nothing, strict=True):
+            series.fill(which, value)
+
+    def _encoded(self, tick: int) -> Rows:
+        latent = self._latent
+        self._product(self._series[-1].window(tick - self._lag), self._out, out=latent)
+        np.add(latent, self._out_bias, out=latent)
+        np.maximum(latent, self._low, out=latent)
+        return np.minimum(latent, self._high, out=latent)
+
+
+@final
+class _Dense:
+    """relu(W x + b) for x (robots, in), into one buffer."""
+
+    def __init__(self, layer: Layer, robots: int) -> None:
+        self._matrix, self._bias = np.ascontiguousarray(layer.weight.T), layer.bias
+        self._output = np.zeros((robots, len(layer.weight)), dtype=np.float32)
+
+    def of(self, x: Rows, product: Any) -> Rows:
+        output = self._output
+        product(x, self._matrix, out=output)
+        np.add(output, self._bias, out=output)
+        return np.maximum(output, _ZERO, out=output)
+
+
+@final
+class _Series:
+    """Of each robot the last ``kernel`` of every ``spacing``-th value (width,), side by side in memory.
+
+    Each is written twice, ``kernel`` places apart, so that the last ones lie in order wherever the newest one is. All
+    views are made once.
+    """
+
+    def __init__(self, robots: int, width: int, kernel: int, spacing: int) -> None:
+        self.width, self.kernel = width, kernel
+        self._values = np.zeros((spacing, robots, 2 * kernel * width), dtype=np.float32)
+        self._places: list[Rows] = []
+        self._twins: list[Rows] = []
+        self._windows: list[Rows] = []
+        for place in range(kernel):
+            for phase in self._values:
+                start, twin = place * width, (place + kernel) * width
+                self._places.append(phase[:, start : start + width])
+                self._twins.append(phase[:, twin : twin + width])
+                self._windows.append(phase[:, start + width : twin + width])
+
+    def place(self, tick: int) -> Rows:
+        """Where the value (robots, width) of a tick goes; ``kept`` says that it is there."""
+        return self._places[tick % len(self._places)]
+
+    def kept(self, tick: int) -> None:
+        at = tick % len(self._places)
+        self._twins[at][:] = self._places[at]
+
+    def keep(self, value: Rows, tick: int) -> None:
+        self.place(tick)[:] = value
+        self.kept(tick)
+
+    def window(self, tick: int) -> Rows:
+        """(robots, kernel width): the value of a tick last, before it those ``spacing``, 2 ``spacing``, ... earlier."""
+        return self._windows[tick % len(self._windows)]
+
+    def fill(self, which: slice | Sequence[int], value: Rows) -> None:
+        """Takes a value (1, width) as the one of all ticks so far."""
+        self._values[:, which] = np.tile(value, 2 * self.kernel)
+
+
+def _values_of_nothing(encoder: HistoryEncoder) -> list[Rows]:
+    """The inputs (1, width) of each convolution and of the last layer while all rows are zeros."""
+    seen = np.zeros((1, encoder.row_length), dtype=np.float32)
+    for layer in encoder.dense:
+        seen = np.maximum(seen @ layer.weight.T + layer.bias, _ZERO)
+    values = [seen]
+    for weight, bias in encoder.convolutions:
+        seen = np.maximum(np.tile(seen, weight.shape[2]) @ _by_time(weight) + bias, _ZERO)
+        values.append(seen)
+    return values
+
+
+def _series_of(encoder: HistoryEncoder, robots: int) -> tuple[list[_Series], int]:
+    """The inputs of each convolution and of the last layer, and how many ticks behind the last layer looks.
+
+    A history that the kernels do not divide leaves its newest values out, as the convolutions without padding do.
+    """
+    series, spacing, length, lag = [], 1, encoder.length, 0
+    width = len(encoder.dense[-1].weight) if encoder.dense else encoder.row_length
+    for layer in encoder.convolutions:
+        kernel = layer.weight.shape[2]
+        if length < kernel:
+            raise InputError(f"history: got {encoder.length} rows, too few for the convolutions; wanted more")
+        series.append(_Series(robots, width, kernel, spacing))
+        lag += (length - kernel) % STRIDE * spacing
+        width, length, spacing = len(layer.weight), (length - kernel) // STRIDE + 1, spacing * STRIDE
+    series.append(_Series(robots, width, length, spacing))
+    return series, lag
+
+
+def _by_time(weight: Rows) -> Rows:
+    """A kernel (out, in, time) as a matrix (time in, out): its windows are rows one after the other."""
+    return np.ascontiguousarray(weight.transpose(2, 1, 0).reshape(-1, len(weight)))
