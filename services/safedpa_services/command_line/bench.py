@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import click
@@ -16,7 +17,7 @@ _RATE = click.option("--rate", type=float, default=20.0, show_default=True, help
 @click.group(invoke_without_command=True)
 @click.pass_context
 def command(context: click.Context) -> None:
-    """Measure how fast the services are; by default the latency of one robot."""
+    """Measure how fast this project is, beside its peers; by default the latency of one robot."""
     if context.invoked_subcommand is None:
         context.invoke(latency)
 
@@ -85,6 +86,72 @@ def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **o
         click.echo(json.dumps({"bare_chain_us": bare, **found, "trials": results}))
     elif largest is not None:
         click.echo(f"largest fleet with at most 0.1 % late ticks at {trial.rate:g} Hz: {largest} robots")
+
+
+@command.command(name="list")
+def list_rows() -> None:
+    """The rows of `safedpa bench all`."""
+    from safedpa_services.benchmarks.rows import ROWS
+
+    for name, listed in ROWS.items():
+        length = "less than half a minute" if listed.minutes < 0.5 else f"about {listed.minutes:g} min"
+        click.echo(f"{name:14} {listed.work} ({length}{', only when named or with --full' if listed.long else ''})")
+
+
+@command.command(name="all")
+@click.option("--quick", is_flag=True, help="a minute, to see that everything works; the numbers mean little")
+@click.option("--full", is_flag=True, help="the long rows too, and nothing scaled")
+@click.option("--only", multiple=True, metavar="NAME", help="this row alone; may be repeated")
+@click.option("--resume", is_flag=True, help="with --json FILE: leave out rows that are in it")
+@click.option(
+    "--peers", multiple=True, metavar="PYTHON", help="another Python that has peers installed; may be repeated"
+)
+@click.option("--json", "file", type=click.Path(path_type=Path, dir_okay=False), help="results, kept up to date")
+@click.option("--markdown", type=click.Path(path_type=Path, dir_okay=False), help="the same as a page")
+@click.option("--pictures", type=click.Path(path_type=Path, file_okay=False), help="folder for speed*.png")
+def all_rows(file: Path | None, markdown: Path | None, pictures: Path | None, **options: Any) -> None:
+    """This project and its peers on the same problems in one run: p50, p99, p99.9, and how many times ahead.
+
+    Peers are looked for in every --peers PYTHON and in this one; a peer that is not there says so. What was measured
+    before stays in the --json file, so that rows can be measured one by one.
+    """
+    from safedpa_services.benchmarks.pictures import write_pictures
+    from safedpa_services.benchmarks.results import Effort
+    from safedpa_services.benchmarks.suite import chosen_rows, run_rows
+    from safedpa_services.benchmarks.table import markdown as page
+
+    if options["quick"] and options["full"]:
+        raise InputError("--quick: got --full too; choose one")
+    effort = Effort(options["quick"], options["full"], options["peers"])
+    names = chosen_rows(options["only"], effort)
+    document = run_rows(names, effort, file, _show_row, resume=options["resume"])
+    if markdown is not None:
+        markdown.write_text(page(document), encoding="utf-8")
+    if pictures is not None:
+        for path in write_pictures(document, pictures):
+            click.echo(str(path))
+
+
+def _show_row(name: str, row: dict[str, Any]) -> None:
+    """One row on the terminal."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from safedpa_services.benchmarks.table import row_lines, target_texts
+
+    console = Console(highlight=False)
+    console.print(f"\n[bold]{name}[/bold]: {row['work']}")
+    if "failed" not in row:
+        columns, lines = row_lines(row)
+        table = Table(box=None, padding=(0, 1, 0, 0))
+        for number, column in enumerate(columns):
+            table.add_column(column, justify="left" if number < 2 else "right")
+        for line in lines:
+            table.add_row(*line)
+        console.print(table)
+    absent = [f"{entry['name']}: {entry['missing']}" for entry in row.get("peers", ()) if entry["missing"]]
+    for words in (*target_texts(row), *row.get("notes", ()), *dict.fromkeys(absent)):
+        console.print(f"  {words}", markup=False)
 
 
 def _check(seconds: float, rate: float) -> None:

@@ -1,0 +1,131 @@
+"""The scenes in which decisions are timed: states where the filter has to change the wish, the same for everyone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import StateMessage
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.safety import FilterSettings, SafetyFilter, Status
+from safedpa.safety.scene import SceneBarriers
+from safedpa.safety.shipped import settings_named
+
+__all__ = ["FilterProblem", "car_message", "problem_with", "wedged"]
+
+Values = NDArray[np.float64]
+
+_FOOTPRINT: Final = (0.08, 0.4, 0.12)
+"""m; about the pymunk car's."""
+_FIELD: Final = (-20.0, 20.0, -20.0, 20.0)
+_STATES: Final = 32
+_WISH: Final = (2.0, 0.0)
+"""Straight on at full speed."""
+_EPSILON: Final = 0.01
+"""m; margin of every obstacle in the comparison."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class FilterProblem:
+    """One scene, states that the shipped physics and the shipped networks both have to correct, and the settings."""
+
+    obstacles: Values
+    """(m, 3) x, y, radius [m]."""
+    states: Values
+    """(n, 4)."""
+    settings: FilterSettings
+
+    def barriers(self) -> Any:
+        """As the service builds them for a scene: obstacles, four walls far away, two limits of speed."""
+        found = SceneBarriers(self.settings).of(car_message(0, self.obstacles, (0.0, 0.0, 0.0, 0.0)))
+        assert not isinstance(found, str), found
+        return found
+
+    def requests(self, model: PhysicsModel, wish: tuple[float, float] = _WISH) -> list[tuple[Values, Values, Values]]:
+        """State, wish and latent of each decision."""
+        return [(state, np.array(wish), model.latent) for state in self.states]
+
+    def question(self, calls: int, seconds: float, backend: str) -> dict[str, Any]:
+        """What a peer is told."""
+        settings = self.settings
+        return {
+            "obstacles": self.obstacles.tolist(),
+            "states": self.states.tolist(),
+            "wishes": [list(_WISH)] * len(self.states),
+            "footprint": list(_FOOTPRINT),
+            "clearance": settings.clearance,
+            "braking": [settings.braking_deceleration, settings.braking_gain],
+            "wheelbase": 0.32,
+            "speed_gain": 5.0,
+            "low": list(settings.action_low),
+            "high": list(settings.action_high),
+            "weights": settings.weight_vector.tolist(),
+            "eta": settings.eta,
+            "epsilon": _EPSILON,
+            "period": 0.05,
+            "penalty": settings.slack_linear,
+            "calls": calls,
+            "seconds": seconds,
+            "backend": backend,
+        }
+
+
+def car_message(tick: int, obstacles: Values, state: tuple[float, ...], goal: tuple[float, float] = (3.0, 0.0)) -> Any:
+    """What a car says of itself in a scene."""
+    return StateMessage(
+        epoch=1,
+        tick=tick,
+        robot_time=0.05 * tick,
+        publish_time=0.05 * tick,
+        values=state,
+        applied=(0.5, 0.0),
+        applied_by="filter",
+        period=0.05,
+        lockstep=False,
+        goal=goal,
+        obstacles=tuple(tuple(row) for row in obstacles.tolist()),
+        field=_FIELD,
+        footprint=_FOOTPRINT,
+    )
+
+
+def problem_with(count: int) -> FilterProblem:
+    """The scene of ``count`` obstacles: one stands in the way, the others further off all around; always the same."""
+    random = np.random.default_rng([5, count])
+    bearing = random.uniform(-np.pi, np.pi, count)
+    away = random.uniform(4.0, 6.0, count)
+    obstacles = np.stack([away * np.cos(bearing), away * np.sin(bearing), random.uniform(0.2, 0.35, count)], axis=1)
+    obstacles[0] = (0.0, 0.0, 0.3)
+    settings = settings_named("car")
+    filters = [SafetyFilter.for_model(load_model(name), settings) for name in ("car", "car_learned")]
+    latents = [load_model(name).latent for name in ("car", "car_learned")]
+    problem = FilterProblem(obstacles, np.zeros((0, 4)), settings)
+    barriers, wish = problem.barriers(), np.array(_WISH)
+    kept: list[Values] = []
+    while len(kept) < _STATES:
+        state = _towards(obstacles[0], random)
+        verdicts = [one.decide(state, wish, z, barriers=barriers) for one, z in zip(filters, latents, strict=True)]
+        if all(verdict.status is Status.corrected and verdict.solver == "solved" for verdict in verdicts):
+            kept.append(state)
+    return FilterProblem(obstacles, np.array(kept), settings)
+
+
+def wedged() -> FilterProblem:
+    """A standing car between two obstacles that both reach into it: no action keeps both conditions."""
+    rear, front, _ = _FOOTPRINT
+    obstacles = np.array([(front + 0.2, 0.0, 0.3), (-rear - 0.2, 0.0, 0.3)])
+    return FilterProblem(obstacles, np.zeros((1, 4)), settings_named("car"))
+
+
+def _towards(obstacle: Values, random: np.random.Generator) -> Values:
+    """Driving at an obstacle, anyhow near."""
+    heading, aside = random.uniform(-np.pi, np.pi), random.uniform(-0.3, 0.3)
+    distance, speed = random.uniform(1.0, 2.0), random.uniform(0.3, 1.9)
+    x = obstacle[0] - distance * cos(heading) - aside * sin(heading)
+    y = obstacle[1] - distance * sin(heading) + aside * cos(heading)
+    return np.array([x, y, heading, speed])

@@ -1,0 +1,108 @@
+"""Pictures of a benchmark: who takes how long, and how cost grows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from safedpa.errors import InputError
+
+__all__ = ["write_pictures"]
+
+_OURS, _THEIRS = "#1f6f5c", "#b0b7bd"
+_COLOURS: Final = ("#1f6f5c", "#57b894", "#c8553d", "#e09f3e", "#4a6fa5", "#8d6a9f", "#7f7f7f", "#bc8f8f")
+_COLUMNS = 2
+Document = dict[str, Any]
+
+
+def write_pictures(document: Document, folder: Path) -> list[Path]:
+    """Writes ``speed.png`` (all programs of each row) and ``speed_growth.png`` (cost over size) where there are any.
+
+    Raises InputError when matplotlib is not installed.
+    """
+    try:
+        import matplotlib as mpl
+    except ImportError as error:
+        raise InputError("--pictures: matplotlib is not installed; say pip install 'safedpa[train]'") from error
+    mpl.use("Agg")
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = [row for row in document["rows"].values() if "failed" not in row]
+    written = []
+    compared = [row for row in rows if len(_bars(row)) > 1]
+    if compared:
+        written.append(_programs(compared, folder / "speed.png"))
+    curves = [curve for row in rows for curve in row["curves"] if len(curve["x"]) > 1]
+    if curves:
+        written.append(_growth(curves, folder / "speed_growth.png"))
+    return written
+
+
+def _bars(row: Document) -> list[tuple[str, float, float, bool]]:
+    """Name, the figure that is compared, p99 or 0, and whether it is ours; of the problem that most peers share."""
+    problems = [entry["problem"] for entry in row["peers"] if entry["figures"]]
+    if not problems:
+        return []
+    problem = "8 obstacles" if "8 obstacles" in problems else max(problems, key=problems.count)
+    found = []
+    for own, entries in ((True, row["ours"]), (False, row["peers"])):
+        for entry in entries:
+            value = entry["figures"].get(row["figure"])
+            if value and entry["problem"] == problem:
+                found.append((entry["name"], float(value), float(entry["figures"].get("p99", 0.0)), own))
+    return found
+
+
+def _programs(rows: list[Document], path: Path) -> Path:
+    from matplotlib import pyplot as plt
+
+    lines = -(-len(rows) // _COLUMNS)
+    figure, axes = plt.subplots(lines, _COLUMNS, figsize=(12.0, 2.9 * lines), squeeze=False, layout="constrained")
+    for axis in axes.flat[len(rows) :]:
+        axis.set_visible(False)
+    for axis, row in zip(axes.flat, rows, strict=False):
+        bars = _bars(row)[::-1]
+        unit = next(entry["unit"] for entry in row["ours"] if entry["figures"])
+        for place, (_, value, last, own) in enumerate(bars):
+            axis.barh(place, value, color=_OURS if own else _THEIRS)
+            if last > value:
+                axis.plot([value, last], [place, place], color="#444444", linewidth=1.0)
+                axis.plot(last, place, marker="|", color="#444444")
+        axis.set_xscale("log")
+        axis.set_yticks(range(len(bars)), [name for name, *_ in bars], fontsize=8)
+        axis.set_title(_title(row), fontsize=9, loc="left")
+        axis.set_xlabel(f"{row['figure'].replace('_', ' ')} [{unit}]", fontsize=8)
+        axis.tick_params(axis="x", labelsize=8)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return path
+
+
+def _title(row: Document) -> str:
+    which = "less is better" if row["better"] == "less" else "more is better"
+    line = " (line: to p99)" if row["figure"] == "p50" else ""
+    return f"{row['name']}: {which}{line}"
+
+
+def _growth(curves: list[Document], path: Path) -> Path:
+    from matplotlib import pyplot as plt
+
+    lines = -(-len(curves) // _COLUMNS)
+    figure, axes = plt.subplots(lines, _COLUMNS, figsize=(12.0, 3.3 * lines), squeeze=False, layout="constrained")
+    for axis in axes.flat[len(curves) :]:
+        axis.set_visible(False)
+    for axis, curve in zip(axes.flat, curves, strict=False):
+        for (name, values), colour in zip(curve["series"].items(), _COLOURS * 3, strict=False):
+            known = [(x, y) for x, y in zip(curve["x"], values, strict=True) if y is not None]
+            axis.plot(*zip(*known, strict=True), marker="o", markersize=3, label=name, color=colour)
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        axis.set_xlabel(curve["x_name"], fontsize=8)
+        axis.set_ylabel(curve["y_name"], fontsize=8)
+        axis.tick_params(labelsize=8)
+        axis.legend(fontsize=7, frameon=False)
+        axis.grid(alpha=0.25)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return path

@@ -1,0 +1,62 @@
+"""Times of many calls: by the clock and of the processor, as percentiles. Needs nothing but Python and numpy."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+__all__ = ["PERCENTILES", "percentiles", "rate", "timed"]
+
+PERCENTILES = {"p10": 10.0, "p50": 50.0, "p99": 99.0, "p999": 99.9}
+_FEWEST = 20
+"""Calls, however long one takes."""
+
+
+def percentiles(microseconds: Sequence[float]) -> dict[str, float]:
+    """p10, p50, p99, p99.9 and the longest."""
+    import numpy as np
+
+    found = np.percentile(microseconds, list(PERCENTILES.values()))
+    shown = {name: round(float(value), 2) for name, value in zip(PERCENTILES, found, strict=True)}
+    return {**shown, "longest": round(max(microseconds), 2)}
+
+
+def timed(call: Callable[[Any], Any], inputs: Sequence[Any], count: int, seconds: float = 5.0) -> dict[str, Any]:
+    """Microseconds of ``call(input)`` over ``inputs`` in turn: ``wall`` by the clock, ``processor`` of all threads.
+
+    A tenth of the calls, and each input once, go before and are not counted. After ``seconds`` it ends with what it
+    has. The garbage collection runs as it is: what it costs is part of the longest calls.
+    """
+    for index in range(max(count // 10, len(inputs))):
+        call(inputs[index % len(inputs)])
+    wall, processor = [], []
+    deadline = time.perf_counter() + seconds
+    for index in range(count):
+        given = inputs[index % len(inputs)]
+        used, began = time.process_time_ns(), time.perf_counter_ns()
+        call(given)
+        wall.append(1e-3 * (time.perf_counter_ns() - began))
+        processor.append(1e-3 * (time.process_time_ns() - used))
+        if index >= _FEWEST and time.perf_counter() > deadline:
+            break
+    return {"calls": len(wall), "wall": percentiles(wall), "processor": percentiles(processor)}
+
+
+def rate(call: Callable[[], Any], units: float, seconds: float, least: int = 3) -> dict[str, float]:
+    """Units a second when one call does ``units`` of them: the best and the median call, by the clock and processor."""
+    call()
+    wall: list[float] = []
+    processor: list[float] = []
+    deadline = time.perf_counter() + seconds
+    while len(wall) < least or time.perf_counter() < deadline:
+        used, began = time.process_time(), time.perf_counter()
+        call()
+        wall.append(time.perf_counter() - began)
+        processor.append(time.process_time() - used)
+    middle = sorted(wall)[len(wall) // 2], sorted(processor)[len(processor) // 2]
+    return {
+        "per_second": units / middle[0],
+        "best_per_second": units / min(wall),
+        "per_processor_second": units / max(middle[1], 1e-9),
+    }
