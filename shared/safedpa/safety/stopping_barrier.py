@@ -80,9 +80,12 @@ def stopping_action(state: Floats, motion: Motion, end: Floats) -> tuple[Floats,
 
 
 def stopping_path(state: Floats, motion: Motion, end: Floats) -> Floats:
-    """Places (1 + STEPS, 2, robots) of the middle along the manoeuvre from states (5, robots), from now on."""
-    now = np.array(state, dtype=np.float64)
-    path = np.empty((STEPS + 1, 2, now.shape[1]))
+    """Places (1 + STEPS, 2, robots) of the middle along the manoeuvre from states (5, robots), from now on.
+
+    In the states' own precision: single precision is a third of the work for many, and a micrometre off.
+    """
+    now = np.array(state)
+    path = np.empty((STEPS + 1, 2, now.shape[1]), dtype=now.dtype)
     path[0] = _middle(now, motion)
     for step in range(1, STEPS + 1):
         thrust, turn, end = stopping_action(now, motion, end)
@@ -104,11 +107,17 @@ def _middle(state: Floats, motion: Motion) -> Floats:
 
 def stopping_room(path: Floats, hazards: Floats, radii: Floats) -> Floats:
     """h (robots, hazards) [m] of paths (steps, 2, robots) among hazards (robots, hazards, 2) of those radii."""
-    nearest = np.full(hazards.shape[:2], np.inf)
+    places = np.ascontiguousarray(hazards.transpose(2, 1, 0), dtype=path.dtype)
+    nearest = np.full(places.shape[1:], np.inf, dtype=path.dtype)
+    squares, part = np.empty_like(nearest), np.empty_like(nearest)
     for place in path:
-        apart = hazards - place.T[:, np.newaxis]
-        np.minimum(nearest, np.einsum("rhk,rhk->rh", apart, apart), out=nearest)
-    room: Floats = np.sqrt(nearest) - radii
+        np.subtract(places[0], place[0], out=squares)
+        np.multiply(squares, squares, out=squares)
+        np.subtract(places[1], place[1], out=part)
+        np.multiply(part, part, out=part)
+        np.add(squares, part, out=squares)
+        np.minimum(nearest, squares, out=nearest)
+    room: Floats = np.sqrt(nearest).T - np.asarray(radii, dtype=path.dtype)
     return room
 
 

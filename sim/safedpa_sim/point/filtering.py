@@ -98,7 +98,10 @@ def filtered(
 
 def best_end(state: Floats, hazards: Floats, radii: Floats, motion: Motion) -> tuple[Floats, Floats]:
     """h (robots, m) of states (robots, 5) with the end first that leaves more room, and that end (robots,)."""
-    first, second = (_rooms(state, hazards, radii, motion, np.full(len(state), end)) for end in ENDS)
+    count = len(state)
+    twice = np.concatenate((state, state))
+    both = _rooms(twice, np.concatenate((hazards, hazards)), radii, _doubled(motion), np.repeat(ENDS, count))
+    first, second = both[:count], both[count:]
     better = first.min(axis=1) >= second.min(axis=1)
     return np.where(better[:, np.newaxis], first, second), np.where(better, *ENDS)
 
@@ -202,7 +205,28 @@ def nearest_in_polygon(wish: Floats, slope: Floats, needed: Floats) -> tuple[Flo
 
 
 def _rooms(state: Floats, hazards: Floats, radii: Floats, motion: Motion, end: Floats) -> Floats:
-    return stopping_room(stopping_path(state.T, motion, end), hazards, radii)
+    """In single precision within, which is exact to a micrometre."""
+    single = Motion(
+        np.asarray(motion.wind, np.float32),
+        np.asarray(motion.drag, np.float32),
+        np.asarray(motion.strongest, np.float32),
+        motion.fastest,
+        motion.ahead,
+    )
+    path = stopping_path(state.T.astype(np.float32), single, end.astype(np.float32))
+    return stopping_room(path, hazards, radii).astype(np.float64)
+
+
+def _doubled(motion: Motion) -> Motion:
+    """The motion of the same robots twice."""
+    wind, drag, strongest = (np.asarray(part) for part in (motion.wind, motion.drag, motion.strongest))
+    return Motion(
+        np.concatenate((wind, wind), axis=1) if wind.ndim > 1 else wind,
+        np.concatenate((drag, drag)) if drag.ndim else drag,
+        np.concatenate((strongest, strongest)) if strongest.ndim else strongest,
+        motion.fastest,
+        motion.ahead,
+    )
 
 
 def _some(part: object, which: NDArray[np.intp]) -> Floats:
