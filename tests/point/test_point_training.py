@@ -13,11 +13,10 @@ from torch.distributions import kl_divergence
 from safedpa.errors import InputError
 from safedpa_sim.point import fisher
 from safedpa_sim.point.baseline_set import baseline_named, train_baselines
-from safedpa_sim.point.baselines import _algorithm, _task, _Watch
+from safedpa_sim.point.baselines import _algorithm, _task
 from safedpa_sim.point.constrained import constrained_step
 from safedpa_sim.point.plan import Plan
 from safedpa_sim.point.vector_environment import PointEnvironment
-from safedpa_sim.training.progress import silent
 
 
 def test_the_fisher_products_are_those_of_the_divergence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,11 +80,11 @@ def test_a_baseline_that_is_there_stays_as_it_is(tmp_path: Path) -> None:
         baseline_named("none", "still", tmp_path)
 
 
-@pytest.mark.parametrize(("limit", "grows"), [(-1.0, True), (1000.0, False)])
-def test_the_margin_grows_only_while_the_cost_is_above_its_limit(limit: float, grows: bool) -> None:
-    plan = Plan(robots=16)
-    environment = PointEnvironment(_task(plan, 0), 0)
-    algorithm = _algorithm("cpo", environment, plan)
+@pytest.mark.parametrize(("limit", "sign"), [(-1.0, 1.0), (1000.0, -1.0)])
+def test_the_excess_is_the_cost_over_its_limit(limit: float, sign: float) -> None:
+    environment = PointEnvironment(_task(Plan(robots=16), 0), 0)
+    algorithm = _algorithm("cpo", environment, Plan(robots=16))
     algorithm.limit = limit
-    algorithm.learn(2 * 128 * plan.robots, _Watch("cpo", environment, plan, silent))
-    assert (algorithm.margin > 0.0) == grows
+    assert np.sign(algorithm._excess(0.01)) == sign
+    environment.costs.extend([30.0, 40.0])
+    assert algorithm._excess(0.01) == pytest.approx((35.0 - limit) / 1000.0)
