@@ -8,17 +8,23 @@ with the sensitivity d(step)/dz by finite differences. An innovation beyond four
 (Huber), so that a push or a tracking glitch does not throw the estimate. A robot that does not move teaches nothing:
 held by a wall it looks like one with an immense load. Source: Simon, Optimal State Estimation,
 sections 13.2 and 13.4 (parameter estimation).
+
+A handful of numbers are estimated, so they are plain numbers, and R is diagonal, so the entries of the state are taken
+in one after the other (``safedpa.adaptation.belief``): matrices of two rows would cost five times as much.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import pi, sqrt
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.adaptation.abstract import AbstractEstimator, check_transition
+from safedpa.adaptation.belief import Belief
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 
@@ -49,8 +55,11 @@ class EstimatorSettings:
             raise InputError(f"estimator settings: got {self}, wanted positive numbers")
 
 
-_SETTINGS = {"pendulum": EstimatorSettings(measurement_deviation=(0.001, 0.02))}
-"""Of robots whose state is not the car's; rad and rad/s."""
+_SETTINGS = {
+    "pendulum": EstimatorSettings(measurement_deviation=(0.001, 0.02)),
+    "point": EstimatorSettings(measurement_deviation=(0.0005, 0.0005, 0.005, 0.005, 0.005), smallest_motion=0.1),
+}
+"""Of robots whose state is not the car's; rad and rad/s, and m, rad, m/s."""
 
 
 @final
@@ -69,64 +78,81 @@ class LatentEstimator(AbstractEstimator):
         self._model = model
         self._settings = settings
         chosen = [model.parameters[path] for path in model.latent_names]
-        self._low = np.array([parameter.low for parameter in chosen])
-        self._high = np.array([parameter.high for parameter in chosen])
-        self._typical = np.array([parameter.typical or 0.1 * (parameter.high - parameter.low) for parameter in chosen])
-        self._measured = np.array(settings.measurement_deviation)
-        self._noise = np.diag(np.square(settings.measurement_deviation))
-        self._drift = np.square(settings.drift_per_second * self._typical)
-        self._limit = np.square(settings.initial_deviation * self._typical)
-        self._unit = np.eye(len(chosen))
+        self._low = [parameter.low for parameter in chosen]
+        self._high = [parameter.high for parameter in chosen]
+        self._typical = [parameter.typical or 0.1 * (parameter.high - parameter.low) for parameter in chosen]
+        self._measured = settings.measurement_deviation
+        self._noise = [deviation**2 for deviation in self._measured]
+        self._belief = Belief(
+            [(settings.initial_deviation * typical) ** 2 for typical in self._typical],
+            [(settings.drift_per_second * typical) ** 2 for typical in self._typical],
+        )
         self.latent: Vector = model.latent.copy()
-        self._covariance = np.diag(np.square(settings.initial_deviation * self._typical))
+        self._free: list[float] = self.latent.tolist()
         self._memory: Any = None
 
     @property
     def deviations(self) -> Vector:  # noqa: D102
-        return np.asarray(np.sqrt(self._covariance.diagonal()))
+        return np.array([sqrt(variance) for variance in self._belief.variances()])
 
     def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:  # noqa: D102
         check_transition(state, action, next_state, period)
         memory = self._model.initial_memory(action) if self._memory is None else self._memory
-        predicted, self._memory = self._model.advance(state, action, memory, self.latent, period=period)
-        if not len(self.latent):
+        step = self._step(state, action, memory, period)
+        predicted, self._memory = step(self._free)
+        if not self._free:
             return
-        self._covariance = self._limited(self._covariance + np.diag(self._drift * period))
-        motion = np.abs(self._model.system.difference(next_state, state)) / self._measured
-        if motion.max() >= self._settings.smallest_motion:
-            sensitivity = self._sensitivity(state, action, memory, predicted, period)
-            self._correct(self._model.system.difference(next_state, predicted), sensitivity)
+        self._belief.spread(period)
+        start, reached = state.tolist(), next_state.tolist()
+        motion = self._difference(reached, start)
+        if max([abs(change) / scale for change, scale in zip(motion, self._measured, strict=True)]) >= (
+            self._settings.smallest_motion
+        ):
+            self._learn(self._difference(reached, predicted), self._sensitivity(step, predicted))
 
-    def _correct(self, innovation: Vector, sensitivity: Vector) -> None:
+    def _learn(self, innovation: Sequence[float], sensitivity: Sequence[Sequence[float]]) -> None:
         """The filter's measurement update: innovation (states,), sensitivity (states, latents)."""
-        spread = sensitivity @ self._covariance @ sensitivity.T + self._noise
-        gain = np.linalg.solve(spread, sensitivity @ self._covariance).T
-        step = gain @ self._weighted_down(innovation, spread)
-        self.latent = np.clip(self.latent + step, self._low, self._high)
-        keep = self._unit - gain @ sensitivity
-        self._covariance = keep @ self._covariance @ keep.T + gain @ self._noise @ gain.T
-
-    def _limited(self, covariance: Vector) -> Vector:
-        """Without excitation the covariance must not grow for ever: at most what was unknown at first."""
-        excess = np.sqrt(np.minimum(1.0, self._limit / covariance.diagonal()))
-        limited: Vector = covariance * (excess[:, np.newaxis] * excess)
-        return limited
+        correction, surprise = self._belief.correct(innovation, sensitivity, self._noise)
+        weight = min(1.0, self._settings.largest_innovation / max(sqrt(surprise / len(innovation)), 1e-12))
+        moved = [value + weight * change for value, change in zip(self._free, correction, strict=True)]
+        bounds = zip(moved, self._low, self._high, strict=True)
+        self._free = [min(max(value, low), high) for value, low, high in bounds]
+        self.latent = np.array(self._free)
 
     def forget_transient(self) -> None:
         """Takes the actuators as settled at the next action."""
         self._memory = None
 
-    def _sensitivity(self, state: Vector, action: Vector, memory: Any, predicted: Vector, period: float) -> Vector:
-        columns = []
-        for index in range(len(self.latent)):
-            nudge = 1e-4 * self._typical[index]
-            nudge = -nudge if self.latent[index] + nudge > self._high[index] else nudge
-            latent = self.latent.copy()
-            latent[index] += nudge
-            moved, _ = self._model.advance(state, action, memory, latent, period=period)
-            columns.append((moved - predicted) / nudge)
-        return np.array(columns).T
+    def _step(self, state: Vector, action: Vector, memory: Any, period: float) -> Callable[[list[float]], Any]:
+        """The model's step of this transition as a function of the latent: the entries after it, and the memory."""
+        quick = self._model.straight(period)
+        entries, felt = state.tolist(), action.tolist()
 
-    def _weighted_down(self, innovation: Vector, spread: Vector) -> Vector:
-        size = float(np.sqrt(innovation @ np.linalg.solve(spread, innovation) / len(innovation)))
-        return innovation * min(1.0, self._settings.largest_innovation / max(size, 1e-12))
+        def step(free: list[float]) -> tuple[list[float], Any]:
+            if quick is not None:
+                try:
+                    return quick(entries, felt, free, 0.0), memory
+                except (ValueError, ArithmeticError):  # numbers that the other road answers
+                    pass
+            after, remembered = self._model.advance(state, action, memory, np.array(free), period=period)
+            return after.tolist(), remembered
+
+        return step
+
+    def _sensitivity(self, step: Callable[[list[float]], Any], predicted: Sequence[float]) -> list[tuple[float, ...]]:
+        """d(step)/dz (states, latents) by differences of a ten thousandth of each parameter's typical size."""
+        columns = []
+        for index, value in enumerate(self._free):
+            nudge = 1e-4 * self._typical[index]
+            nudge = -nudge if value + nudge > self._high[index] else nudge
+            free = self._free.copy()
+            free[index] += nudge
+            columns.append([(moved - entry) / nudge for moved, entry in zip(step(free)[0], predicted, strict=True)])
+        return list(zip(*columns, strict=True))
+
+    def _difference(self, later: Sequence[float], earlier: Sequence[float]) -> list[float]:
+        """As the system's: angles the short way round."""
+        change = [after - before for after, before in zip(later, earlier, strict=True)]
+        for index in self._model.system.angles:
+            change[index] = (change[index] + pi) % (2.0 * pi) - pi
+        return change
