@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import argparse
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import lru_cache
+from typing import Any
 
-from safedpa.bus import NO_ROBOT, AbstractNode, Bus, ServiceLoop, SetupMessage
+from safedpa.bus import NO_ROBOT, AbstractTransport, Bus, ServiceLoop, ZenohTransport, decode
+from safedpa.bus.inbox import Decode
+from safedpa.bus.joint_transport import JointTransport
 from safedpa.bus.journal import Journal
-from safedpa.bus.process import Stop, add_bus_options, bus_from, lifetime
+from safedpa.bus.process import Stop, add_bus_options, lifetime, settings_from
+from safedpa_services.nodes import Made
 
 __all__ = ["serve", "service_parser"]
+
+_MOST_DECODED = 2048
+"""Messages that the services of one process read in turn: each is decoded for the first one."""
+_LARGEST_REMEMBERED = 4096
+"""Bytes; a state with six obstacles has 600. Senders of larger ones must not fill our memory with them."""
 
 
 def service_parser(program: str) -> argparse.ArgumentParser:
@@ -23,21 +34,45 @@ def service_parser(program: str) -> argparse.ArgumentParser:
 
 
 def serve(
-    node: AbstractNode,
+    services: Sequence[Made],
     options: argparse.Namespace,
     stop: Stop,
-    setup: SetupMessage,
-    joined: Callable[[Bus], None] = lambda _bus: None,
+    serves: Callable[[str], bool] = lambda _robot: True,
 ) -> int:
-    """Runs the node on the bus until ``stop``, and tells its setup; returns exit code 0.
+    """Runs one service on the bus, or several in the direction of their data, until ``stop``; returns exit code 0.
 
-    ``joined`` is called once, before the first tick, for what else the service does on the bus.
+    Each tells its setup. ``serves(robot)`` says of which robots several services take anything.
     """
-    with bus_from(options) as bus:
-        joined(bus)
+    transport: AbstractTransport = ZenohTransport(settings_from(options))
+    read: Decode = decode
+    if len(services) > 1:
+        inside = frozenset(topic.name for made in services for topic in made.node.outputs) & frozenset(
+            topic.name for made in services for topic in made.node.inputs
+        )
+        transport, read = JointTransport(transport, inside, serves), _decoded_once()
+    with Bus(transport, options.fleet, read) as bus, ExitStack() as lifetimes:
+        for made in services:
+            made.joined(bus)
         gc.collect()
         gc.freeze()  # what lives now lives for ever; the collector need not look at it in the middle of a tick
-        bus.announce(NO_ROBOT, node.name, setup.instance)
-        with lifetime(node.name, stop):
-            ServiceLoop(node, bus, options.robot, setup=setup, journal=Journal(node.name)).run(stop)
+        for made in services:
+            bus.announce(NO_ROBOT, made.node.name, made.setup.instance)
+            lifetimes.enter_context(lifetime(made.node.name, stop))
+        ServiceLoop.run_together([_loop(made, transport, read, options) for made in services], stop)
     return 0
+
+
+def _decoded_once() -> Decode:
+    """As ``decode``, but what is read again is the same message; messages are frozen."""
+    remembered: Any = lru_cache(maxsize=_MOST_DECODED)(decode)
+
+    def read(kind: type[Any], payload: bytes) -> Any:
+        return (remembered if len(payload) <= _LARGEST_REMEMBERED else decode)(kind, payload)
+
+    return read
+
+
+def _loop(made: Made, transport: AbstractTransport, read: Decode, options: argparse.Namespace) -> ServiceLoop:
+    """Each has a bus of its own, since each holds back its own outputs until its robots are through."""
+    bus = Bus(transport, options.fleet, read)
+    return ServiceLoop(made.node, bus, options.robot, setup=made.setup, journal=Journal(made.node.name))

@@ -43,6 +43,8 @@ class FleetTrial:
     in_step: bool = False
     realtime: bool = False
     """Ask for real-time scheduling, as ``safedpa up`` does."""
+    stacks: int = 0
+    """So many processes that hold all three services each and share the robots; 0: one process of each service."""
     flood: bool = False
     """One more robot floods the bus with a thousand messages a second; it is not counted."""
 
@@ -75,6 +77,7 @@ def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda
         "seconds": trial.seconds,
         "model": trial.model,
         "in_step": trial.in_step,
+        "stacks": trial.stacks,
         "flood": trial.flood,
         **account,
         "late_share": account["late_ticks"] / ticks,
@@ -117,7 +120,11 @@ def _children(trial: FleetTrial, folder: Path, begun: Path, summary: Path) -> li
     spread = ("--in-step",) if trial.in_step else ()
     robots = ("--listen", endpoint, *fleet, *files, *spread, *scheduling)
     children = [Child("robots", "safedpa_sim.robots.fleet", robots, folder / "robots.log")]
-    for name in _SERVICES:
+    for number in range(trial.stacks):
+        share = (*options["policy"], "--share", f"{number + 1}/{trial.stacks}")
+        name = f"stack_{number + 1}"
+        children.append(Child(name, "safedpa_services.stack", share, folder / f"{name}.log"))
+    for name in _SERVICES if trial.stacks == 0 else ():
         children.append(Child(name, f"safedpa_services.{name}", options[name], folder / f"{name}.log"))
     if trial.flood:
         module = "safedpa_services.benchmarks.flood"

@@ -51,6 +51,7 @@ def latency(seconds: float, rate: float, *, as_json: bool) -> None:
 @click.option("--controller", default="", help="the policy's; by default the one that the model allows")
 @click.option("--in-step", is_flag=True, help="all robots sense at the same moment; else spread over the period")
 @click.option("--realtime", is_flag=True, help="ask for real-time scheduling, as 'safedpa up' does")
+@click.option("--stacks", type=int, default=0, help="so many processes with all three services each share the robots")
 @click.option("--flood", is_flag=True, help="one more robot floods the bus with 1000 messages a second")
 @click.option("--find-largest", is_flag=True, help="double and bisect, from --robots on, for the largest that holds")
 @_JSON
@@ -63,6 +64,8 @@ def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **o
     _check(seconds, options["rate"])
     if not 1 <= robots <= 1000:
         raise InputError(f"got --robots {robots}, wanted 1 to 1000")
+    if not 0 <= options["stacks"] <= 64:
+        raise InputError(f"got --stacks {options['stacks']}, wanted 0 (a process of each service) to 64")
     trial = FleetTrial(robots, seconds, **options)
     bare = bare_chain(min(seconds, 5.0), trial.rate)
     results: list[dict[str, Any]] = []

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from types import TracebackType
 
 from safedpa.bus.codec import decode, encode
-from safedpa.bus.inbox import Answered, Inbox
+from safedpa.bus.inbox import Answered, Decode, Inbox
 from safedpa.bus.messages import Message
 from safedpa.bus.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
 from safedpa.bus.topics import Topic, key_of
@@ -29,10 +29,10 @@ def _usable(payload: bytes | None) -> Answer | None:
 
 
 class Bus:
-    """One participant of one fleet."""
+    """One participant of one fleet. Who shares a process with others may share its ``decode`` with them."""
 
-    def __init__(self, transport: AbstractTransport, fleet: str) -> None:
-        self.fleet = fleet
+    def __init__(self, transport: AbstractTransport, fleet: str, decode: Decode = decode) -> None:
+        self.fleet, self._decode = fleet, decode
         self._transport = transport
         self._held: list[tuple[str, bytes, bool]] | None = None
 
@@ -71,7 +71,7 @@ class Bus:
         clock: Callable[[], float] = time.monotonic,
     ) -> Inbox:
         """Subscribes to topics of one robot or, with ``*``, of every robot; ``keep_all`` drops nothing of any."""
-        inbox = Inbox(clock)
+        inbox = Inbox(clock, decode=self._decode)
         for topic in topics:
             accept = inbox.keep_all if keep_all or topic.delivery == "all" else inbox.keep_latest
             subscription = self._transport.subscribe(key_of(self.fleet, robot, topic, "*"), accept)

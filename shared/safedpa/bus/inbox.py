@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from operator import itemgetter
+from typing import Any
 
 from safedpa.bus.codec import decode
 from safedpa.bus.messages import Message
@@ -28,6 +29,10 @@ _LARGEST_LATEST, _LARGEST_QUEUED = (
     for delivery in ("latest", "all")
 )
 """Bytes of one message; what is larger is refused when it is read, and not kept until then."""
+
+
+Decode = Callable[[type[Any], bytes], Any]
+"""As ``codec.decode``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +83,13 @@ class Inbox:
     so many bytes, that a larger one is seen to be too large.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic, longest_queue: int = _LONGEST_QUEUE) -> None:
-        self._clock = clock
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        longest_queue: int = _LONGEST_QUEUE,
+        decode: Decode = decode,
+    ) -> None:
+        self._clock, self._decode = clock, decode
         self._longest_queue = longest_queue
         self._filled = threading.Condition()
         self._latest: dict[str, tuple[bytes, float]] = {}
@@ -185,7 +195,18 @@ class Inbox:
                 count = len(queue.messages) if most is None else min(most, len(queue.messages))
                 waiting += [(key, *self._pop(key)) for _ in range(count)]
         waiting.sort(key=itemgetter(2))
-        return [_opened(key, payload, at) for key, payload, at in waiting]
+        return [self._opened(key, payload, at) for key, payload, at in waiting]
+
+    def _opened(self, key: str, payload: bytes, at: float) -> Received | Refused:
+        robot = ""
+        try:
+            _, robot, topic = topic_of(key)
+            message = self._decode(topic.message, payload)
+            if topic.per_service:
+                _check_speaker(key, message)
+            return Received(topic, robot, message, payload, key, at)
+        except InputError as error:
+            return Refused(key, robot, str(error))
 
     def _sleep(self, timeout: float) -> None:
         """Until the quantum is over, unless it shall not wait at all; then collects."""
@@ -199,18 +220,6 @@ class Inbox:
 def _cut(payload: bytes, largest: int) -> bytes:
     """The payload, or so much of it that it is still seen to be too large."""
     return payload if len(payload) <= largest else payload[: largest + 1]
-
-
-def _opened(key: str, payload: bytes, at: float) -> Received | Refused:
-    robot = ""
-    try:
-        _, robot, topic = topic_of(key)
-        message = decode(topic.message, payload)
-        if topic.per_service:
-            _check_speaker(key, message)
-        return Received(topic, robot, message, payload, key, at)
-    except InputError as error:
-        return Refused(key, robot, str(error))
 
 
 def _check_speaker(key: str, message: Message) -> None:

@@ -13,7 +13,7 @@ at. What one of them says, and whatever its step raises, is refused, counted and
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from safedpa.bus.agenda import Agenda
 from safedpa.bus.bus import Bus
@@ -89,16 +89,28 @@ class ServiceLoop:
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Turns until ``stopped`` says so, then until the node may end, 5 s at most; looks four times a second."""
-        while not stopped():
-            self.turn(_HEARTBEAT_SECONDS)
-        self._wind_up()
+        self.run_together((self,), stopped)
 
-    def _wind_up(self) -> None:
-        """Goes on until nothing is left to do for any robot that still speaks, but not for ever."""
-        self._node.wind_up()
-        end = self._clock() + _LONGEST_END_SECONDS
-        while self._clock() < end and any(map(self._needs_us, self._slots)):
-            self.turn(_END_TURN_SECONDS)
+    @staticmethod
+    def run_together(loops: Sequence[ServiceLoop], stopped: Callable[[], bool]) -> None:
+        """The same for several loops in one thread: the first one waits for messages, the others follow it at once.
+
+        At the end all go on until nothing is left to do for any robot that still speaks, but not for ever.
+        """
+        first, clock = loops[0], loops[0]._clock
+
+        def turn(longest_wait: float) -> None:
+            first.turn(min(loop._patience(longest_wait) for loop in loops))
+            for loop in loops[1:]:
+                loop.turn(0.0)
+
+        while not stopped():
+            turn(_HEARTBEAT_SECONDS)
+        for loop in loops:
+            loop._node.wind_up()
+        end = clock() + _LONGEST_END_SECONDS
+        while clock() < end and any(loop._needs_us(robot) for loop in loops for robot in loop._slots):
+            turn(_END_TURN_SECONDS)
 
     def _needs_us(self, robot: str) -> bool:
         slot = self._slots[robot]

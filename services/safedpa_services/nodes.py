@@ -1,0 +1,116 @@
+"""The three services of the loop as their options describe them: node, setup, and what else each does on the bus.
+
+Each service's own process makes one of them, the stack all three; every function imports only what its service needs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from safedpa.bus import AbstractNode, Answer, Bus, Request, SetupMessage
+from safedpa.bus.log import log_event
+from safedpa.bus.requests import ORDER
+from safedpa.bus.setup import setup_message
+
+if TYPE_CHECKING:
+    from safedpa.safety.orders import Orders
+
+__all__ = ["Made", "adaptation", "add_filter_options", "add_policy_options", "policy", "safety_filter"]
+
+
+def _nothing(_bus: Bus) -> None:
+    return
+
+
+@dataclass(frozen=True)
+class Made:
+    """One service, ready to join the bus."""
+
+    node: AbstractNode
+    setup: SetupMessage
+    joined: Callable[[Bus], None] = _nothing
+    """Called once, before the first tick."""
+
+
+def adaptation(options: argparse.Namespace) -> Made:
+    """Raises InputError when the model cannot be had, or does not fit."""
+    from safedpa.adaptation import AdaptationNode
+    from safedpa.dynamics import load_model
+    from safedpa.dynamics.model_setup import model_setup
+
+    model = load_model(options.model)
+    node = AdaptationNode(model)
+    return Made(node, model_setup(setup_message(node.name, vars(options)), model))
+
+
+def add_policy_options(parser: argparse.ArgumentParser) -> None:
+    """What the policy alone takes."""
+    from safedpa.policy.controller import CONTROLLERS
+
+    parser.add_argument("--controller", default="", choices=("", *CONTROLLERS), help="default: as the model allows")
+
+
+def policy(options: argparse.Namespace) -> Made:
+    """Raises InputError when the model or the controller cannot be had, or do not fit."""
+    from safedpa.dynamics import load_model
+    from safedpa.dynamics.model_setup import model_setup
+    from safedpa.policy import PolicyNode
+
+    model = load_model(options.model)
+    node = PolicyNode(model, controller=options.controller or None)
+    setup = model_setup(setup_message(node.name, vars(options)), model)
+    return Made(node, dataclasses.replace(setup, controller=options.controller))
+
+
+def add_filter_options(parser: argparse.ArgumentParser) -> None:
+    """What the safety filter alone takes."""
+    parser.add_argument("--settings", default="car", metavar="FILE.toml", help="settings: a file or a shipped name")
+    parser.add_argument("--margin", default="", metavar="FILE.toml", help="from 'safedpa calibrate'")
+    parser.add_argument("--orders", default="", metavar="FILE", help="keeps orders to stop over a restart")
+    parser.add_argument("--off", action="store_true", help="hand wishes on unchecked; every verdict says so")
+
+
+def safety_filter(options: argparse.Namespace) -> Made:
+    """Raises InputError when model, settings or margin cannot be had, or do not fit."""
+    from safedpa.dynamics import load_model
+    from safedpa.dynamics.model_setup import model_setup
+    from safedpa.safety.margin_text import margin_text
+    from safedpa.safety.node import SafetyFilterNode
+    from safedpa.safety.orders import Orders
+    from safedpa.safety.settings import write_settings
+    from safedpa.safety.shipped import margin_for, settings_named
+
+    settings = settings_named(options.settings)
+    settings = dataclasses.replace(settings, enabled=settings.enabled and not options.off)
+    model = load_model(options.model)
+    margin = margin_for(model, options.margin)
+    if margin is None:
+        sys.stderr.write("margin: none was calibrated for this model; the settings' epsilon stands in for it\n")
+    setup = dataclasses.replace(
+        model_setup(setup_message(SafetyFilterNode.name, vars(options)), model),
+        settings=write_settings(settings),
+        margin="" if margin is None else margin_text(margin),
+    )
+    orders = Orders(Path(options.orders) if options.orders else None)
+    return Made(SafetyFilterNode(model, settings, margin, orders), setup, lambda bus: _take_orders(bus, orders))
+
+
+def _take_orders(bus: Bus, orders: Orders) -> None:
+    """An order about any robot is kept, be it heard of or not: one that was not there yet may come."""
+    bus.answer_requests(orders.answer, tell=_log_order, kinds=(ORDER,))
+    for robot, reason in orders.kept.items():
+        log_event("order.kept", f"stopped by an order that was kept: {reason}", level="warning", robot=robot)
+
+
+def _log_order(robot: str, request: Request | None, answer: Answer) -> None:
+    if request is None or request.do != "status":
+        kind = "order.taken" if answer.ok else "order.refused"
+        who = request.who if request is not None else ""
+        level = "info" if answer.ok else "warning"  # what comes of an order is told by the verdicts
+        log_event(kind, answer.sentence, level=level, robot=robot, service="safety_filter", who=who)

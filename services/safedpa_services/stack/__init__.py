@@ -1,0 +1,1 @@
+"""Adaptation, policy and safety filter of many robots in one process."""

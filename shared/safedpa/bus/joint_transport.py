@@ -1,0 +1,77 @@
+"""Several services in one process over one session: what they say to each other does not leave the process to reach
+them, and all of it goes out as well, for whoever looks on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import final
+
+from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
+
+__all__ = ["JointTransport"]
+
+
+@final
+class JointTransport(AbstractTransport):
+    """One participant that stands for several.
+
+    Topics named in ``inside`` are heard from this process alone, at once and in order: who else sends them, speaks for
+    a service that lives here. The others come over ``outer``, once for all who subscribe. Of robots for whose name
+    ``serves`` is false nothing is handed on.
+    """
+
+    def __init__(
+        self, outer: AbstractTransport, inside: frozenset[str], serves: Callable[[str], bool] = lambda _robot: True
+    ) -> None:
+        self._outer, self._inside, self._serves = outer, inside, serves
+        self._local: dict[str, list[tuple[str, OnSample]]] = {topic: [] for topic in inside}
+        self._shared: dict[str, tuple[list[OnSample], Subscription]] = {}
+
+    def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
+        self._outer.put(key, payload, never_drop=never_drop)
+        _, _, robot, topic, *_ = key.split("/")
+        for wanted, on_sample in self._local.get(topic, ()):
+            if wanted in ("*", robot):
+                on_sample(key, payload)
+
+    def release(self, beginning: str) -> None:  # noqa: D102
+        self._outer.release(beginning)
+
+    def subscribe(self, key_expression: str, on_sample: OnSample) -> Subscription:  # noqa: D102
+        _, _, robot, topic, *_ = key_expression.split("/")
+        if topic in self._inside:
+            self._local[topic].append((robot, on_sample))
+            return Subscription()
+        if key_expression not in self._shared:
+            hearers: list[OnSample] = []
+            self._shared[key_expression] = hearers, self._outer.subscribe(key_expression, self._to_all(hearers))
+        hearers, subscription = self._shared[key_expression]
+        hearers.append(on_sample)
+        return subscription
+
+    def _to_all(self, hearers: list[OnSample]) -> OnSample:
+        def heard(key: str, payload: bytes) -> None:
+            _, _, robot, *_ = (*key.split("/"), "", "")  # a sender under a wildcard may leave out parts
+            if self._serves(robot):
+                for on_sample in hearers:
+                    on_sample(key, payload)
+
+        return heard
+
+    def declare_alive(self, key: str) -> None:  # noqa: D102
+        self._outer.declare_alive(key)
+
+    def alive(self, key_expression: str) -> list[str]:  # noqa: D102
+        return self._outer.alive(key_expression)
+
+    def answer(self, key_expression: str, on_question: OnQuestion) -> None:  # noqa: D102
+        self._outer.answer(key_expression, on_question)
+
+    def ask(self, key: str, payload: bytes, timeout: float) -> bytes | None:  # noqa: D102
+        return self._outer.ask(key, payload, timeout)
+
+    def ask_soon(self, key: str, payload: bytes, timeout: float, on_answer: OnAnswer) -> None:  # noqa: D102
+        self._outer.ask_soon(key, payload, timeout, on_answer)
+
+    def close(self) -> None:  # noqa: D102
+        self._outer.close()
