@@ -24,6 +24,7 @@ class Scripted:
         self.script, self.solved, self.tangents = script, 0, 0
         self.limits: list[float] = []
         self.low, self.high, self.range = np.zeros(1), np.full(1, 9.0), np.full(1, 9.0)
+        self.sides = ((0.0, 9.0, 9.0),)
 
     def linearised(self, about: Outcome) -> tuple[np.ndarray, np.ndarray]:
         self.tangents += 1

@@ -94,7 +94,7 @@ def test_a_workspace_forgets_the_problem_before() -> None:
 def test_one_workspace_for_each_power_of_two() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
     for rows in range(1, 10):
-        program.solve(np.full((rows, 1), 1.0), np.full(rows, 0.5), np.zeros(1))
+        program.solve(np.full((rows, 1), 1.0), np.full(rows, 1.5), np.zeros(1))  # not without slack
     assert sorted(program._workspaces) == [1, 2, 4, 8, 16]
 
 
@@ -111,6 +111,13 @@ def test_distance_is_weighted_by_range() -> None:
     assert program.distance(np.array([1.0, 2.0]), np.array([2.0, 3.0])) == pytest.approx(0.25 + 3.0 / 16.0)
 
 
+def test_a_condition_that_is_no_number_is_never_left_out() -> None:
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2), 1e3, 1e2)
+    for A, b in (([np.nan, 0.0], 0.5), ([1.0, 0.0], np.nan), ([np.inf, 0.0], 0.5), ([1.0, -np.inf], 0.5)):
+        solution = program.solve(np.array([A, [0.0, 1.0]]), np.array([b, 0.1]), np.zeros(2))
+        assert not (solution.solved and np.isfinite(solution.action).all())
+
+
 def test_numbers_that_are_none_are_not_reported_as_solved() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
     solution = program.solve(np.array([[np.inf]]), np.array([0.5]), np.zeros(1))
@@ -120,5 +127,5 @@ def test_numbers_that_are_none_are_not_reported_as_solved() -> None:
 def test_a_solver_that_gives_up_is_not_believed() -> None:
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
     program._workspace(1)._solver.settings.max_iter = 1
-    solution = program.solve(np.array([[1.0]]), np.array([0.5]), np.zeros(1))
+    solution = program.solve(np.array([[1.0]]), np.array([1.5]), np.zeros(1))
     assert (solution.solved, solution.status) == (False, "max iter reached")

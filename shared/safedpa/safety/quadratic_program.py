@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from math import inf
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from safedpa.safety.inputs import all_finite
+from safedpa.safety.nearest import Row, nearest_kept
 
 __all__ = ["QuadraticProgram", "Solution"]
 
@@ -38,39 +43,88 @@ class QuadraticProgram:
 
     W = diag(weights / (high - low)^2). Always feasible: any a within its bounds with s = max(0, b - A a). Solved in the
     variables u = (a - low) / (high - low) of [0, 1]; rows that no action within the bounds can break are left out
-    (exact: their slack is 0), the others are padded to a power of two, so that each of PIQP's workspaces is built once.
+    (exact: their slack is 0). Of one or two actions the solution without slack is found in closed form and taken where
+    it proves to be the optimum: the conditions' multipliers are at most rho1. Else PIQP solves it, the rows padded to a
+    power of two, so that each of its workspaces is built once.
     """
 
     def __init__(self, low: Values, high: Values, weights: Values, quadratic: float, linear: float) -> None:
         self.low, self.high, self.range = low, high, high - low
         self.weights, self.quadratic, self.linear = weights, quadratic, linear
+        self.sides: tuple[tuple[float, float, float], ...] = tuple(
+            zip(low.tolist(), high.tolist(), self.range.tolist(), strict=True)
+        )
+        """Lowest, highest and range of each action, as plain numbers."""
+        self._weights: tuple[float, ...] = tuple(weights.tolist())
         self._ones = np.ones(len(low))
+        self._box = tuple(_box(len(low)))
         self._workspaces: dict[int, _Workspace] = {}
 
     def solve(self, A: Values, b: Values, wish: Values) -> Solution:
         """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,)."""
         scaled = A * self.range
         limits = b - A.dot(self.low)
-        needed = (np.minimum(scaled, 0.0).dot(self._ones) < limits).nonzero()[0]
         slack = np.zeros(len(b))
+        if not all_finite(limits):  # A.low is in them: a number of A that is none as well
+            return Solution(self.low, slack, False, "numbers not finite")
+        needed = (np.minimum(scaled, 0.0).dot(self._ones) < limits).nonzero()[0]
         if len(needed) == 0:
             return Solution(np.minimum(np.maximum(wish, self.low), self.high), slack, True, "not needed")
-        workspace = self._workspace(len(needed))
-        solved, status, solution = workspace.solve(scaled[needed], limits[needed], (wish - self.low) / self.range)
+        left, right = scaled[needed], limits[needed]
+        action = self._without_slack(left, right, wish)
+        if action is not None:
+            return Solution(action, slack, True, "solved")
+        return self._with_slack(left, right, wish, needed, slack)
+
+    def _without_slack(self, left: Values, right: Values, wish: Values) -> Values | None:
+        """The minimiser in closed form, if it needs no slack and is certain; None: ask the solver."""
+        actions = len(self.sides)
+        if actions > 2:
+            return None
+        scaled = [(value - low) / width for value, (low, _, width) in zip(wish.tolist(), self.sides, strict=True)]
+        price = self.linear
+        if actions == 1:
+            rows: list[Row] = [
+                (a, 0.0, limit, price) for (a,), limit in zip(left.tolist(), right.tolist(), strict=True)
+            ]
+            found = nearest_kept([*rows, *self._box], (scaled[0], 0.0), (self._weights[0], 1.0))
+        else:
+            rows = [(a, b, limit, price) for (a, b), limit in zip(left.tolist(), right.tolist(), strict=True)]
+            found = nearest_kept([*rows, *self._box], (scaled[0], scaled[1]), (self._weights[0], self._weights[1]))
+        if found is None:
+            return None
+        return np.array([low + width * value for value, (low, _, width) in zip(found, self.sides, strict=False)])
+
+    def _with_slack(self, left: Values, right: Values, wish: Values, needed: Any, slack: Values) -> Solution:
+        """The minimiser by PIQP."""
+        workspace = self._workspace(len(right))
+        solved, status, solution = workspace.solve(left, right, (wish - self.low) / self.range)
         actions = len(self.low)
         slack[needed] = solution[actions : actions + len(needed)]
         return Solution(self.low + self.range * solution[:actions], slack, solved, status)
 
     def distance(self, action: Values, wish: Values) -> float:
         """(action - wish)' W (action - wish)."""
-        change = (action - wish) / self.range
-        return float(self.weights @ (change * change))
+        total = 0.0
+        for value, wanted, (_, _, width), weight in zip(
+            action.tolist(), wish.tolist(), self.sides, self._weights, strict=True
+        ):
+            total += weight * ((value - wanted) / width) ** 2
+        return total
 
     def _workspace(self, rows: int) -> _Workspace:
         size = 1 << (rows - 1).bit_length()
         if size not in self._workspaces:
             self._workspaces[size] = _Workspace(size, self.weights, self.quadratic, self.linear)
         return self._workspaces[size]
+
+
+def _box(actions: int) -> Iterator[Row]:
+    """0 <= u <= 1 as conditions that no slack can relieve."""
+    for index in range(min(actions, 2)):
+        side = (1.0, 0.0) if index == 0 else (0.0, 1.0)
+        yield (*side, 0.0, inf)
+        yield (-side[0], -side[1], -1.0, inf)
 
 
 @final

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.safety.conditions import Conditions, Outcome, limits
-from safedpa.safety.inputs import all_finite
 from safedpa.safety.quadratic_program import QuadraticProgram
 
 __all__ = ["DecisionError", "search"]
@@ -27,6 +28,10 @@ _SERVED_WELL = 0.1
 
 _NEEDLESS = 100.0
 """A solution whose every condition is kept by more than this many tolerances (1 cm) was led astray by its slopes."""
+
+
+_TIE = 1e-9
+"""Unit of h: by less than this no violation is smaller than another; where an actuator saturates they are the same."""
 
 
 class DecisionError(Exception):
@@ -68,14 +73,14 @@ def search(
 
 
 def _same(program: QuadraticProgram, one: Outcome, other: Outcome) -> bool:
-    near = zip(one.action.tolist(), other.action.tolist(), program.range.tolist(), strict=True)
-    return all(abs(value - last) <= _SAME * width for value, last, width in near)
+    near = zip(one.action.tolist(), other.action.tolist(), program.sides, strict=True)
+    return all(abs(value - last) <= _SAME * width for value, last, (_, _, width) in near)
 
 
 def _better(program: QuadraticProgram, wish: Values, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
     if max(one.violation, other.violation) <= tolerance:
         return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
-    return other if other.violation < one.violation else one
+    return other if other.violation < one.violation - _TIE else one
 
 
 def _posed(
@@ -88,10 +93,13 @@ def _posed(
 
 
 def _believed(action: Values, program: QuadraticProgram, status: str) -> Values:
-    if not all_finite(action):
+    values: list[float] = action.tolist()
+    if not all(map(isfinite, values)):
         raise DecisionError("the QP's solution holds NaN or infinity", status)
-    clipped = np.minimum(np.maximum(action, program.low), program.high)
-    missed = zip(action.tolist(), clipped.tolist(), program.range.tolist(), strict=True)
-    if any(abs(value - kept) > _BOUND_TOLERANCE * width for value, kept, width in missed):
+    clipped = [min(max(value, low), high) for value, (low, high, _) in zip(values, program.sides, strict=True)]
+    if clipped == values:
+        return action
+    missed = zip(values, clipped, program.sides, strict=True)
+    if any(abs(value - kept) > _BOUND_TOLERANCE * width for value, kept, (_, _, width) in missed):
         raise DecisionError("the QP's solution misses the actuator bounds", status)
-    return clipped
+    return np.array(clipped)
