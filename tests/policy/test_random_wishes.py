@@ -38,7 +38,7 @@ def state(tick: int, values: tuple[float, ...]) -> StateMessage:
     [
         ("pendulum", (0.1, 0.2), (-10.0,), (10.0,)),
         ("car", (0.0, 1.0, 2.0, 0.5), (-0.6, -0.34), (2.0, 0.34)),
-        ("point", (0.0, 0.0), None, None),
+        ("point", (0.0, 0.0), (-0.015, -3.0), (0.015, 3.0)),
     ],
 )
 def test_they_are_uniform_over_the_bounds(model: str, values: tuple[float, ...], low: Any, high: Any) -> None:

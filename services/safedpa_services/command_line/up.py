@@ -18,10 +18,20 @@ if TYPE_CHECKING:
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
-RATES = {"car": 20.0, "pendulum": 100.0}
+RATES = {"car": 20.0, "pendulum": 100.0, "point": 50.0}
 """Kinds of robots, with their ticks per second."""
-_DRIVEN = {"car": ("target_speed", "steer"), "pendulum": ("torque",)}
+_DRIVEN = {"car": ("target_speed", "steer"), "pendulum": ("torque",), "point": ("thrust", "turn")}
 """What the simulated ones take as their action."""
+_MODELS = {"point": "point_wind"}
+"""Where the robot's model does not bear its name."""
+_OWN = {
+    "car": ("change",),
+    "pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
+    "point": ("force", "wind_direction"),
+}
+"""Options that only some robots have."""
+_MOST_FORCE = 0.0149
+"""N; a stronger wind pushes harder than the point robot can."""
 CHANGES = ("hitch", "headwind", "steering_offset")
 _ENDED_AT_ONCE = 130
 CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
@@ -36,11 +46,14 @@ CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 @click.option("--task", type=click.Choice(TASKS), help="what the pendulum has to do; default: balance")
 @click.option("--wind", type=float, metavar="SPEED", help="m/s, on the pendulum; default: 0")
 @click.option("--wind-direction", type=float, metavar="DEGREES", help="where it blows to: 0 aside, 90 up; default: 0")
+@click.option("--force", type=float, metavar="NEWTON", help="of the wind on the point robot; default: 0")
 @click.option("--payload", type=float, metavar="KG", help="hung on the pendulum, and no model is told; default: 0")
 @click.option("--dry-friction", type=float, metavar="TORQUE", help="N m in the pendulum's hinge; default: 0")
 @click.option("--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: until Ctrl-C")
 @click.option("--seed", type=int, default=0, show_default=True, help="scene: obstacles, start, goals")
-@click.option("--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum")
+@click.option(
+    "--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum, 50 of the point"
+)
 @click.option("--lockstep", is_flag=True, help="the robot waits for each action: repeats bit for bit")
 @click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
 @click.option("--headless", is_flag=True, help="no dashboard and no workbench")
@@ -104,7 +117,11 @@ def _plan(options: dict[str, Any]) -> Plan:
     if not 0.0 <= options["change_after"] < 1e9:
         raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
     robot = options["robot"]
-    options = {**options, **{name: options[name] or robot for name in ("model", "settings")}}
+    options = {
+        **options,
+        "model": options["model"] or _MODELS.get(robot, robot),
+        "settings": options["settings"] or robot,
+    }
     options["rate"] = RATES[robot] if options["rate"] is None else options["rate"]
     if not 1.0 <= options["rate"] <= 500.0:
         raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
@@ -143,11 +160,12 @@ def _plan(options: dict[str, Any]) -> Plan:
 
 
 def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
-    """Options of the robot's process that only a pendulum has; refuses those of the other robot."""
-    swings = options["robot"] == "pendulum"
-    own = ("task", "wind", "wind_direction", "payload", "dry_friction")
-    foreign = [name for name in (("change",) if swings else own) if options[name] is not None]
-    if swings and options["load"] != "none":
+    """Options of the robot's process that only this kind has; refuses those of the others."""
+    robot = options["robot"]
+    own = _OWN[robot]
+    others = [name for names in _OWN.values() for name in names if name not in own]
+    foreign = [name for name in others if options[name] is not None]
+    if robot != "car" and options["load"] != "none":
         foreign.append("load")
     if foreign:
         raise InputError(f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none")
@@ -155,10 +173,12 @@ def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
         raise InputError(f"--wind: got {options['wind']}, wanted 0 to 15 m/s")
     if options["wind_direction"] is not None and not -360.0 <= options["wind_direction"] <= 360.0:
         raise InputError(f"--wind-direction: got {options['wind_direction']}, wanted -360 to 360 degrees")
+    if options["force"] is not None and not 0.0 <= options["force"] <= _MOST_FORCE:
+        raise InputError(f"--force: got {options['force']}, wanted 0 to {_MOST_FORCE:g} N")
     for name, most, unit in (("payload", 10.0, "kg"), ("dry_friction", 10.0, "N m")):
         if options[name] is not None and not 0.0 <= options[name] <= most:
             raise InputError(f"--{name.replace('_', '-')}: got {options[name]}, wanted 0 to {most:g} {unit}")
-    given = [(name, options[name]) for name in own if options[name] is not None]
+    given = [(name, options[name]) for name in own if name != "change" and options[name] is not None]
     return tuple(f"--{name.replace('_', '-')}={value}" for name, value in given)
 
 

@@ -16,6 +16,7 @@ from safedpa.policy.compensation import SpeedCompensation
 from safedpa.policy.goal_seeker import GoalSeeker, GoalSeekerSettings
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.policy.network_latent import NetworkLatent
+from safedpa.policy.point_seeker import PointSeeker
 from safedpa.policy.random_wishes import RandomWishes
 
 __all__ = ["CONTROLLERS", "CompensatedGoalSeeker", "Controller", "controller_for"]
@@ -70,6 +71,8 @@ def controller_for(
         name = _default(model)
     if swings and name in ("goal_seeker", "planner"):
         raise InputError(f"controller '{name}': got a pendulum, wanted a car; choose random or learned")
+    if name == "goal_seeker" and model.system.name == "point":
+        return lambda: PointSeeker(model)
     if name == "goal_seeker":
         return lambda: CompensatedGoalSeeker(model, settings or GoalSeekerSettings())
     if name == "learned":

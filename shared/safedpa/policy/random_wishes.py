@@ -13,7 +13,11 @@ from safedpa.dynamics import AbstractDynamics
 
 __all__ = ["RandomWishes"]
 
-_BOUNDS: Final = {"car": ((-0.6, 2.0), (-0.34, 0.34)), "pendulum": ((-10.0, 10.0),)}
+_BOUNDS: Final = {
+    "car": ((-0.6, 2.0), (-0.34, 0.34)),
+    "pendulum": ((-10.0, 10.0),),
+    "point": ((-0.015, 0.015), (-3.0, 3.0)),
+}
 """Lowest and highest entry of each action of the robots that come with the project, in SI units: their actuators'."""
 
 

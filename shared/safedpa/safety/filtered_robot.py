@@ -12,11 +12,13 @@ from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.held_model import HeldModel
+from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
+from safedpa.systems import POINT
 
 __all__ = ["NO_BARRIERS", "Decided", "FilteredRobot"]
 
@@ -46,7 +48,7 @@ class FilteredRobot:
 
     held: HeldModel
     filter: SafetyFilter
-    scene: SceneBarriers
+    scene: SceneBarriers | PointScene
     margin: WatchedMargin
     tick: int = -1
     prepared: tuple[int, int] = (0, -1)
@@ -65,6 +67,10 @@ class FilteredRobot:
     @classmethod
     def begun(cls, held: HeldModel, settings: FilterSettings) -> FilteredRobot:
         """For a robot that was not filtered before, or not with this model."""
+        if held.model.system.name == POINT.name:
+            scene = PointScene(held.model, settings)
+            backed = SafetyFilter.for_model(held.model, settings, backup=scene.backup)
+            return cls(held, backed, scene, WatchedMargin(held.calibration))
         return cls(
             held,
             SafetyFilter.for_model(held.model, settings),
@@ -94,7 +100,10 @@ class FilteredRobot:
         known = self.latent
         if known is None or known.epoch != state.epoch or _late(state, known):
             return None, ["the latent (none of the last second has arrived)"]
-        return np.array(known.values), []
+        latent = np.array(known.values)
+        if isinstance(self.scene, PointScene):
+            self.scene.learn(latent)
+        return latent, []
 
     def remember_actuators(self, state: StateMessage) -> None:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""

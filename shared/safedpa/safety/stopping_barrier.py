@@ -33,13 +33,13 @@ STEPS: Final = 40
 """1.6 s: half a second to turn by a right angle, half to stop from full speed, the rest to stand."""
 ENDS: Final = np.array([1.0, -1.0])
 """Nose first, tail first."""
-_TIME = 0.15
+STOP_SECONDS: Final = 0.15
 """s in which the velocity shall end."""
-_GAIN = 12.0
+GAIN: Final = 12.0
 """1/s of the turning."""
-_FAINT = 0.05
+FAINT: Final = 0.05
 """m/s2 of wanted acceleration below which the turning fades: a robot at rest in still air need not turn."""
-_FAR = 0.5
+FAR: Final = 0.5
 """Cosine: the other end takes over when this one is more than 120 degrees from where it has to push."""
 _NUDGE = 1e-4
 
@@ -68,15 +68,15 @@ def stopping_action(state: Floats, motion: Motion, end: Floats) -> tuple[Floats,
     once the other end is nearer by far.
     """
     ahead, aside = np.cos(state[2]), np.sin(state[2])
-    wanted_x = -state[3] / _TIME - motion.wind[0] + motion.drag * state[3]
-    wanted_y = -state[4] / _TIME - motion.wind[1] + motion.drag * state[4]
+    wanted_x = -state[3] / STOP_SECONDS - motion.wind[0] + motion.drag * state[3]
+    wanted_y = -state[4] / STOP_SECONDS - motion.wind[1] + motion.drag * state[4]
     along = wanted_x * ahead + wanted_y * aside
     across = wanted_y * ahead - wanted_x * aside
     size = np.sqrt(along * along + across * across)
-    end = np.where(end * along < -_FAR * size, -end, end)
-    error = np.arctan2(end * across, end * along) * size / (size + _FAINT)
+    end = np.where(end * along < -FAR * size, -end, end)
+    error = np.arctan2(end * across, end * along) * size / (size + FAINT)
     thrust = np.clip(along, -motion.strongest, motion.strongest)
-    return thrust, np.clip(_GAIN * error, -motion.fastest, motion.fastest), end
+    return thrust, np.clip(GAIN * error, -motion.fastest, motion.fastest), end
 
 
 def stopping_path(state: Floats, motion: Motion, end: Floats) -> Floats:
@@ -145,9 +145,15 @@ class StoppingBarrier(AbstractBarrier):
         rooms = self._rooms(around, np.full(10, end))
         return room, (rooms[:5] - rooms[5:]).T / (2.0 * _NUDGE)
 
+    def best_end(self, state: Floats) -> float:
+        """1 where the manoeuvre with the nose first leaves more room at ``state`` (5,), else -1."""
+        return self._best(np.asarray(state, dtype=np.float64))[1]
+
     def _best(self, state: Floats) -> tuple[Floats, float]:
-        rooms = self._rooms(np.repeat(state[:, np.newaxis], 2, axis=1), ENDS)
-        best = int(np.argmax(rooms.min(axis=1))) if rooms.size else 0
+        from safedpa.safety.stopping_walk import least_rooms
+
+        rooms = [least_rooms(state, self._motion, float(end), self._places, self._radii) for end in ENDS]
+        best = int(rooms[1].min() > rooms[0].min()) if self._radii.size else 0
         return rooms[best], float(ENDS[best])
 
     def _rooms(self, states: Floats, end: Floats) -> Floats:

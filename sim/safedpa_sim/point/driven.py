@@ -29,7 +29,7 @@ class Driver(Protocol):
         """Actions (robots, 2) in [-1, 1] for the task as it is."""
 
 
-class Acts(Protocol):
+class _Acts(Protocol):
     """A policy: observations in, actions out."""
 
     def act(self, observation: Floats) -> NDArray[np.float32]:
@@ -40,7 +40,7 @@ class Acts(Protocol):
 class PolicyDriver:
     """A policy that acts by itself; nothing is corrected."""
 
-    def __init__(self, task: PointTask, policy: Acts) -> None:
+    def __init__(self, task: PointTask, policy: _Acts) -> None:
         self._task, self._policy = task, policy
         self.corrected = self.stopping = np.zeros(task.count, bool)
 

@@ -88,7 +88,11 @@ class PointTask:
 
     def advance(self, action: NDArray[np.floating[Any]]) -> Stepped:
         """One step under actions (count, 2) in [-1, 1]; a goal that is reached is put elsewhere."""
-        self.control = control_of(action, self._stock)
+        return self.advance_under(control_of(action, self._stock))
+
+    def advance_under(self, control: Floats) -> Stepped:
+        """The same under controls (2, count) of the body's motors."""
+        self.control = control
         self.simulation.advance(self.control)
         self.steps += 1
         distance = self._goal_distance()

@@ -19,7 +19,7 @@ from safedpa_sim.robots.made import robot_of
 from safedpa_sim.robots.pendulum_task import TASKS
 from safedpa_sim.robots.trace import Trace
 
-_RATES = {"car": 20.0, "pendulum": 100.0}
+_RATES = {"car": 20.0, "pendulum": 100.0, "point": 50.0}
 """Ticks per second."""
 
 
@@ -27,7 +27,7 @@ def robot_parser() -> argparse.ArgumentParser:
     """The options of a simulated robot."""
     parser = argparse.ArgumentParser(prog="safedpa-robot", description="a simulated robot on the bus")
     add_bus_options(parser)
-    parser.add_argument("--robot", choices=("car", "pendulum"), default="car", help="kind of robot")
+    parser.add_argument("--robot", choices=tuple(_RATES), default="car", help="kind of robot")
     parser.add_argument("--name", default="r1", help="name on the bus; one robot each")
     parser.add_argument("--load", choices=("none", *LOADS), default="none", help="what it tows")
     parser.add_argument("--change", choices=("none", *CHANGES), default="none", help="what changes while it drives")
@@ -37,6 +37,7 @@ def robot_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--wind-direction", type=float, default=0.0, metavar="DEGREES", help="where it blows to: 0 aside, 90 up"
     )
+    parser.add_argument("--force", type=float, default=0.0, metavar="NEWTON", help="of the wind, on the point robot")
     parser.add_argument("--payload", type=float, default=0.0, metavar="KG", help="hung on the pendulum's mass")
     parser.add_argument(
         "--dry-friction", type=float, default=0.0, metavar="TORQUE", help="N m in the pendulum's hinge, at any rate"
@@ -46,7 +47,9 @@ def robot_parser() -> argparse.ArgumentParser:
         "--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: for ever"
     )
     parser.add_argument("--lockstep", action="store_true", help="wait for each action: a run repeats bit for bit")
-    parser.add_argument("--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum")
+    parser.add_argument(
+        "--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum, 50 of the point"
+    )
     parser.add_argument("--summary", type=Path, default=None, help="write the account of the run here")
     parser.add_argument("--trace", type=Path, default=None, help="append what was done in every period here")
     return parser

@@ -11,6 +11,7 @@ from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.pendulum_robot import PendulumRobot
 from safedpa_sim.robots.pendulum_task import task_named
 from safedpa_sim.robots.pendulum_world import PendulumParameters, wind_towards
+from safedpa_sim.robots.point_robot import PointRobot, force_towards
 from safedpa_sim.robots.scene import Scene
 
 __all__ = ["robot_of"]
@@ -19,7 +20,7 @@ _EPOCH_BITS = 53
 """Whole numbers that every reader of a recording holds exactly."""
 
 
-def robot_of(options: argparse.Namespace) -> CarRobot | PendulumRobot:
+def robot_of(options: argparse.Namespace) -> CarRobot | PendulumRobot | PointRobot:
     """The robot that the options of ``python -m safedpa_sim.robots`` describe, with an epoch drawn anew.
 
     Raises InputError naming the option.
@@ -35,6 +36,8 @@ def robot_of(options: argparse.Namespace) -> CarRobot | PendulumRobot:
     epoch = secrets.randbits(_EPOCH_BITS)
     if options.robot == "pendulum":
         return _pendulum(options, epoch)
+    if options.robot == "point":
+        return _point(options, epoch)
     scene = Scene.random(options.seed, options.load)
     change = None if options.change == "none" else PlannedChange(options.change, options.change_after)
     return CarRobot(scene, 1.0 / options.rate, options.lockstep, epoch=epoch, change=change)
@@ -51,3 +54,14 @@ def _pendulum(options: argparse.Namespace, epoch: int) -> PendulumRobot:
     task = task_named(options.task)
     body = PendulumParameters(payload=options.payload, dry_friction=options.dry_friction)
     return PendulumRobot(task, wind, options.seed, body, 1.0 / options.rate, options.lockstep, epoch=epoch)
+
+
+def _point(options: argparse.Namespace, epoch: int) -> PointRobot:
+    if options.load != "none" or options.change != "none":
+        raise InputError("--load, --change: got one for a point robot, wanted none; they are the car's")
+    if abs(options.rate * PointRobot.period - 1.0) > 1e-6:
+        raise InputError(f"--rate: got {options.rate:g}, wanted the point robot's {1.0 / PointRobot.period:g}")
+    if not -360.0 <= options.wind_direction <= 360.0:
+        raise InputError(f"--wind-direction: got {options.wind_direction}, wanted -360 to 360 degrees")
+    force = force_towards(options.force, options.wind_direction)
+    return PointRobot(force, options.seed, options.lockstep, epoch=epoch)

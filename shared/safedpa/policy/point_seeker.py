@@ -1,0 +1,91 @@
+"""Towards the goal for a robot with thrust along its heading, around the hazards that lie on the way.
+
+    wanted = (cruise towards the way - velocity) / time - (wind - drag velocity)      acceleration
+    thrust = mass clip(wanted . heading),  turn = clip(gain angle from heading to wanted)
+
+The way is the goal's direction; where a hazard lies within reach ahead, the one that passes it on the nearer side.
+It knows no more of safety: what keeps the robot out of hazards is the filter.
+"""
+
+from __future__ import annotations
+
+from math import asin, atan2, cos, hypot, pi, sin
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import StateMessage
+from safedpa.dynamics import PhysicsModel
+from safedpa.errors import MessageError
+
+__all__ = ["PointSeeker"]
+
+_CRUISE = 0.7
+"""m/s."""
+_SECONDS = 0.25
+"""s in which the velocity shall be the wanted one."""
+_APPROACH = 2.0
+"""1/s; wanted speed over the distance to the goal."""
+_GAIN = 6.0
+"""1/s of the turning."""
+_BERTH = 0.12
+"""m to pass a hazard by."""
+_LOOK = 0.9
+"""m ahead that hazards are heeded."""
+_LIMITS: Final = (0.015, 3.0)
+"""N and rad/s of the robot that comes with the project."""
+
+
+@final
+class PointSeeker:
+    """Wishes for one robot; the wind is that of the latent, as far as the model has one."""
+
+    def __init__(self, model: PhysicsModel) -> None:
+        self._model = model
+        self._mass = model.settings["base.mass"].value if "base.mass" in model.settings else 1.0
+        drag = model.settings.get("viscous_drag.coefficient")
+        self._drag = drag.value if drag is not None else 0.0
+
+    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """Thrust [N] and turn [rad/s]. Raises MessageError for a state that is none of this robot."""
+        if len(state.values) != 5 or len(state.goal) != 2:
+            raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 5 and 2")
+        x, y, yaw, vx, vy = state.values
+        apart = state.goal[0] - x, state.goal[1] - y
+        distance = hypot(*apart)
+        way = self._around(state, atan2(apart[1], apart[0]), distance)
+        speed = min(_CRUISE, _APPROACH * distance + 0.2)
+        wind = self._wind(latent)
+        wanted_x = (speed * cos(way) - vx) / _SECONDS - wind[0] + self._drag * vx
+        wanted_y = (speed * sin(way) - vy) / _SECONDS - wind[1] + self._drag * vy
+        thrust = self._mass * (wanted_x * cos(yaw) + wanted_y * sin(yaw))
+        turn = _GAIN * _wrapped(atan2(wanted_y, wanted_x) - yaw)
+        limited = (min(max(value, -most), most) for value, most in zip((thrust, turn), _LIMITS, strict=True))
+        return tuple(limited), "goal_seeker:seek"
+
+    def _wind(self, latent: NDArray[np.float64] | None) -> tuple[float, float]:
+        known = dict(zip(self._model.latent_names, () if latent is None else latent.tolist(), strict=False))
+        return known.get("constant_force.ax", 0.0), known.get("constant_force.ay", 0.0)
+
+    @staticmethod
+    def _around(state: StateMessage, way: float, distance: float) -> float:
+        """The way, turned past the hazard that is in it nearest."""
+        x, y = state.values[:2]
+        nearest, chosen = min(_LOOK, distance), way
+        for row in state.obstacles:
+            if len(row) != 3:
+                raise MessageError(f"state.obstacles: got a row of {len(row)}, wanted x, y, radius")
+            to_x, to_y, reach = row[0] - x, row[1] - y, row[2] + _BERTH
+            far = hypot(to_x, to_y)
+            if far - reach >= nearest:
+                continue
+            off = _wrapped(atan2(to_y, to_x) - way)
+            half = asin(min(reach / max(far, 1e-6), 1.0)) if far > reach else 0.5 * pi
+            if abs(off) < half:
+                nearest, chosen = far - reach, way + off - (half if off >= 0.0 else -half)
+        return chosen
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + pi) % (2.0 * pi) - pi

@@ -1,0 +1,108 @@
+"""The barriers of a robot with thrust along its heading, and its backup: the stopping manoeuvre in the wind of now.
+
+How the manoeuvre would go is read off the model at a few states, whatever it is made of:
+
+    at rest, heading 0, 90, 180, 270 degrees:  wind = mean of the change of velocity without thrust / A
+                                               strongest = mean of its slope over the thrust, along the heading / A
+    heading 0, along it at 1 and -1 m/s:       exp(-drag period) - 1 = half the difference of its change
+
+with A = (1 - exp(-drag period)) / drag, what a period makes of an acceleration.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import StateMessage
+from safedpa.dynamics import AbstractDynamics
+from safedpa.errors import InputError
+from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.stopping_barrier import Motion, StoppingBarrier, stopping_action
+
+__all__ = ["PointScene", "motion_of"]
+
+Values = NDArray[np.float64]
+
+_HEADINGS: Final = 0.5 * np.pi * np.arange(4)
+_LEAST_SLOPE, _MOST_SLOPE = 1e-6, 0.5
+"""Share of the speed that drag may take in a period; what lies outside is no drag."""
+_MOST_HAZARDS = 64
+
+
+def motion_of(model: AbstractDynamics, latent: Values | None, settings: FilterSettings, period: float) -> Motion:
+    """The manoeuvre's wind, drag and thrust according to a model of x, y, yaw, vx, vy under thrust and turn.
+
+    Raises InputError where the thrust does not push along the heading.
+    """
+    probes = np.zeros((6, 5))
+    probes[:4, 2] = _HEADINGS
+    probes[4:, 3] = 1.0, -1.0
+    pairs = [model.affine(probe, latent, around=np.zeros(2)) for probe in probes]
+    drift = np.array([np.asarray(f) for f, _ in pairs]) - probes
+    slope = min(max(-0.5 * float(drift[4, 3] - drift[5, 3]), _LEAST_SLOPE), _MOST_SLOPE)
+    drag = -np.log1p(-slope) / period
+    gained = slope / drag
+    heading = np.stack((np.cos(_HEADINGS), np.sin(_HEADINGS)), axis=1)
+    gain = np.array([np.asarray(g)[3:, 0] for _, g in pairs[:4]])
+    along = float(np.mean(np.sum(gain * heading, axis=1))) / gained
+    if not along > 0.0:
+        raise InputError(f"model: got {along} m/s2 along the heading for a newton of thrust, wanted more than 0")
+    strongest = along * min(settings.action_high[0], -settings.action_low[0])
+    fastest = min(settings.action_high[1], -settings.action_low[1])
+    return Motion(drift[:4, 3:].mean(axis=0) / gained, drag, strongest, fastest)
+
+
+@final
+class PointScene:
+    """Builds the barriers from a state message and the last latent; ``backup`` stops the robot in that wind."""
+
+    def __init__(self, model: AbstractDynamics, settings: FilterSettings) -> None:
+        self._model, self._settings = model, settings
+        self._latent: Values | None = None
+        self._motion: Motion | None = None
+        self._barrier: StoppingBarrier | None = None
+        self._end = np.ones(1)
+
+    def learn(self, latent: Values | None) -> None:
+        """The latent that was used last; none: that of the model's file."""
+        self._latent = latent
+
+    def of(self, state: StateMessage) -> AbstractStack | str:
+        """The barriers around this robot, or a sentence about what cannot be a scene."""
+        try:
+            return self._built(state)
+        except InputError as error:
+            self._barrier = None
+            return f"scene ({error})"
+
+    def backup(self, state: Values | None) -> Values:
+        """The manoeuvre's (thrust [N], turn [rad/s]) at ``state``; the resting action where nothing is known."""
+        motion, barrier = self._motion, self._barrier
+        if state is None or motion is None:
+            return self._settings.resting_action
+        if barrier is not None:
+            self._end = np.array([barrier.best_end(state)])
+        thrust, turn, self._end = stopping_action(np.reshape(state, (5, 1)), motion, self._end)
+        scale = self._settings.action_high[0] / float(motion.strongest)
+        return np.array([scale * float(thrust[0]), float(turn[0])])
+
+    def _built(self, state: StateMessage) -> AbstractStack:
+        if state.corridor or state.field or state.footprint:
+            raise InputError("got a corridor, a field or a footprint, wanted hazards alone")
+        if len(state.obstacles) > _MOST_HAZARDS:
+            raise InputError(f"obstacles: got {len(state.obstacles)}, wanted at most {_MOST_HAZARDS}; send the nearest")
+        rows: list[Any] = [list(row) for row in state.obstacles]
+        for row in rows:
+            if len(row) != 3 or not np.all(np.isfinite(row)) or row[2] < 0.0:
+                raise InputError(f"obstacles: got {row}, wanted x, y and a radius of 0 or more, finite")
+        self._motion = motion_of(self._model, self._latent, self._settings, state.period)
+        if not rows:
+            self._barrier = None
+            return Barriers(())
+        grown = np.array(rows, dtype=np.float64) + np.array([0.0, 0.0, self._settings.clearance])
+        self._barrier = StoppingBarrier(grown, self._motion)
+        return RememberingStack(Barriers((self._barrier,)))
