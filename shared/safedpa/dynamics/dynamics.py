@@ -75,3 +75,7 @@ class AbstractDynamics(ABC):
         default the middle of the actuator bounds. ``memory`` as from ``advance``; by default settled at ``around``.
         ``time`` [s] counts from the run's start.
         """
+
+    def slopes(self, state: Array, latent: Array | None, around: Array, memory: Any) -> Array:
+        """g (..., states, actions) of ``affine`` about the action ``around``, for who needs no f."""
+        return self.affine(state, latent, around=around, memory=memory)[1]

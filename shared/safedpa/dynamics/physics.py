@@ -23,6 +23,8 @@ from safedpa.operations import FLOATS, NUMPY, Operations, Scalar
 
 __all__ = ["PhysicsModel", "Setting"]
 
+_FLOAT = np.dtype(np.float64)
+
 _Values = Mapping[str, Named]
 """Parameter values by owner ("base" or an effect's name) and name."""
 
@@ -186,6 +188,15 @@ class PhysicsModel(AbstractDynamics):
                 step, around.expand(*state.shape[:-1], len(names)).clone() if around.ndim == 1 else around
             )
         return batched_difference(step, np.asarray(around, dtype=np.float64), self._ranges)
+
+    def slopes(self, state: Array, latent: Array | None, around: Array, memory: Any) -> Array:  # noqa: D102
+        if not self._commands and _single(state, around, latent):
+            tangent = self._straight.tangent(self.period)
+            free = (self.latent if latent is None else latent).tolist()
+            with contextlib.suppress(ValueError, ArithmeticError):  # answered below
+                if tangent is not None:
+                    return np.array(tangent(state.tolist(), around.tolist(), free, 0.0)[1])
+        return super().slopes(state, latent, around, memory)
 
     def _advance(
         self,
@@ -361,7 +372,8 @@ class PhysicsModel(AbstractDynamics):
 
 def _single(state: Array, action: Array, latent: Array | None) -> bool:
     """Whether all are vectors of ordinary floats: one robot."""
-    return all(
-        type(part) is np.ndarray and part.ndim == 1 and part.dtype == np.float64
-        for part in ((state, action) if latent is None else (state, action, latent))
-    )
+    return _vector(state) and _vector(action) and (latent is None or _vector(latent))
+
+
+def _vector(part: Array) -> bool:
+    return type(part) is np.ndarray and part.ndim == 1 and part.dtype == _FLOAT

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from itertools import chain
+from itertools import accumulate, chain, pairwise
 from typing import final, overload
 
 import numpy as np
@@ -47,6 +47,8 @@ class AbstractStack(Sequence[AbstractBarrier]):
 
         self.rows = {kind: tuple(row for row, own in enumerate(self.kinds) if own == kind) for kind in self.kinds}
         """By kind of barrier: where its values stand."""
+        ends = list(accumulate((len(part.names) for part in self.parts), initial=0))
+        self._runs = [(part.kind, run) for part, run in zip(self.parts, pairwise(ends), strict=True)]
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -75,7 +77,10 @@ class AbstractStack(Sequence[AbstractBarrier]):
 
     def of_each(self, by_kind: Mapping[str, float], otherwise: float) -> Values:
         """(m,) the number that belongs to each barrier's kind."""
-        return np.array([by_kind.get(kind, otherwise) for kind in self.kinds], dtype=np.float64)
+        numbers = np.empty(len(self.kinds))
+        for kind, (start, stop) in self._runs:
+            numbers[start:stop] = by_kind.get(kind, otherwise)
+        return numbers
 
 
 @final

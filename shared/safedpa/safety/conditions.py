@@ -93,7 +93,7 @@ class Conditions:
         return A, limits(A, about)
 
     def _slopes(self, about: Outcome) -> Values:
-        _, g = self._prediction.tangent(self._state, about.action, self._latent, self._memory)
+        g = self._prediction.slopes(self._state, about.action, self._latent, self._memory)
         _finite("g of the model", g, (len(self._state), len(about.action)))
         p = self.barriers.gradient(about.next_state)
         _finite("gradient of h", p, (len(self.required), len(self._state)))
@@ -106,7 +106,7 @@ class Conditions:
         bound that is further away, unless an earlier tangent knows the slope.
         """
         noise = _NO_INFLUENCE * (1.0 + _largest(about.next_state))
-        silent = [index for index, column in enumerate(g.T) if _largest(column) <= noise]
+        silent = [index for index, column in enumerate(zip(*g.tolist(), strict=True)) if max(map(abs, column)) <= noise]
         if silent:
             g = g.copy()
             for index in silent:

@@ -86,9 +86,9 @@ class Decision:
             raise DecisionError("; ".join(self._problems))
         assert self._wish is not None
         conditions = self._posed()
-        within = self._within(self._wish)
-        unclipped = within.tolist() == self._wish.tolist()
-        asked = conditions.outcome(self._wish if unclipped else within)  # bit for bit: -0.0 must not become 0.0
+        sides = zip(self._wish.tolist(), self._tools.program.sides, strict=True)
+        unclipped = all(low <= value <= high for value, (low, high, _) in sides)
+        asked = conditions.outcome(self._wish if unclipped else self._within(self._wish))  # bit for bit, -0.0 as well
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
         if asked.violation <= self._tools.settings.slack_tolerance:
@@ -132,10 +132,10 @@ class Decision:
             raise DecisionError("there is no barrier to keep")
         margins = {**settings.epsilon, **request.epsilon}
         epsilon = barriers.of_each(margins, margins.get("default", 0.0))
-        ordered = sorted(epsilon.tolist())
-        if not all_finite(epsilon) or ordered[0] < 0.0:
+        numbers: list[float] = epsilon.tolist()
+        if not all_finite(epsilon) or min(numbers) < 0.0:
             raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
-        self._margin = ordered[-1]
+        self._margin = max(numbers)
         self._conditions = Conditions(
             barriers,
             self._tools.prediction,

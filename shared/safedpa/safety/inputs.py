@@ -58,10 +58,11 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> Values 
     if array.ndim != 1 or (plausible is not None and len(array) != len(plausible.names)):
         wanted = "one axis" if plausible is None else f"({len(plausible.names)},)"
         return Unusable(f"{what} has shape {array.shape}, wanted {wanted}")
-    if not all_finite(array):
+    entries: list[float] = array.tolist()
+    if not all(map(isfinite, entries)):
         return Unusable(f"{what} holds NaN or infinity")
     if plausible is not None:
-        for name, entry, (low, high) in zip(plausible.names, array.tolist(), plausible.sides, strict=True):
+        for name, entry, (low, high) in zip(plausible.names, entries, plausible.sides, strict=True):
             if entry < low or entry > high:
                 return Unusable(f"{what} is out of its plausible range: {name} = {entry:g}, wanted {low:g} to {high:g}")
     return array

@@ -29,27 +29,34 @@ class Prediction:
         self._affine, self._affine_count, self._affine_words = affine, *_accepted(affine, 2)
         self._step = step
         self._step_count, self._step_words = _accepted(step, 3) if step is not None else (0, frozenset())
+        self._model: AbstractDynamics | None = None
 
     @classmethod
     def of_model(cls, model: AbstractDynamics) -> Prediction:
         """The prediction of a model of this project, with what its actuators remember."""
-
-        def step(state: Values, action: Values, latent: Values | None, *, memory: Any = None) -> Values:
-            remembered = model.initial_memory(action) if memory is None else memory
-            return np.asarray(model.advance(state, action, remembered, latent)[0])
-
-        return cls(model.affine, step)
+        prediction = cls(model.affine)
+        prediction._model = model
+        return prediction
 
     def next_state(self, state: Values, action: Values, latent: Values | None, memory: Any) -> Values:
         """x[t+1] (states,) under ``action`` (actions,)."""
+        model = self._model
+        if model is not None:
+            remembered = model.initial_memory(action) if memory is None else memory
+            return np.asarray(model.advance(state, action, remembered, latent)[0])
         if self._step is None:
-            f, g = self.tangent(state, action, latent, memory)
+            f, g = self._tangent(state, action, latent, memory)
             return np.asarray(f + g @ action)
         words = {"memory": memory} if "memory" in self._step_words else {}
         return np.asarray(self._step(*(state, action, latent)[: self._step_count], **words), dtype=np.float64)
 
-    def tangent(self, state: Values, around: Values, latent: Values | None, memory: Any) -> tuple[Values, Values]:
-        """(f, g), exact at the action ``around`` (actions,) where ``affine`` accepts it."""
+    def slopes(self, state: Values, around: Values, latent: Values | None, memory: Any) -> Values:
+        """g (states, actions), exact at the action ``around`` (actions,) where ``affine`` accepts it."""
+        if self._model is not None:
+            return np.asarray(self._model.slopes(state, latent, around, memory))
+        return self._tangent(state, around, latent, memory)[1]
+
+    def _tangent(self, state: Values, around: Values, latent: Values | None, memory: Any) -> tuple[Values, Values]:
         offered = {"around": around, "memory": memory}
         words = {word: offered[word] for word in self._affine_words}
         f, g = self._affine(*(state, latent)[: self._affine_count], **words)
