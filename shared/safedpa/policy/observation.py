@@ -1,6 +1,7 @@
 """What a learned policy sees: the goal and the free space around the robot, in the robot's own frame.
 
-The same function serves the batched simulator in training and the service at work: one robot or many at a time.
+The same function serves the batched simulator in training and robots at work: one or many at a time. A service, which
+asks for one robot at a time, takes ``safedpa.policy.one_observation``, the same equations over plain numbers.
 """
 
 from __future__ import annotations
@@ -11,7 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["OBSTACLES", "RAYS", "clearances", "observation_length", "observe", "padded"]
+__all__ = [
+    "FAR_AWAY",
+    "FULL_RADIUS",
+    "FULL_SPEED",
+    "FULL_STEER",
+    "NEAR",
+    "OBSTACLES",
+    "RAYS",
+    "TOUCHING",
+    "clearances",
+    "observation_length",
+    "observe",
+    "padded",
+]
 
 Values = NDArray[np.floating[Any]]
 
@@ -20,14 +34,14 @@ RAYS = 16
 OBSTACLES = 4
 """How many of the nearest obstacles are told one by one."""
 
-_FAR_AWAY = (1e4, 1e4, 0.0)
+FAR_AWAY = (1e4, 1e4, 0.0)
 """An obstacle that fills a row and is nowhere near."""
-_FULL_SPEED = 2.0
-_FULL_STEER = 0.34
-_FULL_RADIUS = 0.45
-_NEAR = 1.0
+FULL_SPEED = 2.0
+FULL_STEER = 0.34
+FULL_RADIUS = 0.45
+NEAR = 1.0
 """m at which the closeness near / (near + distance) is a half."""
-_TOUCHING = 0.2
+TOUCHING = 0.2
 """m; the same for the clearance of the nearest obstacles, where centimetres count."""
 _GOAL = 5
 _OWN = 4
@@ -72,7 +86,7 @@ def observe(
 def padded(obstacles: Sequence[Sequence[float]], least: int = OBSTACLES) -> Values:
     """Obstacles (m, 3) with as many added far away as are lacking to ``least``."""
     rows = [tuple(row) for row in obstacles]
-    return np.array(rows + [_FAR_AWAY] * (least - len(rows)), dtype=np.float64)
+    return np.array(rows + [FAR_AWAY] * (least - len(rows)), dtype=np.float64)
 
 
 def clearances(own: Values, radii: Values, footprint: Values) -> tuple[Values, Values]:
@@ -90,18 +104,18 @@ def clearances(own: Values, radii: Values, footprint: Values) -> tuple[Values, V
 def _goal(own: Values) -> Values:
     distance = _length(own)
     direction = own / np.maximum(distance, 1e-6)[..., np.newaxis]
-    scaled = np.stack((_closeness(distance, _NEAR), _closeness(distance, 4.0 * _NEAR)), axis=-1)
-    aside = own[..., 1:] / (_NEAR + distance[..., np.newaxis])
+    scaled = np.stack((_closeness(distance, NEAR), _closeness(distance, 4.0 * NEAR)), axis=-1)
+    aside = own[..., 1:] / (NEAR + distance[..., np.newaxis])
     return np.concatenate((direction, scaled, aside), axis=-1)
 
 
 def _motion(state: Values, applied: Values, footprint: Values) -> Values:
     radius = np.broadcast_to(footprint[..., 2], state.shape[:-1])
     entries = (
-        state[..., 3] / _FULL_SPEED,
-        applied[..., 0] / _FULL_SPEED,
-        applied[..., 1] / _FULL_STEER,
-        radius / _FULL_RADIUS,
+        state[..., 3] / FULL_SPEED,
+        applied[..., 0] / FULL_SPEED,
+        applied[..., 1] / FULL_STEER,
+        radius / FULL_RADIUS,
     )
     return np.stack(entries, axis=-1)
 
@@ -113,10 +127,10 @@ def _nearest(own: Values, radii: Values, footprint: Values) -> Values:
     room = np.take_along_axis(room, order, axis=-1)
     offset = np.take_along_axis(offset, order[..., np.newaxis], axis=-2)
     centre = np.take_along_axis(own, order[..., np.newaxis], axis=-2)
-    near = _closeness(np.maximum(room, 0.0), _NEAR)[..., np.newaxis]
-    touching = _closeness(np.maximum(room, 0.0), _TOUCHING)[..., np.newaxis]
+    near = _closeness(np.maximum(room, 0.0), NEAR)[..., np.newaxis]
+    touching = _closeness(np.maximum(room, 0.0), TOUCHING)[..., np.newaxis]
     direction = offset / np.maximum(_length(offset), 1e-6)[..., np.newaxis]
-    towards = centre / (_NEAR + _length(centre))[..., np.newaxis]
+    towards = centre / (NEAR + _length(centre))[..., np.newaxis]
     told = np.concatenate((near * direction, near * towards, touching), axis=-1)
     return told.reshape(*told.shape[:-2], -1)
 
@@ -136,13 +150,13 @@ def _rays(state: Values, own: Values, radii: Values, field: Values, footprint: V
         hit = np.maximum(along - np.sqrt(np.maximum(inside, 0.0)), 0.0)
         met = (inside > 0.0) & (along > 0.0)
         nearest = np.where(met, np.minimum(nearest, hit), nearest)
-    return _closeness(nearest, _NEAR)
+    return _closeness(nearest, NEAR)
 
 
 def _to_walls(state: Values, middle: Values, radius: Values, field: Values) -> Values:
     """How far [m] the same disc gets on each ray until it touches a wall, shape (..., RAYS)."""
     angle = state[..., 2, np.newaxis] + _ANGLES.astype(state.dtype)
-    nearest: Values = np.full(angle.shape, _FAR_AWAY[0], dtype=state.dtype)
+    nearest: Values = np.full(angle.shape, FAR_AWAY[0], dtype=state.dtype)
     for axis, slope in ((0, np.cos(angle)), (1, np.sin(angle))):
         heading = np.cos(state[..., 2]) if axis == 0 else np.sin(state[..., 2])
         start = state[..., axis] + middle * heading

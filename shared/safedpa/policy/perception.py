@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError, MessageError
-from safedpa.policy.observation import observation_length, observe, padded
+from safedpa.policy.observation import observation_length
+from safedpa.policy.one_observation import observe_one
 from safedpa.policy.pendulum_observation import observe_pendulum, pendulum_observation_length
 
 __all__ = ["Perception", "perception_of"]
@@ -36,28 +37,29 @@ def perception_of(robot: str) -> Perception:
     return _PERCEPTIONS[robot]
 
 
-def _vectors(state: StateMessage, wanted: dict[str, int]) -> list[Values]:
-    """Entries of the message as arrays of the right lengths."""
-    vectors: list[Values] = []
-    for name, length in wanted.items():
-        vector = np.array(getattr(state, name), dtype=np.float64)
-        if vector.shape != (length,):
-            raise MessageError(f"state.{name}: got {vector.size} numbers, wanted {length}")
-        vectors.append(vector)
-    return vectors
+def _checked(state: StateMessage, **lengths: int) -> None:
+    """Raises MessageError when an entry of the message has another length than the robot's."""
+    for name, length in lengths.items():
+        if len(getattr(state, name)) != length:
+            raise MessageError(f"state.{name}: got {len(getattr(state, name))} numbers, wanted {length}")
 
 
 def _observed_car(state: StateMessage, latent: Values) -> Values:
-    lengths = {"values": 4, "applied": 2, "goal": 2, "field": 4, "footprint": 3}
-    values, applied, goal, field, footprint = _vectors(state, lengths)
+    _checked(state, values=4, applied=2, goal=2, field=4, footprint=3)
     if any(len(row) != 3 for row in state.obstacles):
         raise MessageError("state.obstacles: got rows of another length, wanted 3 numbers in each: x, y, radius")
-    return observe(values, applied, goal, padded(state.obstacles), field, footprint, latent)
+    try:
+        seen = observe_one(
+            state.values, state.applied, state.goal, state.obstacles, state.field, state.footprint, latent.tolist()
+        )
+    except (ValueError, OverflowError) as error:
+        raise MessageError(f"state: got numbers that are not finite in {state.values}, wanted finite ones") from error
+    return np.array(seen)
 
 
 def _observed_pendulum(state: StateMessage, latent: Values) -> Values:
-    values, goal = _vectors(state, {"values": 2, "goal": 1})
-    return observe_pendulum(values, goal[0], latent)
+    _checked(state, values=2, goal=1)
+    return observe_pendulum(np.array(state.values), np.array(state.goal)[0], latent)
 
 
 _PERCEPTIONS = {

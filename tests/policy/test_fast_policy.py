@@ -1,0 +1,90 @@
+"""What a service computes for one robot agrees with the arrays of many, and the policy with the one in torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as some
+
+from safedpa.bus import StateMessage
+from safedpa.dynamics import LearnedBase, load_model
+from safedpa.errors import MessageError
+from safedpa.networks import Weights
+from safedpa.policy import LearnedPolicy
+from safedpa.policy.observation import observe, padded
+from safedpa.policy.one_observation import observe_one
+
+
+def shipped(name: str) -> Weights:
+    base = load_model(name).base
+    assert isinstance(base, LearnedBase)
+    return base.weights
+
+
+def scene(draw: np.random.Generator, obstacles: int) -> tuple[np.ndarray, ...]:
+    """State, action in force, goal, obstacles, field, footprint, latent."""
+    state = np.array([*draw.uniform(-4.0, 4.0, 2), draw.uniform(-9.0, 9.0), draw.uniform(-1.0, 2.0)])
+    around = np.column_stack([draw.uniform(-5.0, 5.0, (obstacles, 2)), draw.uniform(0.0, 0.9, obstacles)])
+    footprint = np.array([draw.uniform(0.0, 1.5), draw.uniform(0.0, 0.6), draw.uniform(0.05, 0.5)])
+    field = np.array([-4.0, 4.0, -3.0, 3.5])
+    return state, draw.uniform(-1.0, 1.0, 2), draw.uniform(-4.0, 4.0, 2), around, field, footprint, draw.normal(size=4)
+
+
+@given(some.integers(0, 2**32 - 1), some.integers(0, 30))
+@settings(max_examples=300)
+def test_one_car_sees_what_many_see(seed, obstacles):
+    parts = scene(np.random.default_rng(seed), obstacles)
+    state, applied, goal, around, field, footprint, latent = parts
+    expected = observe(state, applied, goal, padded(around.tolist()), field, footprint, latent)
+    np.testing.assert_allclose(observe_one(*(part.tolist() for part in parts)), expected, rtol=1e-9, atol=1e-12)
+
+
+@given(some.floats(-3.2, 3.2), some.floats(0.0, 0.2), some.floats(0.3, 0.9))
+def test_rays_at_the_rim_of_an_obstacle(bearing, gap, radius):
+    """Seen from right beside it, an obstacle covers half of all rays, and the rim decides."""
+    footprint, reach = np.array([0.1, 0.1, 0.15]), radius + 0.15 + gap
+    around = [[reach * np.cos(bearing), reach * np.sin(bearing), radius]]
+    still, field = np.zeros(4), np.array([-4.0, 4.0, -4.0, 4.0])
+    expected = observe(still, np.zeros(2), np.ones(2), padded(around), field, footprint, np.zeros(0))
+    one = observe_one(still.tolist(), [0.0, 0.0], [1.0, 1.0], around, field.tolist(), footprint.tolist(), [])
+    np.testing.assert_allclose(one, expected, rtol=1e-7, atol=1e-7)
+
+
+@given(some.sampled_from(("car_learned", "pendulum_learned", "car_rma_p")), some.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+def test_the_policy_agrees_with_torch(name, seed):
+    """In single precision: to 1e-6 of the action's range, for one and for many."""
+    pytest.importorskip("torch")
+    from safedpa.networks.reference import reference_action
+
+    weights = shipped(name)
+    policy, draw = LearnedPolicy(weights), np.random.default_rng(seed)
+    middle, spread = weights["observation_middle"], weights["observation_scale"]
+    seen = middle + spread * draw.normal(size=(20, len(middle))) * draw.choice([0.3, 1.0, 5.0])
+    expected, reach = reference_action(weights, seen), weights["action_scale"]
+    assert (np.abs(policy.act(seen) - expected) / reach).max() < 1e-6
+    one = np.array([policy._act_once(row) for row in seen])
+    assert (np.abs(one - expected) / reach).max() < 1e-6
+
+
+@pytest.mark.parametrize("place", ["values", "goal", "footprint", "obstacles"])
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+def test_what_is_no_number_is_refused(place, bad):
+    state = StateMessage(
+        epoch=1,
+        tick=0,
+        robot_time=0.0,
+        publish_time=0.0,
+        values=(bad if place == "values" else 0.1, 0.2, bad if place == "values" else 0.3, 0.4),
+        applied=(0.0, 0.0),
+        applied_by="filter",
+        period=0.05,
+        lockstep=True,
+        goal=(1.0, bad if place == "goal" else 1.0),
+        obstacles=((bad if place == "obstacles" else 1.0, 1.0, 0.3),),
+        field=(-4.0, 4.0, -4.0, 4.0),
+        footprint=(0.1, 0.2, bad if place == "footprint" else 0.1),
+    )
+    with pytest.raises(MessageError, match="not finite"):
+        LearnedPolicy(shipped("car_learned")).wish(state, np.zeros(4))
