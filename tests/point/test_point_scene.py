@@ -13,6 +13,8 @@ from safedpa.safety.point_scene import PointScene, motion_of
 from safedpa.safety.shipped import settings_named
 from safedpa.safety.stopping_barrier import ENDS, Motion, stopping_path, stopping_room
 from safedpa.safety.stopping_walk import least_rooms
+from safedpa_services.dashboard.look import look_of
+from safedpa_services.dashboard.world import body_entries
 from safedpa_sim.robots.point_robot import PointRobot, force_towards
 
 MODEL, SETTINGS = load_model("point_wind"), settings_named("point")
@@ -88,3 +90,10 @@ def test_the_loop_keeps_a_goal_seeker_out_of_the_hazards_in_the_wind() -> None:
     robot.guard._accepted = None
     robot.advance()
     assert robot.watchdog_ticks == 1
+
+
+def test_it_is_drawn_as_a_ball_with_a_nose() -> None:
+    entries = body_entries(message((1.0, 2.0, 0.5, 0.0, 0.0)), look_of(MODEL, SETTINGS))
+    shapes = {entry.path: entry.shape for entry in entries}
+    assert set(shapes) == {("world", "car"), ("world", "ball")}
+    assert shapes["world", "ball"].centres == ((1.0, 2.0),)

@@ -42,6 +42,11 @@ class Look:
         return self.system.state_names[:3] == ("x", "y", "yaw")
 
     @property
+    def is_point(self) -> bool:
+        """Whether it is pushed along its heading and turned at a rate."""
+        return self.system.action_names == ("thrust", "turn")
+
+    @property
     def is_pendulum(self) -> bool:
         """Whether the state is an angle and its rate."""
         return self.system.state_names == ("angle", "rate")

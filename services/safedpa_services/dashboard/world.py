@@ -29,6 +29,8 @@ _LONGEST_STRETCH = 50.0
 
 _BODY_REAR, _BODY_FRONT, _BODY_WIDTH = -0.25, 1.25, 0.75
 """Drawn body in wheelbases, from the middle of the rear axle."""
+_BALL, _NOSE = 0.1, 0.1
+"""m; radius of the point robot's ball, edge of its nose."""
 _WHEEL_LENGTH, _WHEEL_WIDTH, _TRACK = 0.30, 0.10, 0.62
 
 
@@ -72,6 +74,8 @@ def body_entries(state: StateMessage, look: Look) -> list[Entry]:
     if len(state.values) < 3 or not drawable(*state.values[:2]):
         return []
     pose = Pose(state.values[0], state.values[1], state.values[2])
+    if look.is_point:
+        return _point(pose)
     entries = [Entry(("world", "car"), _car(pose, state, look))]
     swept = _swept(pose, state, look)
     if swept is not None:
@@ -91,6 +95,13 @@ def _car(pose: Pose, state: StateMessage, look: Look) -> Lines:
         for left in (-0.5 * _TRACK * base, 0.5 * _TRACK * base):
             strips.append(pose.place(Pose(ahead, left, turn).place(wheel)))
     return Lines(tuple(strips), (INK, INK, GREY, GREY, YELLOW, YELLOW), 0.012)
+
+
+def _point(pose: Pose) -> list[Entry]:
+    """A ball with a box for a nose."""
+    nose = pose.place(rectangle(_BALL - 0.5 * _NOSE, _BALL + 0.5 * _NOSE, _NOSE))
+    ball = Rings(((pose.x, pose.y),), (_BALL,), INK, 0.012)
+    return [Entry(("world", "car"), Lines((nose,), (YELLOW,), 0.012)), Entry(("world", "ball"), ball)]
 
 
 def _swept(pose: Pose, state: StateMessage, look: Look) -> Lines | None:
