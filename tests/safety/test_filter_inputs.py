@@ -227,7 +227,7 @@ def test_failure_half_way_still_reports_h() -> None:
 )
 def test_solver_that_fails(monkeypatch: pytest.MonkeyPatch, solution: Solution, reason: str) -> None:
     safe = scalar_filter()
-    monkeypatch.setattr(safe._tools.program.__class__, "solve", lambda *_: solution)
+    monkeypatch.setattr(safe.tools.program.__class__, "solve", lambda *_: solution)
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.fallback
     assert reason in verdict.reason
@@ -238,7 +238,7 @@ def test_solver_that_fails(monkeypatch: pytest.MonkeyPatch, solution: Solution, 
 def test_rounding_at_the_bounds_is_clipped_away(monkeypatch: pytest.MonkeyPatch) -> None:
     safe = scalar_filter()
     solution = Solution(np.array([-1.0 - 1.9e-6]), np.zeros(1), True, "solved")
-    monkeypatch.setattr(safe._tools.program.__class__, "solve", lambda *_: solution)
+    monkeypatch.setattr(safe.tools.program.__class__, "solve", lambda *_: solution)
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
     np.testing.assert_array_equal(verdict.action, [-1.0])
@@ -248,7 +248,7 @@ def test_search_that_finds_nothing_falls_back_on_braking(monkeypatch: pytest.Mon
     """The QP misleads; the backup keeps every condition: taken, and said."""
     safe = scalar_filter()
     solution = Solution(np.array([0.9]), np.zeros(1), True, "solved")
-    monkeypatch.setattr(safe._tools.program.__class__, "solve", lambda *_: solution)
+    monkeypatch.setattr(safe.tools.program.__class__, "solve", lambda *_: solution)
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
     assert verdict.reason == "The backup action keeps every condition."

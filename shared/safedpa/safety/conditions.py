@@ -14,11 +14,11 @@ from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.inputs import all_finite
 from safedpa.safety.prediction import Prediction
 
-__all__ = ["Conditions", "Outcome", "limits"]
+__all__ = ["NO_INFLUENCE", "Conditions", "Outcome", "limits"]
 
 Values = NDArray[np.float64]
 
-_NO_INFLUENCE = 1e-9
+NO_INFLUENCE = 1e-9
 """A column of g this small, relative to the size of the state, is rounding error: the actuator is saturated."""
 
 
@@ -105,7 +105,7 @@ class Conditions:
         A tangent of zero would say that this action does not matter, though its other values do: the chord leads to the
         bound that is further away, unless an earlier tangent knows the slope.
         """
-        noise = _NO_INFLUENCE * (1.0 + _largest(about.next_state))
+        noise = NO_INFLUENCE * (1.0 + _largest(about.next_state))
         silent = [index for index, column in enumerate(zip(*g.tolist(), strict=True)) if max(map(abs, column)) <= noise]
         if silent:
             g = g.copy()

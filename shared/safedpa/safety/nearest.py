@@ -13,16 +13,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isfinite
 
-__all__ = ["Row", "nearest_kept"]
+__all__ = ["KEPT", "MOST", "PARALLEL", "Row", "nearest_kept"]
 
 Row = tuple[float, float, float, float]
 """a_1, a_2, b, and the largest multiplier: the price of slack per unit, infinite where there is none."""
 
-_KEPT = 1e-12
+KEPT = 1e-12
 """A condition broken by less is kept: rounding errors of a corner are a thousand times smaller."""
-_PARALLEL = 1e-9
+PARALLEL = 1e-9
 """Share of the product of two rows' sizes: below, their corner is not computed."""
-_MOST = 8
+MOST = 8
 """Conditions that are taken in; then others have to answer."""
 
 Point = tuple[float, float]
@@ -33,8 +33,8 @@ def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | No
     if not isfinite(sum(a + b + limit for a, b, limit, _ in rows)):
         return None
     point, taken = wish, list[Row]()
-    for _ in range(_MOST):
-        worst, newest = _KEPT, None
+    for _ in range(MOST):
+        worst, newest = KEPT, None
         x, y = point
         for row in rows:
             broken = row[2] - row[0] * x - row[1] * y
@@ -80,7 +80,7 @@ def _corner(one: Row, other: Row, wish: Point, weights: Point) -> Point | None:
     a, b, first, _ = one
     c, d, second, _ = other
     determinant = a * d - b * c
-    if abs(determinant) <= _PARALLEL * (abs(a) + abs(b)) * (abs(c) + abs(d)):
+    if abs(determinant) <= PARALLEL * (abs(a) + abs(b)) * (abs(c) + abs(d)):
         return None
     x, y = (first * d - second * b) / determinant, (a * second - c * first) / determinant
     pull, push = 2.0 * weights[0] * (x - wish[0]), 2.0 * weights[1] * (y - wish[1])
@@ -91,4 +91,4 @@ def _corner(one: Row, other: Row, wish: Point, weights: Point) -> Point | None:
 
 
 def _keeps(point: Point, rows: Sequence[Row]) -> bool:
-    return all(limit - a * point[0] - b * point[1] <= _KEPT for a, b, limit, _ in rows)
+    return all(limit - a * point[0] - b * point[1] <= KEPT for a, b, limit, _ in rows)

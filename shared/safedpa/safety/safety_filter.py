@@ -59,7 +59,7 @@ class SafetyFilter:
         low, high = settings.low, settings.high
         reach = settings.plausible_wish * (high - low)
         names = tuple(f"entry {index}" for index in range(len(low)))
-        self._tools = Tools(
+        self.tools = Tools(
             settings=settings,
             prediction=affine if isinstance(affine, Prediction) else Prediction(affine, step),
             program=QuadraticProgram(
@@ -113,7 +113,7 @@ class SafetyFilter:
         the model's actuators remember; ``stale`` names inputs that are too old: any of them brings the backup.
         """
         scene = self._barriers if barriers is None else barriers
-        decision = Decision(self._tools, Request(state, wish, latent, memory, scene, epsilon or {}, stale))
+        decision = Decision(self.tools, Request(state, wish, latent, memory, scene, epsilon or {}, stale))
         try:
             return decision.run()
         except DecisionError as failure:
@@ -127,7 +127,7 @@ class SafetyFilter:
         The resting action stands in for the wish, and the filter changes it as it would any: state and latent are good,
         so the barriers can be kept. The verdict has no wish and says why. With anything else amiss it is the fallback.
         """
-        verdict = self.decide(state, self._tools.resting_action, latent, **known)
+        verdict = self.decide(state, self.tools.resting_action, latent, **known)
         if verdict.status is Status.fallback:
             return replace(verdict, wish=None)
         status = Status.corrected if verdict.status is Status.passed else verdict.status
@@ -155,12 +155,12 @@ class SafetyFilter:
         """
         scene = self._barriers if barriers is None else barriers
         if stands:
-            wish = self._tools.resting_action
+            wish = self.tools.resting_action
             request = Request(state, wish, latent, memory, scene, epsilon or {}, stale)
-            return replace(Decision(self._tools, request).stopped(reason), wish=None)
+            return replace(Decision(self.tools, request).stopped(reason), wish=None)
         verdict = self.decide(
             state,
-            self._tools.resting_action,
+            self.tools.resting_action,
             latent,
             memory=memory,
             barriers=scene,

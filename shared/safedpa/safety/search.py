@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from safedpa.safety.conditions import Conditions, Outcome, limits
 from safedpa.safety.quadratic_program import QuadraticProgram
 
-__all__ = ["DecisionError", "search"]
+__all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "TIE", "DecisionError", "search"]
 
 Values = NDArray[np.float64]
 
@@ -18,19 +18,19 @@ _BOUND_TOLERANCE = 1e-6
 """Share of an action's range by which a solution may miss its bounds before it is not believed."""
 
 
-_SAME = 1e-8
+SAME = 1e-8
 """Share of an action's range within which a solution is the last one over again; the solver's accuracy is 1e-9."""
 
 
-_SERVED_WELL = 0.1
+SERVED_WELL = 0.1
 """Slopes that brought the violation below this share of the last one are used once more."""
 
 
-_NEEDLESS = 100.0
+NEEDLESS = 100.0
 """A solution whose every condition is kept by more than this many tolerances (1 cm) was led astray by its slopes."""
 
 
-_TIE = 1e-9
+TIE = 1e-9
 """Unit of h: by less than this no violation is smaller than another; where an actuator saturates they are the same."""
 
 
@@ -57,11 +57,11 @@ def search(
     about, status = _posed(conditions, program, A, b, wish)
     best, before, fresh = about, start, True
     for _ in range(rounds - 1):
-        if about.violation <= tolerance and about.tightest <= _NEEDLESS * tolerance:
+        if about.violation <= tolerance and about.tightest <= NEEDLESS * tolerance:
             break
         if fresh and _same(program, about, before):
             break
-        fresh = not tolerance < about.violation < _SERVED_WELL * before.violation
+        fresh = not tolerance < about.violation < SERVED_WELL * before.violation
         if fresh:
             A, b = conditions.linearised(about)
         else:
@@ -74,13 +74,13 @@ def search(
 
 def _same(program: QuadraticProgram, one: Outcome, other: Outcome) -> bool:
     near = zip(one.action.tolist(), other.action.tolist(), program.sides, strict=True)
-    return all(abs(value - last) <= _SAME * width for value, last, (_, _, width) in near)
+    return all(abs(value - last) <= SAME * width for value, last, (_, _, width) in near)
 
 
 def _better(program: QuadraticProgram, wish: Values, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
     if max(one.violation, other.violation) <= tolerance:
         return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
-    return other if other.violation < one.violation - _TIE else one
+    return other if other.violation < one.violation - TIE else one
 
 
 def _posed(

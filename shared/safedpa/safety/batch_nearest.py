@@ -1,0 +1,89 @@
+"""``nearest_kept`` for many robots at once: the same conditions taken in in the same order, the same certainty."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.safety.nearest import KEPT, MOST, PARALLEL
+
+__all__ = ["nearest_kept_by_many"]
+
+Values = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+def nearest_kept_by_many(
+    slopes: Values, limits: Values, prices: Values, wish: Values, weights: Values
+) -> tuple[Values, Flags]:
+    """The minimisers (robots, 2) for slopes (robots, rows, 2) . u >= limits (robots, rows), and where they are certain.
+
+    ``prices`` (rows,) are the largest multipliers, ``wish`` (robots, 2), ``weights`` (2,). A limit of -inf is none.
+    """
+    point, certain = wish.copy(), np.zeros(len(wish), dtype=bool)
+    taken = np.zeros((len(wish), 0), dtype=np.intp)
+    numbers = np.isfinite(slopes).all(axis=(1, 2)) & (np.isfinite(limits) | (limits == -np.inf)).all(axis=1)
+    left = np.flatnonzero(numbers)
+    for _ in range(MOST):
+        broken = limits[left] - (slopes[left] @ point[left][:, :, np.newaxis])[..., 0]
+        newest = broken.argmax(axis=1)
+        kept = broken[np.arange(len(left)), newest] <= KEPT
+        certain[left[kept]] = True
+        left, newest = left[~kept], newest[~kept]
+        if len(left) == 0:
+            break
+        problem = _Problem(slopes[left], limits[left], prices, wish[left], weights)
+        found, exists = problem.with_newest(taken[left], newest)
+        point[left[exists]] = found[exists]
+        taken = np.concatenate([taken, np.zeros((len(wish), 1), dtype=np.intp)], axis=1)
+        taken[left, -1] = newest
+        left = left[exists]
+    return point, certain
+
+
+class _Problem:
+    """The conditions of the robots that are not done yet."""
+
+    def __init__(self, slopes: Values, limits: Values, prices: Values, wish: Values, weights: Values) -> None:
+        self._slopes, self._limits, self._prices = slopes, limits, prices
+        self._wish, self._weights = wish, weights
+        self._each = np.arange(len(wish))
+
+    def with_newest(self, taken: Any, newest: Any) -> tuple[Values, Flags]:
+        """The optima over ``taken`` (robots, t) and ``newest`` (robots,) rows, and where there are any."""
+        found, exists = self._foot(newest)
+        exists &= self._keeps(found, taken)
+        for index in range(taken.shape[1]):
+            corner, good = self._corner(taken[:, index], newest)
+            good &= self._keeps(corner, taken) & ~exists
+            found[good] = corner[good]
+            exists |= good
+        return found, exists
+
+    def _foot(self, row: Any) -> tuple[Values, Flags]:
+        a, limit = self._slopes[self._each, row], self._limits[self._each, row]
+        along = a / self._weights
+        size = np.einsum("ki,ki->k", a, along)
+        share = (limit - np.einsum("ki,ki->k", a, self._wish)) / np.where(size == 0.0, np.nan, size)
+        good = (share >= 0.0) & (2.0 * share <= self._prices[row])
+        return self._wish + np.where(good, share, 0.0)[:, np.newaxis] * along, good
+
+    def _corner(self, one: Any, other: Any) -> tuple[Values, Flags]:
+        (a, b), (c, d) = self._slopes[self._each, one].T, self._slopes[self._each, other].T
+        first, second = self._limits[self._each, one], self._limits[self._each, other]
+        determinant = a * d - b * c
+        apart = np.abs(determinant) > PARALLEL * (np.abs(a) + np.abs(b)) * (np.abs(c) + np.abs(d))
+        safe = np.where(apart, determinant, 1.0)
+        point = np.stack([(first * d - second * b) / safe, (a * second - c * first) / safe], axis=1)
+        pull, push = (2.0 * self._weights * (point - self._wish)).T
+        own, others = (pull * d - push * c) / safe, (a * push - b * pull) / safe
+        good = apart & (own >= 0.0) & (own <= self._prices[one]) & (others >= 0.0) & (others <= self._prices[other])
+        return point, good
+
+    def _keeps(self, point: Values, taken: Any) -> Flags:
+        each = self._each[:, np.newaxis]
+        broken = self._limits[each, taken] - (self._slopes[each, taken] @ point[:, :, np.newaxis])[..., 0]
+        kept: Flags = (broken <= KEPT).all(axis=1)
+        return kept
