@@ -25,7 +25,13 @@ def row_lines(row: Document) -> tuple[list[str], list[Line]]:
         used = figure_text(entry["processor"].get(row["figure"]), entry["unit"])
         ratio = entry.get("ratio")
         lines.append((entry["name"], entry["problem"], *values, used, "" if ratio is None else f"{ratio:.2f}"))
-    return [*columns, "times ahead"], lines
+    return _filled([*columns, "times ahead"], lines)
+
+
+def _filled(columns: list[str], lines: list[Line]) -> tuple[list[str], list[Line]]:
+    """Without the columns in which nothing stands."""
+    kept = [place for place in range(len(columns)) if any(line[place] not in ("", "-") for line in lines)]
+    return [columns[place] for place in kept], [tuple(line[place] for place in kept) for line in lines]
 
 
 def figure_text(value: float | None, unit: str) -> str:
@@ -74,7 +80,7 @@ def _section(row: Document) -> Iterator[str]:
     yield ""
     columns, lines = row_lines(row)
     yield "| " + " | ".join(columns) + " |"
-    yield "| --- | --- |" + " --: |" * (len(columns) - 2)
+    yield "|" + "".join(" --- |" if name in ("program", "problem") else " --: |" for name in columns)
     yield from ("| " + " | ".join(line) + " |" for line in lines)
     yield ""
     told = dict.fromkeys((entry["name"], entry["missing"] or entry["note"]) for entry in (*row["ours"], *row["peers"]))

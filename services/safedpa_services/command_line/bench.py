@@ -142,13 +142,13 @@ def _show_row(name: str, row: dict[str, Any]) -> None:
 
     from safedpa_services.benchmarks.table import row_lines, target_texts
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     console.print(f"\n[bold]{name}[/bold]: {row['work']}")
     if "failed" not in row:
         columns, lines = row_lines(row)
         table = Table(box=None, padding=(0, 1, 0, 0))
-        for number, column in enumerate(columns):
-            table.add_column(column, justify="left" if number < 2 else "right")
+        for column in columns:
+            table.add_column(column, justify="left" if column in ("program", "problem") else "right", no_wrap=True)
         for line in lines:
             table.add_row(*line)
         console.print(table)

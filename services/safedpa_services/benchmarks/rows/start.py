@@ -82,6 +82,8 @@ def _children(parent: int) -> dict[int, str]:
             continue
         if above == parent and "-m" in words:
             module = words[words.index("-m") + 1]
+            if module == "safedpa_services":  # a child that has not become its program yet
+                continue
             found[int(folder.name)] = module.removeprefix("safedpa_services.").removeprefix("safedpa_sim.")
     return found
 

@@ -1,0 +1,168 @@
+"""How the benchmark measures, compares and keeps what it found."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa.errors import InputError, SafedpaError
+from safedpa_services.benchmarks import suite
+from safedpa_services.benchmarks.peer_process import ask_peer, interpreter_with
+from safedpa_services.benchmarks.pictures import write_pictures
+from safedpa_services.benchmarks.results import Curve, Effort, Entry, Row, Target, microseconds, missing
+from safedpa_services.benchmarks.rows import ROWS
+from safedpa_services.benchmarks.suite import chosen_rows, read_document, run_rows
+from safedpa_services.benchmarks.table import figure_text, markdown, row_lines, target_texts
+from safedpa_services.benchmarks.timing import PERCENTILES, percentiles, rate, timed
+
+
+@given(st.lists(st.floats(0.0, 1e9), min_size=1, max_size=50))
+def test_percentiles_lie_in_order_within_what_was_measured(values: list[float]) -> None:
+    found = percentiles(values)
+    in_order = [found[name] for name in (*PERCENTILES, "longest")]
+    assert in_order == sorted(in_order)
+    assert found["longest"] == pytest.approx(max(values), abs=0.006)
+
+
+def test_every_input_is_called_in_turn_and_warmed_up() -> None:
+    calls: Counter[int] = Counter()
+    times = timed(lambda given: calls.update([given]), [1, 2, 3], 300, seconds=60.0)
+    assert times["calls"] == 300
+    assert set(calls.values()) == {110}  # a tenth of the calls before
+    assert times["wall"]["p50"] >= 0.0
+    assert times["processor"]["p50"] >= 0.0
+
+
+def test_a_slow_call_ends_with_what_there_is() -> None:
+    assert timed(lambda _: sum(range(1000)), [0], 10**6, seconds=0.0)["calls"] == 21
+
+
+def test_a_rate_counts_units() -> None:
+    one, ten = (rate(lambda: sum(range(20_000)), units, 0.0, least=9)["best_per_second"] for units in (1.0, 1e6))
+    assert ten > 100.0 * one
+
+
+def _row(better: Any = "less") -> Row:
+    times = {"wall": {"p50": 10.0, "p99": 20.0, "p999": 30.0}, "processor": {"p50": 9.0}, "calls": 3}
+    ours = (microseconds("safedpa", times, "small"), Entry("safedpa", {"p50": 40.0}, problem="large"))
+    peers = (
+        Entry("other", {"p50": 20.0}, problem="large", note="does less"),
+        missing("third", "not installed", "small"),
+    )
+    curve = Curve("growth", "size", "us", (1.0, 2.0), {"safedpa": (10.0, 40.0), "other": (None, 20.0)})
+    targets = (Target("p50", 10.0, 10.0, "us"), Target("rate", 5.0, 4.0, "steps/s", "more"))
+    return Row("filter", "one thing", "p50", ours, peers, targets, (curve,), better, ("a note",))
+
+
+def test_a_peer_is_compared_on_the_same_problem_alone() -> None:
+    less, more = _row(), _row("more")
+    assert less.ratio(less.peers[0]) == pytest.approx(0.5)
+    assert more.ratio(more.peers[0]) == pytest.approx(2.0)
+    assert less.ratio(less.peers[1]) is None
+    assert less.ratio(Entry("foreign", {"p50": 1.0}, problem="none of ours")) is None
+
+
+def test_a_target_is_reached_from_its_own_side() -> None:
+    assert [target.reached for target in _row().targets] == [True, False]
+    document = _row().as_document()
+    assert [target["reached"] for target in document["targets"]] == [True, False]
+    assert [peer["ratio"] for peer in document["peers"]] == [0.5, None]
+    assert json.loads(json.dumps(document, allow_nan=False)) == json.loads(json.dumps(document))
+
+
+def test_efforts() -> None:
+    assert Effort(quick=True).of(1, 2, 3) == 1
+    assert Effort().of(1, 2, 3) == 2
+    assert Effort(full=True).of(1, 2, 3) == 3
+    assert Effort(full=True).of(1, 2) == 2
+
+
+def test_rows_are_chosen_in_their_order() -> None:
+    everything = chosen_rows((), Effort(full=True))
+    assert everything == list(ROWS)
+    assert set(everything) - set(chosen_rows((), Effort())) == {"largest-fleet", "long-logs"}
+    assert chosen_rows(("start", "filter"), Effort()) == ["filter", "start"]
+    with pytest.raises(InputError, match="adaptation"):
+        chosen_rows(("adaption",), Effort())
+
+
+def test_results_are_kept_row_by_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def measured(name: str, effort: Effort) -> Row:
+        del effort
+        asked.append(name)
+        if name == "batch":
+            raise SafedpaError("no room")
+        return _row()
+
+    monkeypatch.setattr(suite, "measured", measured)
+    file, told = tmp_path / "speed.json", []
+    run_rows(["filter", "batch"], Effort(), file, lambda name, _: told.append(name))
+    assert "failed" in read_document(file)["rows"]["batch"]
+    run_rows(["adaptation"], Effort(), file, lambda name, _: told.append(name))
+    assert list(read_document(file)["rows"]) == ["filter", "adaptation", "batch"]
+    asked.clear()
+    run_rows(["filter", "adaptation", "batch"], Effort(), file, lambda name, _: told.append(name), resume=True)
+    assert asked == ["batch"]
+    assert told == ["filter", "batch", "adaptation", "filter", "adaptation", "batch"]
+    row = read_document(file)["rows"]["filter"]
+    assert row["machine"]["cores"] >= 1
+    assert row["effort"] == "usual"
+
+
+def test_a_foreign_file_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "speed.json"
+    file.write_text("[]", encoding="utf-8")
+    with pytest.raises(InputError, match="no results of this benchmark"):
+        read_document(file)
+
+
+def _document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    monkeypatch.setattr(suite, "measured", lambda name, effort: _row())
+    return run_rows(["filter", "adaptation"], Effort(quick=True), tmp_path / "speed.json", lambda name, row: None)
+
+
+def test_the_table_says_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    document = _document(tmp_path, monkeypatch)
+    columns, lines = row_lines(document["rows"]["filter"])
+    assert columns == ["program", "problem", "p50", "p99", "p99.9", "processor", "times ahead"]
+    assert all(len(line) == len(columns) for line in lines)
+    assert lines[0][2:] == ("10.0 us", "20.0 us", "30.0 us", "9.00 us", "")
+    assert lines[2][-1] == "0.50"
+    assert lines[3][2:] == ("-",) * 5
+    page = markdown(document)
+    for words in ("## filter", "does less", "not installed", "a note", "not reached", "load average", "effort quick"):
+        assert words in page
+    assert target_texts(document["rows"]["filter"])[0] == "p50, at most 10.0 us, 10.0 us, reached"
+    assert [figure_text(value, "us") for value in (None, 1.234, 123.4, 2.5e6)] == ["-", "1.23 us", "123 us", "2.50 s"]
+    assert figure_text(5.1e6, "steps/s") == "5.10 Msteps/s"
+
+
+def test_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
+
+    paths = write_pictures(_document(tmp_path, monkeypatch), tmp_path / "pictures")
+    assert [path.name for path in paths] == ["speed.png", "speed_growth.png"]
+    for path in paths:
+        with Image.open(path) as picture:
+            assert picture.width > 800
+            assert len(np.unique(np.asarray(picture.convert("L")))) > 3
+
+
+def test_a_peer_that_is_not_there_says_so() -> None:
+    answer = ask_peer("filter_cvxpy", "no_such_package_anywhere", {}, ())
+    assert "no_such_package_anywhere is not installed" in answer["missing"]
+    assert interpreter_with("json", (sys.executable,)) == sys.executable
+
+
+def test_a_peer_that_fails_says_how() -> None:
+    assert "exit code 1" in ask_peer("adaptation_onnx", "json", {}, ())["missing"]

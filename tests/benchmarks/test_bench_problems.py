@@ -1,0 +1,149 @@
+"""This project and its peers are given the same problems, and answers are judged by what is hidden."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa.dynamics import load_model
+from safedpa.safety import Braking, ObstacleBarrier, SafetyFilter, Status
+from safedpa_services.benchmarks.diagnosis_cases import (
+    CASES,
+    NAMES,
+    expression_is_right,
+    terms_are_right,
+    told,
+    written,
+)
+from safedpa_services.benchmarks.filter_problem import FilterProblem, problem_with, wedged
+from safedpa_services.benchmarks.peers.problem import Problem, compared
+
+
+@pytest.fixture(scope="module")
+def eight() -> FilterProblem:
+    return problem_with(8)
+
+
+def peers_problem(problem: FilterProblem, calls: int = 0) -> Problem:
+    return Problem(problem.question(calls, 1.0, ""))
+
+
+@given(
+    x=st.floats(-3.0, 3.0), y=st.floats(-3.0, 3.0), yaw=st.floats(-3.1, 3.1), speed=st.floats(-0.8, 2.2).filter(bool)
+)
+def test_peers_get_the_barrier_of_this_project(x: float, y: float, yaw: float, speed: float) -> None:
+    problem = wedged()
+    theirs, state = peers_problem(problem), np.array([x, y, yaw, speed])
+    settings = problem.settings
+    ours = ObstacleBarrier(
+        problem.obstacles,
+        theirs.question["footprint"],
+        Braking(settings.braking_deceleration, settings.braking_gain),
+        settings.clearance,
+    )
+    h, p = theirs.gradient(state)
+    assert theirs.barrier(state) == pytest.approx(ours.values(state), abs=1e-9)
+    assert h == pytest.approx(ours.values(state), abs=1e-8)
+    away = h + theirs.reach > 1e-6  # on the body itself there is no direction
+    assert p[away] == pytest.approx(ours.evaluate(state)[1][away], abs=1e-9)
+
+
+def test_every_timed_decision_needs_the_quadratic_program(eight: FilterProblem) -> None:
+    for name in ("car", "car_learned"):
+        model = load_model(name)
+        one = SafetyFilter.for_model(model, eight.settings)
+        verdicts = [one.decide(*asked, barriers=eight.barriers()) for asked in eight.requests(model)]
+        assert {verdict.status for verdict in verdicts} == {Status.corrected}
+        assert {verdict.solver for verdict in verdicts} == {"solved"}
+
+
+def test_the_scene_is_always_the_same(eight: FilterProblem) -> None:
+    assert problem_with(8).states.tobytes() == eight.states.tobytes()
+
+
+def test_no_action_frees_the_wedged_car() -> None:
+    A, b = peers_problem(wedged()).conditions(np.zeros(4))
+    settings = wedged().settings
+    corners = np.array([[u, v] for u in np.linspace(settings.low[0], settings.high[0], 40) for v in (-0.34, 0.34)])
+    reached = corners @ A.T
+    assert not (reached >= b).all(axis=1).any()
+    model = load_model("car")
+    one = SafetyFilter.for_model(model, settings, wedged().barriers())
+    assert one.decide(*wedged().requests(model)[0]).status is Status.relaxed
+
+
+def test_a_peer_is_timed_and_its_answers_are_kept(eight: FilterProblem) -> None:
+    answer = compared(peers_problem(eight, calls=30), lambda state, wish: wish, version="1")
+    assert answer["calls"] == 30
+    assert answer["version"] == "1"
+    assert answer["actions"] == [[2.0, 0.0]] * len(eight.states)
+
+
+@pytest.mark.parametrize(
+    ("action", "words"),
+    [
+        ((2.0, 0.0), "the unsafe wish"),
+        ((9.0, 0.0), "beyond the limits"),
+        ((0.0, 0.0), "within the limits"),
+        ((float("nan"), 0.0), "(nan, 0) and says nothing"),
+    ],
+)
+def test_what_a_peer_does_without_a_solution_is_said(action: tuple[float, float], words: str) -> None:
+    assert words in compared(peers_problem(wedged()), lambda state, wish: np.array(action))["says"]
+
+
+def test_a_peer_that_raises_is_quoted() -> None:
+    def decide(state: object, wish: object) -> np.ndarray:
+        raise ArithmeticError
+
+    assert compared(peers_problem(wedged()), decide)["says"] == "raises ArithmeticError"
+
+
+def left_of(number: int, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    runs = told(written(CASES[number], folder, 2, 12.0))["runs"]
+    middle, slopes = (np.concatenate([run[name] for run in runs]) for name in ("middle", "slopes"))
+    return middle, slopes
+
+
+@pytest.fixture(scope="module")
+def noise(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    """Of the slopes where nothing is hidden: the sensors' alone."""
+    return left_of(0, tmp_path_factory.mktemp("nothing"))[1].std(axis=0)
+
+
+@pytest.mark.parametrize("number", range(1, len(CASES)))
+def test_the_terms_that_count_as_right_explain_the_logs(number: int, noise: np.ndarray, tmp_path: Path) -> None:
+    """Each of them is found by least squares, far from zero, and what they leave is no more than the sensors' noise."""
+    hidden = CASES[number]
+    middle, slopes = left_of(number, tmp_path)
+    values = {**dict(zip(NAMES, middle.T, strict=True)), "1": np.ones(len(middle))}
+    for column, wanted in ((0, hidden.turn[0]), (1, hidden.push[0])):
+        left = slopes[:, column]
+        if wanted:
+            terms = [np.prod([values[name] for name in _factors(term)], axis=0) for term in sorted(wanted)]
+            columns = np.stack(terms, axis=1)
+            found = np.linalg.lstsq(columns, left, rcond=None)[0]
+            left = left - columns @ found
+            deviations = left.std() * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)))
+            assert (np.abs(found) > 4.0 * deviations).all()
+        assert left.std() < 1.5 * noise[column]
+
+
+def _factors(term: str) -> list[str]:
+    return [name for part in term.split() for name in ([part[:-2]] * 2 if part.endswith("^2") else [part])]
+
+
+def test_answers_are_judged_by_their_terms() -> None:
+    nothing, drag, offset = CASES[0], CASES[1], CASES[5]
+    assert terms_are_right(nothing, [{}, {}])
+    assert not terms_are_right(nothing, [{}, {"speed": 0.1}])
+    assert terms_are_right(drag, [{}, {"speed sign": -0.1}])
+    assert not terms_are_right(drag, [{"speed": 0.1}, {"speed sign": -0.1}])
+    assert terms_are_right(offset, [{"speed": 0.12}, {}])
+    assert expression_is_right(drag, [[], ["speed"]])
+    assert expression_is_right(offset, [["speed", "steer"], []])
+    assert not expression_is_right(nothing, [[], ["speed"]])
