@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
 from bisect import bisect_left, insort
-from collections import deque
 from math import ceil, inf, isfinite
 from typing import final
 
@@ -62,10 +62,12 @@ class OnlineMargin:
             raise InputError(f"rate {rate}, window {window}: wanted 0 < rate <= 1 and window >= 1")
         self.calibrated, self._target, self._rate = calibrated, 1.0 - coverage, rate
         self._level = self._target
-        self._errors: deque[float] = deque(maxlen=window)
-        self._ordered: list[float] = []
+        self._window = window
+        self._errors, self._oldest = array("d"), 0
+        """The last ones; once there are ``window``, the oldest is overwritten."""
+        self._ordered = array("d")
         """The same errors, the smallest first."""
-        self._missed: deque[bool] = deque(maxlen=window)
+        self._missed, self._longest_ago = bytearray(), 0
         self._misses = 0
         self.value = calibrated
         """The margin in force."""
@@ -78,20 +80,29 @@ class OnlineMargin:
     def update(self, error: float) -> float:
         """The margin after one more error was seen; an error that is not finite counts as a miss and is not kept."""
         missed = not error <= self.value
-        if len(self._missed) == self._missed.maxlen:
-            self._misses -= self._missed[0]
-        self._missed.append(missed)
-        self._misses += missed
+        self._count(missed)
         self._level += self._rate * (self._target - float(missed))
         if isfinite(error):
             self._keep(error)
         self.value = max(self.calibrated, self._quantile())
         return self.value
 
+    def _count(self, missed: bool) -> None:
+        if len(self._missed) < self._window:
+            self._missed.append(missed)
+        else:
+            self._misses -= self._missed[self._longest_ago]
+            self._missed[self._longest_ago] = missed
+            self._longest_ago = (self._longest_ago + 1) % self._window
+        self._misses += missed
+
     def _keep(self, error: float) -> None:
-        if len(self._errors) == self._errors.maxlen:
-            del self._ordered[bisect_left(self._ordered, self._errors[0])]
-        self._errors.append(error)
+        if len(self._errors) < self._window:
+            self._errors.append(error)
+        else:
+            del self._ordered[bisect_left(self._ordered, self._errors[self._oldest])]
+            self._errors[self._oldest] = error
+            self._oldest = (self._oldest + 1) % self._window
         insort(self._ordered, error)
 
     def _quantile(self) -> float:
@@ -99,8 +110,7 @@ class OnlineMargin:
             return self.calibrated
         if self._level <= 0.0:
             return 2.0 * self._ordered[-1]
-        window = self._errors.maxlen or 1
-        from_above = window - _rank(window, 1.0 - self._level)
+        from_above = self._window - _rank(self._window, 1.0 - self._level)
         if from_above >= len(self._errors):
             return self.calibrated
         return self._ordered[-1 - max(from_above, 0)]
