@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Any, Final, final
+from typing import Any, Final, Protocol, final
+
+import numpy as np
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import ACTION, LATENT, WISH
+from safedpa.bus import ACTION, LATENT, WISH, ActionMessage
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
@@ -17,52 +18,74 @@ from safedpa_services.benchmarks.timing import percentiles
 
 __all__ = ["measure"]
 
+_MODEL: Final = "car_learned"
 _LOADS: Final = ("none", "box", "chair", "large_chair")
-_WARM = 4
+_WARM = 10
 """Turns before the counting begins."""
 
-Chain = Callable[[list[Any]], list[Any]]
-"""From the states of all robots to their actions."""
+
+class _Chain(Protocol):
+    """From the states of all robots to their actions: ``gathered`` is not counted, ``run`` is."""
+
+    def gathered(self, states: list[Any]) -> Any:
+        """What ``run`` takes, of the robots' messages."""
+
+    def run(self, gathered: Any) -> Any:
+        """The actions (robots, 2)."""
 
 
 def measure(effort: Effort) -> Row:
     """Simulated cars with loads in turn, driven by what comes out; only the services' work is counted."""
     sizes = effort.of((1, 8), (1, 10, 100, 1000))
-    turns = effort.of(6, 40)
-    singly = {size: _per_robot(_OneByOne("car_learned"), size, turns) for size in sizes}
+    turns = effort.of(6, 20)
+    singly = {size: _per_robot(_OneByOne(), size, turns) for size in sizes}
+    together = {size: _per_robot(_Together(size), size, turns) for size in sizes}
     largest = sizes[-1]
-    note = "step after step through the nodes that the services run: state message in, action message out"
-    ours = (_entry(f"safedpa, {largest} robots, one at a time", singly[largest], f"{largest} robots", note),)
+    ours = (
+        _entry("safedpa, all at once", together[largest], "states and surroundings as arrays, no messages"),
+        _entry("safedpa, one at a time", singly[largest], "the services' nodes: state message in, action message out"),
+    )
     targets = (Target(f"a robot of {largest}", 20.0, ours[0].figures["p50"], "us"),)
     series: dict[str, tuple[float | None, ...]] = {
-        "safedpa, one at a time": tuple(found["wall"]["p50"] for found in singly.values())
+        name: tuple(own["wall"]["p50"] for own in found.values())
+        for name, found in (("all at once", together), ("one at a time", singly))
     }
     curve = Curve("batch", "robots", "a robot, p50 [us]", tuple(map(float, sizes)), series)
+    times = singly[largest]["wall"]["p50"] / together[largest]["wall"]["p50"]
+    notes = (f"all at once takes 1/{times:.0f} of the time; percentiles are over turns of all robots",)
     work = f"{largest} robots through adaptation, policy and filter (networks) in one process, a robot-tick"
-    return Row("batch", work, "p50", ours, targets=targets, curves=(curve,))
+    return Row("batch", work, "p50", ours, targets=targets, curves=(curve,), notes=notes)
 
 
-def _entry(name: str, found: dict[str, Any], problem: str, note: str) -> Entry:
-    return Entry(name, found["wall"], "us", found["processor"], problem, note)
+def _entry(name: str, found: dict[str, Any], note: str) -> Entry:
+    return Entry(name, found["wall"], "us", found["processor"], note=note)
 
 
-def _per_robot(chain: Chain, count: int, turns: int) -> dict[str, Any]:
+def _per_robot(chain: _Chain, count: int, turns: int) -> dict[str, Any]:
     """Microseconds a robot of each turn: percentiles over turns."""
     robots = _robots(count)
     wall: list[float] = []
     processor: list[float] = []
     for turn in range(_WARM + turns):
         states = [robot.state_message() for robot in robots]
+        gathered = chain.gathered(states)
         used, began = time.process_time(), time.perf_counter()
-        actions = chain(states)
+        actions = chain.run(gathered)
         elapsed, spent = time.perf_counter() - began, time.process_time() - used
-        for robot, action in zip(robots, actions, strict=True):
-            robot.receive(action)
+        for robot, state, action in zip(robots, states, np.asarray(actions).tolist(), strict=True):
+            robot.receive(_action(state, action))
             robot.advance()
         if turn >= _WARM:
             wall.append(1e6 * elapsed / count)
             processor.append(1e6 * spent / count)
     return {"wall": percentiles(wall), "processor": percentiles(processor)}
+
+
+def _action(state: Any, values: list[float]) -> ActionMessage:
+    now = state.robot_time
+    return ActionMessage(
+        epoch=state.epoch, tick=state.tick, robot_time=now, publish_time=state.publish_time, values=tuple(values)
+    )
 
 
 def _robots(count: int) -> list[Any]:
@@ -76,13 +99,16 @@ def _robots(count: int) -> list[Any]:
 class _OneByOne:
     """The three nodes as their services run them, each robot's step after the other's."""
 
-    def __init__(self, name: str) -> None:
-        model = load_model(name)
+    def __init__(self) -> None:
+        model = load_model(_MODEL)
         self._nodes = (AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("car")))
         self._known: set[str] = set()
 
-    def __call__(self, states: list[Any]) -> list[Any]:
-        return [self._step(f"car{index}", state) for index, state in enumerate(states)]
+    def gathered(self, states: list[Any]) -> list[Any]:
+        return states
+
+    def run(self, gathered: list[Any]) -> list[tuple[float, ...]]:
+        return [self._step(f"car{index}", state).values for index, state in enumerate(gathered)]
 
     def _step(self, robot: str, state: Any) -> Any:
         adaptation, policy, safety = self._nodes
@@ -97,3 +123,29 @@ class _OneByOne:
         for node in self._nodes:
             node.afterwards(robot)
         return action
+
+
+@final
+class _Together:
+    """All robots in one pass."""
+
+    def __init__(self, count: int) -> None:
+        from safedpa.together import CarsTogether
+
+        self._chain = CarsTogether(load_model(_MODEL), settings_named("car"), count)
+
+    def gathered(self, states: list[Any]) -> tuple[Any, ...]:
+        from safedpa.together import Surroundings
+
+        most = max(len(state.obstacles) for state in states)
+        obstacles = np.full((len(states), most, 3), (1e6, 0.0, 0.0))
+        for row, state in zip(obstacles, states, strict=True):
+            row[: len(state.obstacles)] = state.obstacles
+        goal, field, footprint, values, applied = (
+            np.array([getattr(state, name) for state in states])
+            for name in ("goal", "field", "footprint", "values", "applied")
+        )
+        return states[0].robot_time, values, applied, Surroundings(goal, obstacles, field, footprint)
+
+    def run(self, gathered: tuple[Any, ...]) -> Any:
+        return self._chain.step(*gathered).action
