@@ -39,6 +39,8 @@ def figure_text(value: float | None, unit: str) -> str:
     if value is None:
         return "-"
     size = abs(value)
+    if float(value).is_integer() and unit in ("", "robots"):
+        return f"{value:.0f} {unit}".rstrip()
     if size >= 1e6:
         return f"{value / 1e6:.2f} M{unit}" if unit != "us" else f"{value / 1e6:.2f} s"
     text = f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.2f}"

@@ -14,11 +14,13 @@ from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["account_of", "check_writable", "percentile", "write_account"]
 
+_SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
+
 
 def account_of(robot: SimulatedRobot, latencies: list[float], overruns: int, end: str) -> dict[str, Any]:
     """The run in numbers: ticks, goals, collisions, watchdog, refusals, sense-to-act latency, hash of the states.
 
-    ``latencies`` [s] run from the first publication of a state to the acceptance of its action; without any, both
+    ``latencies`` [s] run from the first publication of a state to the acceptance of its action; without any, all
     percentiles are null.
     """
     return {
@@ -31,7 +33,7 @@ def account_of(robot: SimulatedRobot, latencies: list[float], overruns: int, end
         "collision_list": [asdict(collision) for collision in robot.collisions],
         "watchdog_ticks": robot.watchdog_ticks,
         "refusals": dict(sorted(robot.guard.refusals.items())),
-        "latency_us": {"p50": percentile(latencies, 0.50), "p99": percentile(latencies, 0.99)},
+        "latency_us": {name: percentile(latencies, share) for name, share in _SHARES.items()},
         "overruns": overruns,
         "trajectory_sha256": robot.trajectory_hash,
         "end": end,

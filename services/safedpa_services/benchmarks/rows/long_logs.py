@@ -25,13 +25,13 @@ def measure(effort: Effort) -> Row:
     before, shorter = list(found.items())[-2]
     growth = (last["seconds"] / shorter["seconds"]) / (hours / before)
     targets = (
-        Target(f"memory, {hours:g} h", 2048.0, float(last["memory_mebibytes"]), "MiB"),
-        Target(f"growth of time over growth of data, {before:g} to {hours:g} h", 1.0, growth, ""),
+        Target(f"memory, {hours:.3g} h", 2048.0, float(last["memory_mebibytes"]), "MiB"),
+        Target(f"growth of time over growth of data, {before:.3g} to {hours:.3g} h", 1.0, growth, ""),
     )
     series: dict[str, tuple[float | None, ...]] = {"seconds": tuple(float(row["seconds"]) for row in found.values())}
     series["memory [MiB]"] = tuple(float(row["memory_mebibytes"]) for row in found.values())
     curve = Curve("long_logs", "hours of logs at 100 Hz", "seconds; MiB", tuple(found), series)
-    work = f"diagnosis of {hours:g} h of logs at 100 Hz, from files to report"
+    work = f"diagnosis of {hours:.3g} h of logs at 100 Hz, from files to report"
     return Row("long-logs", work, "seconds", ours, targets=targets, curves=(curve,))
 
 
@@ -39,7 +39,7 @@ def _entry(hours: float, row: dict[str, Any]) -> Entry:
     figures = {"seconds": float(row["seconds"]), "mib": float(row["memory_mebibytes"])}
     processor = {"seconds": float(row["processor_seconds"])}
     found = ", ".join(row["added"] or ()) or "nothing"
-    return Entry(f"safedpa, {hours:g} h", figures, "", processor, f"{hours:g} h", f"found {found}; drag is hidden")
+    return Entry(f"safedpa, {hours:.3g} h", figures, "", processor, f"{hours:.3g} h", f"found {found}; drag is hidden")
 
 
 def _diagnosed(runs: int, seconds: float) -> dict[str, Any]:
