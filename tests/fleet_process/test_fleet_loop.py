@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from safedpa.bus import Bus, MemoryTransport
+from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.fleet_loop import FleetLoop
 
 Make = Callable[..., Any]
@@ -76,3 +77,26 @@ def test_in_step_all_sense_at_once_else_spread_over_the_period(stack: Make) -> N
             fleet.clock.now += 0.0025
         assert max(states) == most
         assert sum(states) == 5
+
+
+def test_a_collision_is_told_with_robot_place_and_what_the_watchdog_did(stack: Make) -> None:
+    fleet = stack(("a", "b"))
+    fleet.drive(0.5)
+    car = fleet.cars["b"]
+    x, y, _, _ = car.values
+    advance = car.world.advance
+
+    def bump(*action: float) -> None:
+        advance(*action)
+        car.world.contacts.collisions.append(Collision(1.25, "car", "wall east", x, y, 0.5))
+        car.world.advance = advance
+
+    car.world.advance = bump
+    fleet.services = []  # nobody answers: the watchdog brakes, and the bump comes in the first such tick
+    fleet.drive(0.2)
+    (told,) = fleet.fleet.account()["collision_list"]
+    assert (told["robot"], told["load"], told["part"], told["what"]) == ("b", "box", "car", "wall east")
+    assert (told["time"], told["x"], told["y"], told["speed"]) == (1.25, x, y, 0.5)
+    assert told["tick"] in range(9, 13)
+    assert len(told["braked_before"]) == 10
+    assert told["braked_before"][:5] == [False] * 5

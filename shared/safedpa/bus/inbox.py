@@ -98,6 +98,7 @@ class Inbox:
         self._answers: list[Answered] = []
         self._subscriptions: list[Subscription] = []
         self._quantum, self._collected = 0.0, 0.0
+        self._came: Callable[[], None] | None = None
         self.dropped = 0
         """Messages lost because too many were waiting."""
 
@@ -124,6 +125,10 @@ class Inbox:
                     subscription.pass_on()
         self._quantum = quantum
 
+    def lead(self, came: Callable[[], None] | None) -> None:
+        """From now on calls ``came`` after each message, on the thread that brought it; None: no more."""
+        self._came = came
+
     def _collect(self) -> None:
         if self._quantum > 0.0:
             for subscription in self._subscriptions:
@@ -137,6 +142,8 @@ class Inbox:
                 return
             self._latest[key] = (_cut(payload, _LARGEST_LATEST), self._clock())
             self._filled.notify()
+        if self._came is not None:
+            self._came()
 
     def keep_all(self, key: str, payload: bytes) -> None:
         """Accepts one payload behind all unread ones."""
@@ -150,6 +157,8 @@ class Inbox:
             while self._queued > self._longest_queue or self._queued_bytes > _LARGEST_QUEUE_BYTES:
                 self._drop_one()
             self._filled.notify()
+        if self._came is not None:
+            self._came()
 
     def _drop_one(self) -> None:
         """The oldest message of the key that has most bytes waiting."""
@@ -171,6 +180,8 @@ class Inbox:
         with self._filled:
             self._answers.append(answered)
             self._filled.notify()
+        if self._came is not None:
+            self._came()
 
     def take_answers(self) -> list[Answered]:
         """What came of questions asked since the last call; never waits."""

@@ -53,7 +53,7 @@ class JointTransport(AbstractTransport):
         def heard(key: str, payload: bytes) -> None:
             _, _, robot, *_ = (*key.split("/"), "", "")  # a sender under a wildcard may leave out parts
             if self._serves(robot):
-                for on_sample in hearers:
+                for on_sample in reversed(hearers):  # whoever computes first hears it last: then all have it
                     on_sample(key, payload)
 
         return heard

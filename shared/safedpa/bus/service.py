@@ -13,7 +13,7 @@ at. What one of them says, and whatever its step raises, is refused, counted and
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from safedpa.bus.agenda import Agenda
 from safedpa.bus.bus import Bus
@@ -28,6 +28,7 @@ from safedpa.bus.setup import SETUP_SECONDS
 from safedpa.bus.slot import Counts, Slot
 from safedpa.bus.topics import HEALTH, SETUP, STATE
 from safedpa.bus.trace import Trace, consumed
+from safedpa.bus.turning import Turning
 from safedpa.errors import BusError, InputError
 
 __all__ = ["NO_ROBOT", "ServiceLoop"]
@@ -41,9 +42,6 @@ _FINISH_SHARE = 0.1
 _LATEST_FINISH_SHARE = 0.5
 """Of the period: until then it also gives way to whatever waits in the inbox."""
 
-_LONGEST_END_SECONDS = 5.0
-"""A car brakes from full speed to a stand in 1.2 s; a container gets 10 s before it is killed."""
-_END_TURN_SECONDS = 0.05
 _FORGET_SECONDS = 30.0
 """A robot that was silent for so long has left."""
 _MOST_ROBOTS = 1000
@@ -71,9 +69,9 @@ class ServiceLoop:
         self._journal = journal or Journal.silent()
         self._node = node
         self._bus = bus
-        self._clock = clock
-        self._inbox = bus.inbox(tuple(dict.fromkeys((STATE, *node.inputs, *node.listens))), robot, clock=clock)
-        self._greeting = Greeting(node, bus, self._inbox, clock, self._failed)
+        self.clock = clock
+        self.inbox = bus.inbox(tuple(dict.fromkeys((STATE, *node.inputs, *node.listens))), robot, clock=clock)
+        self._greeting = Greeting(node, bus, self.inbox, clock, self._failed)
         self._slots: dict[str, Slot] = {}
         self._spoken_of: dict[str, float] = {}
         """s; when a robot that was not heard itself was spoken of last."""
@@ -83,71 +81,66 @@ class ServiceLoop:
         self._strangers = Counts()
         """What came from nobody who is served."""
         self._next_heartbeat = clock()
-        self._quantum = 0.0
+        self.quantum = 0.0
         """s from one batch to the next; 0: each message as it comes."""
         self._setup, self._next_setup = setup, clock()
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Turns until ``stopped`` says so, then until the node may end, 5 s at most; looks four times a second."""
-        self.run_together((self,), stopped)
+        Turning((self,)).run(stopped)
 
-    @staticmethod
-    def run_together(loops: Sequence[ServiceLoop], stopped: Callable[[], bool]) -> None:
-        """The same for several loops in one thread: the first one waits for messages, the others follow it at once.
+    def wind_up(self) -> None:
+        """Tells the node that the process shall end."""
+        self._node.wind_up()
 
-        At the end all go on until nothing is left to do for any robot that still speaks, but not for ever.
-        """
-        first, clock = loops[0], loops[0]._clock
-
-        def turn(longest_wait: float) -> None:
-            first.turn(min(loop._patience(longest_wait) for loop in loops))
-            for loop in loops[1:]:
-                loop.turn(0.0)
-
-        while not stopped():
-            turn(_HEARTBEAT_SECONDS)
-        for loop in loops:
-            loop._node.wind_up()
-        end = clock() + _LONGEST_END_SECONDS
-        while clock() < end and any(loop._needs_us(robot) for loop in loops for robot in loop._slots):
-            turn(_END_TURN_SECONDS)
+    @property
+    def is_needed(self) -> bool:
+        """After ``wind_up``: whether something is left to do for any robot that still speaks."""
+        return any(map(self._needs_us, self._slots))
 
     def _needs_us(self, robot: str) -> bool:
         slot = self._slots[robot]
-        speaks = self._clock() - slot.heard <= max(_SILENCE_SECONDS, 3.0 * slot.state.period)
+        speaks = self.clock() - slot.heard <= max(_SILENCE_SECONDS, 3.0 * slot.state.period)
         return speaks and not self._node.at_rest(robot)
 
     def turn(self, longest_wait: float) -> None:
-        """Takes what arrived, steps what is due, sends heartbeats when it is time."""
-        for item in self._inbox.take(self._patience(longest_wait), _MOST_PER_KEY):
+        """Takes what arrived, steps what is due, sends heartbeats and forgets who left when it is time."""
+        self.serve(longest_wait)
+        self._keep_house()
+
+    def serve(self, longest_wait: float) -> None:
+        """Takes what arrived, steps what is due, and does what nobody waits for when its moment has come."""
+        for item in self.inbox.take(self.patience(longest_wait), _MOST_PER_KEY):
             if isinstance(item, Refused):
                 self._refuse(item.reason, item.robot)
             else:
                 self._take(item)
         for known in self._greeting.ready():
             self._take_known(known)
-        self._touched.update(dict.fromkeys(self._agenda.due(self._clock())))
+        self._touched.update(dict.fromkeys(self._agenda.due(self.clock())))
         touched, self._touched = self._touched, {}
         self._serve([(robot, self._slots[robot]) for robot in touched if robot in self._slots])
-        if self._clock() >= self._next_heartbeat:
-            self._next_heartbeat = self._clock() + _HEARTBEAT_SECONDS
+
+    def _keep_house(self) -> None:
+        if self.clock() >= self._next_heartbeat:
+            self._next_heartbeat = self.clock() + _HEARTBEAT_SECONDS
             self._forget_silent()
-            self._coalesce()
             if not self._slots:
                 self._tell_health(NO_ROBOT, None)
             self._tell_setup()
 
-    def _patience(self, longest_wait: float) -> float:
+    def patience(self, longest_wait: float) -> float:
+        """s until something is due, at most ``longest_wait``."""
         moment = min(self._agenda.next(), self._greeting.deadline(), self._next_heartbeat)
-        return max(0.0, min(longest_wait, moment - self._clock()))
+        return max(0.0, min(longest_wait, moment - self.clock()))
 
     def _serve(self, touched: list[tuple[str, Slot]]) -> None:
         """Steps first, of robots that do not wait for us before those that do; then what nobody waits for."""
         self._step_all(touched)
         for robot, slot in touched:
-            now = self._clock()
+            now = self.clock()
             if slot.unfinished_since is not None and now >= slot.unfinished_since + _FINISH_SHARE * slot.state.period:
-                if self._inbox.waiting and now < slot.unfinished_since + _LATEST_FINISH_SHARE * slot.state.period:
+                if self.inbox.waiting and now < slot.unfinished_since + _LATEST_FINISH_SHARE * slot.state.period:
                     self._agenda.at(now, robot)
                     continue
                 self._finish(robot, slot)
@@ -156,25 +149,29 @@ class ServiceLoop:
 
     def _step_all(self, touched: list[tuple[str, Slot]]) -> None:
         """Steps what is due. With many robots the outputs go out together, but no later than the limit."""
-        held_since = self._clock()
+        held_since = self.clock()
         for robot, slot in sorted(touched, key=lambda entry: entry[1].state.lockstep):
             if slot.outputs is not None:
                 continue
-            if self._quantum > 0.0:
+            if self.quantum > 0.0:
                 self._bus.hold()
             self._advance(robot, slot)
-            if self._clock() - held_since >= LONGEST_HOLD_SECONDS:
+            if self.clock() - held_since >= LONGEST_HOLD_SECONDS:
                 self._bus.flush()
-                held_since = self._clock()
+                held_since = self.clock()
         self._bus.flush()
 
-    def _coalesce(self) -> None:
-        """With many robots in real time takes what comes in batches; see ``quantum_for``."""
+    @property
+    def wanted_quantum(self) -> float:
+        """s from one batch to the next that suits the robots served now; see ``quantum_for``."""
         periods = [0.0 if slot.state.lockstep else slot.state.period for slot in self._slots.values()]
-        quantum = quantum_for(periods, coalescing=self._quantum > 0.0)
-        if quantum != self._quantum:
-            self._quantum = quantum
-            self._inbox.coalesce(quantum)
+        return quantum_for(periods, coalescing=self.quantum > 0.0)
+
+    def coalesce(self, quantum: float) -> None:
+        """From now on takes in batches what comes, and sends so what goes out; 0: each message as it comes."""
+        if quantum != self.quantum:
+            self.quantum = quantum
+            self.inbox.coalesce(quantum)
 
     def _take(self, item: Received) -> None:
         if not self._has_room_for(item.robot):
@@ -190,7 +187,7 @@ class ServiceLoop:
             return True
         if robot not in self._spoken_of and len(self._slots) + len(self._spoken_of) >= _MOST_ROBOTS:
             return False
-        self._spoken_of[robot] = self._clock()
+        self._spoken_of[robot] = self.clock()
         return True
 
     def _take_known(self, item: Received) -> None:
@@ -229,12 +226,12 @@ class ServiceLoop:
     def _begin(self, robot: str, state: StateMessage, at: float, *, again: bool) -> None:
         """A robot that is new, or started anew."""
         self._node.forget(robot)
-        self._slots[robot] = slot = Slot(state, at, at, self._clock())
+        self._slots[robot] = slot = Slot(state, at, at, self.clock())
         slot.keeps_pace(state, at)
         self._spoken_of.pop(robot, None)
         self._journal.met(robot, state.tick, again=again)
-        self._next_setup = self._clock()  # who listens to this robot may have come with it
-        self._next_setup = self._clock()  # whoever records the robot shall know the setup from the first seconds on
+        self._next_setup = self.clock()  # who listens to this robot may have come with it
+        self._next_setup = self.clock()  # whoever records the robot shall know the setup from the first seconds on
         self._expect(robot, slot)
         self._agenda.at(slot.next_heartbeat, robot)
 
@@ -263,9 +260,9 @@ class ServiceLoop:
         return state.epoch != slot.state.epoch and at - slot.heard > max(_SILENCE_SECONDS, 3.0 * slot.state.period)
 
     def _advance(self, robot: str, slot: Slot) -> None:
-        if slot.is_complete(self._node.inputs) or self._clock() >= self._deadline(slot):
+        if slot.is_complete(self._node.inputs) or self.clock() >= self._deadline(slot):
             self._step(robot, slot)
-        elif not slot.prepared:
+        elif not slot.prepared and slot.has_any(self._node.inputs):
             slot.prepared = True
             try:
                 self._node.prepare(robot, slot.state)
@@ -294,7 +291,7 @@ class ServiceLoop:
         counts.failing, counts.detail = False, "; ".join(late)
         counts.steps += 1
         counts.stale += bool(late)
-        slot.unfinished_since = self._clock()
+        slot.unfinished_since = self.clock()
         if slot.state.lockstep:
             self._finish(robot, slot)
         else:
@@ -333,7 +330,7 @@ class ServiceLoop:
             self._bus.publish(topic, robot, message, self._node.name)
 
     def _forget_silent(self) -> None:
-        oldest = self._clock() - _FORGET_SECONDS
+        oldest = self.clock() - _FORGET_SECONDS
         for robot in [robot for robot, slot in self._slots.items() if slot.heard < oldest]:
             del self._slots[robot]
             self._leave(robot)
@@ -367,14 +364,14 @@ class ServiceLoop:
         return reason
 
     def _tell_setup(self) -> None:
-        if self._setup is not None and self._clock() >= self._next_setup:
-            self._next_setup = self._clock() + SETUP_SECONDS
+        if self._setup is not None and self.clock() >= self._next_setup:
+            self._next_setup = self.clock() + SETUP_SECONDS
             self._bus.publish(SETUP, NO_ROBOT, self._setup, self._node.name)
 
     def _tell_health(self, robot: str, slot: Slot | None) -> None:
         if slot is not None:
             share = 1.0 if slot.told else (_SPREAD * len(self._slots)) % 1.0
-            slot.told, slot.next_heartbeat = True, self._clock() + share * _HEARTBEAT_SECONDS
+            slot.told, slot.next_heartbeat = True, self.clock() + share * _HEARTBEAT_SECONDS
             self._agenda.at(slot.next_heartbeat, robot)
         message = heartbeat(self._node.name, slot, self._strangers, self._node.model_of(robot) if slot else "")
         self._bus.publish(HEALTH, robot, message, self._node.name)

@@ -77,6 +77,10 @@ class Slot:
         """Whether every input of the state's tick is there."""
         return all(_fits(self.inputs.get(topic), self.state) for topic in topics)
 
+    def has_any(self, topics: Sequence[Topic]) -> bool:
+        """Whether some input of the state's tick is there."""
+        return any(_fits(self.inputs.get(topic), self.state) for topic in topics)
+
     def keep(self, topic: Topic, message: Message) -> bool:
         """Keeps an input that is newer than the one before; False when it is of no use.
 

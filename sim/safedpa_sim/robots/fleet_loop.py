@@ -8,12 +8,13 @@ is a fault of the simulation, not of those who answer it.
 
 from __future__ import annotations
 
+import dataclasses
 import heapq
 import os
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, final
 
 from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, Received
@@ -32,6 +33,7 @@ _LARGEST_AGE_PERIODS = 2.0
 """An action that would begin to act later than so long after its state was sent is not taken any more."""
 _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
+_REMEMBERED_TICKS = 10
 
 
 @dataclass
@@ -43,6 +45,8 @@ class _Turning:
     """s; when its state of this tick should go out."""
     published: float = 0.0
     held_up: bool = False
+    braked: deque[bool] = field(default_factory=lambda: deque(maxlen=_REMEMBERED_TICKS))
+    """Of the newest ticks: whether the watchdog acted."""
 
 
 @final
@@ -76,6 +80,7 @@ class FleetLoop:
         self.latency, self.lateness = Durations(), Durations()
         self.ticks = self.late = self.late_held_up = self.held_up = self.overruns = 0
         self.late_of: Counter[str] = Counter()
+        self.collisions: list[dict[str, Any]] = []
 
     def run(self, stopped: Callable[[], bool], seconds: float) -> None:
         """Turns for ``seconds``, or until ``stopped``."""
@@ -127,7 +132,12 @@ class FleetLoop:
         robot = turning.robot
         if not late and self._clock() - turning.published > _LARGEST_AGE_PERIODS * robot.period:
             robot.guard.withdraw("too old")  # this process was held up
+        tick, touched, braked = robot.tick, len(robot.collisions), robot.watchdog_ticks
         robot.advance()
+        turning.braked.append(robot.watchdog_ticks > braked)
+        for collision in robot.collisions[touched:]:
+            about = {"robot": name, **robot.about, "tick": tick, "braked_before": list(turning.braked)}
+            self.collisions.append({**about, **dataclasses.asdict(collision)})
         self.ticks += 1
         self.held_up += turning.held_up
         if late:
@@ -170,5 +180,6 @@ class FleetLoop:
             "overruns": self.overruns,
             "goals_reached": sum(robot.goals_reached for robot in robots),
             "collisions": sum(len(robot.collisions) for robot in robots),
+            "collision_list": self.collisions,
             "refusals": dict(sum((robot.guard.refusals for robot in robots), Counter[str]())),
         }

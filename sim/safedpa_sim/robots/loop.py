@@ -168,7 +168,8 @@ class RobotLoop:
             self._take(until - self._clock())
 
     def _publish(self) -> float:
-        self._published, self._sent = self._clock(), self.robot.state_message()
+        self._sent = self.robot.state_message()
+        self._published = self._clock()
         self._bus.publish(STATE, self._name, self._sent)
         return self._published
 

@@ -1,0 +1,184 @@
+"""Batches under load: when they are made, what waits for them, and that nothing is lost on the way there and back."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa.bus import (
+    ACTION,
+    VERDICT,
+    AbstractTransport,
+    Bus,
+    Inbox,
+    MemoryBroker,
+    MemoryTransport,
+    Message,
+    Received,
+    ZenohSettings,
+    ZenohTransport,
+    encode,
+)
+from safedpa.bus.coalescing import quantum_for
+from safedpa.bus.transport import Subscription
+
+PATIENCE = 10.0
+
+
+def until(condition: Callable[[], bool]) -> bool:
+    end = time.monotonic() + PATIENCE
+    pause = threading.Event()
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        pause.wait(0.01)
+    return True
+
+
+@given(robots=st.integers(0, 300), period=st.floats(0.001, 1.0), coalescing=st.booleans())
+def test_a_quantum_is_a_small_part_of_the_period_or_nothing(robots: int, period: float, coalescing: bool) -> None:
+    quantum = quantum_for([period] * robots, coalescing=coalescing)
+    assert quantum == 0.0 or 0.001 <= quantum <= 0.1 * period
+    if robots < 4 or quantum_for([period] * 300, coalescing=True) == 0.0:
+        assert quantum == 0.0
+
+
+def test_batches_begin_with_eight_robots_and_end_below_four() -> None:
+    sizes = range(1, 12)
+    assert [size for size in sizes if quantum_for([0.05] * size, coalescing=False)] == list(range(8, 12))
+    assert [size for size in sizes if quantum_for([0.05] * size, coalescing=True)] == list(range(4, 12))
+
+
+def test_no_batches_while_one_robot_stands_and_waits() -> None:
+    assert quantum_for([0.05] * 20, coalescing=True) > 0.0
+    assert quantum_for([0.05] * 20 + [0.0], coalescing=True) == 0.0
+
+
+class Kept(Subscription):
+    """A subscription that can gather, filled by the test."""
+
+    def __init__(self, inbox: Inbox) -> None:
+        self.inbox, self.gathered, self.gathers = inbox, list[tuple[str, bytes]](), False
+
+    def send(self, key: str, payload: bytes) -> None:
+        if self.gathers:
+            self.gathered.append((key, payload))
+        else:
+            self.inbox.keep_latest(key, payload)
+
+    def gather(self) -> None:
+        self.gathers = True
+
+    def collect(self) -> None:
+        gathered, self.gathered = self.gathered, []
+        for key, payload in gathered:
+            self.inbox.keep_latest(key, payload)
+
+    def pass_on(self) -> None:
+        self.collect()
+        self.gathers = False
+
+
+def test_an_inbox_that_makes_batches_takes_all_that_was_gathered(samples: dict[str, Message]) -> None:
+    inbox = Inbox()
+    kept = Kept(inbox)
+    inbox.fill_from(kept)
+    inbox.coalesce(0.002)
+    for robot in "abc":
+        kept.send(f"safedpa/f/{robot}/action", encode(samples["action"]))
+    assert kept.gathered, "nothing was kept outside"
+    assert inbox.waiting
+    assert [item.robot for item in inbox.take(0.0) if isinstance(item, Received)] == ["a", "b", "c"]
+    kept.send("safedpa/f/d/action", encode(samples["action"]))
+    inbox.coalesce(0.0)
+    kept.send("safedpa/f/e/action", encode(samples["action"]))
+    assert [item.robot for item in inbox.take(0.0) if isinstance(item, Received)] == ["d", "e"]
+
+
+def test_a_batch_is_not_taken_before_its_quantum_is_over(
+    samples: dict[str, Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inbox = Inbox()
+    kept = Kept(inbox)
+    inbox.fill_from(kept)
+    slept: list[float] = []
+    monkeypatch.setattr("safedpa.bus.inbox.time.sleep", slept.append)
+    inbox.coalesce(0.05)
+    inbox.take(0.0)
+    assert slept == [], "it waited although it should not"
+    kept.send("safedpa/f/a/action", encode(samples["action"]))
+    assert len(inbox.take(1.0)) == 1
+    assert len(slept) == 1
+    assert 0.0 < slept[0] <= 0.05
+
+
+def test_what_is_held_goes_out_in_order_at_the_flush(samples: dict[str, Message]) -> None:
+    broker = MemoryBroker()
+    bus, inbox = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f").inbox((ACTION, VERDICT))
+    bus.hold()
+    bus.publish(VERDICT, "b", samples["verdict"])
+    bus.publish(ACTION, "a", samples["action"])
+    bus.hold()  # what is held already stays
+    assert inbox.take(0.0) == []
+    bus.flush()
+    assert [item.robot for item in inbox.take(0.0) if isinstance(item, Received)] == ["b", "a"]
+    bus.publish(ACTION, "c", samples["action"])
+    assert len(inbox.take(0.0)) == 1, "it held on after the flush"
+    bus.flush()
+    assert inbox.take(0.0) == []
+
+
+@pytest.mark.processes
+class TestZenohGathers:
+    """The ring on Zenoh's side."""
+
+    KEY = "safedpa/f/r/state"
+
+    @pytest.fixture
+    def pair(self, free_port: int) -> Iterator[tuple[AbstractTransport, AbstractTransport]]:
+        one = ZenohTransport(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port}",)))
+        other = ZenohTransport(ZenohSettings(connect=(f"tcp/127.0.0.1:{free_port}",)))
+        yield one, other
+        one.close()
+        other.close()
+
+    def test_nothing_is_lost_nor_twice_on_the_way_to_batches_and_back(
+        self, pair: tuple[AbstractTransport, AbstractTransport]
+    ) -> None:
+        sender, receiver = pair
+        heard: list[bytes] = []
+        subscription = receiver.subscribe(self.KEY, lambda _key, payload: heard.append(payload))
+
+        def said(word: bytes) -> None:
+            sender.put(self.KEY, word, never_drop=True)
+
+        def arrives() -> bool:
+            said(b"are you there")
+            return bool(heard)
+
+        assert until(arrives)
+        said(b"before")
+        assert until(lambda: heard[-1] == b"before")
+        heard.clear()
+        subscription.gather()
+        subscription.gather()  # asked twice, it is one
+        for number in range(50):
+            said(b"%d" % number)
+
+        def collected() -> bool:
+            subscription.collect()
+            return b"49" in heard
+
+        assert heard == [], "it called although it gathers"
+        assert until(collected)
+        said(b"on the way back")
+        assert until(lambda: (subscription.collect(), b"on the way back" in heard)[1])
+        subscription.pass_on()
+        said(b"after")
+        assert until(lambda: heard[-1] == b"after")
+        assert heard == [*(b"%d" % number for number in range(50)), b"on the way back", b"after"]

@@ -1,0 +1,72 @@
+"""The three services of a fleet in one process: the same decisions, the robots shared, the whole thing for real."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa.bus import Bus, MemoryTransport, ServiceLoop, StateMessage, WishMessage, decode, encode
+from safedpa.bus.joint_transport import JointTransport
+from safedpa.errors import InputError, MessageError
+from safedpa_services.benchmarks.fleet import FleetTrial, fleet_benchmark
+from safedpa_services.serving import _decoded_once
+from safedpa_services.stack.__main__ import serves
+
+Make = Callable[..., Any]
+
+
+def test_in_one_process_every_trajectory_is_the_same(stack: Make, undisturbed: dict[str, str]) -> None:
+    fleet = stack(tuple(undisturbed))
+    joint, read = JointTransport(MemoryTransport(fleet.broker), frozenset(["latent", "wish"])), _decoded_once()
+    for loop in fleet.services:
+        loop._bus.close()  # those of the fixture, each with a session of its own
+    fleet.services = [ServiceLoop(node, Bus(joint, "test", read), clock=fleet.clock) for node in fleet.nodes]
+    fleet.drive(2.0)
+    assert fleet.fleet.late == 0
+    assert {name: car.trajectory_hash for name, car in fleet.cars.items()} == undisturbed
+
+
+@given(robot=st.text(min_size=1), of=st.integers(1, 9))
+def test_every_robot_falls_to_exactly_one_stack(robot: str, of: int) -> None:
+    assert sum(serves(f"{number}/{of}")(robot) for number in range(1, of + 1)) == 1
+
+
+def test_the_shares_of_a_fleet_are_alike() -> None:
+    names = [f"car{index:04d}" for index in range(200)]
+    shares = [sum(map(serves(f"{number}/2"), names)) for number in (1, 2)]
+    assert sum(shares) == 200
+    assert min(shares) >= 80
+
+
+@pytest.mark.parametrize("share", ["", "1", "0/2", "3/2", "a/b", "1/0", "-1/2", "1/2/3"])
+def test_a_share_that_is_none_is_refused_in_words(share: str) -> None:
+    with pytest.raises(InputError, match="wanted a number and how many"):
+        serves(share)
+
+
+def test_what_is_read_again_is_the_same_message_and_what_is_large_is_not_remembered(stack: Make) -> None:
+    (car,) = stack(("a",)).cars.values()
+    read, payload = _decoded_once(), encode(car.state_message())
+    assert read(StateMessage, payload) == decode(StateMessage, payload)
+    assert read(StateMessage, payload) is read(StateMessage, payload)
+    with pytest.raises(MessageError):
+        read(WishMessage, payload)
+    large = encode(StateMessage(**{**_fields(car.state_message()), "obstacles": ((1.0, 2.0, 0.1),) * 300}))
+    assert read(StateMessage, large) is not read(StateMessage, large)
+
+
+def _fields(message: Any) -> dict[str, Any]:
+    return {name: getattr(message, name) for name in StateMessage.__dataclass_fields__}
+
+
+@pytest.mark.processes
+def test_two_stacks_drive_ten_robots_in_batches() -> None:
+    result = fleet_benchmark(FleetTrial(robots=10, seconds=2.0, loads="none,box", stacks=2))
+    assert set(result["processes"]) == {"robots", "stack_1", "stack_2"}
+    assert result["robot_ticks"] > 200, "they stood most of the time"
+    assert result["late_ticks"] < result["robot_ticks"], "not one action came in time"
+    assert result["collision_list"] == []
