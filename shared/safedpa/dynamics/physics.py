@@ -14,7 +14,14 @@ from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
 from safedpa.dynamics.settings import Setting, base_default, check_effects, check_settings
-from safedpa.dynamics.straight import Straight, StraightStep, StraightSteps, straight_step
+from safedpa.dynamics.straight import (
+    Equations,
+    Straight,
+    StraightStep,
+    StraightSteps,
+    straight_arrays,
+    straight_step,
+)
 from safedpa.dynamics.tangent import batched_difference, forward_mode, intercept, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
@@ -127,6 +134,16 @@ class PhysicsModel(AbstractDynamics):
         often enough for recording to pay.
         """
         return None if self._commands else self._straight.floats(period)
+
+    def straight_arrays(self, period: float) -> StraightStep | None:
+        """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.
+
+        Recorded at once, in some milliseconds. None as there, and for equations that ask one robot at a time.
+        """
+        if self._commands or not (self._takes_complex and self.base.straight):
+            return None
+        names = self.system.state_names, self.system.action_names, self.latent_names
+        return straight_arrays(self._equations(period), *names)
 
     def held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
@@ -279,6 +296,12 @@ class PhysicsModel(AbstractDynamics):
         return StraightSteps(self._recorded if straight else None)
 
     def _recorded(self, period: float) -> Straight | None:
+        names = self.system.state_names, self.system.action_names, self.latent_names
+        return straight_step(self._equations(period), *names)
+
+    def _equations(self, period: float) -> Equations:
+        """One period without actuators that remember, as ``straight`` records it."""
+
         def equations(
             state: Sequence[Scalar],
             action: Sequence[Scalar],
@@ -291,7 +314,7 @@ class PhysicsModel(AbstractDynamics):
             felt = dict(zip(self.system.action_names, action, strict=True))
             return self._integrated(self._true(measured, values), felt, values, period, time, operations)
 
-        return straight_step(equations, self.system.state_names, self.system.action_names, self.latent_names)
+        return equations
 
     def _felt(
         self, action: Named, memory: Any, values: _Values, period: float, operations: Operations

@@ -16,9 +16,18 @@ from dataclasses import fields
 from typing import Any, final
 
 from safedpa.dynamics.straight_tangent import StraightTangent, compiled_tangent
-from safedpa.operations import COMPLEX, FLOATS, Operations
+from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations
 
-__all__ = ["Straight", "StraightStep", "StraightSteps", "called", "is_recorded", "straight_step"]
+__all__ = [
+    "Equations",
+    "Straight",
+    "StraightStep",
+    "StraightSteps",
+    "called",
+    "is_recorded",
+    "straight_arrays",
+    "straight_step",
+]
 
 StraightStep = Callable[[Iterable[Any], Iterable[Any], Iterable[Any], float], list[Any]]
 """Entries after one period from the entries of state, felt action and latent, and the time [s]."""
@@ -201,6 +210,35 @@ def straight_step(
 
     Of the names only the number counts.
     """
+    taped = _taped(equations, states, actions, latents)
+    if taped is None:
+        return None
+    tape, head, names = taped
+    return (
+        _compiled(head, tape, names, _FLOAT_FORMS, FLOATS),
+        _compiled(head, tape, names, {}, COMPLEX),
+        compiled_tangent(head, tape.lines, tape.calls, names, [f"a{index}" for index in range(len(actions))]),
+    )
+
+
+def straight_arrays(
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+) -> StraightStep | None:
+    """The same for numpy arrays: each entry of state, felt action and latent is one array over many robots.
+
+    None where the equations cannot be recorded or call what is made for one robot.
+    """
+    taped = _taped(equations, states, actions, latents)
+    if taped is None or taped[0].calls:
+        return None
+    tape, head, names = taped
+    return _compiled(head, tape, names, {}, NUMPY, freeing=True)
+
+
+def _taped(
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+) -> tuple[_Tape, list[str], list[str]] | None:
+    """What the equations do, the lines that name their arguments, and the names of what comes out."""
     tape = _Tape()
     state, action, latent = (
         [_Recorded(tape, f"{letter}{index}") for index in range(len(names))]
@@ -215,21 +253,29 @@ def straight_step(
         f"[{', '.join(number.name for number in numbers)}] = {whole}"
         for whole, numbers in (("state", state), ("action", action), ("latent", latent))
     ]
-    return (
-        _compiled(head, tape, names, _FLOAT_FORMS, FLOATS),
-        _compiled(head, tape, names, {}, COMPLEX),
-        compiled_tangent(head, tape.lines, tape.calls, names, [number.name for number in action]),
-    )
+    return tape, head, names
 
 
 def _compiled(
-    head: Sequence[str], tape: _Tape, after: Sequence[str], forms: Mapping[str, str], table: Operations
+    head: Sequence[str],
+    tape: _Tape,
+    after: Sequence[str],
+    forms: Mapping[str, str],
+    table: Operations,
+    *,
+    freeing: bool = False,
 ) -> StraightStep:
+    """``freeing`` gives each variable's memory back after its last use: for arrays, which then stay in the cache."""
+    last_use = {name: index for index, (_, _, operands) in enumerate(tape.lines) for name in operands}
+    computed = {name for name, _, _ in tape.lines}
     lines = ["def step(state, action, latent, time):", *head]
-    for name, form, operands in tape.lines:
+    for index, (name, form, operands) in enumerate(tape.lines):
         function = f"{form}({', '.join(operands)})"
         written = forms.get(form) if form in _FUNCTIONS else form
         lines.append(f"{name} = {function if written is None else written.format(*operands)}")
+        spent = {other for other in operands if other in computed and last_use[other] == index and other not in after}
+        if freeing and spent:
+            lines.append(f"del {', '.join(sorted(spent))}")
     lines.append(f"return [{', '.join(after)}]")
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
     scope.update({name: getattr(table, name) for name in _FUNCTIONS})

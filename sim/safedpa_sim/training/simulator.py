@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, final
 
+import numpy as np
 import torch
 
 from safedpa.dynamics import PhysicsModel, Setting
@@ -15,6 +16,9 @@ from safedpa_sim.training.configuration import Configuration
 __all__ = ["BatchedCars"]
 
 Tensor = torch.Tensor
+
+_CHUNK = 8192
+"""Robots at a time: with twice as many the arrays in between no longer stay in the cache."""
 
 
 @final
@@ -50,6 +54,7 @@ class BatchedCars:
         """Whether any actuator does: then what follows depends on earlier actions too."""
         paths = [entry.path for entry in self.entries]
         self._body = body_of(system.name, paths, self.nominal.tolist())
+        self._arrays = self.model.straight_arrays(self.model.period)
 
     def generator(self, seed: int) -> torch.Generator:
         """A source of random numbers on the robots' device."""
@@ -81,7 +86,25 @@ class BatchedCars:
         """States (count, states) and memory one period later."""
         if self._body is not None:
             return self._body(state, action, environment, memory)
+        if self._arrays is not None and _plain(state, action, environment):
+            return self._advanced(state, action, environment), memory
         return self.model.advance(state, action, memory, environment)
+
+    def _advanced(self, state: Tensor, action: Tensor, environment: Tensor) -> Tensor:
+        """The same equations recorded once, each operation done once, on numpy's arrays: four times as fast on a core.
+
+        Row by row of (entries, robots), as many robots at a time as the processor's cache holds.
+        """
+        assert self._arrays is not None
+        after = np.empty(tuple(state.shape), dtype=np.float32)
+        given = [np.ascontiguousarray(part.numpy().T) for part in (state, action, environment)]
+        with np.errstate(all="ignore"):  # what leaves all bounds is no error here, as on tensors
+            for start in range(0, len(after), _CHUNK):
+                part = slice(start, start + _CHUNK)
+                now, felt, free = (rows[:, part] for rows in given)
+                for index, entry in enumerate(self._arrays(now, felt, free, 0.0)):
+                    after[part, index] = entry
+        return torch.from_numpy(after)
 
     def _uniform(self, count: int, ranges: Tensor, generator: torch.Generator) -> Tensor:
         low, high = ranges.unbind(1)
@@ -89,6 +112,14 @@ class BatchedCars:
 
     def _tensor(self, values: Any) -> Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self.device)
+
+
+def _plain(*tensors: Tensor) -> bool:
+    """Whether numpy can take them: batches in single precision on the processor, without gradients."""
+    return all(
+        item.ndim == 2 and item.dtype == torch.float32 and item.device.type == "cpu" and not item.requires_grad
+        for item in tensors
+    )
 
 
 def _randomised(configuration: Configuration) -> PhysicsModel:
