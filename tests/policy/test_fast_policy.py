@@ -12,6 +12,7 @@ from safedpa.dynamics import LearnedBase, load_model
 from safedpa.errors import MessageError
 from safedpa.networks import Weights
 from safedpa.policy import LearnedPolicy
+from safedpa.policy.compensation import SpeedCompensation
 from safedpa.policy.observation import observe, padded
 from safedpa.policy.one_observation import observe_one
 
@@ -88,3 +89,17 @@ def test_what_is_no_number_is_refused(place, bad):
     )
     with pytest.raises(MessageError, match="not finite"):
         LearnedPolicy(shipped("car_learned")).wish(state, np.zeros(4))
+
+
+@given(some.integers(0, 2**32 - 1))
+@settings(max_examples=60)
+def test_the_compensation_along_the_straight_line_is_that_of_the_tangent(seed):
+    """Whether the model was asked often enough for its equations to be recorded, or not."""
+    draw, model = np.random.default_rng(seed), load_model("car")
+    state, wish = draw.uniform(-1.0, 1.5, 4), draw.uniform(-0.3, 1.5, 2)
+    latent = model.latent + draw.uniform(0.0, 0.5, len(model.latent))
+    slow = SpeedCompensation(model).compensated(state, wish, latent)
+    for _ in range(250):
+        model.straight(model.period)
+    assert model.straight_tangent() is not None
+    np.testing.assert_allclose(SpeedCompensation(model).compensated(state, wish, latent), slow, rtol=1e-9, atol=1e-9)

@@ -7,6 +7,7 @@ model says v+ = f_v(x, z) + g_v(x, z) u', so u' = (v+ - f_v) / g_v does the same
 
 from __future__ import annotations
 
+import contextlib
 from typing import final
 
 import numpy as np
@@ -28,15 +29,27 @@ class SpeedCompensation:
 
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
+        self._nominal: list[float] = model.latent.tolist()
         self._speed = model.system.state_names.index("speed")
         self._target = model.system.action_names.index("target_speed")
 
     def compensated(self, state: Values, wish: Values, latent: Values) -> Values:
         """The wish (actions,) with another target speed [m/s], for state (states,) and latent (latents,)."""
-        nominal = self.model.step(state, wish)[self._speed]
-        f, g = self.model.affine(state, latent, around=wish)
-        hold = g[self._speed, self._target]
+        loaded, unloaded, hold = self._speeds(state, wish, latent)
         changed = wish.copy()
         if hold > _WEAKEST:
-            changed[self._target] += (nominal - f[self._speed] - g[self._speed] @ wish) / hold
+            changed[self._target] += (unloaded - loaded) / hold
         return changed
+
+    def _speeds(self, state: Values, wish: Values, latent: Values) -> tuple[float, float, float]:
+        """The speed after the wish with the load and without, and its slope over the target speed with the load."""
+        tangent, step = self.model.straight_tangent(), self.model.straight(self.model.period)
+        if tangent is not None and step is not None:
+            entries, wished = state.tolist(), wish.tolist()
+            with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
+                after, slopes = tangent(entries, wished, latent.tolist(), 0.0)
+                unloaded = step(entries, wished, self._nominal, 0.0)[self._speed]
+                return after[self._speed], unloaded, slopes[self._speed][self._target]
+        f, g = self.model.affine(state, latent, around=wish)
+        loaded = f[self._speed] + g[self._speed] @ wish
+        return float(loaded), float(self.model.step(state, wish)[self._speed]), float(g[self._speed, self._target])
