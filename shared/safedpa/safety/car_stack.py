@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, sin
+from math import cos, hypot, sin
 from operator import is_
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier, AbstractStack, Barriers
-from safedpa.safety.field_barrier import NORMALS, FieldBarrier
+from safedpa.safety.field_barrier import FieldBarrier
 from safedpa.safety.obstacle_barrier import SMALLEST_DISTANCE, ObstacleBarrier
 from safedpa.safety.speed_barrier import SpeedBarrier
 
@@ -19,7 +19,9 @@ __all__ = ["CarStack", "Stacks", "stacked"]
 
 Values = NDArray[np.float64]
 
-_STATES, _SPEED, _WALLS = 4, 3, 8
+Row = tuple[float, float, float, float]
+
+_STATES, _SPEED = 4, 3
 
 
 def stacked(parts: Sequence[AbstractBarrier]) -> AbstractStack:
@@ -59,100 +61,103 @@ class Stacks:
         return self._last
 
 
+class _Geometry(NamedTuple):
+    """What all barriers at one state follow from; lengths in m."""
+
+    x: float
+    y: float
+    speed: float
+    cosine: float
+    sine: float
+    rear: float
+    """End of the swept segment along the heading; so is ``front``."""
+    front: float
+    obstacles: list[tuple[float, float, float, float]]
+    """Of each: what it lies ahead of and aside from the segment's nearest point, that point along the heading, and the
+    distance from it."""
+
+
 @final
 class CarStack(AbstractStack):
-    """Obstacles, field and speed limits of one body, with the same numbers as one by one.
+    """Obstacles, field and speed limits of one body, with the same numbers as one by one, to rounding.
 
-    Heading, stopping distance and the ends of the segment are computed once for all of them, the obstacles' arrays
-    live in buffers of this stack, and the gradient at the state whose values were asked for last begins where those
-    ended. Not to be shared between threads.
+    Written over plain numbers: a service comes back to this after fifty milliseconds, and then the first call of each
+    of numpy's functions costs several microseconds, a multiplication of two floats still nothing. The geometry at the
+    state that was asked for last is kept, for the gradient there. Not to be shared between threads.
     """
 
     def __init__(self, obstacles: ObstacleBarrier, field: FieldBarrier | None, speed: SpeedBarrier) -> None:
         super().__init__((obstacles, speed) if field is None else (obstacles, field, speed))
         self._obstacles, self._field, self._speed = obstacles, field, speed
-        self._count = count = len(obstacles.names)
-        self._turn, self._point = np.zeros((2, 2)), np.zeros((2, 1))
-        self._apart, self._offset = np.zeros((2, count)), np.zeros((2, count))
-        self._along, self._across = self._offset
-        self._nearest, self._distance = np.zeros(count), np.zeros(count)
-        self._rear, self._front = np.zeros(()), np.zeros(())
-        """Ends of the segment, along the heading [m]."""
-        self._slopes = np.zeros((_STATES, len(self.names)))
-        """Of which only what depends on the state is written anew."""
-        if field is not None:
-            self._slopes[:2, count : count + _WALLS] = NORMALS
-        self._slopes[_SPEED, -2:] = -1.0, 1.0
+        self._places: list[tuple[float, float]] = list(zip(*obstacles.centres.tolist(), strict=True))
+        self._reach: list[float] = obstacles.reach.tolist()
         self._at = b""
-        """The state that the buffers belong to."""
-        self._pose = (0.0,) * 7
+        """The state that the geometry belongs to."""
+        self._geometry: _Geometry | None = None
 
     def values(self, state: Values) -> Values:  # noqa: D102
         if state.shape != (_STATES,):
             return self.one_by_one.values(state)
-        x, y, cosine, sine, front, rear, speed = self._prepared(state)
-        h = np.empty(len(self.names))
-        np.subtract(self._distance, self._obstacles.reach, out=h[: self._count])
+        x, y, speed, cosine, sine, rear, front, obstacles = self._seen_from(state)
+        h = [seen[3] - reach for seen, reach in zip(obstacles, self._reach, strict=True)]
         field, limits = self._field, self._speed
-        if field is None:
-            h[self._count :] = limits.high - speed, speed - limits.low
-            return h
-        front_x, front_y, rear_x, rear_y = x + front * cosine, y + front * sine, x + rear * cosine, y + rear * sine
-        h[self._count :] = (
-            *(front_x - field.low_x, field.high_x - front_x, front_y - field.low_y, field.high_y - front_y),
-            *(rear_x - field.low_x, field.high_x - rear_x, rear_y - field.low_y, field.high_y - rear_y),
-            *(limits.high - speed, speed - limits.low),
-        )
-        return h
+        if field is not None:
+            front_x, front_y, rear_x, rear_y = x + front * cosine, y + front * sine, x + rear * cosine, y + rear * sine
+            h += (front_x - field.low_x, field.high_x - front_x, front_y - field.low_y, field.high_y - front_y)
+            h += (rear_x - field.low_x, field.high_x - rear_x, rear_y - field.low_y, field.high_y - rear_y)
+        h += (limits.high - speed, speed - limits.low)
+        return np.array(h)
 
     def gradient(self, state: Values) -> Values:  # noqa: D102
         if state.shape != (_STATES,):
             return self.one_by_one.gradient(state)
-        _, _, cosine, sine, front, rear, speed = self._prepared(state)
-        slopes, count, slope = self._slopes.copy(), self._count, self._obstacles.braking.slope(speed)
-        self._obstacle_slopes(slopes[:, :count], front, rear, speed, slope)
+        seen = self._seen_from(state)
+        slope = self._obstacles.braking.slope(seen.speed)
+        rows = [_obstacle_slopes(one, seen, slope) for one in seen.obstacles]
         if self._field is not None:
-            forwards, backwards = slope if speed >= 0.0 else 0.0, slope if speed <= 0.0 else 0.0
-            slopes[2, count : count + _WALLS] = (
-                *(-front * sine, front * sine, front * cosine, -front * cosine),
-                *(-rear * sine, rear * sine, rear * cosine, -rear * cosine),
-            )
-            slopes[3, count : count + _WALLS] = (
-                *(forwards * cosine, -forwards * cosine, forwards * sine, -forwards * sine),
-                *(backwards * cosine, -backwards * cosine, backwards * sine, -backwards * sine),
-            )
-        return slopes.T
+            forwards, backwards = slope if seen.speed >= 0.0 else 0.0, slope if seen.speed <= 0.0 else 0.0
+            rows += _wall_slopes(seen, seen.front, forwards)
+            rows += _wall_slopes(seen, seen.rear, backwards)
+        rows += ((0.0, 0.0, 0.0, -1.0), (0.0, 0.0, 0.0, 1.0))
+        return np.array(rows)
 
-    def _obstacle_slopes(self, slopes: Values, front: float, rear: float, speed: float, slope: float) -> None:
-        """Writes d(h)/d(state) (states, obstacles)."""
-        direction = self._offset / np.maximum(self._distance, SMALLEST_DISTANCE)
-        if np.count_nonzero(self._distance) < self._count:  # on the segment itself there is no direction
-            direction[1] += self._distance == 0.0
-        stretched = self._nearest == (front if speed >= 0.0 else rear)
-        if speed == 0.0:
-            stretched |= self._nearest == rear
-        np.matmul(-self._turn.T, direction, out=slopes[:2])
-        np.multiply(self._nearest, -direction[1], out=slopes[2])
-        np.multiply(direction[0], -slope * stretched, out=slopes[3])
-
-    def _prepared(self, state: Values) -> tuple[float, ...]:
-        """x, y, cosine and sine of the heading, front and rear end [m], speed; fills the obstacles' buffers."""
-        if self._at == (known := state.tobytes()):
-            return self._pose
+    def _seen_from(self, state: Values) -> _Geometry:
+        if self._geometry is not None and self._at == state.tobytes():
+            return self._geometry
         x, y, yaw, speed = state.tolist()
-        obstacles, cosine, sine = self._obstacles, cos(yaw), sin(yaw)
-        stretch = obstacles.braking.distance(speed)
-        rear, front = -obstacles.rear + min(stretch, 0.0), obstacles.front + max(stretch, 0.0)
-        self._at = b""  # until all of it is there
-        self._turn[0] = cosine, sine
-        self._turn[1] = -sine, cosine
-        self._point[:, 0] = state[:2]
-        self._rear[()], self._front[()] = rear, front
-        np.subtract(obstacles.centres, self._point, out=self._apart)
-        np.dot(self._turn, self._apart, out=self._offset)
-        np.maximum(self._along, self._rear, out=self._nearest)
-        np.minimum(self._nearest, self._front, out=self._nearest)
-        np.subtract(self._along, self._nearest, out=self._along)
-        np.hypot(self._along, self._across, out=self._distance)
-        self._at, self._pose = known, (x, y, cosine, sine, front, rear, speed)
-        return self._pose
+        body, cosine, sine = self._obstacles, cos(yaw), sin(yaw)
+        stretch = body.braking.distance(speed)
+        rear, front = -body.rear + min(stretch, 0.0), body.front + max(stretch, 0.0)
+        obstacles = []
+        for place_x, place_y in self._places:
+            apart_x, apart_y = place_x - x, place_y - y
+            along, across = cosine * apart_x + sine * apart_y, cosine * apart_y - sine * apart_x
+            nearest = rear if along < rear else front if along > front else along
+            obstacles.append((along - nearest, across, nearest, hypot(along - nearest, across)))
+        self._at = state.tobytes()
+        self._geometry = _Geometry(x, y, speed, cosine, sine, rear, front, obstacles)
+        return self._geometry
+
+
+def _obstacle_slopes(one: tuple[float, float, float, float], seen: _Geometry, slope: float) -> Row:
+    """d(h)/d(state) of one obstacle."""
+    along, across, nearest, distance = one
+    size = max(distance, SMALLEST_DISTANCE)
+    ahead, aside = along / size, across / size if distance else 1.0  # on the segment itself to the left is a direction
+    end = seen.front if seen.speed >= 0.0 else seen.rear
+    stretched = nearest == end or (seen.speed == 0.0 and nearest == seen.rear)
+    cosine, sine = seen.cosine, seen.sine
+    change = -slope * ahead if stretched else 0.0
+    return sine * aside - cosine * ahead, -sine * ahead - cosine * aside, -nearest * aside, change
+
+
+def _wall_slopes(seen: _Geometry, reach: float, change: float) -> tuple[Row, Row, Row, Row]:
+    """d(h)/d(state) of the four walls at one end of the segment, which the speed moves by ``change``."""
+    turn_x, turn_y = -reach * seen.sine, reach * seen.cosine
+    grow_x, grow_y = change * seen.cosine, change * seen.sine
+    return (
+        (1.0, 0.0, turn_x, grow_x),
+        (-1.0, 0.0, -turn_x, -grow_x),
+        (0.0, 1.0, turn_y, grow_y),
+        (0.0, -1.0, -turn_y, -grow_y),
+    )

@@ -106,7 +106,8 @@ class Conditions:
         bound that is further away, unless an earlier tangent knows the slope.
         """
         noise = NO_INFLUENCE * (1.0 + _largest(about.next_state))
-        silent = [index for index, column in enumerate(zip(*g.tolist(), strict=True)) if max(map(abs, column)) <= noise]
+        columns = enumerate(zip(*g.tolist(), strict=True))
+        silent = [index for index, column in columns if max(column) <= noise and min(column) >= -noise]
         if silent:
             g = g.copy()
             for index in silent:

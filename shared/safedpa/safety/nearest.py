@@ -30,14 +30,15 @@ Point = tuple[float, float]
 
 def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | None:
     """The minimiser; None where it needs slack, is not found in a few steps, or a number is not finite."""
-    if not isfinite(sum(a + b + limit for a, b, limit, _ in rows)):
+    if not isfinite(sum([a + b + limit for a, b, limit, _ in rows])):
         return None
     point, taken = wish, list[Row]()
     for _ in range(MOST):
         worst, newest = KEPT, None
         x, y = point
         for row in rows:
-            broken = row[2] - row[0] * x - row[1] * y
+            a, b, limit, _ = row
+            broken = limit - a * x - b * y
             if broken > worst:
                 worst, newest = broken, row
         if newest is None:

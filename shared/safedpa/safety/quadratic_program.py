@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Any, final
@@ -56,41 +56,40 @@ class QuadraticProgram:
         )
         """Lowest, highest and range of each action, as plain numbers."""
         self._weights: tuple[float, ...] = tuple(weights.tolist())
-        self._ones = np.ones(len(low))
         self._box = tuple(_box(len(low)))
         self._workspaces: dict[int, _Workspace] = {}
 
     def solve(self, A: Values, b: Values, wish: Values) -> Solution:
         """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,)."""
-        scaled = A * self.range
-        limits = b - A.dot(self.low)
         slack = np.zeros(len(b))
-        if not all_finite(limits):  # A.low is in them: a number of A that is none as well
+        scaled, limits = A * self.range, b - A.dot(self.low)
+        if not all_finite(limits):  # A low is in them: a number of A that is none as well
             return Solution(self.low, slack, False, "numbers not finite")
-        needed = (np.minimum(scaled, 0.0).dot(self._ones) < limits).nonzero()[0]
-        if len(needed) == 0:
+        table: list[list[float]] = scaled.tolist()
+        rows = [
+            (slopes, limit, index)
+            for index, (slopes, limit) in enumerate(zip(table, limits.tolist(), strict=True))
+            if sum([slope for slope in slopes if slope < 0.0]) < limit
+        ]
+        if not rows:
             return Solution(np.minimum(np.maximum(wish, self.low), self.high), slack, True, "not needed")
-        left, right = scaled[needed], limits[needed]
-        action = self._without_slack(left, right, wish)
+        action = self._without_slack(rows, wish) if len(self.sides) <= 2 else None
         if action is not None:
             return Solution(action, slack, True, "solved")
-        return self._with_slack(left, right, wish, needed, slack)
+        needed = [index for _, _, index in rows]
+        return self._with_slack(scaled[needed], limits[needed], wish, needed, slack)
 
-    def _without_slack(self, left: Values, right: Values, wish: Values) -> Values | None:
-        """The minimiser in closed form, if it needs no slack and is certain; None: ask the solver."""
-        actions = len(self.sides)
-        if actions > 2:
-            return None
-        scaled = [(value - low) / width for value, (low, _, width) in zip(wish.tolist(), self.sides, strict=True)]
-        price = self.linear
-        if actions == 1:
-            rows: list[Row] = [
-                (a, 0.0, limit, price) for (a,), limit in zip(left.tolist(), right.tolist(), strict=True)
-            ]
-            found = nearest_kept([*rows, *self._box], (scaled[0], 0.0), (self._weights[0], 1.0))
+    def _without_slack(self, rows: Sequence[tuple[list[float], float, int]], wish: Values) -> Values | None:
+        """The minimiser for slopes and limits in closed form, if it needs no slack; None: ask the solver."""
+        price, weights = self.linear, self._weights
+        wanted = [(value - low) / width for value, (low, _, width) in zip(wish.tolist(), self.sides, strict=True)]
+        if len(wanted) == 1:  # beside a second one that nothing depends on
+            wanted.append(0.0)
+            conditions = [(slopes[0], 0.0, limit, price) for slopes, limit, _ in rows]
         else:
-            rows = [(a, b, limit, price) for (a, b), limit in zip(left.tolist(), right.tolist(), strict=True)]
-            found = nearest_kept([*rows, *self._box], (scaled[0], scaled[1]), (self._weights[0], self._weights[1]))
+            conditions = [(slopes[0], slopes[1], limit, price) for slopes, limit, _ in rows]
+        conditions += self._box
+        found = nearest_kept(conditions, (wanted[0], wanted[1]), (weights[0], weights[-1]))
         if found is None:
             return None
         return np.array([low + width * value for value, (low, _, width) in zip(found, self.sides, strict=False)])
