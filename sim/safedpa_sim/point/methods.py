@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa_sim.point.baseline_set import baseline_named
+from safedpa_sim.point.belief import Belief, LearnedBelief, to_task_action
+from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.driven import Driver, PolicyDriver
 from safedpa_sim.point.plan import BASELINES
+from safedpa_sim.point.seeking import sought
 from safedpa_sim.point.shield import FIXED_DIRECTIONS, Shield, shield_of, weights_named
 from safedpa_sim.point.task import PointTask
 
@@ -57,6 +60,7 @@ METHODS: Final = {
         Method("rma_p", "RMA-P", policy="rma_p"),
         *(Method(name, BASELINE_TITLES[name], policy=name) for name in BASELINES),
         Method("ppo_filtered", "PPO behind SafeDPA's filter", policy="ppo", filter="safedpa"),
+        Method("seeker", "goal seeker behind SafeDPA's filter", policy="seeker", filter="safedpa"),
     )
 }
 
@@ -86,8 +90,22 @@ def driver_of(method: Method, task: PointTask, models: Path, baselines: Path) ->
         if not method.filter:
             return PolicyDriver(task, policy)
         return ShieldedDriver(task, shield_of(method.filter, task, folder=models), lambda seen, _: policy.act(seen))
+    if method.policy == "seeker":
+        shield = shield_of(method.filter, task, folder=models)
+        return ShieldedDriver(task, shield, _seeking(task, LearnedBelief(weights_named("learned", models))))
     from safedpa_sim.point.policy_task import LatentPolicy
 
     learned = LatentPolicy(weights_named(method.policy, models))
     shield = shield_of(method.filter or "none", task, adapts=method.policy, folder=models)
     return ShieldedDriver(task, shield, learned.act)
+
+
+def _seeking(task: PointTask, belief: Belief) -> Wish:
+    """Towards the goal in the wind that the latent stands for."""
+
+    def wish(_: Floats, latent: Floats) -> Floats:
+        state = centre_state(task.simulation)
+        motion = belief.believed(state, latent).motion
+        return to_task_action(sought(state, task.layout.goal, task.layout.hazards, motion))
+
+    return wish
