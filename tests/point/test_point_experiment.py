@@ -13,11 +13,13 @@ from safedpa_services.command_line import safedpa
 from safedpa_sim.experiments.point import PointExperiment
 from safedpa_sim.experiments.statistics import mean_interval, ratio_interval
 from safedpa_sim.point.driven import PolicyDriver, driven, windy_task
-from safedpa_sim.point.methods import ShieldedDriver
+from safedpa_sim.point.methods import METHODS, ShieldedDriver, driver_of
 from safedpa_sim.point.policy_file import BaselinePolicy, save_policy
 from safedpa_sim.point.shield import shield_of
 
 FORCE = 0.008
+NOWHERE = Path("no weights here")
+"""So that those that ship are taken."""
 
 
 def towards_goal(seen: np.ndarray, _: object = None) -> np.ndarray:
@@ -64,6 +66,16 @@ def test_the_filter_that_knows_the_wind_keeps_a_reckless_wish_safe() -> None:
         assert (found.corrected > 0.0) == (name == "oracle")
     assert costs["oracle"] == 0.0
     assert costs["none"] > 20.0
+
+
+def test_what_ships_is_safe_behind_the_learned_filter_and_ppo_alone_is_not() -> None:
+    found = {}
+    for name in ("seeker", "ppo"):
+        task = windy_task(8, 1, FORCE, 7)
+        found[name] = driven(driver_of(METHODS[name], task, NOWHERE, NOWHERE), task, 150)
+    assert found["seeker"].cost.sum() == 0.0
+    assert found["seeker"].goals.sum() > 0.0
+    assert found["ppo"].cost.sum() > 0.0
 
 
 def test_intervals_of_means_and_ratios() -> None:

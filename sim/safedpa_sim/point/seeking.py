@@ -41,7 +41,8 @@ def sought(state: Floats, goal: Floats, hazards: Floats, motion: Motion) -> Floa
     across = wanted_y * np.cos(yaw) - wanted_x * np.sin(yaw)
     end = np.where(along < 0.0, -1.0, 1.0)
     turn = _GAIN * np.arctan2(end * across, end * along) / motion.fastest
-    return np.clip(np.stack((along / motion.strongest, turn), axis=1), -1.0, 1.0)
+    action: Floats = np.clip(np.stack((along / motion.strongest, turn), axis=1), -1.0, 1.0)
+    return action
 
 
 def _around(state: Floats, way: Floats, distance: Floats, hazards: Floats) -> Floats:
