@@ -22,7 +22,9 @@ Values = NDArray[np.float64]
 _FOOTPRINT: Final = (0.08, 0.4, 0.12)
 """m; about the pymunk car's."""
 _FIELD: Final = (-20.0, 20.0, -20.0, 20.0)
-_STATES: Final = 32
+_STATES: Final = 64
+_TICKS: Final = 30
+"""Of each drive."""
 _WISH: Final = (2.0, 0.0)
 """Straight on at full speed."""
 _EPSILON: Final = 0.01
@@ -39,6 +41,8 @@ class FilterProblem:
     states: Values
     """(n, 4)."""
     settings: FilterSettings
+    passed_by: Values
+    """(n, 4): all states of the same drives, as they came."""
 
     def barriers(self) -> Any:
         """As the service builds them for a scene: obstacles, four walls far away, two limits of speed."""
@@ -46,9 +50,9 @@ class FilterProblem:
         assert not isinstance(found, str), found
         return found
 
-    def requests(self, model: PhysicsModel, wish: tuple[float, float] = _WISH) -> list[tuple[Values, Values, Values]]:
-        """State, wish and latent of each decision."""
-        return [(state, np.array(wish), model.latent) for state in self.states]
+    def requests(self, model: PhysicsModel, *, every: bool = False) -> list[tuple[Values, Values, Values]]:
+        """State, wish and latent of each decision; of ``every`` state of the drives, or of those with a program."""
+        return [(state, np.array(_WISH), model.latent) for state in (self.passed_by if every else self.states)]
 
     def question(self, calls: int, seconds: float, backend: str) -> dict[str, Any]:
         """What a peer is told."""
@@ -95,37 +99,51 @@ def car_message(tick: int, obstacles: Values, state: tuple[float, ...], goal: tu
 
 
 def problem_with(count: int) -> FilterProblem:
-    """The scene of ``count`` obstacles: one stands in the way, the others further off all around; always the same."""
+    """The scene of ``count`` obstacles: one stands in the way, the others further off all around; always the same.
+
+    Cars drive at it from all sides, wishing for full speed ahead, under the filter with the networks. Kept are states
+    of these drives in which the filter has to solve its program, with the networks and with the physics.
+    """
     random = np.random.default_rng([5, count])
     bearing = random.uniform(-np.pi, np.pi, count)
     away = random.uniform(4.0, 6.0, count)
     obstacles = np.stack([away * np.cos(bearing), away * np.sin(bearing), random.uniform(0.2, 0.35, count)], axis=1)
     obstacles[0] = (0.0, 0.0, 0.3)
     settings = settings_named("car")
-    filters = [SafetyFilter.for_model(load_model(name), settings) for name in ("car", "car_learned")]
-    latents = [load_model(name).latent for name in ("car", "car_learned")]
-    problem = FilterProblem(obstacles, np.zeros((0, 4)), settings)
+    models = [load_model(name) for name in ("car_learned", "car")]
+    filters = [SafetyFilter.for_model(model, settings) for model in models]
+    nowhere = np.zeros((0, 4))
+    problem = FilterProblem(obstacles, nowhere, settings, nowhere)
     barriers, wish = problem.barriers(), np.array(_WISH)
     kept: list[Values] = []
+    every: list[Values] = []
+    state, tick = _towards(obstacles[0], random), 0
     while len(kept) < _STATES:
-        state = _towards(obstacles[0], random)
-        verdicts = [one.decide(state, wish, z, barriers=barriers) for one, z in zip(filters, latents, strict=True)]
+        verdicts = [
+            one.decide(state, wish, model.latent, barriers=barriers) for one, model in zip(filters, models, strict=True)
+        ]
+        every.append(state)
         if all(verdict.status is Status.corrected and verdict.solver == "solved" for verdict in verdicts):
             kept.append(state)
-    return FilterProblem(obstacles, np.array(kept), settings)
+        moved, _ = models[0].advance(state, verdicts[0].action, models[0].initial_memory(wish), models[0].latent)
+        tick += 1
+        state = np.asarray(moved, dtype=np.float64)
+        if tick == _TICKS:
+            state, tick = _towards(obstacles[0], random), 0
+    return FilterProblem(obstacles, np.array(kept), settings, np.array(every))
 
 
 def wedged() -> FilterProblem:
     """A standing car between two obstacles that both reach into it: no action keeps both conditions."""
     rear, front, _ = _FOOTPRINT
     obstacles = np.array([(front + 0.2, 0.0, 0.3), (-rear - 0.2, 0.0, 0.3)])
-    return FilterProblem(obstacles, np.zeros((1, 4)), settings_named("car"))
+    return FilterProblem(obstacles, np.zeros((1, 4)), settings_named("car"), np.zeros((1, 4)))
 
 
 def _towards(obstacle: Values, random: np.random.Generator) -> Values:
-    """Driving at an obstacle, anyhow near."""
+    """A state (4,) far enough before an obstacle that nothing has to be done yet, driving at it."""
     heading, aside = random.uniform(-np.pi, np.pi), random.uniform(-0.3, 0.3)
-    distance, speed = random.uniform(1.0, 2.0), random.uniform(0.3, 1.9)
+    distance, speed = random.uniform(1.8, 2.6), random.uniform(0.3, 1.5)
     x = obstacle[0] - distance * cos(heading) - aside * sin(heading)
     y = obstacle[1] - distance * sin(heading) + aside * cos(heading)
     return np.array([x, y, heading, speed])

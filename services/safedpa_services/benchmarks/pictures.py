@@ -68,6 +68,7 @@ def _programs(rows: list[Document], path: Path) -> Path:
                 axis.plot([value, last], [place, place], color="#444444", linewidth=1.0)
                 axis.plot(last, place, marker="|", color="#444444")
         axis.set_xscale("log")
+        axis.set_xlim(0.5 * min(value for _, value, *_ in bars))
         axis.set_yticks(range(len(bars)), [name for name, *_ in bars], fontsize=8)
         axis.set_title(_title(row), fontsize=9, loc="left")
         axis.set_xlabel(f"{row['figure'].replace('_', ' ')} [{unit}]", fontsize=8)
@@ -76,6 +77,15 @@ def _programs(rows: list[Document], path: Path) -> Path:
     figure.savefig(path, dpi=110)
     plt.close(figure)
     return path
+
+
+def _whole_decades(axis: Any) -> None:
+    """Stretches the vertical axis to whole decades, so that 3 % of growth look like 3 %."""
+    from math import ceil, floor, log10
+
+    values = [float(y) for line in axis.get_lines() for y in line.get_ydata() if y > 0.0]
+    if values:
+        axis.set_ylim(10.0 ** floor(log10(min(values))), 10.0 ** ceil(log10(max(values)) + 1e-9))
 
 
 def _title(row: Document) -> str:
@@ -97,6 +107,7 @@ def _growth(curves: list[Document], path: Path) -> Path:
             axis.plot(*zip(*known, strict=True), marker="o", markersize=3, label=name, color=colour)
         axis.set_xscale("log")
         axis.set_yscale("log")
+        _whole_decades(axis)
         axis.set_xlabel(curve["x_name"], fontsize=8)
         axis.set_ylabel(curve["y_name"], fontsize=8)
         axis.tick_params(labelsize=8)

@@ -21,11 +21,16 @@ def row_lines(row: Document) -> tuple[list[str], list[Line]]:
         if entry["missing"]:
             lines.append((entry["name"], entry["problem"], *["-"] * len(names), "-", "-"))
             continue
-        values = [figure_text(entry["figures"].get(name), entry["unit"]) for name in names]
+        values = [figure_text(entry["figures"].get(name), _unit(name, entry["unit"])) for name in names]
         used = figure_text(entry["processor"].get(row["figure"]), entry["unit"])
         ratio = entry.get("ratio")
         lines.append((entry["name"], entry["problem"], *values, used, "" if ratio is None else f"{ratio:.2f}"))
     return _filled([*columns, "times ahead"], lines)
+
+
+def _unit(figure: str, unit: str) -> str:
+    """Some figures stand beside those that the entry's unit belongs to."""
+    return {"right": "", "mib": "MiB", "minutes": "min", "pairs_per_second": ""}.get(figure, unit)
 
 
 def _filled(columns: list[str], lines: list[Line]) -> tuple[list[str], list[Line]]:

@@ -142,7 +142,7 @@ def _show_row(name: str, row: dict[str, Any]) -> None:
 
     from safedpa_services.benchmarks.table import row_lines, target_texts
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, width=max(Console().width, 130))
     console.print(f"\n[bold]{name}[/bold]: {row['work']}")
     if "failed" not in row:
         columns, lines = row_lines(row)

@@ -29,16 +29,17 @@ _PEERS: Final = (
 )
 """Name, package, its option, script and what it does or does not do."""
 _CBFKIT = "no release in the package index; 715 us (p50) and 1100 us (p99) where it was measured from its sources"
+_EVERY: Final = "8, all ticks"
 _QUICK = ("cbfpy, elastiqp", "cvxpy, Clarabel", "IPOPT (casadi)")
 """Peers that are asked in a quick run: the others take half a minute to compile."""
 _EFFECTS = ("quadratic_drag", "rolling_resistance", "steering_offset", "understeer", "viscous_drag", "turning_drag")
 
 
 def measure(effort: Effort) -> Row:
-    """Decisions that need the quadratic program, with 1, 8 and 32 obstacles, and passed ones with 8."""
+    """Decisions that need the quadratic program, with 1, 8 and 32 obstacles, and with 8 those of every tick."""
     counts = effort.of((8,), (1, 8, 32))
     problems = {count: problem_with(count) for count in counts}
-    calls, seconds = effort.of((300, 0.3), (20_000, 5.0))
+    calls, seconds = effort.of((300, 0.3), (20_000, 4.0))
     ours = [entry for count in counts for entry in _ours(problems[count], calls, seconds)]
     peers = _peers(problems, effort)
     learned = next(entry for entry in ours if entry.problem == "8 obstacles")
@@ -63,8 +64,8 @@ def _ours(problem: FilterProblem, calls: int, seconds: float) -> list[Entry]:
         found.append(microseconds(f"safedpa, {what}", times, named))
     if count == 8:
         for model, what in MODELS.items():
-            times = _decisions(problem, load_model(model), calls, seconds, (0.0, 0.0))
-            found.append(microseconds(f"safedpa, {what}", times, "wish kept", "8 obstacles, the wish is to brake"))
+            times = _decisions(problem, load_model(model), calls, seconds, every=True)
+            found.append(microseconds(f"safedpa, {what}", times, _EVERY, "all ticks: also those that need no program"))
     return found
 
 
@@ -73,12 +74,12 @@ def _named(count: int) -> str:
 
 
 def _decisions(
-    problem: FilterProblem, model: PhysicsModel, calls: int, seconds: float, wish: tuple[float, float] = (2.0, 0.0)
+    problem: FilterProblem, model: PhysicsModel, calls: int, seconds: float, *, every: bool = False
 ) -> dict[str, Any]:
     one, barriers = SafetyFilter.for_model(model, problem.settings), problem.barriers()
     return timed(
         lambda asked: one.decide(asked[0], asked[1], asked[2], barriers=barriers),
-        problem.requests(model, wish),
+        problem.requests(model, every=every),
         calls,
         seconds,
     )
@@ -97,7 +98,7 @@ def _peers(problems: Mapping[int, FilterProblem], effort: Effort) -> list[Entry]
     found: list[Entry] = []
     for name, package, backend, script, note in _PEERS:
         told = f"{note}; {_LACKS}"
-        calls, seconds = effort.of((100, 0.2), (20_000, 3.0))
+        calls, seconds = effort.of((100, 0.2), (20_000, 2.0))
         asked = [problem.question(calls, seconds, backend) for problem in problems.values()]
         question = {"problems": [*asked, wedged().question(0, 0.0, backend)]}
         left_out = effort.quick and name not in _QUICK

@@ -39,7 +39,7 @@ def _entry(hours: float, row: dict[str, Any]) -> Entry:
     figures = {"seconds": float(row["seconds"]), "mib": float(row["memory_mebibytes"])}
     processor = {"seconds": float(row["processor_seconds"])}
     found = ", ".join(row["added"] or ()) or "nothing"
-    return Entry(f"safedpa, {hours:.3g} h", figures, "", processor, f"{hours:.3g} h", f"found {found}; drag is hidden")
+    return Entry(f"safedpa, {hours:.3g} h", figures, "s", processor, f"{hours:.3g} h", f"found {found}; drag is hidden")
 
 
 def _diagnosed(runs: int, seconds: float) -> dict[str, Any]:

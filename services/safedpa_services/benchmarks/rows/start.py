@@ -33,10 +33,10 @@ def measure(effort: Effort) -> Row:
     first = _median(list(times))
     imports = {name: _imported(f"safedpa_services.{name}.__main__", effort.of(1, 5)) for name in _SERVICES}
     notes = tuple(f"the import of {name} brings torch" for name, (_, torch) in imports.items() if torch)
-    ours = [Entry("safedpa up to the first action", {"seconds": first}, "", problem="start")]
+    ours = [Entry("safedpa up to the first action", {"seconds": first}, "s", problem="start")]
     ours += [
         Entry(
-            f"import of {name}", {"seconds": seconds}, "", problem="import", note="without torch" if not torch else ""
+            f"import of {name}", {"seconds": seconds}, "s", problem="import", note="without torch" if not torch else ""
         )
         for name, (seconds, torch) in imports.items()
     ]
