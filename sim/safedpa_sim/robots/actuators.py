@@ -11,7 +11,7 @@ from safedpa_sim.robots.car_parameters import CarParameters
 __all__ = ["SpeedServo", "SteeringActuator"]
 
 
-def cached_share(lag: float) -> Callable[[float], float]:
+def _cached_share(lag: float) -> Callable[[float], float]:
     """1 - exp(-seconds / lag), the share of its way that a first-order lag goes; a car asks for one length for ever."""
     return lru_cache(maxsize=8)(lambda seconds: 1.0 - exp(-seconds / lag))
 
@@ -24,7 +24,7 @@ class SpeedServo:
 
     def __init__(self, parameters: CarParameters) -> None:
         self._parameters = parameters
-        self._share = cached_share(parameters.servo_lag)
+        self._share = _cached_share(parameters.servo_lag)
         self.acceleration = 0.0
 
     def advance(self, target: float, speed: float, seconds: float) -> float:
@@ -41,7 +41,7 @@ class SteeringActuator:
 
     def __init__(self, parameters: CarParameters) -> None:
         self._parameters = parameters
-        self._share = cached_share(parameters.steer_lag)
+        self._share = _cached_share(parameters.steer_lag)
         self.angle = 0.0
 
     def advance(self, command: float, seconds: float) -> float:
