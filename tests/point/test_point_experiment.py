@@ -12,8 +12,9 @@ from safedpa.errors import InputError
 from safedpa_services.command_line import safedpa
 from safedpa_sim.experiments.point import PointExperiment
 from safedpa_sim.experiments.statistics import mean_interval, ratio_interval
+from safedpa_sim.point import methods
 from safedpa_sim.point.driven import PolicyDriver, driven, windy_task
-from safedpa_sim.point.methods import METHODS, ShieldedDriver, driver_of
+from safedpa_sim.point.methods import METHODS, Method, ShieldedDriver, driver_of
 from safedpa_sim.point.policy_file import BaselinePolicy, save_policy
 from safedpa_sim.point.shield import shield_of
 
@@ -122,3 +123,9 @@ def test_the_command_writes_table_numbers_and_pictures(tmp_path: Path, capsys: p
 def test_numbers_that_are_none_are_refused() -> None:
     with pytest.raises(InputError, match="--episodes"):
         PointExperiment(Path(), Path(), episodes=0)
+
+
+def test_methods_without_weights_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    some = {name: METHODS[name] for name in ("ppo", "oracle", "seeker")}
+    monkeypatch.setattr(methods, "METHODS", {**some, "none": Method("none", "None", policy="never_trained")})
+    assert methods.with_weights(NOWHERE, NOWHERE) == tuple(some)

@@ -14,7 +14,7 @@ from safedpa.errors import InputError
 from safedpa_sim.point import fisher
 from safedpa_sim.point.baseline_set import baseline_named, train_baselines
 from safedpa_sim.point.baselines import _algorithm, _task
-from safedpa_sim.point.constrained import constrained_step
+from safedpa_sim.point.constrained import Multiplier, constrained_step
 from safedpa_sim.point.plan import Plan
 from safedpa_sim.point.vector_environment import PointEnvironment
 
@@ -88,3 +88,19 @@ def test_the_excess_is_the_cost_over_its_limit(limit: float, sign: float) -> Non
     assert np.sign(algorithm._excess(0.01)) == sign
     environment.costs.extend([30.0, 40.0])
     assert algorithm._excess(0.01) == pytest.approx((35.0 - limit) / 1000.0)
+
+
+def test_the_multiplier_follows_the_cost_within_its_bounds() -> None:
+    environment = PointEnvironment(_task(Plan(robots=16), 0), 0)
+    multiplier = Multiplier(environment, limit=25.0, rate=0.01, largest=1.0)
+    multiplier._on_rollout_end()
+    assert environment.weight == 0.0
+    environment.costs.append(35.0)
+    multiplier._on_rollout_end()
+    assert environment.weight == pytest.approx(0.1)
+    for _ in range(30):
+        multiplier._on_rollout_end()
+    assert environment.weight == 1.0
+    environment.costs.append(-2000.0)
+    multiplier._on_rollout_end()
+    assert environment.weight == 0.0

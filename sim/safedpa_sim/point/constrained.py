@@ -43,11 +43,17 @@ _URGENCY: Final = 10.0
 
 @final
 class Multiplier(BaseCallback):
-    """weight <- max(0, weight + rate (mean cost of the last episodes - limit)) after every rollout."""
+    """weight <- clip(weight + rate (mean cost of the last episodes - limit), 0, largest) after every rollout.
 
-    def __init__(self, environment: PointEnvironment, limit: float = COST_LIMIT, rate: float = 0.002) -> None:
+    Before anything is learned the cost is high for long: without ``largest`` the weight winds up to ten times what it
+    settles at, and the robots learn to stand still.
+    """
+
+    def __init__(
+        self, environment: PointEnvironment, limit: float = COST_LIMIT, rate: float = 0.002, largest: float = 1.0
+    ) -> None:
         super().__init__()
-        self._environment, self._limit, self._rate = environment, limit, rate
+        self._environment, self._limit, self._rate, self._largest = environment, limit, rate, largest
 
     def _on_step(self) -> bool:
         return True
@@ -56,7 +62,7 @@ class Multiplier(BaseCallback):
         environment = self._environment
         if environment.costs:
             over = float(np.mean(environment.costs)) - self._limit
-            environment.weight = max(0.0, environment.weight + self._rate * over)
+            environment.weight = min(max(0.0, environment.weight + self._rate * over), self._largest)
 
 
 @final

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.errors import InputError
 from safedpa_sim.point.baseline_set import baseline_named
 from safedpa_sim.point.belief import Belief, LearnedBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
@@ -19,7 +21,7 @@ from safedpa_sim.point.seeking import sought
 from safedpa_sim.point.shield import FIXED_DIRECTIONS, Shield, shield_of, weights_named
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["BASELINE_TITLES", "METHODS", "Method", "ShieldedDriver", "driver_of"]
+__all__ = ["BASELINE_TITLES", "METHODS", "Method", "ShieldedDriver", "driver_of", "with_weights"]
 
 Floats = NDArray[np.float64]
 Wish = Callable[[Floats, Floats], NDArray[np.floating[Any]]]
@@ -98,6 +100,16 @@ def driver_of(method: Method, task: PointTask, models: Path, baselines: Path) ->
     learned = LatentPolicy(weights_named(method.policy, models))
     shield = shield_of(method.filter or "none", task, adapts=method.policy, folder=models)
     return ShieldedDriver(task, shield, learned.act)
+
+
+def with_weights(models: Path, baselines: Path) -> tuple[str, ...]:
+    """Those of ``METHODS`` whose weights are in the folders or ship."""
+    task, found = PointTask(1, 0), []
+    for name, method in METHODS.items():
+        with contextlib.suppress(InputError):
+            driver_of(method, task, models, baselines)
+            found.append(name)
+    return tuple(found)
 
 
 def _seeking(task: PointTask, belief: Belief) -> Wish:

@@ -42,12 +42,25 @@ def command(methods: str | None, quick: bool, out: Path | None, as_json: bool, *
 
     if methods is not None:
         options["methods"] = _named(methods)
+    else:
+        options["methods"] = _trained(options["models"], options["baselines"])
     experiment = PointExperiment(**{**options, **(_QUICK if quick else {})}, date=time.strftime("%Y-%m-%d"))
     with progress("experiment point") as tell:
         result = point_experiment(experiment, tell)
     if out is not None:
         write_report(result, out)
     click.echo(json.dumps(result) if as_json else markdown_of(result))
+
+
+def _trained(models: Path, baselines: Path) -> tuple[str, ...]:
+    """All methods but those that nobody has trained, which are told."""
+    from safedpa_sim.point.methods import METHODS, with_weights
+
+    names = with_weights(models, baselines)
+    for name in METHODS:
+        if name not in names:
+            click.echo(f"warning: {name}: left out, there are no weights of it", err=True)
+    return names
 
 
 def _named(methods: str) -> tuple[str, ...]:
