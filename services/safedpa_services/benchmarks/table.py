@@ -8,6 +8,10 @@ from typing import Any, Final
 __all__ = ["figure_text", "markdown", "row_lines", "target_texts"]
 
 _SHOWN: Final = {"p50": "p50", "p99": "p99", "p999": "p99.9"}
+_INTRODUCTION: Final = (
+    "Written by `safedpa bench all`. `times ahead`: how many times better this project's first line on the same "
+    "problem is; below 1 the other one is ahead. `processor`: time of all threads."
+)
 Document = dict[str, Any]
 Line = tuple[str, ...]
 
@@ -54,7 +58,10 @@ def figure_text(value: float | None, unit: str) -> str:
 
 def markdown(document: Document) -> str:
     """The whole document as Markdown: asked and reached first, then each row."""
-    parts = ["| work | asked | reached | |", "| --- | --: | --: | --- |"]
+    parts = ["# Speed: results", "", _INTRODUCTION, ""]
+    if any(row.get("effort") == "quick" for row in document["rows"].values()):
+        parts += ["**Some rows are of a quick run: their numbers mean little.**", ""]
+    parts += ["| work | asked | reached | |", "| --- | --: | --: | --- |"]
     for name, row in document["rows"].items():
         parts += [f"| {name}: {text} |" for text in _target_cells(row)]
     for name, row in document["rows"].items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import concurrent.futures
 from typing import Any
 
+from safedpa.errors import SafedpaError
 from safedpa_services.benchmarks.fleet import LATE_SHARE, FleetTrial, fleet_benchmark, largest_fleet
 from safedpa_services.benchmarks.results import Curve, Effort, Entry, Row, Target
 
@@ -16,7 +17,7 @@ def measure(effort: Effort) -> Row:
     seconds = effort.of(2.0, 20.0, 60.0)
     trials: list[dict[str, Any]] = []
     trial = FleetTrial(effort.of(2, 100), seconds, realtime=True)
-    shared = largest_fleet(trial, trials.append, fleet_benchmark) if not effort.quick else _once(trial, trials)
+    shared = largest_fleet(trial, trials.append, _shared) if not effort.quick else _once(trial, trials)
     apart_trials: list[dict[str, Any]] = []
     begin = FleetTrial(effort.of(1, 4), seconds, realtime=True)
     apart = (
@@ -37,9 +38,9 @@ def measure(effort: Effort) -> Row:
     return Row("largest-fleet", work, "robots", ours, peers, (target,), (curve,), better="more")
 
 
-def _once(trial: FleetTrial, trials: list[dict[str, Any]], measure_one: Any = fleet_benchmark) -> int:
+def _once(trial: FleetTrial, trials: list[dict[str, Any]], measure_one: Any = None) -> int:
     """One fleet, without a search."""
-    trials.append(measure_one(trial))
+    trials.append((measure_one or _shared)(trial))
     return trial.robots if trials[-1]["holds"] else 0
 
 
@@ -60,6 +61,7 @@ _KEPT = (
     "processes",
     "holds",
     "collisions",
+    "failed",
 )
 
 
@@ -67,7 +69,7 @@ def _apart(trial: FleetTrial) -> dict[str, Any]:
     """So many loops of one robot each, all at once."""
     one = FleetTrial(1, trial.seconds, trial.rate, realtime=trial.realtime)
     with concurrent.futures.ThreadPoolExecutor(trial.robots) as pool:
-        found = list(pool.map(fleet_benchmark, [one] * trial.robots))
+        found = list(pool.map(_shared, [one] * trial.robots))
     ticks, late = (sum(int(each[key]) for each in found) for key in ("robot_ticks", "late_ticks"))
     worst = {name: max((each["sense_to_act_us"][name] or 0) for each in found) for name in ("p50", "p99")}
     processes = {
@@ -79,8 +81,17 @@ def _apart(trial: FleetTrial) -> dict[str, Any]:
         "late_ticks": late,
         "sense_to_act_us": worst,
         "processes": processes,
-        "holds": late <= LATE_SHARE * max(ticks, 1),
+        "holds": all("failed" not in each for each in found) and late <= LATE_SHARE * max(ticks, 1),
     }
+
+
+def _shared(trial: FleetTrial) -> dict[str, Any]:
+    """One fleet; one that does not come up, or breaks down, does not hold."""
+    try:
+        return fleet_benchmark(trial)
+    except SafedpaError as error:
+        nothing = {"robot_ticks": 0, "late_ticks": 0, "sense_to_act_us": {"p50": None, "p99": None}, "processes": {}}
+        return {"robots": trial.robots, **nothing, "holds": False, "failed": str(error)}
 
 
 def _milliseconds(microseconds: float | None) -> float | None:
