@@ -83,7 +83,7 @@ def heat_map(asked: HeatMap) -> dict[str, Any]:
         "axis": axis.tolist(),
         "agreement": {name: agreement(values, reference) for name, values in predicted.items()},
         "shown": {
-            name: values[: asked.shown].reshape(square).tolist()
+            name: values[: asked.shown].reshape(square).round(6).tolist()
             for name, values in {"reference": reference, **predicted}.items()
         },
     }
