@@ -79,6 +79,19 @@ def test_a_condition_dearer_than_its_slack_is_left_to_the_solver(price: float, a
     assert (nearest_kept([*corner[::-1], *BOX], (0.5, 0.5), (1.0, 1.0)) is not None) == answers
 
 
+@pytest.mark.parametrize(("price", "answers"), [(0.25, True), (0.24, False)])
+def test_a_corner_of_steep_conditions_has_small_multipliers(price: float, answers: bool) -> None:
+    """2 (0.75 - 0.5) = 0.25 times the slope 2."""
+    rows: list[Row] = [(2.0, 0.0, 1.5, price), (0.0, 2.0, 1.5, 9.0)]
+    for order in (rows, rows[::-1]):
+        assert (nearest_kept([*order, *BOX], (0.5, 0.5), (1.0, 1.0)) is not None) == answers
+
+
+def test_faint_conditions_have_a_corner_too() -> None:
+    rows: list[Row] = [(1e-5, 0.0, 0.75e-5, inf), (0.0, 1e-5, 0.75e-5, inf)]
+    assert nearest_kept([*rows, *BOX], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.75))
+
+
 @pytest.mark.parametrize(
     "row",
     [(0.0, 0.0, 0.1, 1e9), (1.0, 0.0, 1.1, 1e9), (nan, 0.0, 0.1, 1e9), (1.0, inf, 0.1, 1e9), (1.0, 0.0, nan, 1e9)],
