@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,7 +70,9 @@ def _circles(result: dict[str, Any], path: Path) -> None:
             axes.tick_params(pad=-3)
             share = 100 * row["safe_episodes"] / row["episodes"]
             axes.set_title(
-                f"{row['title']}\n{100 * row['safe_steps'][0]:.1f} % / {share:.0f} %", fontsize=7.2, color=BLACK
+                f"{fill(row['title'], 22)}\n{100 * row['safe_steps'][0]:.1f} % / {share:.0f} %",
+                fontsize=7.2,
+                color=BLACK,
             )
         heading(
             drawn,
@@ -80,7 +83,7 @@ def _circles(result: dict[str, Any], path: Path) -> None:
 
 def _success(result: dict[str, Any], path: Path) -> None:
     """Steps in hazards, on a scale of powers, against goals."""
-    with figure(path, 3.9) as drawn:
+    with figure(path, 5.2) as drawn:
         axes = drawn.subplots()
         for name, row in result["methods"].items():
             unsafe = 100 * (1.0 - row["safe_steps"][0])
@@ -88,11 +91,19 @@ def _success(result: dict[str, Any], path: Path) -> None:
             axes.errorbar(
                 goals, unsafe, xerr=[[goals - low], [high - goals]], fmt="o", color=_colour(name), markersize=6
             )
-            axes.annotate(row["title"], (goals, unsafe), (5, 4), textcoords="offset points", fontsize=7, color=BLACK)
+            axes.annotate(
+                row["title"],
+                (goals, unsafe),
+                (2, 4),
+                textcoords="offset points",
+                fontsize=6.5,
+                rotation=35,
+                color=BLACK,
+            )
         axes.axhline(2.0, color=GREY, linestyle=":", linewidth=1)
         axes.set_yscale("symlog", linthresh=0.1)
         axes.set_yticks([0, 0.1, 1, 2, 10], ["0", "0.1", "1", "2", "10"])
-        axes.set_ylim(-0.02, 20)
+        axes.set_ylim(-0.02, 60)
         axes.set_xlabel("goals reached in an episode")
         axes.set_ylabel("steps in a hazard [%]")
         if "ppo" in result["methods"]:
