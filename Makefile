@@ -50,7 +50,7 @@ constraints:  ## writes constraints.txt anew from the newest releases
 	@rm -rf build/constraints
 	@$(PYTHON) -m venv build/constraints
 	@build/constraints/bin/python -m pip install --quiet torch==2.13.0
-	@build/constraints/bin/python -m pip install --quiet --editable '.[gym,test,lint]'
+	@build/constraints/bin/python -m pip install --quiet --editable '.[bench,gym,test,lint]'
 	@build/constraints/bin/python -m pip freeze --exclude safedpa | sed 's/+cpu$$//' > constraints.txt
 	@rm -rf build/constraints
 
