@@ -101,6 +101,10 @@ def test_no_answer_where_there_is_none(row: Row) -> None:
     assert nearest_kept([*BOX, row], (0.5, 0.5), (1.0, 1.0)) is None
 
 
+def test_a_row_of_zeros_has_no_corner_with_what_was_taken_in_before() -> None:
+    assert nearest_kept([(0.0, 0.0, 0.1, 1e9), *BOX], (2.0, 0.5), (1.0, 1.0)) is None
+
+
 def test_rows_that_are_almost_parallel_have_no_corner() -> None:
     rows: list[Row] = [(1.0, 0.0, 0.6, 1e9), (-1.0, 1e-12, -0.4, 1e9)]
     assert nearest_kept([*rows, *BOX], (0.5, 0.5), (1.0, 1.0)) is None
