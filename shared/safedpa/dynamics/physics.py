@@ -22,7 +22,6 @@ from safedpa.dynamics.straight import (
     straight_arrays,
     straight_step,
 )
-from safedpa.dynamics.straight_tangent import StraightTangent
 from safedpa.dynamics.tangent import batched_difference, forward_mode, intercept, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
@@ -135,10 +134,6 @@ class PhysicsModel(AbstractDynamics):
         often enough for recording to pay.
         """
         return None if self._commands else self._straight.floats(period)
-
-    def straight_tangent(self) -> StraightTangent | None:
-        """``straight`` of the model's own period, with the slopes over the action: entries and (states, actions)."""
-        return None if self._commands else self._straight.tangent(self.period)
 
     def straight_arrays(self, period: float) -> StraightStep | None:
         """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.

@@ -8,7 +8,7 @@ model says v+ = f_v(x, z) + g_v(x, z) u', so u' = (v+ - f_v) / g_v does the same
 from __future__ import annotations
 
 import contextlib
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ __all__ = ["SpeedCompensation"]
 
 Values = NDArray[np.float64]
 
+_NUDGE = 1e-3
+"""m/s of target speed, for the slope."""
 _WEAKEST = 1e-3
 """Below this sensitivity d(v+)/du the action has no hold on the speed, and the wish stays as it is."""
 
@@ -29,7 +31,7 @@ class SpeedCompensation:
 
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
-        self._nominal: list[float] = model.latent.tolist()
+        self._nominal = model.latent
         self._speed = model.system.state_names.index("speed")
         self._target = model.system.action_names.index("target_speed")
 
@@ -42,14 +44,22 @@ class SpeedCompensation:
         return changed
 
     def _speeds(self, state: Values, wish: Values, latent: Values) -> tuple[float, float, float]:
-        """The speed after the wish with the load and without, and its slope over the target speed with the load."""
-        tangent, step = self.model.straight_tangent(), self.model.straight(self.model.period)
-        if tangent is not None and step is not None:
-            entries, wished = state.tolist(), wish.tolist()
+        """The speed after the wish with the load and without, and its slope over the target speed with the load.
+
+        Three steps of the model, which are the same to the last bit on each of its roads: a run repeats itself,
+        whenever the straight line of arithmetic is ready.
+        """
+        nudged = wish.copy()
+        nudged[self._target] += _NUDGE
+        memory = self.model.initial_memory(wish, latent)
+        loaded = self._speed_after(state, wish, memory, latent)
+        slope = (self._speed_after(state, nudged, memory, latent) - loaded) / _NUDGE
+        unloaded = self._speed_after(state, wish, self.model.initial_memory(wish, self._nominal), self._nominal)
+        return loaded, unloaded, slope
+
+    def _speed_after(self, state: Values, wish: Values, memory: Any, latent: Values) -> float:
+        step = self.model.straight(self.model.period)
+        if step is not None:
             with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
-                after, slopes = tangent(entries, wished, latent.tolist(), 0.0)
-                unloaded = step(entries, wished, self._nominal, 0.0)[self._speed]
-                return after[self._speed], unloaded, slopes[self._speed][self._target]
-        f, g = self.model.affine(state, latent, around=wish)
-        loaded = f[self._speed] + g[self._speed] @ wish
-        return float(loaded), float(self.model.step(state, wish)[self._speed]), float(g[self._speed, self._target])
+                return float(step(state.tolist(), wish.tolist(), latent.tolist(), 0.0)[self._speed])
+        return float(self.model.advance(state, wish, memory, latent)[0][self._speed])
