@@ -9,8 +9,9 @@ from safedpa.errors import InputError
 
 __all__ = ["write_pictures"]
 
-_OURS, _THEIRS = "#1f6f5c", "#b0b7bd"
-_COLOURS: Final = ("#1f6f5c", "#57b894", "#c8553d", "#e09f3e", "#4a6fa5", "#8d6a9f", "#7f7f7f", "#bc8f8f")
+_OURS, _THEIRS, _GRID = "#0072B2", "#7A8590", "#DCE1E6"
+_COLOURS: Final = ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#009E73", "#CC79A7", "#7A8590", "#222222")
+"""Okabe and Ito's, as in the other figures."""
 _COLUMNS = 2
 Document = dict[str, Any]
 
@@ -56,27 +57,43 @@ def _programs(rows: list[Document], path: Path) -> Path:
     from matplotlib import pyplot as plt
 
     lines = -(-len(rows) // _COLUMNS)
-    figure, axes = plt.subplots(lines, _COLUMNS, figsize=(12.0, 2.9 * lines), squeeze=False, layout="constrained")
+    most = max(len(_bars(row)) for row in rows)
+    size = (12.0, (0.9 + 0.28 * most) * lines)
+    figure, axes = plt.subplots(lines, _COLUMNS, figsize=size, squeeze=False, layout="constrained")
     for axis in axes.flat[len(rows) :]:
         axis.set_visible(False)
     for axis, row in zip(axes.flat, rows, strict=False):
-        bars = _bars(row)[::-1]
-        unit = next(entry["unit"] for entry in row["ours"] if entry["figures"])
-        for place, (_, value, last, own) in enumerate(bars):
-            axis.barh(place, value, color=_OURS if own else _THEIRS)
-            if last > value:
-                axis.plot([value, last], [place, place], color="#444444", linewidth=1.0)
-                axis.plot(last, place, marker="|", color="#444444")
-        axis.set_xscale("log")
-        axis.set_xlim(0.5 * min(value for _, value, *_ in bars))
-        axis.set_yticks(range(len(bars)), [name for name, *_ in bars], fontsize=8)
-        axis.set_title(_title(row), fontsize=9, loc="left")
-        axis.set_xlabel(f"{row['figure'].replace('_', ' ')} [{unit}]", fontsize=8)
-        axis.tick_params(axis="x", labelsize=8)
-        axis.spines[["top", "right"]].set_visible(False)
+        _dots(axis, row)
     figure.savefig(path, dpi=110)
     plt.close(figure)
     return path
+
+
+def _dots(axis: Any, row: Document) -> None:
+    """One dot a program with its figure beside it, a line to p99 where there is one; this project's in colour."""
+    bars = _bars(row)[::-1]
+    unit = next((entry["unit"] for entry in row["ours"] if entry["figures"]), "")
+    for place, (_, value, last, own) in enumerate(bars):
+        colour = _OURS if own else _THEIRS
+        if last > value:
+            axis.plot([value, last], [place, place], color=colour, linewidth=1.2, alpha=0.6)
+        axis.plot(value, place, marker="o", markersize=7, color=colour)
+        above = {"xytext": (0, 6), "textcoords": "offset points", "ha": "center", "fontsize": 7.5}
+        axis.annotate(f"{value:,.3g}" if value < 1000.0 else f"{value:,.0f}", (value, place), color=colour, **above)
+    ends = [number for _, value, last, _ in bars for number in (value, max(value, last))]
+    axis.set_xscale("log")
+    axis.set_xlim(0.5 * min(ends), 2.0 * max(ends))
+    axis.set_ylim(-0.6, len(bars) - 0.2)
+    axis.set_yticks(range(len(bars)), [name for name, *_ in bars], fontsize=8)
+    for label, (*_, own) in zip(axis.get_yticklabels(), bars, strict=True):
+        label.set_color(_OURS if own else "#222222")
+    axis.set_title(_title(row), fontsize=9, loc="left", fontweight="bold")
+    axis.set_xlabel(" ".join(filter(None, (row["figure"].replace("_", " "), unit and f"[{unit}]"))), fontsize=8)
+    axis.tick_params(axis="both", labelsize=8, length=0)
+    axis.xaxis.set_minor_formatter("")
+    axis.grid(axis="x", color=_GRID, linewidth=0.7)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right", "left"]].set_visible(False)
 
 
 def _whole_decades(axis: Any) -> None:
