@@ -70,7 +70,7 @@ def _circles(result: dict[str, Any], path: Path) -> None:
             axes.tick_params(pad=-3)
             share = 100 * row["safe_episodes"] / row["episodes"]
             axes.set_title(
-                f"{fill(row['title'], 22)}\n{100 * row['safe_steps'][0]:.1f} % / {share:.0f} %",
+                f"{fill(row['title'], 22)}\n{100 * row['safe_steps'][0]:.1f} % / {share:.1f} %",
                 fontsize=7.2,
                 color=BLACK,
             )
