@@ -20,12 +20,11 @@ from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
 from safedpa_sim.experiments.car_workers import Workers
 from safedpa_sim.experiments.real_logs_data import PENDULUM, mapped_runs, paths_of
+from safedpa_sim.pendulum.hidden import PERIOD, swing_at_random
 from safedpa_sim.robots.pendulum_world import PendulumParameters, PendulumWorld
 
 __all__ = ["PayloadCases", "diagnosed_payload", "identified_pendulum", "payload_cases"]
 
-_PERIOD = 0.01
-"""s between rows."""
 _HORIZON = 0.4
 """s"""
 _TORQUE = 2.5
@@ -112,19 +111,12 @@ def _logs(model: PhysicsModel, mass: float, seed: int, count: int, seconds: floa
         payload=mass,
         dry_friction=value.get("coulomb_friction.torque", 0.0),
     )
-    rows, runs = round(seconds / _PERIOD), []
+    rows, runs = round(seconds / PERIOD), []
     for number in range(count):
         random = np.random.default_rng([seed, number, 8])
         world = PendulumWorld(np.pi, parameters=body)
-        states, torques = np.empty((rows, 2)), np.empty((rows, 1))
-        left, torque = 0, 0.0
-        for row in range(rows):
-            if left == 0:
-                left, torque = int(random.integers(*_HELD)), float(random.uniform(-_TORQUE, _TORQUE))
-            left -= 1
-            states[row], torques[row] = (world.angle, world.rate), torque
-            world.advance(torque, _PERIOD)
+        states, torques = swing_at_random(world, random, rows, _TORQUE, _HELD)
         seen = states + random.normal(0.0, _NOISE, states.shape)
-        t = np.arange(rows, dtype=np.float64) * _PERIOD
+        t = np.arange(rows, dtype=np.float64) * PERIOD
         runs.append(Run(f"log {number + 1}", model.system, t, seen, torques, (Stretch(0, rows),)))
     return runs

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
 from safedpa_sim.robots.pendulum_world import PendulumParameters, PendulumWorld
 
-__all__ = ["HIDDEN", "PERIOD", "HiddenPendulum", "oracle_model", "swings_all_around"]
+__all__ = ["HIDDEN", "PERIOD", "HiddenPendulum", "oracle_model", "swing_at_random", "swings_all_around"]
 
 PERIOD: Final = 0.01
 """s"""
@@ -21,6 +22,8 @@ _TORQUE: Final = 10.0
 """N m; the motor's."""
 _HELD: Final = (5, 40)
 """Periods for which a torque is held."""
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -62,14 +65,25 @@ def swings_all_around(
     for number in range(count):
         random = np.random.default_rng([seed, number, 6])
         world = PendulumWorld(float(random.uniform(-np.pi, np.pi)), wind, hidden.parameters)
-        states, torques = np.empty((rows, 2)), np.empty((rows, 1))
-        left, torque = 0, 0.0
-        for row in range(rows):
-            if left == 0:
-                left, torque = int(random.integers(*_HELD)), float(random.uniform(-_TORQUE, _TORQUE))
-            left -= 1
-            states[row], torques[row] = (world.angle, world.rate), torque
-            world.advance(torque, PERIOD)
+        states, torques = swing_at_random(world, random, rows, _TORQUE, _HELD)
         t = np.arange(rows, dtype=np.float64) * PERIOD
         runs.append(Run(f"swing {number + 1}", system, t, states, torques, (Stretch(0, rows),)))
     return runs
+
+
+def swing_at_random(
+    world: PendulumWorld, random: np.random.Generator, rows: int, largest: float, held: tuple[int, int]
+) -> tuple[Floats, Floats]:
+    """States (rows, 2) [rad, rad/s] and the torques (rows, 1) that follow them, uniform within +- ``largest`` [N m].
+
+    Each is held for a number of periods that lies within ``held``, its upper end not included.
+    """
+    states, torques = np.empty((rows, 2)), np.empty((rows, 1))
+    left, torque = 0, 0.0
+    for row in range(rows):
+        if left == 0:
+            left, torque = int(random.integers(*held)), float(random.uniform(-largest, largest))
+        left -= 1
+        states[row], torques[row] = (world.angle, world.rate), torque
+        world.advance(torque, PERIOD)
+    return states, torques
