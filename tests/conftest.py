@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from safedpa.bus import ports
 from safedpa.dynamics import bases
 from safedpa.effects import library
 from safedpa.networks import Description, EnvironmentEntry, Weights
@@ -42,10 +42,7 @@ def data_folder() -> Path:
 @pytest.fixture
 def free_port() -> int:
     """A TCP port on the loopback interface that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
+    return ports.free_port()
 
 
 @pytest.fixture(autouse=True)

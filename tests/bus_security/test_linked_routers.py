@@ -9,6 +9,7 @@ import pytest
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport, request_key
 from safedpa.bus.access import access_control
+from safedpa.bus.ports import free_port
 from safedpa.bus.requests import REQUEST
 from safedpa.errors import InputError
 
@@ -18,9 +19,9 @@ Join = Callable[..., ZenohTransport]
 
 
 @pytest.fixture
-def west(network: Any, free_port: int) -> Iterator[Callable[..., Join]]:
+def west(network: Any) -> Iterator[Callable[..., Join]]:
     """Starts a second router that links itself to the first one; returns how to join it."""
-    endpoint = network.endpoint.rsplit(":", 1)[0] + f":{free_port + 1 if free_port < 65000 else free_port - 1}"
+    endpoint = network.endpoint.rsplit(":", 1)[0] + f":{free_port()}"
 
     def started(role: str = "router.west", *, guarded: bool = True) -> Join:
         access = access_control(network.fleet, network.robots) if guarded else None

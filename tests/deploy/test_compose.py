@@ -6,7 +6,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -19,6 +18,7 @@ import yaml
 from safedpa.bus import ACTION, STATE
 from safedpa.bus.access import ROUTER, roles_of
 from safedpa.bus.authority import HOSTS, Authority
+from safedpa.bus.ports import free_port
 from safedpa.records import read_messages
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -167,7 +167,7 @@ class OutsideContainers:
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         self._folder = folder
         self._stack = stack
-        bus = _free_port()
+        bus = free_port()
         authority = Authority(folder, "fleet")
         for role in roles_of(("robot-1",)):
             authority.issue(role, 1.0, HOSTS if role == ROUTER else ())
@@ -206,12 +206,6 @@ class OutsideContainers:
             self._words(command), env=self._environment, capture_output=True, text=True, timeout=60, check=False
         )
         return done.returncode, done.stdout + done.stderr
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.mark.processes

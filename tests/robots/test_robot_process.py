@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import ACTION, STATE, ActionMessage, Bus, Received, StateMessage, ZenohSettings, ZenohTransport
+from safedpa.bus.ports import free_port
 
 pytestmark = pytest.mark.processes
 
@@ -26,9 +26,7 @@ def bus(free_endpoint):
 
 @pytest.fixture
 def free_endpoint():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @pytest.fixture

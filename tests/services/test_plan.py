@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from click.testing import CliRunner
 
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.plan import Plan, free_port
+from safedpa_services.supervisor.plan import Plan
 from safedpa_services.supervisor.supervisor import Supervisor
 from safedpa_sim.robots import CHANGES
 
@@ -81,15 +80,6 @@ def test_what_changes_is_the_robot_s_affair(monkeypatch: pytest.MonkeyPatch, tmp
 def test_a_time_of_the_change_that_cannot_be_is_refused(tmp_path: Path) -> None:
     result = CliRunner().invoke(up.command, ["--change-after", "-1", "--out", str(tmp_path)])
     assert "--change-after: got -1.0" in str(result.exception)
-
-
-def test_a_port_that_is_taken_is_not_chosen() -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        number = taken.getsockname()[1]
-        assert free_port(range(number, number + 1)) != number
-    assert free_port(range(number, number + 1)) == number
 
 
 class DeadChild(Child):

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
+from safedpa.bus.ports import free_port
 from safedpa.errors import SafedpaError
 from safedpa_services.benchmarks.usage import Usage, load_average, usage_of
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.plan import free_port
 
 __all__ = ["LATE_SHARE", "FleetTrial", "fleet_benchmark", "largest_fleet"]
 

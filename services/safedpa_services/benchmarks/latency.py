@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from safedpa.bus import ZenohSettings, ZenohTransport
+from safedpa.bus.ports import free_port
 from safedpa.errors import SafedpaError
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.plan import free_port
 
 __all__ = ["bare_chain", "latency_benchmark", "real_loop"]
 

@@ -37,13 +37,12 @@ def command(recording: Path, out: Path, size: str, at: float | None) -> None:
 
 def _render(recording: Path, out: Path, size: str, at: float | None) -> None:
     import os
-    import socket
     import subprocess
     import tempfile
 
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    from safedpa.bus.ports import free_port
+
+    port = free_port()
     command = [_viewer(), "--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", size]
     quiet = {**os.environ, "RUST_LOG": "error"}  # else notices cover a part of the picture
     with tempfile.TemporaryFile("w+") as log:

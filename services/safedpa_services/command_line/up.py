@@ -107,8 +107,9 @@ def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None
 
 def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.bus import STATE, key_of
+    from safedpa.bus.ports import free_port
     from safedpa.dynamics import load_model
-    from safedpa_services.supervisor.plan import Plan, free_port
+    from safedpa_services.supervisor.plan import Plan
 
     key_of(options["fleet"], options["name"], STATE)  # refuses names that the bus cannot carry
 
@@ -193,7 +194,7 @@ def _workbench_port(options: dict[str, Any]) -> int:
     """Where the page is served; 0 where nobody looks, nothing is diagnosed, or its framework is not installed."""
     from importlib.util import find_spec
 
-    from safedpa_services.supervisor.plan import free_port
+    from safedpa.bus.ports import free_port
 
     wanted = not options["headless"] and _is_diagnosed(options) and find_spec("nicegui") is not None
     return free_port(range(8080, 8100)) if wanted else 0

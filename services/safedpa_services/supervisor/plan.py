@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from safedpa.bus.certificates import Certificates
 from safedpa.errors import InputError
 from safedpa_services.supervisor.child import Child
 
-__all__ = ["Plan", "free_port"]
+__all__ = ["Plan"]
 
 
 @dataclass(frozen=True)
@@ -142,16 +141,3 @@ class Plan:
                 raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from error
             return folder
         raise InputError(f"{parent}: holds a hundred runs of this second; choose another --out")
-
-
-def free_port(preferred: range = range(0)) -> int:
-    """A TCP port of the loopback interface that nobody listens on now: the first free one preferred, else any."""
-    for wanted in (*preferred, 0):
-        with socket.socket() as probe:
-            try:
-                probe.bind(("127.0.0.1", wanted))
-            except OSError:
-                continue
-            port: int = probe.getsockname()[1]
-            return port
-    raise InputError("port: got none from the operating system; end some programs that listen")

@@ -15,6 +15,7 @@ from fastapi import Response
 from fastapi.responses import FileResponse
 from nicegui import app
 
+from safedpa.bus.ports import free_port
 from safedpa.diagnosis.rollout import rollout
 from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats, Windows
@@ -137,13 +138,9 @@ class RerunDoor:
 
 
 def _start_viewer() -> str:
-    import socket
-
     import rerun as rr
 
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     rr.serve_web_viewer(web_port=port, open_browser=False)
     return f"http://127.0.0.1:{port}"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from types import TracebackType
 from typing import Literal, final
 
 from safedpa.bus import Answer, Bus, Request, ZenohSettings, ZenohTransport
+from safedpa.bus.ports import free_port
 from safedpa.errors import BusError, SafedpaError
 from safedpa_sim.faults.conduct import Conduct
 from safedpa_sim.faults.member import Member
@@ -53,7 +53,7 @@ class World:
         folder.mkdir(parents=True, exist_ok=True)
         self.disk.mkdir(exist_ok=True)
         self.has_own_disk = _mounted(self.disk)
-        port = _free_port()
+        port = free_port()
         self.router_endpoint = f"tcp/127.0.0.1:{port}"
         self.proxy = Proxy(("127.0.0.1", port), (*SERVICES, "robot"), settings.seed)
         self.members = {"router": self._router(), **{name: self._service(name) for name in SERVICES}}
@@ -207,10 +207,3 @@ def _mounted(folder: Path) -> bool:
         return False
     command = ["mount", "-t", "tmpfs", "-o", f"size={_DISK_BYTES}", "safedpa-faults", str(folder)]
     return subprocess.run(command, capture_output=True, check=False).returncode == 0
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -1,0 +1,68 @@
+"""Ports for processes about to start: free, nobody's else, and never twice."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from safedpa.bus import ports
+from safedpa.bus.ports import free_port
+from safedpa.errors import InputError
+
+
+@pytest.fixture
+def listener():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", free_port()))
+        taken.listen()
+        yield taken.getsockname()[1]
+
+
+def test_a_port_that_is_taken_is_not_chosen(listener: int) -> None:
+    assert free_port([listener]) != listener
+
+
+def test_a_preferred_port_is_chosen_when_it_is_free() -> None:
+    wanted = free_port()
+    assert free_port([wanted]) == wanted
+
+
+def test_no_port_is_handed_out_twice_and_each_can_be_listened_on() -> None:
+    given = [free_port() for _ in range(200)]
+    assert len(set(given)) == len(given)
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", given[-1]))
+        listening.listen()
+
+
+def test_no_outgoing_connection_can_take_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = tmp_path / "range"
+    table.write_text("25000\t60999\n")
+    monkeypatch.setattr(ports, "_RANGE", table)
+    assert all(20000 <= free_port() < 25000 for _ in range(50))
+
+
+@pytest.mark.parametrize("text", ["1024 65535", "", "none"])
+def test_a_system_that_says_nothing_useful_still_gets_ports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
+    table = tmp_path / "range"
+    table.write_text(text)
+    monkeypatch.setattr(ports, "_RANGE", table)
+    assert 20000 <= free_port() < 32768
+
+
+def test_two_processes_look_in_different_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = {}
+    for process in (1000, 1001):
+        monkeypatch.setattr(ports.os, "getpid", lambda process=process: process)
+        given[process] = {free_port() for _ in range(50)}
+    assert not given[1000] & given[1001]
+
+
+def test_that_there_is_none_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "_is_free", lambda port: False)
+    with pytest.raises(InputError, match="got none from the operating system"):
+        free_port([8080])
