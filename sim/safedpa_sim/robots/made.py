@@ -6,6 +6,7 @@ import argparse
 import secrets
 
 from safedpa.errors import InputError
+from safedpa_sim.point.body import CONTROL_SECONDS
 from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.pendulum_robot import PendulumRobot
@@ -59,8 +60,8 @@ def _pendulum(options: argparse.Namespace, epoch: int) -> PendulumRobot:
 def _point(options: argparse.Namespace, epoch: int) -> PointRobot:
     if options.load != "none" or options.change != "none":
         raise InputError("--load, --change: got one for a point robot, wanted none; they are the car's")
-    if abs(options.rate * PointRobot.period - 1.0) > 1e-6:
-        raise InputError(f"--rate: got {options.rate:g}, wanted the point robot's {1.0 / PointRobot.period:g}")
+    if abs(options.rate * CONTROL_SECONDS - 1.0) > 1e-6:
+        raise InputError(f"--rate: got {options.rate:g}, wanted the point robot's {1.0 / CONTROL_SECONDS:g}")
     if not -360.0 <= options.wind_direction <= 360.0:
         raise InputError(f"--wind-direction: got {options.wind_direction}, wanted -360 to 360 degrees")
     force = force_towards(options.force, options.wind_direction)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import degrees, radians, sin
 from typing import Any, final
 
-from safedpa.bus.messages import ActionMessage, StateMessage
+from safedpa.bus.messages import StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.pendulum_task import PendulumTask
 from safedpa_sim.robots.pendulum_world import PENDULUM_PARAMETERS, PendulumParameters, PendulumWorld
+from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["DAMPING", "STIFFNESS", "PendulumRobot", "Violation"]
 
@@ -48,8 +47,8 @@ class Violation:
 
 
 @final
-class PendulumRobot:
-    """One period at a time: publish ``state_message()``, ``receive`` actions, ``advance``.
+class PendulumRobot(SimulatedRobot):
+    """A pendulum in a wind.
 
     Where a swing ends it is put to its next start; a period is left out of the ticks there, so that nobody takes the
     two states for neighbours. Raises InputError for a period that is none, or a wind that is no wind.
@@ -70,20 +69,14 @@ class PendulumRobot:
             raise InputError(f"period: got {period} s, wanted more than 0 and at most 0.1 s")
         if not max(abs(wind[0]), abs(wind[1])) <= 50.0:
             raise InputError(f"wind: got {wind} m/s, wanted at most 50 m/s")
-        self.task, self.seed, self.period, self.lockstep = task, seed, period, lockstep
+        self.task, self.seed = task, seed
         self._starts = task.drawn_starts(seed)
         self.world = PendulumWorld(next(self._starts), wind, parameters)
         limit = self.world.parameters.torque
-        self.guard = ActionGuard(epoch, (-limit,), (limit,))
-        self.tick = self.goals_reached = self.watchdog_ticks = self._held = 0
-        self.collisions: list[Violation] = []
-        """Every time that the corridor was left."""
-        self._outside = False
+        self._collisions: list[Violation] = []
+        self._held, self._outside = 0, False
         self._hold: float | None = None
-        self._wall_clock = wall_clock
-        self._applied, self._applied_by = 0.0, "none"
-        self._hash = hashlib.sha256()
-        self._record()
+        super().__init__(ActionGuard(epoch, (-limit,), (limit,)), period, lockstep, wall_clock)
 
     @property
     def values(self) -> tuple[float, float]:
@@ -103,52 +96,22 @@ class PendulumRobot:
         return True
 
     @property
-    def trajectory_hash(self) -> str:
-        """SHA-256 over all states so far, packed as little-endian doubles."""
-        return self._hash.hexdigest()
+    def collisions(self) -> list[Violation]:
+        """Every time that the corridor was left."""
+        return self._collisions
 
     def state_message(self) -> StateMessage:
         """State k, the corridor and the goal."""
-        return StateMessage(
-            epoch=self.guard.epoch,
-            tick=self.tick,
-            robot_time=self.tick * self.period,
-            publish_time=self._wall_clock(),
-            values=self.values,
-            applied=(self._applied,),
-            applied_by=self._applied_by,
-            period=self.period,
-            lockstep=self.lockstep,
-            goal=(self.task.goal,),
-            obstacles=(),
-            field=(),
-            footprint=(),
-            goals_reached=self.goals_reached,
-            collisions=len(self.collisions),
-            corridor=self.task.corridor,
-        )
+        return self._state(goal=(self.task.goal,), corridor=self.task.corridor)
 
-    def receive(self, message: ActionMessage) -> str | None:
-        """Accepts the action for this tick (None), or says why not."""
-        return self.guard.offer(message)
-
-    def advance(self) -> None:
-        """One period under the accepted torque, or under the watchdog's when none was accepted."""
-        accepted = self.guard.accepted
-        if accepted is None:
-            self._applied, self._applied_by = self._holding_torque(), "watchdog"
-            self.watchdog_ticks += 1
-        else:
-            self._applied, self._applied_by = accepted[0], "filter"
+    def _live(self) -> None:
+        if self._applied_by != "watchdog":
             self._hold = None
-        self._watch(*self.world.advance(self._applied, self.period))
-        self.tick += 1
+        self._watch(*self.world.advance(self._applied[0], self.period))
         if self._arrived():
             self._begin_anew()
-        self.guard.begin(self.tick)
-        self._record()
 
-    def _holding_torque(self) -> float:
+    def _watchdog_action(self) -> tuple[float]:
         """-weight - stiffness (angle - held) - damping rate, held: the angle at which the last torque ran out.
 
         It knows the pendulum's own weight and nothing of the wind: 3.5 N m that it does not know move it by a degree.
@@ -158,7 +121,7 @@ class PendulumRobot:
         body = self.world.parameters
         weight = body.mass * _GRAVITY * body.length * sin(self.world.angle)
         pull = STIFFNESS * (self.world.angle - self._hold) + DAMPING * self.world.rate
-        return min(max(-weight - pull, -body.torque), body.torque)
+        return (min(max(-weight - pull, -body.torque), body.torque),)
 
     def _watch(self, lowest: float, highest: float) -> None:
         """Counts the corridor as left once, until the pendulum is back."""
@@ -166,7 +129,7 @@ class PendulumRobot:
         outside = lowest < low or highest > high
         if outside and not self._outside:
             edge, angle = ("lower edge", lowest) if lowest < low else ("upper edge", highest)
-            self.collisions.append(Violation(self.tick * self.period, edge, angle))
+            self._collisions.append(Violation(self.tick * self.period, edge, angle))
         self._outside = outside
 
     def _arrived(self) -> bool:
@@ -179,7 +142,4 @@ class PendulumRobot:
         self._held, self._outside, self._hold = 0, False, None
         self.tick += 1
         self.world.put(next(self._starts))
-        self._applied, self._applied_by = 0.0, "none"
-
-    def _record(self) -> None:
-        self._hash.update(struct.pack("<2d", *self.values))
+        self._applied, self._applied_by = (0.0,), "none"

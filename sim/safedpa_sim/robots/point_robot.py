@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,13 +10,14 @@ from typing import Any, final
 
 import numpy as np
 
-from safedpa.bus.messages import ActionMessage, StateMessage
+from safedpa.bus.messages import StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.point.body import CONTROL_SECONDS
 from safedpa_sim.point.body_steps import LARGEST_TURN, centre_state, controls_of
 from safedpa_sim.point.layout import HAZARD_RADIUS
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.robots.guard import ActionGuard
+from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["PointRobot", "Visit", "force_towards"]
 
@@ -42,14 +41,12 @@ class Visit:
 
 
 @final
-class PointRobot:
-    """One period at a time: publish ``state_message()``, ``receive`` actions, ``advance``.
+class PointRobot(SimulatedRobot):
+    """A point robot among hazards, in a wind.
 
     The state is that of the centre of mass; in a hazard is who has the middle there, 19 mm behind. Raises InputError
     for a force of the wind [N] beyond the robot's own thrust.
     """
-
-    period = CONTROL_SECONDS
 
     def __init__(
         self,
@@ -64,16 +61,11 @@ class PointRobot:
         if not float(np.hypot(*force)) < limit:
             raise InputError(f"force: got {force} N, wanted less than the robot's thrust of {limit:g} N")
         self.task.simulation.force[:, 0] = force
-        self.seed, self.force, self.lockstep = seed, force, lockstep
-        self.guard = ActionGuard(epoch, (-limit, -LARGEST_TURN), (limit, LARGEST_TURN))
-        self.tick = self.goals_reached = self.watchdog_ticks = 0
-        self.collisions: list[Visit] = []
-        """Every time that a hazard was entered."""
+        self.seed, self.force = seed, force
+        self._collisions: list[Visit] = []
         self._within = False
-        self._wall_clock = wall_clock
-        self._applied, self._applied_by = (0.0, 0.0), "none"
-        self._hash = hashlib.sha256()
-        self._record()
+        guard = ActionGuard(epoch, (-limit, -LARGEST_TURN), (limit, LARGEST_TURN))
+        super().__init__(guard, CONTROL_SECONDS, lockstep, wall_clock)
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -91,52 +83,24 @@ class PointRobot:
         return True
 
     @property
-    def trajectory_hash(self) -> str:
-        """SHA-256 over all states so far, packed as little-endian doubles."""
-        return self._hash.hexdigest()
+    def collisions(self) -> list[Visit]:
+        """Every time that a hazard was entered."""
+        return self._collisions
 
     def state_message(self) -> StateMessage:
         """State k, hazards and goal."""
         hazards = self.task.layout.hazards[0].tolist()
-        return StateMessage(
-            epoch=self.guard.epoch,
-            tick=self.tick,
-            robot_time=self.tick * self.period,
-            publish_time=self._wall_clock(),
-            values=self.values,
-            applied=self._applied,
-            applied_by=self._applied_by,
-            period=self.period,
-            lockstep=self.lockstep,
+        return self._state(
             goal=tuple(self.task.layout.goal[0].tolist()),
             obstacles=tuple((x, y, HAZARD_RADIUS) for x, y in hazards),
-            field=(),
-            footprint=(),
-            goals_reached=self.goals_reached,
-            collisions=len(self.collisions),
         )
 
-    def receive(self, message: ActionMessage) -> str | None:
-        """Accepts the action for this tick (None), or says why not."""
-        return self.guard.offer(message)
-
-    def advance(self) -> None:
-        """One period under the accepted action, or under the watchdog's when none was accepted."""
-        accepted = self.guard.accepted
-        if accepted is None:
-            self._applied, self._applied_by = self._braking(), "watchdog"
-            self.watchdog_ticks += 1
-        else:
-            self._applied, self._applied_by = (accepted[0], accepted[1]), "filter"
-        control = controls_of(np.array([self._applied]))
-        stepped = self.task.advance_under(control)
+    def _live(self) -> None:
+        stepped = self.task.advance_under(controls_of(np.array([self._applied])))
         self.goals_reached += int(stepped.reached[0])
-        self.tick += 1
         self._watch(bool(stepped.cost[0] > 0.0))
-        self.guard.begin(self.tick)
-        self._record()
 
-    def _braking(self) -> tuple[float, float]:
+    def _watchdog_action(self) -> tuple[float, float]:
         """Thrust against the speed along the heading, no turn: it knows nothing of the wind and drifts with it."""
         _, _, yaw, vx, vy = self.values
         body = self.task.simulation.body
@@ -149,11 +113,8 @@ class PointRobot:
         if within and not self._within:
             x, y = (float(part) for part in self.task.simulation.pose[:2, 0])
             apart = np.linalg.norm(self.task.layout.hazards[0] - (x, y), axis=1)
-            self.collisions.append(Visit(self.tick * self.period, int(apart.argmin()), round(x, 4), round(y, 4)))
+            self._collisions.append(Visit((self.tick + 1) * self.period, int(apart.argmin()), round(x, 4), round(y, 4)))
         self._within = within
-
-    def _record(self) -> None:
-        self._hash.update(struct.pack("<5d", *self.values))
 
 
 def force_towards(newton: float, degrees: float) -> tuple[float, float]:

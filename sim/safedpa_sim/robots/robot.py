@@ -1,47 +1,125 @@
-"""What every simulated robot on the bus has in common."""
+"""What every simulated robot has in common: ticks, the gate for actions, what was applied, the hash of its states."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+import hashlib
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, final
 
 from safedpa.bus.messages import ActionMessage, StateMessage
 from safedpa_sim.robots.guard import ActionGuard
 
 __all__ = ["SimulatedRobot"]
 
+Numbers = tuple[float, ...]
 
-class SimulatedRobot(Protocol):
-    """What the loop turns and the account tells of."""
 
-    period: float
-    lockstep: bool
-    tick: int
-    goals_reached: int
-    watchdog_ticks: int
-    guard: ActionGuard
+class SimulatedRobot(ABC):
+    """One period at a time: publish ``state_message()``, ``receive`` actions, ``advance``.
+
+    The action of tick k acts over the whole period that follows state k, in real time as in lockstep. Whoever inherits
+    has a body before it calls this constructor, which takes up its first state.
+    """
+
+    def __init__(self, guard: ActionGuard, period: float, lockstep: bool, wall_clock: Callable[[], float]) -> None:
+        self.guard, self.period, self.lockstep = guard, period, lockstep
+        self.tick = self.goals_reached = self.watchdog_ticks = 0
+        self._wall_clock = wall_clock
+        self._applied: Numbers = (0.0,) * len(guard.low)
+        self._applied_by = "none"
+        self._hash = hashlib.sha256()
+        self._record()
 
     @property
+    @abstractmethod
+    def values(self) -> Numbers:
+        """(states,) now, in the order of the robot's system."""
+
+    @property
+    @abstractmethod
     def about(self) -> dict[str, Any]:
         """What was asked for: seed, load, wind; for the account."""
 
     @property
+    @abstractmethod
     def at_rest(self) -> bool:
         """Whether nothing is gained by waiting longer for the watchdog at the end of a run."""
 
     @property
+    @abstractmethod
     def collisions(self) -> Sequence[Any]:
         """Every collision or violation so far, each a dataclass."""
 
-    @property
-    def trajectory_hash(self) -> str:
-        """SHA-256 over all states so far."""
-
+    @abstractmethod
     def state_message(self) -> StateMessage:
-        """The state of this tick."""
+        """State k, and what the robot perceives around it."""
 
+    @property
+    @final
+    def trajectory_hash(self) -> str:
+        """SHA-256 over all states so far, packed as little-endian doubles."""
+        return self._hash.hexdigest()
+
+    @final
     def receive(self, message: ActionMessage) -> str | None:
         """Accepts the action for this tick (None), or says why not."""
+        return self.guard.offer(message)
 
+    @final
     def advance(self) -> None:
         """One period under the accepted action, or under the watchdog's when none was accepted."""
+        accepted = self.guard.accepted
+        if accepted is None:
+            self._applied, self._applied_by = self._watchdog_action(), "watchdog"
+            self.watchdog_ticks += 1
+        else:
+            self._applied, self._applied_by = accepted, "filter"
+        self._live()
+        self.tick += 1
+        self.guard.begin(self.tick)
+        self._record()
+
+    @abstractmethod
+    def _watchdog_action(self) -> Numbers:
+        """(actions,) what the robot does by itself when nobody tells it anything."""
+
+    @abstractmethod
+    def _live(self) -> None:
+        """The period from ``tick`` on, under ``_applied``."""
+
+    @final
+    def _state(
+        self,
+        goal: Numbers,
+        obstacles: tuple[Numbers, ...] = (),
+        field: Numbers = (),
+        footprint: Numbers = (),
+        load_pose: Numbers = (),
+        corridor: Numbers = (),
+    ) -> StateMessage:
+        """The message of this tick, with these surroundings."""
+        return StateMessage(
+            epoch=self.guard.epoch,
+            tick=self.tick,
+            robot_time=self.tick * self.period,
+            publish_time=self._wall_clock(),
+            values=self.values,
+            applied=self._applied,
+            applied_by=self._applied_by,
+            period=self.period,
+            lockstep=self.lockstep,
+            goal=goal,
+            obstacles=obstacles,
+            field=field,
+            footprint=footprint,
+            load_pose=load_pose,
+            goals_reached=self.goals_reached,
+            collisions=len(self.collisions),
+            corridor=corridor,
+        )
+
+    def _record(self) -> None:
+        values = self.values
+        self._hash.update(struct.pack(f"<{len(values)}d", *values))
