@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import HEALTH, LATENT, NO_ROBOT, STATE, TOPICS, VERDICT, Received, Refused, decode, encode
-from safedpa.bus.codec import LARGEST_NUMBER
+from safedpa.bus.messages import LARGEST_NUMBER
 from safedpa_services.dashboard.fleet_view import MOST_ROBOTS, FleetView
 from safedpa_services.dashboard.shapes import Bands, Curves, Lines, Note, Rings, States
 
@@ -18,8 +18,8 @@ _NUMBERS = st.floats(-LARGEST_NUMBER, LARGEST_NUMBER) | st.floats(-5.0, 5.0)
 _VECTORS = st.lists(_NUMBERS, max_size=6).map(tuple)
 _TEXTS = st.text(max_size=12) | st.sampled_from(["passed", "filter", "watchdog", "fallback", "running"])
 _OF_TYPE = {
-    "int": st.integers(0, 30) | st.integers(0, 2**63 - 1),
-    "float": _NUMBERS,
+    "Count": st.integers(0, 30) | st.integers(0, 2**63 - 1),
+    "Number": _NUMBERS,
     "Positive": st.floats(1e-9, LARGEST_NUMBER),
     "bool": st.booleans(),
     "str": _TEXTS,

@@ -9,13 +9,14 @@ from itertools import chain
 from typing import Any, TypeVar
 
 import msgpack
+import msgspec
 
-from safedpa.bus.messages import Message
+from safedpa.bus.messages import LARGEST_NUMBER, Message
 from safedpa.bus.requests import Answer, Request
 from safedpa.bus.topics import TOPICS
 from safedpa.errors import MessageError
 
-__all__ = ["LARGEST_BYTES", "LARGEST_NUMBER", "decode", "encode"]
+__all__ = ["LARGEST_BYTES", "decode", "decode_by_field", "encode"]
 
 LARGEST_BYTES: dict[type[Any], int] = {
     **{topic.message: topic.largest_bytes for topic in TOPICS.values()},
@@ -24,17 +25,17 @@ LARGEST_BYTES: dict[type[Any], int] = {
 }
 """What is larger is refused before it is parsed, by kind of message."""
 
-LARGEST_NUMBER = 1e12
-"""No quantity of these robots comes near it, and with numbers below it no equation of a model overflows."""
-
 _M = TypeVar("_M", bound="Message | Request | Answer")
 _Check = Callable[[str, Any], Any]
 
 
 def encode(message: Message | Request | Answer) -> bytes:
     """The message as a msgpack map from field names to values."""
-    packed: bytes = msgpack.packb({name: getattr(message, name) for name in _NAMES[type(message)]})
-    return packed
+    try:
+        return _pack(message)
+    except (TypeError, OverflowError):  # such as numpy's numbers, which are floats by inheritance
+        packed: bytes = msgpack.packb({name: getattr(message, name) for name in _NAMES[type(message)]})
+        return packed
 
 
 def decode(kind: type[_M], payload: bytes) -> _M:
@@ -45,6 +46,15 @@ def decode(kind: type[_M], payload: bytes) -> _M:
     """
     if len(payload) > LARGEST_BYTES[kind]:
         raise MessageError(f"{kind.__name__}: got {len(payload)} bytes, wanted at most {LARGEST_BYTES[kind]}")
+    try:
+        message: _M = _READERS[kind](payload)
+        return message
+    except (KeyError, ValueError, RecursionError):  # is refused with a sentence of our own, or by field
+        return decode_by_field(kind, payload)
+
+
+def decode_by_field(kind: type[_M], payload: bytes) -> _M:
+    """The same, each field by itself: the reference of the quick road, which takes an eighth of the time."""
     try:
         table = msgpack.unpackb(payload, use_list=False, strict_map_key=True)
     except (ValueError, msgpack.exceptions.UnpackException, UnicodeDecodeError) as error:
@@ -138,7 +148,9 @@ def _short(value: Any) -> str:
 
 _CHECKS: dict[str, _Check] = {
     "int": _integer,
+    "Count": _integer,
     "float": _float,
+    "Number": _float,
     "Positive": _positive,
     "bool": _boolean,
     "str": _string,
@@ -155,3 +167,8 @@ _FIELDS: dict[type[Any], tuple[tuple[str, str, _Check, bool], ...]] = {
     )
     for kind in LARGEST_BYTES
 }
+_READERS: dict[type[Any], Callable[[bytes], Any]] = {
+    topic.message: msgspec.msgpack.Decoder(topic.message).decode for topic in TOPICS.values()
+}
+"""Decoders that know the types and the ranges of the fields, and refuse what does not fit; written in C."""
+_pack = msgspec.msgpack.Encoder().encode

@@ -8,8 +8,12 @@ that older programs read newer messages.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from msgspec import Meta
 
 __all__ = [
+    "LARGEST_NUMBER",
     "ActionMessage",
     "AskedMessage",
     "ComputedMessage",
@@ -25,24 +29,30 @@ __all__ = [
     "WishMessage",
 ]
 
-Vector = tuple[float, ...]
-Rows = tuple[tuple[float, ...], ...]
-Positive = float
+LARGEST_NUMBER = 1e12
+"""No quantity of these robots comes near it, and with numbers below it no equation of a model overflows."""
+
+Count = Annotated[int, Meta(ge=0)]
+Number = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+"""What is NaN, infinite or larger is refused on receipt."""
+Positive = Annotated[float, Meta(gt=0.0, le=LARGEST_NUMBER)]
 """Refused on receipt when it is 0 or below."""
+Vector = tuple[Number, ...]
+Rows = tuple[Vector, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
     """The stamp that every message carries."""
 
-    version: int = 1
-    epoch: int
+    version: Count = 1
+    epoch: Count
     """Drawn anew by the robot at each of its starts, carried along by everything computed from its states."""
-    tick: int
+    tick: Count
     """Counts the robot's periods from 0; the tick of the state from which this message was computed."""
-    robot_time: float
+    robot_time: Number
     """s since the robot's start, by the robot's clock."""
-    publish_time: float
+    publish_time: Number
     """s since 1970, by the sender's clock; for people and recordings, never for decisions."""
 
 
@@ -71,8 +81,8 @@ class StateMessage(Message):
     the radius around that line, in m; empty of a robot that does not drive."""
     load_pose: Vector = ()
     """(5,): x, y, yaw, length, width of a towed load, empty without one; for pictures only."""
-    goals_reached: int = 0
-    collisions: int = 0
+    goals_reached: Count = 0
+    collisions: Count = 0
     """Contacts of body or load with an obstacle or the field's wall since the start, or times that the corridor was
     left, each counted once."""
     corridor: Vector = ()
@@ -84,7 +94,7 @@ class StateMessage(Message):
 class ComputedMessage(Message):
     """What a service computed in one step, and from what: so a recording can be replayed through the same code."""
 
-    step: int = 0
+    step: Count = 0
     """Counts the service's steps for this robot since it met the robot, from 1; 0: not told. A number that is left out
     in a recording is a message that was lost on the way to it."""
     consumed: Rows = ()
@@ -135,26 +145,26 @@ class VerdictMessage(ComputedMessage):
     action: Vector
     wish: Vector
     """Empty when there was none."""
-    slack: float
+    slack: Number
     """By how much the barrier condition had to be relaxed, in the barrier's unit; 0 when it holds."""
     active: tuple[str, ...]
     """Names of the barriers that bind."""
-    h_now: float
+    h_now: Number
     """Smallest barrier value at the measured state."""
-    h_next: float
+    h_next: Number
     """Smallest barrier value that the model predicts for the next state under the action."""
-    margin: float
+    margin: Number
     """epsilon by which the condition is tightened."""
     solver: str
     """Status of the QP solver."""
-    microseconds: float
+    microseconds: Number
     """Time that the decision took."""
     predicted: Rows = ()
     """(steps, states) predicted under the action held, the first one period ahead."""
-    coverage: float = -1.0
+    coverage: Number = -1.0
     """Share of the last 500 steps at most after which no barrier value lay below its prediction by more than the
     margin, the least of all kinds of barrier; -1: no step was watched yet."""
-    promised: float = -1.0
+    promised: Number = -1.0
     """Share that the margin was calibrated for; -1: not told."""
     model: str = ""
     """Fingerprint of the model in force; empty: not told."""
@@ -167,24 +177,24 @@ class HealthMessage(Message):
     """A heartbeat, sent by the working loop itself: it proves progress, not only life."""
 
     service: str
-    pid: int
+    pid: Count
     state: str
     """``ready`` (waiting for a robot), ``running`` or ``failing``."""
     detail: str = ""
-    steps: int = 0
-    stale: int = 0
+    steps: Count = 0
+    stale: Count = 0
     """Steps that ran without some input because it was missing or too old."""
-    refused: int = 0
+    refused: Count = 0
     """Messages that were refused as malformed, foreign or out of order."""
-    step_microseconds: float = 0.0
+    step_microseconds: Number = 0.0
     """Time of the last step."""
     model: str = ""
     """Fingerprint of the model in force for this robot; empty of a service without one."""
     software: str = ""
     """Version of safedpa that the service runs; empty: not told."""
-    acknowledged: int = 0
+    acknowledged: Count = 0
     """Recorder: messages that are known to be on disk."""
-    free_bytes: int = 0
+    free_bytes: Count = 0
     """Recorder: room left where it writes; 0: not told."""
     latencies: Vector = ()
     """Robot: s from publishing a state to accepting its action, by its own clock, of each tick since the last heartbeat
@@ -202,17 +212,17 @@ class FindingMessage(Message):
     ``candidates`` (effects to accept or reject) or ``nothing`` (the search found no effect that explains it)."""
     sentence: str
     """The stage in words."""
-    number: int
+    number: Count
     """Findings since the start; 0 while there was none."""
-    error: float
+    error: Number
     """Open-loop error over one second of the last stretch, scaled like a report's ``heldout_error``."""
-    band: float
+    band: Number
     """Upper edge of the error's calibrated band; 0 while learning."""
-    evidence: float
+    evidence: Number
     """Natural logarithm of the sequential test's e-value."""
-    threshold: float
+    threshold: Number
     """log(1 / alpha): the finding is raised where the evidence reaches it."""
-    coverage: float
+    coverage: Number
     """Share of the last steps whose error stayed within the margin."""
     where: str
     """Where the model fails, in words; empty while it does not."""
@@ -227,7 +237,7 @@ class ModelMessage(Message):
     step: str
     """``offer`` (load and check it, keep the old one), ``take`` (use it from ``from_tick`` on) or ``drop`` (forget
     the offer)."""
-    change: int
+    change: Count
     """Counts up with every change that is offered."""
     fingerprint: str
     """Of the model offered."""
@@ -237,7 +247,7 @@ class ModelMessage(Message):
     """With ``offer``: the model file's text."""
     margin: str = ""
     """With ``offer``: the filter's margin for it, as JSON text; empty: the shipped one of this model, or none."""
-    from_tick: int = 0
+    from_tick: Count = 0
     """With ``take``: the first tick, of this message's epoch, at which everyone uses it."""
     who: str = ""
     """Who asked for it."""
@@ -253,7 +263,7 @@ class TakeoverMessage(Message):
 
     service: str
     """Who answers."""
-    change: int
+    change: Count
     """Number of the change that it answers."""
     fingerprint: str
     """Of the model that the answer is about."""
@@ -270,7 +280,7 @@ class SetupMessage(Message):
     service: str
     instance: str
     """Drawn anew at each start of the process."""
-    pid: int
+    pid: Count
     software: str
     """Versions of safedpa and of what its numbers depend on, as JSON text."""
     options: str
@@ -299,7 +309,7 @@ class AskedMessage(Message):
     effect: str = ""
     model: str = ""
     """Fingerprint of the model that the asker saw in force."""
-    finding: int = 0
+    finding: Count = 0
     who: str = ""
-    change: int = 0
+    change: Count = 0
     """Number of the change that the answer is about."""

@@ -18,8 +18,8 @@ __all__ = ["schema_of"]
 _NUMBER = {"type": "number"}
 _VECTOR = {"type": "array", "items": _NUMBER}
 _TYPES: dict[str, dict[str, Any]] = {
-    "int": {"type": "integer", "minimum": 0},
-    "float": _NUMBER,
+    "Count": {"type": "integer", "minimum": 0},
+    "Number": _NUMBER,
     "Positive": {"type": "number", "exclusiveMinimum": 0},
     "bool": {"type": "boolean"},
     "str": {"type": "string"},
