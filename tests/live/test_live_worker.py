@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -23,7 +24,16 @@ from safedpa.safety.shipped import settings_named
 from safedpa_services.diagnosis.process_worker import ProcessWorker
 from safedpa_services.diagnosis.work_files import read_work, write_work
 
-PATIENCE = 90.0
+PATIENCE = 300.0
+"""s; a busy machine gives little to who yields to everybody."""
+
+
+@pytest.fixture
+def worker():
+    """Leaves no process behind, whatever the test found."""
+    made = ProcessWorker()
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +49,15 @@ def prepare(car, drive_of):
 
 
 def awaited(worker):
+    """The outcome. The process yields to everybody, but here somebody waits: where it may, it stops yielding."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         outcome = worker.outcome("r1")
         if outcome is not None:
             return outcome
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(worker.process_of("r1"), os.SCHED_OTHER, os.sched_param(0))
+            os.setpriority(os.PRIO_PROCESS, worker.process_of("r1"), 0)
         time.sleep(0.05)
     raise AssertionError("the work never ended")
 
@@ -66,8 +80,7 @@ def test_a_work_is_the_same_behind_the_files(tmp_path, prepare):
 
 
 @pytest.mark.processes
-def test_a_killed_work_is_begun_again_and_done(prepare):
-    worker = ProcessWorker()
+def test_a_killed_work_is_begun_again_and_done(worker, prepare):
     worker.begin("r1", prepare)
     first = worker.process_of("r1")
     os.kill(first, signal.SIGKILL)
@@ -79,8 +92,7 @@ def test_a_killed_work_is_begun_again_and_done(prepare):
 
 
 @pytest.mark.processes
-def test_a_work_that_always_dies_ends_in_a_sentence(prepare):
-    worker = ProcessWorker()
+def test_a_work_that_always_dies_ends_in_a_sentence(worker, prepare):
     worker.begin("r1", prepare)
     outcome, killed = None, set()
     while outcome is None:
@@ -93,8 +105,7 @@ def test_a_work_that_always_dies_ends_in_a_sentence(prepare):
 
 
 @pytest.mark.processes
-def test_a_cancelled_work_leaves_nothing_behind(prepare):
-    worker = ProcessWorker()
+def test_a_cancelled_work_leaves_nothing_behind(worker, prepare):
     worker.begin("r1", prepare)
     pid, folder = worker.process_of("r1"), worker._jobs["r1"].folder
     worker.cancel("r1")
