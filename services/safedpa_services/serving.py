@@ -55,7 +55,7 @@ def serve(
         inside = frozenset(topic.name for made in services for topic in made.node.outputs) & frozenset(
             topic.name for made in services for topic in made.node.inputs
         )
-        transport, read = JointTransport(transport, inside, serves), _decoded_once()
+        transport, read = JointTransport(transport, inside), _decoded_once()
     with Bus(transport, options.fleet, read) as bus, ExitStack() as lifetimes:
         for made in services:
             made.joined(bus)
@@ -64,7 +64,7 @@ def serve(
         for made in services:
             bus.announce(NO_ROBOT, made.node.name, made.setup.instance)
             lifetimes.enter_context(lifetime(made.node.name, stop))
-        Turning([_loop(made, transport, read, options) for made in services]).run(stop)
+        Turning([_loop(made, Bus(transport, options.fleet, read, serves), options) for made in services]).run(stop)
     return 0
 
 
@@ -78,7 +78,6 @@ def _decoded_once() -> Decode:
     return read
 
 
-def _loop(made: Made, transport: AbstractTransport, read: Decode, options: argparse.Namespace) -> ServiceLoop:
+def _loop(made: Made, bus: Bus, options: argparse.Namespace) -> ServiceLoop:
     """Each has a bus of its own, since each holds back its own outputs until its robots are through."""
-    bus = Bus(transport, options.fleet, read)
     return ServiceLoop(made.node, bus, options.robot, setup=made.setup, journal=Journal(made.node.name))

@@ -16,14 +16,14 @@ def test_different_keys_beyond_the_most_are_dropped_and_known_ones_kept() -> Non
     inbox.keep_latest("safedpa/f/r0/state", b"2")
     assert inbox.dropped == 50
     assert len(inbox._latest) == module._MOST_KEYS
-    assert inbox._latest["safedpa/f/r0/state"][0] == b"2"
+    assert inbox._latest["safedpa/f/r0/state"][1] == b"2"
 
 
 def test_of_a_payload_that_is_too_large_only_so_much_is_kept_that_it_is_refused() -> None:
     inbox = Inbox()
     inbox.keep_latest("safedpa/f/a/state", bytes(10_000_000))
     inbox.keep_all("safedpa/f/a/model", bytes(10_000_000))
-    assert len(inbox._latest["safedpa/f/a/state"][0]) == 65_537
+    assert len(inbox._latest["safedpa/f/a/state"][1]) == 65_537
     assert inbox._queued_bytes == 4 * 1024 * 1024 + 1
     taken = inbox.take(0.0)
     assert [type(item) for item in taken] == [Refused, Refused]

@@ -15,6 +15,7 @@ from typing import Any
 from safedpa.bus.requests import AGREED, ORDER, REQUEST, STATUS, request_key
 from safedpa.bus.topics import (
     ACTION,
+    BUNDLE,
     HEALTH,
     LATENT,
     MODEL,
@@ -115,8 +116,8 @@ def check_names(fleet: str, robots: tuple[str, ...]) -> None:
     """Raises InputError unless these can be the names of one fleet and of different robots, each of one robot."""
     for name in (fleet, *robots):
         key_of(name, name, STATE)
-        if name in ("*", NOBODY):
-            raise InputError(f"name '{name}': stands for every robot or none, wanted one")
+        if name in ("*", NOBODY, BUNDLE):
+            raise InputError(f"name '{name}': stands for every robot, none or many, wanted one")
     if len(set(robots)) < len(robots):
         raise InputError(f"--robot: got {', '.join(robots)}, wanted every robot once")
 
@@ -161,7 +162,7 @@ def _subjects(fleet: str, robots: tuple[str, ...]) -> Iterable[tuple[str, list[_
         yield role_of_robot(robot), _rights(ROLES[ROBOT], fleet, (robot,), robot)
     for role in ROLES.values():
         if role.name != ROBOT:
-            yield role.name, _rights(role, fleet, (*robots, NOBODY), "*")
+            yield role.name, _rights(role, fleet, (*robots, BUNDLE, NOBODY), "*")
 
 
 def _links(fleet: str, links: Mapping[str, tuple[str, ...]]) -> Iterable[tuple[str, list[_Right]]]:
@@ -217,7 +218,10 @@ def _rights(role: Role, fleet: str, writes_for: tuple[str, ...], reads_of: str) 
 
 
 def may_write(role: Role, topic: Topic, robot: str = "") -> bool:
-    """Whether a role writes a topic, of a robot or, with the robot ``-``, of a service for the whole fleet."""
+    """Whether a role writes a topic, of a robot or, with the robot ``-``, of a service for the whole fleet; with ``+``
+    about many robots in one message."""
+    if robot == BUNDLE and not topic.bundles:
+        return False
     if not topic.per_service:
         return role.name == topic.writer and robot != NOBODY
     return role.takes_over if topic is TAKEOVER else role.lives

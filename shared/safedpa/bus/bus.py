@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
+from safedpa.bus.bundle import Entry, packed, parts, unbundled
 from safedpa.bus.codec import decode, encode
 from safedpa.bus.inbox import Answered, Decode, Inbox
 from safedpa.bus.messages import Message
 from safedpa.bus.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
-from safedpa.bus.topics import Topic, key_of
-from safedpa.bus.transport import AbstractTransport
+from safedpa.bus.topics import BUNDLE, Topic, key_of
+from safedpa.bus.transport import AbstractTransport, OnSample
 from safedpa.errors import BusError, InputError, MessageError
 
 __all__ = ["Bus"]
@@ -29,34 +30,49 @@ def _usable(payload: bytes | None) -> Answer | None:
 
 
 class Bus:
-    """One participant of one fleet. Who shares a process with others may share its ``decode`` with them."""
+    """One participant of one fleet. Who shares a process with others may share its ``decode`` with them.
 
-    def __init__(self, transport: AbstractTransport, fleet: str, decode: Decode = decode) -> None:
-        self.fleet, self._decode = fleet, decode
+    Of robots for whose name ``serves`` is false nothing gets into an inbox.
+    """
+
+    def __init__(
+        self,
+        transport: AbstractTransport,
+        fleet: str,
+        decode: Decode = decode,
+        serves: Callable[[str], bool] = lambda _robot: True,
+    ) -> None:
+        self.fleet, self._decode, self._serves = fleet, decode, serves
         self._transport = transport
-        self._held: list[tuple[str, bytes, bool]] | None = None
+        self._holds = False
+        self._held: dict[tuple[Topic, str], list[Entry]] = {}
 
-    def publish(self, topic: Topic, robot: str, message: Message, service: str = "") -> None:
-        """Sends one message; ``service`` names the sender where every service writes under its own name."""
+    def publish(self, topic: Topic, robot: str, message: Message, service: str = "", *, alone: bool = False) -> None:
+        """Sends one message; ``service`` names the sender where every service writes under its own name.
+
+        ``alone``: at once and not among others, even while messages are held.
+        """
         if type(message) is not topic.message:
             raise MessageError(f"{topic.name}: got {type(message).__name__}, wanted {topic.message.__name__}")
         key = key_of(self.fleet, robot, topic, service)
-        payload, never_drop = encode(message), topic.delivery == "all"
-        if self._held is None:
-            self._transport.put(key, payload, never_drop=never_drop)
+        payload = encode(message)
+        if self._holds and topic.bundles and not alone:
+            self._held.setdefault((topic, service), []).append((robot, payload))
         else:
-            self._held.append((key, payload, never_drop))
+            self._transport.put(key, payload, never_drop=topic.delivery == "all")
 
     def hold(self) -> None:
-        """Keeps what is published until ``flush``: messages sent at one moment travel as one batch."""
-        if self._held is None:
-            self._held = []
+        """Keeps what is published until ``flush``: messages of one topic that are sent at one moment travel as one."""
+        self._holds = True
 
     def flush(self) -> None:
-        """Sends what was held, in order, and holds nothing any more."""
-        held, self._held = self._held or (), None
-        for key, payload, never_drop in held:
-            self._transport.put(key, payload, never_drop=never_drop)
+        """Sends what was held, and holds nothing any more."""
+        held, self._held, self._holds = self._held, {}, False
+        for (topic, service), entries in held.items():
+            for part in parts(entries):
+                robot, payload = part[0] if len(part) == 1 else (BUNDLE, packed(part))
+                key = key_of(self.fleet, robot, topic, service)
+                self._transport.put(key, payload, never_drop=topic.delivery == "all")
 
     def forget(self, robot: str) -> None:
         """Releases what sending about a robot holds: it left."""
@@ -68,16 +84,53 @@ class Bus:
         robot: str = "*",
         *,
         keep_all: bool = False,
+        alone: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> Inbox:
-        """Subscribes to topics of one robot or, with ``*``, of every robot; ``keep_all`` drops nothing of any."""
+        """Subscribes to topics of one robot or, with ``*``, of every robot; ``keep_all`` drops nothing of any.
+
+        ``alone``: what travels among messages about other robots is not asked for, as a robot may not see it.
+        """
         inbox = Inbox(clock, decode=self._decode)
         for topic in topics:
-            accept = inbox.keep_all if keep_all or topic.delivery == "all" else inbox.keep_latest
-            subscription = self._transport.subscribe(key_of(self.fleet, robot, topic, "*"), accept)
-            if accept == inbox.keep_latest:  # what must not be lost has no place in a ring
-                inbox.fill_from(subscription)
+            wait_all = keep_all or topic.delivery == "all"
+            accept = self._accepting(inbox, topic, robot, all_of_them=wait_all)
+            bundle = (BUNDLE,) if topic.bundles and robot != "*" and not alone else ()
+            for wanted in (robot, *bundle):
+                subscription = self._transport.subscribe(key_of(self.fleet, wanted, topic, "*"), accept)
+                if not wait_all:  # what must not be lost has no place in a ring
+                    inbox.fill_from(subscription)
         return inbox
+
+    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> OnSample:
+        """Puts what comes into the inbox: alone, or each message of a bundle by itself."""
+        keep = inbox.keep_all if all_of_them else inbox.keep_latest
+        prefix = f"safedpa/{self.fleet}/"
+        bundles, length = f"{prefix}{BUNDLE}/{topic.name}", len(prefix)
+
+        def accept(key: str, payload: bytes) -> None:
+            if key.startswith(bundles) and "*" not in key:
+                try:
+                    entries = self._entries(key, payload, topic, wanted)
+                except InputError:
+                    keep(key, payload)  # is refused where it is read, since its key names no robot
+                else:
+                    inbox.keep_bundle(entries, all_of_them=all_of_them)
+            elif self._serves(key[length:].partition("/")[0]):
+                keep(key, payload)
+
+        return accept
+
+    def _entries(self, key: str, payload: bytes, topic: Topic, wanted: str) -> list[Entry]:
+        """Key and payload of each message of a bundle that is asked for. Raises InputError where it is no bundle."""
+        service = key.rsplit("/", 1)[1] if topic.per_service else ""
+        if len(payload) > topic.largest_bytes or key != key_of(self.fleet, BUNDLE, topic, service):
+            raise MessageError(f"key '{key}': got {len(payload)} bytes, wanted a bundle of {topic.name}")
+        return [
+            (key_of(self.fleet, robot, topic, service), message)
+            for robot, message in unbundled(payload)
+            if (wanted in ("*", robot)) and self._serves(robot)
+        ]
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
         """Asks about one robot; None when nobody answers within ``timeout`` [s].

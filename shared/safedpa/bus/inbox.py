@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import Any
@@ -45,6 +45,8 @@ class Received:
     payload: bytes
     key: str
     at: float
+    bundled: bool = False
+    """Whether it came among others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +76,10 @@ class _Queue:
     """Bytes."""
 
 
+_Waiting = tuple[str, bytes, float, bool]
+"""Key, payload, when it came, whether it came among others."""
+
+
 class Inbox:
     """What arrived and was not read yet; filled by network threads, emptied by one loop.
 
@@ -92,7 +98,7 @@ class Inbox:
         self._clock, self._decode = clock, decode
         self._longest_queue = longest_queue
         self._filled = threading.Condition()
-        self._latest: dict[str, tuple[bytes, float]] = {}
+        self._latest: dict[str, _Waiting] = {}
         self._queues: dict[str, _Queue] = {}
         self._queued = self._queued_bytes = 0
         self._answers: list[Answered] = []
@@ -137,28 +143,47 @@ class Inbox:
     def keep_latest(self, key: str, payload: bytes) -> None:
         """Accepts one payload; replaces an unread one of the same key."""
         with self._filled:
-            if len(self._latest) >= _MOST_KEYS and key not in self._latest:
-                self.dropped += 1
-                return
-            self._latest[key] = (_cut(payload, _LARGEST_LATEST), self._clock())
+            self._put_latest(key, payload, self._clock(), bundled=False)
             self._filled.notify()
         if self._came is not None:
             self._came()
 
     def keep_all(self, key: str, payload: bytes) -> None:
         """Accepts one payload behind all unread ones."""
-        kept = _cut(payload, _LARGEST_QUEUED)
         with self._filled:
-            queue = self._queues.setdefault(key, _Queue())
-            queue.messages.append((kept, self._clock()))
-            queue.size += len(kept)
-            self._queued += 1
-            self._queued_bytes += len(kept)
-            while self._queued > self._longest_queue or self._queued_bytes > _LARGEST_QUEUE_BYTES:
-                self._drop_one()
+            self._put_last(key, payload, self._clock())
             self._filled.notify()
         if self._came is not None:
             self._came()
+
+    def keep_bundle(self, entries: Iterable[tuple[str, bytes]], *, all_of_them: bool) -> None:
+        """Accepts (key, payload) pairs that came at one moment, each as ``keep_latest`` or ``keep_all`` does."""
+        with self._filled:
+            now = self._clock()
+            for key, payload in entries:
+                if all_of_them:
+                    self._put_last(key, payload, now)
+                else:
+                    self._put_latest(key, payload, now, bundled=True)
+            self._filled.notify()
+        if self._came is not None:
+            self._came()
+
+    def _put_latest(self, key: str, payload: bytes, at: float, *, bundled: bool) -> None:
+        if len(self._latest) >= _MOST_KEYS and key not in self._latest:
+            self.dropped += 1
+        else:
+            self._latest[key] = (key, _cut(payload, _LARGEST_LATEST), at, bundled)
+
+    def _put_last(self, key: str, payload: bytes, at: float) -> None:
+        kept = _cut(payload, _LARGEST_QUEUED)
+        queue = self._queues.setdefault(key, _Queue())
+        queue.messages.append((kept, at))
+        queue.size += len(kept)
+        self._queued += 1
+        self._queued_bytes += len(kept)
+        while self._queued > self._longest_queue or self._queued_bytes > _LARGEST_QUEUE_BYTES:
+            self._drop_one()
 
     def _drop_one(self) -> None:
         """The oldest message of the key that has most bytes waiting."""
@@ -200,22 +225,22 @@ class Inbox:
         with self._filled:
             if timeout > 0.0 and not self.waiting:
                 self._filled.wait(timeout)
-            waiting = [(key, payload, at) for key, (payload, at) in self._latest.items()]
+            waiting = list(self._latest.values())
             self._latest = {}
             for key, queue in list(self._queues.items()):
                 count = len(queue.messages) if most is None else min(most, len(queue.messages))
-                waiting += [(key, *self._pop(key)) for _ in range(count)]
+                waiting += [(key, *self._pop(key), False) for _ in range(count)]
         waiting.sort(key=itemgetter(2))
-        return [self._opened(key, payload, at) for key, payload, at in waiting]
+        return [self._opened(*item) for item in waiting]
 
-    def _opened(self, key: str, payload: bytes, at: float) -> Received | Refused:
+    def _opened(self, key: str, payload: bytes, at: float, bundled: bool) -> Received | Refused:
         robot = ""
         try:
             _, robot, topic = topic_of(key)
             message = self._decode(topic.message, payload)
             if topic.per_service:
                 _check_speaker(key, message)
-            return Received(topic, robot, message, payload, key, at)
+            return Received(topic, robot, message, payload, key, at, bundled)
         except InputError as error:
             return Refused(key, robot, str(error))
 

@@ -3,7 +3,6 @@ them, and all of it goes out as well, for whoever looks on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import final
 
 from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
@@ -16,14 +15,11 @@ class JointTransport(AbstractTransport):
     """One participant that stands for several.
 
     Topics named in ``inside`` are heard from this process alone, at once and in order: who else sends them, speaks for
-    a service that lives here. The others come over ``outer``, once for all who subscribe. Of robots for whose name
-    ``serves`` is false nothing is handed on.
+    a service that lives here. The others come over ``outer``, once for all who subscribe.
     """
 
-    def __init__(
-        self, outer: AbstractTransport, inside: frozenset[str], serves: Callable[[str], bool] = lambda _robot: True
-    ) -> None:
-        self._outer, self._inside, self._serves = outer, inside, serves
+    def __init__(self, outer: AbstractTransport, inside: frozenset[str]) -> None:
+        self._outer, self._inside = outer, inside
         self._local: dict[str, list[tuple[str, OnSample]]] = {topic: [] for topic in inside}
         self._shared: dict[str, tuple[list[OnSample], Subscription]] = {}
 
@@ -51,10 +47,8 @@ class JointTransport(AbstractTransport):
 
     def _to_all(self, hearers: list[OnSample]) -> OnSample:
         def heard(key: str, payload: bytes) -> None:
-            _, _, robot, *_ = (*key.split("/"), "", "")  # a sender under a wildcard may leave out parts
-            if self._serves(robot):
-                for on_sample in reversed(hearers):  # whoever computes first hears it last: then all have it
-                    on_sample(key, payload)
+            for on_sample in reversed(hearers):  # whoever computes first hears it last: then all have it
+                on_sample(key, payload)
 
         return heard
 

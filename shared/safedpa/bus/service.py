@@ -26,7 +26,7 @@ from safedpa.bus.messages import SetupMessage, StateMessage
 from safedpa.bus.node import AbstractNode, Outputs, Stale
 from safedpa.bus.setup import SETUP_SECONDS
 from safedpa.bus.slot import Counts, Slot
-from safedpa.bus.topics import HEALTH, SETUP, STATE
+from safedpa.bus.topics import ACTION, HEALTH, SETUP, STATE
 from safedpa.bus.trace import Trace, consumed
 from safedpa.bus.turning import Turning
 from safedpa.errors import BusError, InputError
@@ -137,8 +137,9 @@ class ServiceLoop:
     def _serve(self, touched: list[tuple[str, Slot]]) -> None:
         """Steps first, of robots that do not wait for us before those that do; then what nobody waits for."""
         self._step_all(touched)
+        self._hold_for(touched)
+        now = self.clock()
         for robot, slot in touched:
-            now = self.clock()
             if slot.unfinished_since is not None and now >= slot.unfinished_since + _FINISH_SHARE * slot.state.period:
                 if self.inbox.waiting and now < slot.unfinished_since + _LATEST_FINISH_SHARE * slot.state.period:
                     self._agenda.at(now, robot)
@@ -146,25 +147,38 @@ class ServiceLoop:
                 self._finish(robot, slot)
             if now >= slot.next_heartbeat:
                 self._tell_health(robot, slot)
+        self._bus.flush()
 
     def _step_all(self, touched: list[tuple[str, Slot]]) -> None:
         """Steps what is due. With many robots the outputs go out together, but no later than the limit."""
+        due = [entry for entry in touched if entry[1].outputs is None]
+        if len(due) > 1:
+            due.sort(key=lambda entry: entry[1].state.lockstep)
+        self._hold_for(due)
         held_since = self.clock()
-        for robot, slot in sorted(touched, key=lambda entry: entry[1].state.lockstep):
-            if slot.outputs is not None:
-                continue
-            if self.quantum > 0.0:
-                self._bus.hold()
+        for robot, slot in due:
             self._advance(robot, slot)
             if self.clock() - held_since >= LONGEST_HOLD_SECONDS:
                 self._bus.flush()
+                self._hold_for(due)
                 held_since = self.clock()
         self._bus.flush()
+        now = self.clock()  # one moment for all of them: what comes afterwards comes together, too
+        for robot, slot in due:
+            if slot.unfinished_since is not None:
+                slot.unfinished_since = now
+                self._agenda.at(now + _FINISH_SHARE * slot.state.period, robot)
+
+    def _hold_for(self, touched: list[tuple[str, Slot]]) -> None:
+        """Whether what is said now travels together: while batches are made, or of robots that speak together."""
+        if self.quantum > 0.0 or (len(touched) > 1 and any(slot.bundled for _, slot in touched)):
+            self._bus.hold()
 
     @property
     def wanted_quantum(self) -> float:
         """s from one batch to the next that suits the robots served now; see ``quantum_for``."""
-        periods = [0.0 if slot.state.lockstep else slot.state.period for slot in self._slots.values()]
+        apart = [slot.state for slot in self._slots.values() if not slot.bundled]  # the others come in batches anyway
+        periods = [0.0 if state.lockstep else state.period for state in apart]
         return quantum_for(periods, coalescing=self.quantum > 0.0)
 
     def coalesce(self, quantum: float) -> None:
@@ -211,31 +225,32 @@ class ServiceLoop:
         assert isinstance(state, StateMessage)
         slot = self._slots.get(item.robot)
         if slot is None or self._is_new_epoch(slot, state, item.at):
-            self._begin(item.robot, state, item.at, again=slot is not None)
+            self._begin(item, state, again=slot is not None)
         elif state.epoch != slot.state.epoch:
             self._refuse(f"a second robot speaks as '{item.robot}'", item.robot, state.tick, second=True)
         elif state.tick < slot.state.tick:
             self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}", item.robot, state.tick)
         elif state.tick > slot.state.tick:
-            self._take_tick(item.robot, slot, state, item.at)
+            self._take_tick(item, slot, state)
         else:
             slot.heard = item.at
             if slot.outputs is not None:  # the robot still waits: something on the way was lost or started late
                 self._publish(item.robot, slot.outputs)
 
-    def _begin(self, robot: str, state: StateMessage, at: float, *, again: bool) -> None:
+    def _begin(self, item: Received, state: StateMessage, *, again: bool) -> None:
         """A robot that is new, or started anew."""
+        robot, at = item.robot, item.at
         self._node.forget(robot)
-        self._slots[robot] = slot = Slot(state, at, at, self.clock())
+        self._slots[robot] = slot = Slot(state, at, at, self.clock(), item.bundled)
         slot.keeps_pace(state, at)
         self._spoken_of.pop(robot, None)
         self._journal.met(robot, state.tick, again=again)
-        self._next_setup = self.clock()  # who listens to this robot may have come with it
         self._next_setup = self.clock()  # whoever records the robot shall know the setup from the first seconds on
         self._expect(robot, slot)
         self._agenda.at(slot.next_heartbeat, robot)
 
-    def _take_tick(self, robot: str, slot: Slot, state: StateMessage, at: float) -> None:
+    def _take_tick(self, item: Received, slot: Slot, state: StateMessage) -> None:
+        robot, at = item.robot, item.at
         slot.heard = at
         if not slot.keeps_pace(state, at):
             reason = f"got states far faster than their period of {state.period:g} s; sense less often, or say so"
@@ -245,7 +260,7 @@ class ServiceLoop:
             self._finish(robot, slot)
         if slot.outputs is None and slot.prepared:
             slot.skipped.append(float(slot.state.tick))
-        slot.state, slot.arrived, slot.outputs, slot.prepared = state, at, None, False
+        slot.state, slot.arrived, slot.bundled, slot.outputs, slot.prepared = state, at, item.bundled, None, False
         self._expect(robot, slot)
 
     def _expect(self, robot: str, slot: Slot) -> None:
@@ -294,8 +309,6 @@ class ServiceLoop:
         slot.unfinished_since = self.clock()
         if slot.state.lockstep:
             self._finish(robot, slot)
-        else:
-            self._agenda.at(slot.unfinished_since + _FINISH_SHARE * slot.state.period, robot)
 
     def _rescue(self, robot: str, slot: Slot, error: Exception) -> None:
         """The step failed: the node says what is right for this robot then, from as little as possible."""
@@ -327,7 +340,8 @@ class ServiceLoop:
 
     def _publish(self, robot: str, outputs: Outputs) -> None:
         for topic, message in outputs.items():
-            self._bus.publish(topic, robot, message, self._node.name)
+            alone = topic is ACTION and not self._slots[robot].bundled  # a robot may not see what others are told
+            self._bus.publish(topic, robot, message, self._node.name, alone=alone)
 
     def _forget_silent(self) -> None:
         oldest = self.clock() - _FORGET_SECONDS

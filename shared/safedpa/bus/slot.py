@@ -42,6 +42,8 @@ class Slot:
     heard: float
     """s; when the robot spoke last, be it a repetition."""
     next_heartbeat: float
+    bundled: bool = False
+    """Whether the newest state came among others: then the answer may, too."""
     told: bool = False
     """Whether there was a heartbeat already."""
     counts: Counts = field(default_factory=Counts)

@@ -28,6 +28,7 @@ from safedpa.errors import InputError, did_you_mean
 __all__ = [
     "ACTION",
     "ASKED",
+    "BUNDLE",
     "FINDING",
     "HEALTH",
     "LATENT",
@@ -44,6 +45,9 @@ __all__ = [
 ]
 
 Delivery = Literal["latest", "all"]
+
+BUNDLE = "+"
+"""Stands for the robot in the key of a bundle, which holds messages about many; no robot can have this name."""
 
 _DOCUMENT_BYTES = 4 * 1024 * 1024
 """Reports of a search and model files travel in messages, a few times in an hour."""
@@ -64,18 +68,21 @@ class Topic:
     largest_bytes: int = 65536
     """A message of a few hundred bytes that is larger than this is refused before it is parsed."""
 
+    bundles: bool = False
+    """Whether several messages of it, about different robots, may travel as one."""
+
     @property
     def per_service(self) -> bool:
         """Whether every service writes it under its own name, which then stands at the end of the key."""
         return self.writer == "*"
 
 
-STATE = Topic("state", StateMessage, "robot", "latest", 0)
-LATENT = Topic("latent", LatentMessage, "adaptation", "latest", 0)
-WISH = Topic("wish", WishMessage, "policy", "latest", 0)
-ACTION = Topic("action", ActionMessage, "safety_filter", "latest", 0)
-VERDICT = Topic("verdict", VerdictMessage, "safety_filter", "all", 0)
-HEALTH = Topic("health", HealthMessage, "*", "latest", 40)
+STATE = Topic("state", StateMessage, "robot", "latest", 0, bundles=True)
+LATENT = Topic("latent", LatentMessage, "adaptation", "latest", 0, bundles=True)
+WISH = Topic("wish", WishMessage, "policy", "latest", 0, bundles=True)
+ACTION = Topic("action", ActionMessage, "safety_filter", "latest", 0, bundles=True)
+VERDICT = Topic("verdict", VerdictMessage, "safety_filter", "all", 0, bundles=True)
+HEALTH = Topic("health", HealthMessage, "*", "latest", 40, bundles=True)
 FINDING = Topic("finding", FindingMessage, "diagnosis", "all", 40, _DOCUMENT_BYTES)
 MODEL = Topic("model", ModelMessage, "diagnosis", "all", 0, _DOCUMENT_BYTES)
 TAKEOVER = Topic("takeover", TakeoverMessage, "*", "all", 0)
@@ -113,7 +120,7 @@ def topic_of(key: str) -> tuple[str, str, Topic]:
     """(fleet, robot, topic) of a key under which a message was sent.
 
     Raises InputError when the key is not one of this project's, or names more than one robot: whoever sends under a
-    wildcard speaks for nobody.
+    wildcard speaks for nobody, and what comes under a bundle's key and is none, neither.
     """
     parts = key.split("/")
     if len(parts) not in (4, 5) or parts[0] != "safedpa":
@@ -125,4 +132,6 @@ def topic_of(key: str) -> tuple[str, str, Topic]:
         raise InputError(f"key '{key}': wanted {'a service' if topic.per_service else 'nothing'} behind '{parts[3]}'")
     for name in (parts[1], parts[2], *parts[4:]):
         _check_name(name)
+    if parts[2] == BUNDLE:
+        raise InputError(f"key '{key}': got no bundle of messages there, wanted one")
     return parts[1], parts[2], topic

@@ -33,7 +33,7 @@ def claim_names(
     ``listener`` hears whether another one speaks, the bus itself where it is None: what it subscribed to stays.
     """
     instance = f"{time.time_ns():016x}-{uuid.uuid4().hex[:8]}"
-    inbox = (listener or bus).inbox((STATE,), names[0] if len(names) == 1 else "*")
+    inbox = (listener or bus).inbox((STATE,), names[0] if len(names) == 1 else "*", alone=True)
     for name in names:
         bus.claim(name, "robot", instance)
     end = clock() + _SETTLE_SECONDS

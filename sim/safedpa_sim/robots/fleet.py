@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import secrets
 import sys
@@ -48,6 +49,8 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
         with bus_from(_beside(options)) as listener:
             claim_names(bus, list(robots), listener=listener)
         loop = FleetLoop(robots, bus, in_step=options.in_step)
+        gc.collect()
+        gc.freeze()  # the worlds live as long as this process
         loop.run(stop, options.warm_seconds)
         loop.begin_counting()
         before = os.times()

@@ -1,4 +1,4 @@
-"""Many robots in one process, in real time: each senses at its own moment of the period and waits for its own action.
+"""Many robots in one process, in real time: each senses at its moment of the period and waits for its own action.
 
 A robot's period begins when its state is published. Its action must be there after 0.9 of the period; otherwise the
 watchdog brakes and the tick is late. The world moves as soon as the action is known, since an action acts over the
@@ -13,18 +13,22 @@ import heapq
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import ceil
 from typing import Any, final
 
 from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, Received
-from safedpa.bus.coalescing import quantum_for
 from safedpa.bus.messages import ActionMessage
 from safedpa_sim.robots.durations import Durations
 from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["FleetLoop"]
 
+_MOMENTS_APART_SECONDS = 0.004
+"""Between two moments at which robots sense."""
+_FEW = 8
+"""Robots that have each a moment of their own."""
 _DEADLINE_SHARE = 0.9
 """Of the period, after which an action is late."""
 _HELD_UP_SHARE = 0.1
@@ -43,6 +47,8 @@ class _Turning:
     robot: SimulatedRobot
     due: float
     """s; when its state of this tick should go out."""
+    told_at: int
+    """Ticks of a heartbeat's period in which it is sent: not all robots' at once."""
     published: float = 0.0
     held_up: bool = False
     braked: deque[bool] = field(default_factory=lambda: deque(maxlen=_REMEMBERED_TICKS))
@@ -51,7 +57,10 @@ class _Turning:
 
 @final
 class FleetLoop:
-    """Turns ``robots`` by name. With ``in_step`` all sense at the same moment, else spread over the period."""
+    """Turns ``robots`` by name. With ``in_step`` all sense at the same moment, else spread over the period.
+
+    Where there are many, those whose moments lie within 4 ms have the same one, and their states travel in one bundle.
+    """
 
     def __init__(
         self,
@@ -63,13 +72,15 @@ class FleetLoop:
     ) -> None:
         self._bus, self._clock = bus, clock
         self._inbox = bus.inbox((ACTION,), clock=clock)
-        self._quantum = quantum_for([robot.period for robot in robots.values()], coalescing=False)
-        self._inbox.coalesce(self._quantum)
-        begin = clock()
-        self._turning = {
-            name: _Turning(robot, begin + (0.0 if in_step else index / len(robots) * robot.period))
-            for index, (name, robot) in enumerate(robots.items())
-        }
+        shortest = min(robot.period for robot in robots.values())
+        most = len(robots) if len(robots) < _FEW else max(1, int(shortest / _MOMENTS_APART_SECONDS))
+        self._begin, self._moments = clock(), 1 if in_step else min(len(robots), most)
+        self._turning = {}
+        for index, (name, robot) in enumerate(robots.items()):
+            due = self._begin + index * self._moments // len(robots) / self._moments * robot.period
+            self._turning[name] = _Turning(robot, due, index % _heartbeat_ticks(robot))
+        self._ready: deque[tuple[str, int]] = deque()
+        """Robots whose action of a tick is there, and which have not moved yet."""
         self._events = [(turning.due, name, turning.robot.tick, True) for name, turning in self._turning.items()]
         """When each robot has to sense (True), or when its action of a tick is late."""
         heapq.heapify(self._events)
@@ -86,34 +97,45 @@ class FleetLoop:
         """Turns for ``seconds``, or until ``stopped``."""
         end = self._clock() + seconds
         while not stopped() and self._clock() < end:
-            self._take(min(self._events[0][0], end))
+            if not self._ready:
+                self._take(min(self._events[0][0], end))
             self.turn()
 
     def turn(self) -> None:
-        """Does what is due now: takes actions, senses, brakes where an action is late. Never waits."""
+        """Takes actions, senses, brakes where one is late, and moves robots until one has to sense. Never waits."""
         self._take(0.0)
-        if self._quantum > 0.0:
-            self._bus.hold()
+        self._bus.hold()
+        sensed = []
         while self._events[0][0] <= self._clock():
             _, name, tick, senses = heapq.heappop(self._events)
-            self._take(0.0)  # what is there already counts
             turning = self._turning[name]
             if senses:
                 self._sense(name, turning)
+                sensed.append(turning)
             elif turning.robot.tick == tick:
-                self._move(name, turning, late=True)
+                self._take(0.0)  # what is there already counts
+                self._move(name, turning)
         self._bus.flush()
+        self._sent(sensed)
+        while self._ready and self._events[0][0] > self._clock():
+            name, tick = self._ready.popleft()
+            if self._turning[name].robot.tick == tick:
+                self._move(name, self._turning[name])
 
     def _sense(self, name: str, turning: _Turning) -> None:
         robot = turning.robot
-        self._bus.publish(STATE, name, robot.state_message())
         turning.published = self._clock()
-        lateness = turning.published - turning.due
-        self.lateness.add(lateness)
-        turning.held_up = lateness > _HELD_UP_SHARE * robot.period
-        heapq.heappush(self._events, (turning.published + _DEADLINE_SHARE * robot.period, name, robot.tick, False))
-        if robot.tick % max(1, round(_HEARTBEAT_SECONDS / robot.period)) == 0:
+        self._bus.publish(STATE, name, robot.state_message())
+        if robot.tick % _heartbeat_ticks(robot) == turning.told_at:
             self._tell_health(name, robot)
+        heapq.heappush(self._events, (turning.published + _DEADLINE_SHARE * robot.period, name, robot.tick, False))
+
+    def _sent(self, sensed: Sequence[_Turning]) -> None:
+        """The states are out now: from here they are late, if they are."""
+        now = self._clock()
+        for turning in sensed:
+            self.lateness.add(now - turning.due)
+            turning.held_up = now - turning.due > _HELD_UP_SHARE * turning.robot.period
 
     def _take(self, until: float) -> None:
         """Takes actions; waits for the first one at most until then."""
@@ -126,10 +148,11 @@ class FleetLoop:
                 turning.robot.guard.refuse("malformed")
             elif turning.robot.receive(item.message) is None:
                 self.latency.add(item.at - turning.published)
-                self._move(item.robot, turning, late=False)
+                self._ready.append((item.robot, turning.robot.tick))
 
-    def _move(self, name: str, turning: _Turning, *, late: bool) -> None:
+    def _move(self, name: str, turning: _Turning) -> None:
         robot = turning.robot
+        late = robot.guard.accepted is None
         if not late and self._clock() - turning.published > _LARGEST_AGE_PERIODS * robot.period:
             robot.guard.withdraw("too old")  # this process was held up
         tick, touched, braked = robot.tick, len(robot.collisions), robot.watchdog_ticks
@@ -147,7 +170,8 @@ class FleetLoop:
         turning.due += robot.period
         if turning.due < self._clock():  # periods that were slept through are not made up in a hurry
             self.overruns += 1
-            turning.due = self._clock()
+            apart = robot.period / self._moments
+            turning.due = self._begin + ceil((self._clock() - self._begin) / apart) * apart  # with others again
         heapq.heappush(self._events, (turning.due, name, robot.tick, True))
 
     def _tell_health(self, name: str, robot: SimulatedRobot) -> None:
@@ -183,3 +207,7 @@ class FleetLoop:
             "collision_list": self.collisions,
             "refusals": dict(sum((robot.guard.refusals for robot in robots), Counter[str]())),
         }
+
+
+def _heartbeat_ticks(robot: SimulatedRobot) -> int:
+    return max(1, round(_HEARTBEAT_SECONDS / robot.period))

@@ -63,7 +63,7 @@ class RobotLoop:
         self._name = name
         self._clock = clock
         self._patience = patience
-        self._inbox = bus.inbox((ACTION,), name)
+        self._inbox = bus.inbox((ACTION,), name, alone=True)
         self._trace = trace
         self._published = 0.0
         self._sent: StateMessage | None = None

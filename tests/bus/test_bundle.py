@@ -1,0 +1,209 @@
+"""Messages about many robots that travel as one arrive as if each came alone, and nothing else gets in with them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from safedpa.bus import (
+    ACTION,
+    HEALTH,
+    LATENT,
+    STATE,
+    TOPICS,
+    VERDICT,
+    Bus,
+    MemoryBroker,
+    MemoryTransport,
+    Message,
+    Received,
+    Refused,
+    Topic,
+    encode,
+    topic_of,
+)
+from safedpa.bus.access import NOBODY, ROBOT, ROLES, access_control, check_names, may_write
+from safedpa.bus.bundle import packed, parts, unbundled
+from safedpa.bus.topics import BUNDLE
+from safedpa.errors import InputError, MessageError
+
+entries = some.lists(some.tuples(some.text(max_size=8), some.binary(max_size=40)), max_size=300)
+
+
+class Wire:
+    """What goes over the bus ``f``, as bytes."""
+
+    def __init__(self) -> None:
+        self.broker = MemoryBroker()
+        self.seen: list[tuple[str, bytes]] = []
+        for last in ("*", "*/*"):
+            MemoryTransport(self.broker).subscribe(f"safedpa/f/{last}/*", lambda *sample: self.seen.append(sample))
+
+    def bus(self, **options: Any) -> Bus:
+        return Bus(MemoryTransport(self.broker), "f", **options)
+
+    def put(self, key: str, payload: bytes) -> None:
+        MemoryTransport(self.broker).put(key, payload, never_drop=False)
+
+
+def sent_together(wire: Wire, topic: Topic, message: Message, robots: tuple[str, ...], service: str = "") -> None:
+    bus = wire.bus()
+    bus.hold()
+    for robot in robots:
+        bus.publish(topic, robot, message, service)
+    bus.flush()
+
+
+@given(entries)
+def test_parts_hold_everything_in_order_and_each_fits(given_entries: list[tuple[str, bytes]]) -> None:
+    found = [unbundled(packed(part)) for part in parts(given_entries)]
+    assert [entry for part in found for entry in part] == given_entries
+    assert all(part for part in found)
+    assert all(len(packed(part)) <= STATE.largest_bytes for part in parts([("r", bytes(2000))] * 300))
+
+
+@given(some.binary(max_size=200))
+def test_what_is_no_bundle_is_refused(payload: bytes) -> None:
+    try:
+        found = unbundled(payload)
+    except MessageError:
+        return
+    assert unbundled(packed(found)) == found
+
+
+def test_more_than_one_message_travel_as_one_and_arrive_one_by_one(samples: dict[str, Message]) -> None:
+    wire = Wire()
+    inbox, named = wire.bus().inbox((STATE,)), wire.bus().inbox((STATE,), "b")
+    sent_together(wire, STATE, samples["state"], ("a", "b", "c"))
+    assert [key for key, _ in wire.seen] == [f"safedpa/f/{BUNDLE}/state"]
+    received = inbox.take(0.0)
+    assert [(item.robot, item.key, item.message, item.bundled) for item in received if isinstance(item, Received)] == [
+        (robot, f"safedpa/f/{robot}/state", samples["state"], True) for robot in ("a", "b", "c")
+    ]
+    assert [item.robot for item in named.take(0.0)] == ["b"]
+
+
+def test_one_message_travels_as_ever(samples: dict[str, Message]) -> None:
+    wire = Wire()
+    inbox = wire.bus().inbox((STATE,))
+    sent_together(wire, STATE, samples["state"], ("a",))
+    assert wire.seen == [("safedpa/f/a/state", encode(samples["state"]))]
+    assert [item.bundled for item in inbox.take(0.0) if isinstance(item, Received)] == [False]
+
+
+def test_of_topics_that_drop_nothing_every_message_of_a_bundle_is_kept(samples: dict[str, Message]) -> None:
+    wire = Wire()
+    inbox = wire.bus().inbox((VERDICT,))
+    for _ in range(3):
+        sent_together(wire, VERDICT, samples["verdict"], ("a", "b"))
+    assert [item.robot for item in inbox.take(0.0)] == ["a", "b"] * 3
+
+
+def test_who_reads_what_is_for_it_alone_hears_no_bundle(samples: dict[str, Message]) -> None:
+    wire = Wire()
+    robot = wire.bus().inbox((ACTION,), "a", alone=True)
+    sent_together(wire, ACTION, samples["action"], ("a", "b"))
+    assert robot.take(0.0) == []
+    bus = wire.bus()
+    bus.hold()
+    bus.publish(ACTION, "a", samples["action"], alone=True)
+    assert [item.robot for item in robot.take(0.0)] == ["a"], "it goes out although others are held"
+
+
+def test_of_robots_that_are_not_served_nothing_gets_in(samples: dict[str, Message]) -> None:
+    wire = Wire()
+    inbox = wire.bus(serves=lambda robot: robot == "b").inbox((STATE,))
+    sent_together(wire, STATE, samples["state"], ("a", "b", "c"))
+    wire.bus().publish(STATE, "a", samples["state"])
+    assert [item.robot for item in inbox.take(0.0)] == ["b"]
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"garbage",
+        msgpack.packb({"a": b"x"}),
+        msgpack.packb([["a"]]),
+        msgpack.packb([["a", "text"]]),
+        msgpack.packb([[1, b"x"]]),
+        msgpack.packb([["a", b"x"]] * 257),
+        msgpack.packb([["a/b", b"x"]]),
+        msgpack.packb([["", b"x"]]),
+        packed([("a", bytes(70_000))]),
+    ],
+)
+def test_a_bundle_that_is_none_is_refused_once_and_makes_nobody_speak(payload: bytes) -> None:
+    wire = Wire()
+    inbox = wire.bus().inbox((STATE,))
+    wire.put(f"safedpa/f/{BUNDLE}/state", payload)
+    (refused,) = inbox.take(0.0)
+    assert isinstance(refused, Refused)
+    assert refused.robot == ""
+
+
+@pytest.mark.parametrize("name", ["*", BUNDLE])
+def test_nobody_is_called_many_robots(name: str, samples: dict[str, Message]) -> None:
+    wire = Wire()
+    inbox = wire.bus().inbox((STATE,))
+    wire.put(f"safedpa/f/{BUNDLE}/state", packed([(name, encode(samples["state"])), ("a", encode(samples["state"]))]))
+    found = inbox.take(0.0)
+    assert sorted(type(item).__name__ for item in found) == ["Received", "Refused"]
+    with pytest.raises(InputError):
+        topic_of(f"safedpa/f/{name}/state")
+    with pytest.raises(InputError):
+        check_names("f", (name,))
+
+
+def test_garbage_of_one_robot_leaves_the_others_in_its_bundle_alone(samples: dict[str, Message]) -> None:
+    wire = Wire()
+    inbox = wire.bus().inbox((STATE,))
+    good = encode(samples["state"])
+    wire.put(f"safedpa/f/{BUNDLE}/state", packed([("a", good), ("b", b"garbage"), ("c", good)]))
+    assert [(item.robot, type(item)) for item in inbox.take(0.0)] == [("a", Received), ("b", Refused), ("c", Received)]
+
+
+def test_under_a_wildcard_no_bundle_is_opened(samples: dict[str, Message]) -> None:
+    wire = Wire()
+    inbox = wire.bus().inbox((STATE, HEALTH))
+    bundle = packed([("a", encode(samples["state"])), ("b", encode(samples["state"]))])
+    accept = wire.bus()._accepting(inbox, STATE, "*", all_of_them=False)
+    for key in (f"safedpa/f/{BUNDLE}/*", f"safedpa/f/{BUNDLE}/**", "safedpa/f/*/state", f"safedpa/f/{BUNDLE}/state/x"):
+        accept(key, bundle)
+    assert all(isinstance(item, Refused) for item in inbox.take(0.0))
+
+
+def test_in_a_bundle_nobody_speaks_as_another_service_either(samples: dict[str, Message]) -> None:
+    wire = Wire()
+    inbox = wire.bus().inbox((HEALTH,))
+    health = dataclasses.replace(samples["health"], service="policy")  # type: ignore[call-arg]
+    sent_together(wire, HEALTH, health, ("a", "b"), "adaptation")
+    assert all(isinstance(item, Refused) for item in inbox.take(0.0))
+
+
+def test_only_who_may_speak_for_every_robot_may_send_bundles_and_no_robot_may_read_one() -> None:
+    for role in ROLES.values():
+        for topic in TOPICS.values():
+            allowed = may_write(role, topic, BUNDLE)
+            assert not allowed or (topic.bundles and may_write(role, topic, NOBODY if topic.per_service else "r"))
+    table = access_control("f", ("r1", "r2"))
+    keys = {rule["id"]: rule["key_exprs"] for rule in table["rules"]}
+    assert f"safedpa/f/{BUNDLE}/latent" in keys["adaptation puts"]
+    assert f"safedpa/f/{BUNDLE}/action" in keys["safety_filter puts"]
+    assert f"safedpa/f/{BUNDLE}/setup/adaptation" not in keys["adaptation puts"]
+    of_robots = [key for name, found in keys.items() if name.startswith(f"{ROBOT}.") for key in found]
+    assert of_robots
+    assert not [key for key in of_robots if f"/{BUNDLE}/" in key]
+    assert not [key for key in keys["robot.r1 reads"] if "*" in key.split("/")[2]]
+
+
+def test_who_links_a_router_for_some_robots_may_bring_no_bundle() -> None:
+    table = access_control("f", ("r1",), {"router.hall": ("r1",)})
+    keys = {rule["id"]: rule["key_exprs"] for rule in table["rules"]}
+    assert not [key for key in keys["router.hall brings"] if BUNDLE in key or key.startswith("safedpa/f/*")]
+    assert LATENT.bundles
