@@ -136,7 +136,7 @@ def test_without_tyres_and_floor_momentum_is_conserved(monkeypatch):
     world = open_world("chair")
     towed = world.towed
     assert towed is not None
-    monkeypatch.setattr(CarWorld, "_ground_forces", lambda *_: (0.0, 0.0, 0.0))
+    monkeypatch.setattr(world, "_ground_forces", lambda *_: (0.0, 0.0, 0.0))
     monkeypatch.setattr(type(towed), "apply_runners", lambda _: None)
     for joint in tuple(towed.body.constraints):
         if joint.b is world.space.static_body:

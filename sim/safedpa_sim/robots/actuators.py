@@ -23,14 +23,13 @@ class SpeedServo:
     """
 
     def __init__(self, parameters: CarParameters) -> None:
-        self._parameters = parameters
+        self._gain, self._limit = parameters.servo_gain, parameters.servo_limit
         self._share = _cached_share(parameters.servo_lag)
         self.acceleration = 0.0
 
     def advance(self, target: float, speed: float, seconds: float) -> float:
         """The drive acceleration [m/s2] at the end of ``seconds``."""
-        car = self._parameters
-        wanted, limit = car.servo_gain * (target - speed), car.servo_limit
+        wanted, limit = self._gain * (target - speed), self._limit
         wanted = -limit if wanted < -limit else limit if wanted > limit else wanted
         self.acceleration += (wanted - self.acceleration) * self._share(seconds)
         return self.acceleration
@@ -40,13 +39,12 @@ class SteeringActuator:
     """d(angle)/dt = clip((command - angle) / steer_lag, +-steer_rate); angle [rad] is that of the wheels."""
 
     def __init__(self, parameters: CarParameters) -> None:
-        self._parameters = parameters
+        self._rate = parameters.steer_rate
         self._share = _cached_share(parameters.steer_lag)
         self.angle = 0.0
 
     def advance(self, command: float, seconds: float) -> float:
         """The wheels' angle [rad] at the end of ``seconds``."""
-        car = self._parameters
-        change, largest = (command - self.angle) * self._share(seconds), car.steer_rate * seconds
+        change, largest = (command - self.angle) * self._share(seconds), self._rate * seconds
         self.angle += -largest if change < -largest else largest if change > largest else change
         return self.angle

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from math import atan, cos, pi, sin
-from typing import Any
 
 import pymunk
+from pymunk._chipmunk_cffi import lib
 
 from safedpa_sim.robots.contacts import LOAD
 from safedpa_sim.robots.loads import Load
@@ -13,7 +13,7 @@ from safedpa_sim.robots.tyres import axle_force
 
 __all__ = ["TowedBody"]
 
-_set_force: Any = pymunk.Body.force.fset  # type: ignore[attr-defined]
+_angle, _velocity, _set_force = lib.cpBodyGetAngle, lib.cpBodyGetVelocity, lib.cpBodySetForce
 
 _FEET = 0.45
 """The feet stand at this share of the side from the centre, under the middle of each edge. Under the corners the joints
@@ -39,6 +39,7 @@ class TowedBody:
         self.load = load
         self._space = space
         self.body, self.shape = _body_behind(car, hitch, load)
+        self._handle = self.body._body
         self._grip = self.body.mass * load.grip
         space.add(self.body, self.shape)
         arm = _FEET * load.side
@@ -74,12 +75,13 @@ class TowedBody:
 
     def apply_runners(self) -> None:
         """Sets the runners' force for the coming substep."""
-        body = self.body
-        cosine, sine = cos(body.angle), sin(body.angle)
-        vx, vy = body.velocity
+        handle = self._handle
+        angle, velocity = _angle(handle), _velocity(handle)
+        cosine, sine = cos(angle), sin(angle)
+        vx, vy = velocity.x, velocity.y
         forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
         _, across = axle_force(forward, sideways, 0.0, self._grip, _RUNNER_SLIP, _RUNNER_SPEED)
-        _set_force(body, (-across * sine, across * cosine))
+        _set_force(handle, (-across * sine, across * cosine))
 
     def unhitch(self) -> None:
         """Lets the load go; it slides to rest and stays where it is. The car can bump into it."""

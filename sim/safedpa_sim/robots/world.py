@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from math import ceil, cos, sin, tanh
-from typing import Any
+from math import ceil, cos, sin
 
 import pymunk
+from pymunk._chipmunk_cffi import lib
 
 from safedpa_sim.robots.actuators import SpeedServo, SteeringActuator
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY, SUBSTEP, CarParameters
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 from safedpa_sim.robots.contacts import CAR, OBSTACLE, WALL, Collision, ContactCounter
+from safedpa_sim.robots.ground_forces import ground_forces
 from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.towing import TowedBody
-from safedpa_sim.robots.tyres import axle_force
 
 __all__ = ["CarWorld"]
 
-_set_force: Any = pymunk.Body.force.fset  # type: ignore[attr-defined]
-_set_torque: Any = pymunk.Body.torque.fset  # type: ignore[attr-defined]
-"""As ``body.force = ...``, without pymunk's look at the attribute's name, which costs as much as the setting."""
+_angle, _velocity, _rate = lib.cpBodyGetAngle, lib.cpBodyGetVelocity, lib.cpBodyGetAngularVelocity
+_set_force, _set_torque, _step = lib.cpBodySetForce, lib.cpBodySetTorque, lib.cpSpaceStep
+"""What pymunk's own ``body.angle``, ``space.step`` and so on call, without what stands around it: a substep asks for
+little, and its housekeeping for bodies that are added or removed within a step concerns nothing here."""
 
-_ROLLING_SPEED = 0.02
-"""m/s below which rolling resistance fades, so that it cannot push a standing car."""
 _WALL_THICKNESS = 0.2
 """m; more than the car moves in a substep by far, so that it cannot pass through."""
 
@@ -46,6 +45,8 @@ class CarWorld:
         self.contacts = ContactCounter(self.space)
         _add_solids(self.space, self.contacts, field, obstacles)
         self.body = self._add_car(start)
+        self._handle = self.body._body
+        self._ground_forces = ground_forces(parameters)
         self.wind = (0.0, 0.0)
         """Push of a steady wind over the car's mass, m/s2 along the field's x and y."""
         self.steering_offset = 0.0
@@ -104,52 +105,23 @@ class CarWorld:
             self._substep(target_speed, steer, seconds / substeps)
 
     def _substep(self, target_speed: float, steer: float, seconds: float) -> None:
-        body = self.body
-        yaw, (vx, vy) = body.angle, body.velocity
+        handle = self._handle
+        yaw, velocity = _angle(handle), _velocity(handle)
         cosine, sine = cos(yaw), sin(yaw)
+        vx, vy = velocity.x, velocity.y
         forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
         drive = self.servo.advance(target_speed, forward, seconds)
         angle = self.steering.advance(steer + self.steering_offset, seconds)
-        along, across, torque = self._ground_forces(forward, sideways, drive, angle)
+        along, across, torque = self._ground_forces(forward, sideways, _rate(handle), drive, angle)
         mass, (east, north) = self.parameters.mass, self.wind
         across_east, across_north = across * sine, across * cosine
-        _set_force(body, (along * cosine - across_east + mass * east, along * sine + across_north + mass * north))
-        _set_torque(body, torque)
+        _set_force(handle, (along * cosine - across_east + mass * east, along * sine + across_north + mass * north))
+        _set_torque(handle, torque)
         for load in self._loads:
             load.apply_runners()
         self.time += seconds
         self.contacts.time = self.time
-        self.space.step(seconds)
-
-    def _ground_forces(self, forward: float, sideways: float, drive: float, steer: float) -> tuple[float, float, float]:
-        """Force along and across the car [N] and torque [N m] about its centre of mass, from tyres and air."""
-        car, rate = self.parameters, self.body.angular_velocity
-        to_rear, to_front = car.centre_of_mass, car.wheelbase - car.centre_of_mass
-        shift = drive * car.centre_height / GRAVITY
-        share_front = (to_rear - shift) / car.wheelbase
-        share_front = 0.0 if share_front < 0.0 else 1.0 if share_front > 1.0 else share_front
-        force, limit = car.mass * drive, car.mass * GRAVITY * car.friction
-        front_sideways = sideways + rate * to_front
-        cosine, sine = cos(steer), sin(steer)
-        front_x, front_y = axle_force(
-            forward * cosine + front_sideways * sine,
-            front_sideways * cosine - forward * sine,
-            force * share_front,
-            limit * share_front,
-            car.front_slip,
-            car.slip_speed,
-        )
-        rear_x, rear_y = axle_force(
-            forward,
-            sideways - rate * to_rear,
-            force * (1.0 - share_front),
-            limit * (1.0 - share_front),
-            car.rear_slip,
-            car.slip_speed,
-        )
-        resistance = car.mass * (car.rolling * tanh(forward / _ROLLING_SPEED) + car.drag * abs(forward) * forward)
-        turned_x, turned_y = front_x * cosine - front_y * sine, front_x * sine + front_y * cosine
-        return turned_x + rear_x - resistance, turned_y + rear_y, turned_y * to_front - rear_y * to_rear
+        _step(self.space._space, seconds)
 
 
 def _add_solids(
