@@ -238,3 +238,29 @@ def test_one_early_miss_does_not_widen_the_margin_but_many_do() -> None:
 def test_online_margin_refuses(bad: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         OnlineMargin(**{"calibrated": 0.1, "coverage": 0.9, **bad})
+
+
+def test_online_margin_takes_the_ends_of_its_ranges() -> None:
+    assert OnlineMargin(0.0, 0.9).value == 0.0
+    hasty = OnlineMargin(0.1, 0.5, rate=1.0, window=1)
+    assert [hasty.update(error) for error in (0.3, 0.2)] == [0.6, 0.2]  # alpha 0: twice; alpha 0.5: the one there is
+
+
+def test_coverage_is_the_share_of_the_last_window() -> None:
+    online = OnlineMargin(0.5, 0.9, rate=1e-6, window=4)
+    assert online.coverage is None
+    told = []
+    for error in (0.9, 0.1, 0.1, 0.1, 0.1, 0.1, 2.0, 3.0):
+        online.update(error)
+        told.append(online.coverage)
+    assert told == [0.0, 0.5, pytest.approx(2 / 3), 0.75, 1.0, 1.0, 0.75, 0.5]
+
+
+def test_two_hundred_errors_are_kept_unless_told_otherwise() -> None:
+    online = OnlineMargin(0.1, 0.9)
+    online.update(5.0)
+    for _ in range(199):
+        online.update(0.0)
+    assert online.coverage == 1.0 - 1 / 200
+    online.update(0.0)
+    assert online.coverage == 1.0

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import STATE, Bus, ZenohSettings, ZenohTransport
+from safedpa.bus.ports import free_port
 from safedpa.errors import BusError
 from safedpa.records import read_messages
-from safedpa_services.supervisor.plan import free_port
 
 pytestmark = pytest.mark.processes
 
