@@ -34,10 +34,12 @@ def test_values_and_slopes_are_those_of_the_parts(
         h = stack.values(state)
         np.testing.assert_allclose(h, stack.one_by_one.values(state), rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(stack.gradient(state), stack.one_by_one.gradient(state), rtol=0.0, atol=1e-12)
-        before = h.copy()
-        stack.gradient(state + 1.0)
-        np.testing.assert_array_equal(stack.gradient(state), stack.gradient(state.copy()))
-        np.testing.assert_array_equal(h, before)  # nobody writes into what was handed out
+        gradient, rows = stack.gradient(state), range(len(stack.names))
+        assert stack.heights(values) == h.tolist()
+        np.testing.assert_array_equal(stack.slopes(values, rows[::-1]), gradient[::-1])
+        steepest = stack.steepest(values)
+        assert steepest is not None
+        assert (abs(gradient) <= np.array(steepest) + 1e-12).all()
 
 
 def test_a_state_with_more_entries_and_other_barriers_take_the_road_of_the_parts() -> None:
@@ -45,6 +47,9 @@ def test_a_state_with_more_entries_and_other_barriers_take_the_road_of_the_parts
     longer = np.array([0.1, 0.2, 0.3, 0.4, 9.0])
     np.testing.assert_array_equal(stacked(parts).values(longer), Barriers(parts).values(longer))
     np.testing.assert_array_equal(stacked(parts).gradient(longer), Barriers(parts).gradient(longer))
+    assert stacked(parts).heights(longer.tolist()) == Barriers(parts).values(longer).tolist()
+    assert stacked(parts).slopes(longer.tolist(), [1]) == [Barriers(parts).gradient(longer)[1].tolist()]
+    assert stacked(parts).steepest(longer.tolist()) is None
     for other in (
         parts[:1],
         [*parts, FunctionBarrier(lambda x: 1.0)],

@@ -20,7 +20,7 @@ from safedpa.safety import (
     car_barriers,
 )
 from safedpa.safety import decision as decision_module
-from safedpa.safety.inputs import Unusable, all_finite, checked_input
+from safedpa.safety.inputs import Unusable, checked_input
 
 GOOD = np.array([0.0, 0.0, 0.0, 0.5])
 WISH = np.array([0.4, 0.1])
@@ -259,7 +259,7 @@ def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
     original, calls = decision_module.search, []
 
     def first_fails(conditions: Any, program: Any, wish: Any, start: Any, rounds: int, tolerance: float) -> Any:
-        calls.append(start.action.copy())
+        calls.append(start.action)
         if len(calls) == 1:
             return start, "solved"
         return original(conditions, program, wish, start, rounds, tolerance)
@@ -268,7 +268,7 @@ def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
     verdict = scalar_filter().decide(np.zeros(1), [1.0])
     assert verdict.reason == "Found from the backup action."
     assert verdict.action[0] == pytest.approx(0.2)
-    np.testing.assert_array_equal(np.concatenate(calls), [1.0, 0.0])
+    assert calls == [(1.0,), (0.0,)]
 
 
 numbers = st.one_of(st.floats(), st.integers(), st.none(), st.booleans(), st.text(max_size=3))
@@ -290,40 +290,21 @@ def test_whatever_comes_in_a_verdict_goes_out(state: Any, wish: Any, latent: Any
     assert np.isfinite([verdict.slack, verdict.h_now, verdict.h_next, verdict.margin, verdict.microseconds]).all()
 
 
-def test_checked_input_gives_a_fresh_array_or_a_reason() -> None:
-    original = np.array([1.0, 2.0])
-    checked = checked_input("it", original, None)
-    assert isinstance(checked, np.ndarray)
-    assert checked is not original
+def test_checked_input_gives_plain_numbers_or_a_reason() -> None:
+    checked = checked_input("it", np.array([1, 2], dtype=np.float32), None)
+    assert checked == (1.0, 2.0)
+    assert isinstance(checked, tuple)
+    assert all(type(entry) is float for entry in checked)
     assert checked_input("it", [[1.0]], None) == Unusable("it has shape (1, 1), wanted one axis")
     narrow = Plausible(np.array([0.0]), np.array([1.0]), ("a",))
-    assert isinstance(checked_input("it", [0.0], narrow), np.ndarray)
-    assert isinstance(checked_input("it", [1.0], narrow), np.ndarray)
+    assert checked_input("it", [0.0], narrow) == (0.0,)
+    assert checked_input("it", [1.0], narrow) == (1.0,)
     assert checked_input("it", [1.5], narrow) == Unusable("it is out of its plausible range: a = 1.5, wanted 0 to 1")
-
-
-@pytest.mark.parametrize(
-    ("entries", "finite"),
-    [
-        ([0.0, -1e150], True),
-        ([1e200, -1e300], True),  # their squares are not
-        ([], True),
-        ([1.0, math.nan], False),
-        ([math.inf, 1.0], False),
-        ([1e200, -math.inf], False),
-        ([[1.0, 2.0], [1e200, 3.0]], True),
-        ([[1.0, 2.0], [math.nan, 3.0]], False),
-    ],
-)
-def test_finite_is_what_every_entry_is(entries: Any, finite: bool) -> None:
-    array = np.array(entries)
-    assert all_finite(array) is finite
-    assert all_finite(array.T) is finite
 
 
 def test_one_range_may_stand_for_all_entries() -> None:
     broad = Plausible(np.array([0.0]), np.array([1.0]), ("a", "b"))
-    assert isinstance(checked_input("x", [0.5, 1.0], broad), np.ndarray)
+    assert checked_input("x", [0.5, 1.0], broad) == (0.5, 1.0)
     refused = checked_input("x", [0.5, 1.5], broad)
     assert refused == Unusable("x is out of its plausible range: b = 1.5, wanted 0 to 1")
 

@@ -22,11 +22,12 @@ from safedpa.dynamics.straight import (
     straight_arrays,
     straight_step,
 )
+from safedpa.dynamics.straight_tangent import StraightTangent
 from safedpa.dynamics.tangent import batched_difference, forward_mode, intercept, single_tangent
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
-from safedpa.operations import FLOATS, NUMPY, Operations, Scalar
+from safedpa.operations import FLOATS, NUMPY, Operations, Scalar, half_angled
 
 __all__ = ["PhysicsModel", "Setting"]
 
@@ -135,15 +136,33 @@ class PhysicsModel(AbstractDynamics):
         """
         return None if self._commands else self._straight.floats(period)
 
-    def straight_arrays(self, period: float) -> StraightStep | None:
+    def straight_tangent(self) -> StraightTangent | None:
+        """One robot's next state and its slopes in the action over one period, of plain numbers; None as there."""
+        return None if self._commands else self._straight.tangent(self.period)
+
+    def straight_arrays(self, period: float | None) -> StraightStep | None:
         """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.
 
-        Recorded at once, in some milliseconds. None as there, and for equations that ask one robot at a time.
+        Without a ``period`` here, it follows the latent as one more entry, and sines and cosines come from one tangent,
+        as near as rounding. Recorded at once, in some milliseconds. None as there, and for equations that ask one robot
+        at a time.
         """
         if self._commands or not (self._takes_complex and self.base.straight):
             return None
         names = self.system.state_names, self.system.action_names, self.latent_names
-        return straight_arrays(self._equations(period), *names)
+        if period is not None:
+            return straight_arrays(self._equations(period), *names)
+
+        def paced(
+            state: Sequence[Scalar],
+            action: Sequence[Scalar],
+            latent: Sequence[Scalar],
+            time: Scalar,
+            operations: Operations,
+        ) -> Sequence[Scalar]:
+            return self._equations(latent[-1])(state, action, latent[:-1], time, half_angled(operations))
+
+        return straight_arrays(paced, names[0], names[1], (*names[2], "period"))
 
     def held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from itertools import accumulate, chain, pairwise
-from typing import final, overload
+from itertools import chain
+from typing import Any, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
+
+from safedpa.errors import InputError
 
 __all__ = ["AbstractBarrier", "AbstractStack", "Barriers", "RememberingStack"]
 
@@ -47,8 +49,7 @@ class AbstractStack(Sequence[AbstractBarrier]):
 
         self.rows = {kind: tuple(row for row, own in enumerate(self.kinds) if own == kind) for kind in self.kinds}
         """By kind of barrier: where its values stand."""
-        ends = list(accumulate((len(part.names) for part in self.parts), initial=0))
-        self._runs = [(part.kind, run) for part, run in zip(self.parts, pairwise(ends), strict=True)]
+        self._runs = [(part.kind, len(part.names)) for part in self.parts]
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -70,16 +71,30 @@ class AbstractStack(Sequence[AbstractBarrier]):
     def gradient(self, state: Values) -> Values:
         """d(h_i)/d(x_j) (m, states) of all parts at ``state`` (states,)."""
 
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """``values`` for plain numbers: h (m,) at ``state`` (states,)."""
+        h: list[float] = _plain("h", self.values(np.array(state)), (len(self.names),))
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:
+        """``gradient`` for plain numbers: its rows of these indices."""
+        table = _plain("gradient of h", self.gradient(np.array(state)), (len(self.names), len(state)))
+        return [table[row] for row in rows]
+
+    def steepest(self, state: Sequence[float]) -> Sequence[float] | None:
+        """(states,) what no |d(h_i)/d(x_j)| at ``state`` exceeds, for any row i; None where that is not known."""
+        return None
+
     @property
     def one_by_one(self) -> Barriers:
         """The reference for these parts."""
         return Barriers(self.parts)
 
-    def of_each(self, by_kind: Mapping[str, float], otherwise: float) -> Values:
+    def of_each(self, by_kind: Mapping[str, float], otherwise: float) -> list[float]:
         """(m,) the number that belongs to each barrier's kind."""
-        numbers = np.empty(len(self.kinds))
-        for kind, (start, stop) in self._runs:
-            numbers[start:stop] = by_kind.get(kind, otherwise)
+        numbers: list[float] = []
+        for kind, count in self._runs:
+            numbers += [float(by_kind.get(kind, otherwise))] * count
         return numbers
 
 
@@ -99,23 +114,37 @@ class RememberingStack(AbstractStack):
     """Another stack, with h at the last few states remembered: within one tick the same states come up again.
 
     A prediction is judged when the action is decided, and again beside the measured state when the margin is watched.
-    The arrays that it hands out are shared, and so cannot be written to.
+    The lists that it hands out are shared: nobody may write into them.
     """
 
     def __init__(self, stack: AbstractStack) -> None:
         super().__init__(stack.parts)
         self._stack = stack
-        self._known: dict[bytes, Values] = {}
+        self._known: dict[tuple[float, ...], list[float]] = {}
 
     def values(self, state: Values) -> Values:  # noqa: D102
-        key = state.tobytes()
+        return np.array(self.heights(state.tolist()))
+
+    def gradient(self, state: Values) -> Values:  # noqa: D102
+        return self._stack.gradient(state)
+
+    def heights(self, state: Sequence[float]) -> list[float]:  # noqa: D102
+        key = tuple(state)
         h = self._known.get(key)
         if h is None:
             if len(self._known) >= _REMEMBERED_STATES:
                 del self._known[next(iter(self._known))]
-            h = self._known[key] = self._stack.values(state)
-            h.flags.writeable = False
+            h = self._known[key] = self._stack.heights(key)
         return h
 
-    def gradient(self, state: Values) -> Values:  # noqa: D102
-        return self._stack.gradient(state)
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:  # noqa: D102
+        return self._stack.slopes(state, rows)
+
+    def steepest(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
+        return self._stack.steepest(state)
+
+
+def _plain(what: str, array: Values, shape: tuple[int, ...]) -> Any:
+    if array.shape != shape:
+        raise InputError(f"{what}: got shape {array.shape}, wanted {shape}")
+    return array.tolist()

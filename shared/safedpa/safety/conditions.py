@@ -1,59 +1,98 @@
-"""The barrier conditions at one state: kept or broken by an action, and linearised about one."""
+"""The barrier conditions at one state: kept or broken by an action, and linearised about one; in plain numbers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
+from math import inf, isfinite
 from typing import Any, final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack
-from safedpa.safety.inputs import all_finite
 from safedpa.safety.prediction import Prediction
 
-__all__ = ["NO_INFLUENCE", "Conditions", "Outcome", "limits"]
+__all__ = ["NO_INFLUENCE", "Conditions", "Outcome", "Plain", "Tangent"]
 
-Values = NDArray[np.float64]
+Plain = Sequence[float]
 
 NO_INFLUENCE = 1e-9
 """A column of g this small, relative to the size of the state, is rounding error: the actuator is saturated."""
 
+_ROUNDING = 1e-9
+"""Share by which the reach of an action is taken too far, so that no rounding error leaves a row out."""
+
 
 @final
-@dataclass(frozen=True, eq=False)
 class Outcome:
-    """What the model predicts for one action."""
+    """What the model predicts for one action (actions,)."""
 
-    action: Values
-    next_state: Values
-    h_next: Values
-    residual: Values
-    """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i): negative where a condition is broken."""
-
-    @cached_property
-    def tightest(self) -> float:
+    def __init__(self, action: Plain, next_state: Plain, h_next: list[float], residual: list[float]) -> None:
+        self.action, self.next_state, self.h_next = action, next_state, h_next
+        self.residual = residual
+        """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i): negative where a condition is broken."""
+        self.tightest: float = min(residual)
         """Smallest residual."""
-        return float(min(self.residual.tolist()))
-
-    @property
-    def violation(self) -> float:
+        self.violation: float = max(0.0, -self.tightest)
         """The slack that this action needs: max(0, -min residual)."""
-        return max(0.0, -self.tightest)
 
     @property
     def least(self) -> float:
         """Smallest h_i(x+)."""
-        return float(min(self.h_next.tolist()))
+        return min(self.h_next)
+
+
+@final
+class Tangent:
+    """A a >= b tangent at one outcome: h(x+) is taken as h + p'(x - x+) and x as x+ + g (a - about).
+
+    x+ is the predicted state under ``about.action``, g (states, actions), ``widths`` (actions,) the actions' ranges.
+    A row's slopes are computed when it is asked for, and only if some action might break it.
+    """
+
+    def __init__(self, barriers: AbstractStack, g: Sequence[Plain], about: Outcome, widths: Plain) -> None:
+        self._barriers, self._g, self._state = barriers, g, about.next_state
+        self._rows: dict[int, list[float]] = {}
+        steepest = barriers.steepest(about.next_state)
+        self._reach = inf
+        """By more than this no action within its range changes a row: sum_kj |p_k| |g_kj| width_j at the most."""
+        if steepest is not None:
+            reach = 0.0
+            for slope, row in zip(steepest, g, strict=True):
+                for entry, width in zip(row, widths, strict=True):
+                    reach += slope * abs(entry) * width
+            self._reach = reach * (1.0 + _ROUNDING) + _ROUNDING
+
+    def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
+        """A (rows, actions) and b (rows,) of the rows that actions might break, with the true residual at ``about``."""
+        residual, action, rows, reach = about.residual, about.action, self._rows, self._reach
+        near = [index for index, value in enumerate(residual) if value < reach]
+        missing = [index for index in near if index not in rows]
+        if missing:
+            self._add(missing)
+        slopes = [rows[index] for index in near]
+        limits = []
+        for index, row in zip(near, slopes, strict=True):
+            total = -residual[index]
+            for slope, value in zip(row, action, strict=True):
+                total += slope * value
+            limits.append(total)
+        return slopes, limits
+
+    def _add(self, missing: Sequence[int]) -> None:
+        for index, p in zip(missing, self._barriers.slopes(self._state, missing), strict=True):
+            row = [0.0] * len(self._g[0])
+            for slope, entries in zip(p, self._g, strict=True):
+                for column, entry in enumerate(entries):
+                    row[column] += slope * entry
+            self._rows[index] = row
+            if not isfinite(sum(row)):
+                _finite("gradient of h", p)
 
 
 @final
 class Conditions:
     """h_i(x[t+1]) >= (1 - eta) h_i(x[t]) + epsilon_i for every barrier i, at one state and latent.
 
-    ``low`` and ``high`` (actions,) are the actuator bounds.
+    ``sides`` (actions,) are lowest value, highest value and range of each action.
 
     Raises InputError when a barrier or the model returns a wrong shape or a number that is not finite.
     """
@@ -62,81 +101,67 @@ class Conditions:
         self,
         barriers: AbstractStack,
         prediction: Prediction,
-        state: Values,
-        latent: Values | None,
+        state: tuple[float, ...],
+        latent: tuple[float, ...] | None,
         memory: Any,
         eta: float,
-        epsilon: Values,
-        low: Values,
-        high: Values,
+        epsilon: Plain,
+        sides: Sequence[tuple[float, float, float]],
     ) -> None:
         self.barriers, self._prediction = barriers, prediction
         self._state, self._latent, self._memory = state, latent, memory
-        self._low, self._high = low, high
-        self.h_now = _finite("h at the state", barriers.values(state), (len(barriers.names),))
-        self.required = (1.0 - eta) * self.h_now + epsilon
-        self._last_g: Values | None = None
+        self._sides = sides
+        self.h_now = barriers.heights(state)
+        _finite("h at the state", self.h_now)
+        share = 1.0 - eta
+        self.required = [share * h + margin for h, margin in zip(self.h_now, epsilon, strict=True)]
+        self._last_g: list[list[float]] | None = None
 
-    def outcome(self, action: Values) -> Outcome:
+    def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
-        following = self._prediction.next_state(self._state, action, self._latent, self._memory)
-        _finite("predicted state", following, self._state.shape)
-        h_next = _finite("h at the predicted state", self.barriers.values(following), self.required.shape)
-        return Outcome(action, following, h_next, h_next - self.required)
+        following = self._following(action)
+        h_next = self.barriers.heights(following)
+        _finite("h at the predicted state", h_next)
+        residual = [h - wanted for h, wanted in zip(h_next, self.required, strict=True)]
+        return Outcome(action, following, h_next, residual)
 
-    def linearised(self, about: Outcome) -> tuple[Values, Values]:
-        """A (m, actions), b (m,): the conditions A a >= b, tangent at ``about.action``.
+    def linearised(self, about: Outcome) -> Tangent:
+        """The conditions tangent at ``about``."""
+        g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
+        if not isfinite(sum(map(sum, g))):
+            for row in g:
+                _finite("g of the model", row)
+        widths = [width for _, _, width in self._sides]
+        return Tangent(self.barriers, self._unsaturated(g, about), about, widths)
 
-        h(x+) is taken as h + p'(x - x+) and x as x+ + g (a - about), x+ the predicted state under ``about``.
-        """
-        A = self._slopes(about)
-        return A, limits(A, about)
+    def _following(self, action: Plain) -> list[float]:
+        found = self._prediction.following(self._state, action, self._latent, self._memory)
+        _finite("predicted state", found)
+        return found
 
-    def _slopes(self, about: Outcome) -> Values:
-        g = self._prediction.slopes(self._state, about.action, self._latent, self._memory)
-        _finite("g of the model", g, (len(self._state), len(about.action)))
-        p = self.barriers.gradient(about.next_state)
-        _finite("gradient of h", p, (len(self.required), len(self._state)))
-        return np.asarray(p.dot(self._unsaturated(g, about)))
-
-    def _unsaturated(self, g: Values, about: Outcome) -> Values:
+    def _unsaturated(self, g: list[list[float]], about: Outcome) -> list[list[float]]:
         """g with a chord in place of each column that vanishes because the actuator saturates at ``about``.
 
         A tangent of zero would say that this action does not matter, though its other values do: the chord leads to the
         bound that is further away, unless an earlier tangent knows the slope.
         """
-        noise = NO_INFLUENCE * (1.0 + _largest(about.next_state))
-        columns = enumerate(zip(*g.tolist(), strict=True))
-        silent = [index for index, column in columns if max(column) <= noise and min(column) >= -noise]
-        if silent:
-            g = g.copy()
-            for index in silent:
-                g[:, index] = self._chord(about, index) if self._last_g is None else self._last_g[:, index]
+        noise = NO_INFLUENCE * (1.0 + max(map(abs, about.next_state)))
+        for index in range(len(about.action)):
+            if all(-noise <= row[index] <= noise for row in g):
+                last = self._last_g
+                column = self._chord(about, index) if last is None else [row[index] for row in last]
+                g = [[*row[:index], slope, *row[index + 1 :]] for row, slope in zip(g, column, strict=True)]
         self._last_g = g
         return g
 
-    def _chord(self, about: Outcome, index: int) -> Values:
-        value, low, high = about.action[index], self._low[index], self._high[index]
-        other = about.action.copy()
-        other[index] = low if value - low > high - value else high
-        following = self._prediction.next_state(self._state, other, self._latent, self._memory)
-        _finite("predicted state", following, self._state.shape)
-        return np.asarray((following - about.next_state) / (other[index] - value))
+    def _chord(self, about: Outcome, index: int) -> list[float]:
+        value, (low, high, _) = about.action[index], self._sides[index]
+        end = low if value - low > high - value else high
+        other = (*about.action[:index], end, *about.action[index + 1 :])
+        reached = zip(self._following(other), about.next_state, strict=True)
+        return [(there - here) / (end - value) for there, here in reached]
 
 
-def limits(A: Values, about: Outcome) -> Values:
-    """b (m,) of A a >= b for slopes A (m, actions) and the true residual at ``about``."""
-    return np.asarray(A.dot(about.action) - about.residual)
-
-
-def _largest(vector: Values) -> float:
-    """Of the absolute values."""
-    return float(max(map(abs, vector.tolist())))
-
-
-def _finite(what: str, array: Values, shape: tuple[int, ...]) -> Values:
-    if array.shape != shape:
-        raise InputError(f"{what}: got shape {array.shape}, wanted {shape}")
-    if not all_finite(array):
+def _finite(what: str, numbers: Plain) -> None:
+    if not isfinite(sum(numbers)) and not all(map(isfinite, numbers)):
         raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
-    return array

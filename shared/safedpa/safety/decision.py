@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from operator import itemgetter
 from typing import Any, final
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
 from safedpa.safety.conditions import Conditions, Outcome
-from safedpa.safety.inputs import Plausible, Unusable, all_finite, checked_input
+from safedpa.safety.inputs import Plausible, Unusable, checked_input
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError, search
@@ -23,6 +24,7 @@ from safedpa.safety.verdict import Status, Verdict
 __all__ = ["Backup", "Decision", "Request", "Tools"]
 
 Values = NDArray[np.float64]
+Action = tuple[float, ...]
 Backup = Callable[[Values | None], Any]
 """The backup action (actions,) at a state (states,); None when the state is not known."""
 
@@ -40,7 +42,7 @@ class Tools:
     program: QuadraticProgram
     stacks: Stacks
     backup: Backup | None
-    resting_action: Values
+    resting_action: Action
     state_range: Plausible | None
     wish_range: Plausible
     latent_range: Plausible | None
@@ -86,9 +88,9 @@ class Decision:
             raise DecisionError("; ".join(self._problems))
         assert self._wish is not None
         conditions = self._posed()
-        sides = zip(self._wish.tolist(), self._tools.program.sides, strict=True)
-        unclipped = all(low <= value <= high for value, (low, high, _) in sides)
-        asked = conditions.outcome(self._wish if unclipped else self._within(self._wish))  # bit for bit, -0.0 as well
+        within = self._within(self._wish)
+        unclipped = within == self._wish
+        asked = conditions.outcome(self._wish if unclipped else within)  # bit for bit, -0.0 as well
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
         if asked.violation <= self._tools.settings.slack_tolerance:
@@ -108,14 +110,14 @@ class Decision:
         """The backup action because somebody ordered it, and of what it leads to whatever can be computed."""
         return self._unchecked(Status.stopped, self._backup_action(), f"Reason: {reason}.", "not run")
 
-    def _unchecked(self, status: Status, action: Values, reason: str, solver: str) -> Verdict:
+    def _unchecked(self, status: Status, action: Action, reason: str, solver: str) -> Verdict:
         try:
             conditions = self._conditions or self._posed()
             return self._verdict(status, conditions.outcome(action), reason, solver)
         except Exception:  # noqa: BLE001 - the same failure may strike again; then h stays unknown
             return self._answer(status, action, reason, solver)
 
-    def _checked(self, what: str, value: Any, plausible: Plausible | None) -> Values | None:
+    def _checked(self, what: str, value: Any, plausible: Plausible | None) -> Action | None:
         checked = checked_input(what, value, plausible)
         if isinstance(checked, Unusable):
             self._problems.append(checked.reason)
@@ -132,10 +134,9 @@ class Decision:
             raise DecisionError("there is no barrier to keep")
         margins = {**settings.epsilon, **request.epsilon}
         epsilon = barriers.of_each(margins, margins.get("default", 0.0))
-        numbers: list[float] = epsilon.tolist()
-        if not all_finite(epsilon) or min(numbers) < 0.0:
+        if not all(map(isfinite, epsilon)) or min(epsilon) < 0.0:
             raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
-        self._margin = max(numbers)
+        self._margin = max(epsilon)
         self._conditions = Conditions(
             barriers,
             self._tools.prediction,
@@ -144,12 +145,11 @@ class Decision:
             request.memory,
             settings.eta,
             epsilon,
-            self._tools.program.low,
-            self._tools.program.high,
+            self._tools.program.sides,
         )
         return self._conditions
 
-    def _corrected(self, conditions: Conditions, wish: Values, asked: Outcome) -> Verdict:
+    def _corrected(self, conditions: Conditions, wish: Action, asked: Outcome) -> Verdict:
         settings, program = self._tools.settings, self._tools.program
         rounds, tolerance = settings.relinearisations + 1, settings.slack_tolerance
         found, solver = search(conditions, program, wish, asked, rounds, tolerance)
@@ -165,20 +165,22 @@ class Decision:
             return self._verdict(Status.relaxed, found, "The least violating action, better than the backup.", solver)
         return self._verdict(Status.relaxed, braking, "The backup action, at least as good as the QP's.", solver)
 
-    def _backup_action(self) -> Values:
+    def _backup_action(self) -> Action:
         """The user's backup within the bounds; the resting action where there is none or it fails."""
         if self._tools.backup is None:
             return self._tools.resting_action
         try:
-            action = np.array(self._tools.backup(self._state), dtype=np.float64)
+            state = None if self._state is None else np.array(self._state)
+            action = np.array(self._tools.backup(state), dtype=np.float64)
         except Exception:  # noqa: BLE001 - the last resort must not depend on a user's function
             return self._tools.resting_action
-        if action.shape != self._tools.resting_action.shape or not np.isfinite(action).all():
+        if action.shape != (len(self._tools.resting_action),) or not np.isfinite(action).all():
             return self._tools.resting_action
-        return self._within(action)
+        return self._within(tuple(action.tolist()))
 
-    def _within(self, action: Values) -> Values:
-        return np.minimum(np.maximum(action, self._tools.program.low), self._tools.program.high)
+    def _within(self, action: Action) -> Action:
+        sides = self._tools.program.sides
+        return tuple([min(max(value, low), high) for value, (low, high, _) in zip(action, sides, strict=True)])
 
     def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
         return self._answer(
@@ -188,14 +190,14 @@ class Decision:
     def _answer(
         self,
         status: Status,
-        action: Values,
+        action: Sequence[float],
         reason: str,
         solver: str,
         slack: float = 0.0,
         active: tuple[str, ...] = (),
         h_next: float | None = None,
     ) -> Verdict:
-        taken = action.copy()
+        taken = np.array(action)
         taken.flags.writeable = False
         known = self._conditions is not None and h_next is not None
         return Verdict(
@@ -204,12 +206,12 @@ class Decision:
             reason=reason,
             slack=slack,
             active=active,
-            h_now=min(self._conditions.h_now.tolist()) if self._conditions is not None else 0.0,
+            h_now=min(self._conditions.h_now) if self._conditions is not None else 0.0,
             h_next=0.0 if h_next is None else h_next,
             margin=self._margin,
             solver=solver,
             microseconds=1e6 * (self._tools.clock() - self._start),
-            wish=self._wish,
+            wish=None if self._wish is None else np.array(self._wish),
             known=known,
         )
 
@@ -218,8 +220,6 @@ class Decision:
         if outcome.tightest > limit or self._conditions is None:
             return ()
         binding = [
-            pair
-            for pair in zip(outcome.residual.tolist(), self._conditions.barriers.names, strict=True)
-            if pair[0] <= limit
+            pair for pair in zip(outcome.residual, self._conditions.barriers.names, strict=True) if pair[0] <= limit
         ]
         return tuple(name for _, name in sorted(binding, key=itemgetter(0)))

@@ -1,4 +1,4 @@
-"""Checks of what comes in at run time: the answer is an array or a sentence, never an exception."""
+"""Checks of what comes in at run time: the answer is plain numbers or a sentence, never an exception."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Plausible", "Unusable", "all_finite", "checked_input"]
+__all__ = ["Plausible", "Unusable", "checked_input"]
 
 Values = NDArray[np.float64]
 
@@ -39,30 +39,22 @@ class Unusable:
     reason: str
 
 
-def all_finite(array: Values) -> bool:
-    """Whether no entry is NaN or infinite: as ``np.isfinite(array).all()``, in a quarter of its time.
-
-    A sum of squares is finite only if every entry is; the entries are looked at where it overflows.
-    """
-    return isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
-
-
-def checked_input(what: str, value: Any, plausible: Plausible | None) -> Values | Unusable:
-    """``value`` as a fresh (entries,) array of finite numbers within the plausible range, or why not."""
+def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[float, ...] | Unusable:
+    """``value`` as (entries,) finite numbers within the plausible range, or why not."""
     if value is None:
         return Unusable(f"{what} is missing")
     try:
-        array = np.array(value, dtype=np.float64)
+        array = np.asarray(value, dtype=np.float64)
     except Exception:  # noqa: BLE001 - whatever an object raises when it is read, it is not a vector of numbers
         return Unusable(f"{what} does not consist of numbers")
     if array.ndim != 1 or (plausible is not None and len(array) != len(plausible.names)):
         wanted = "one axis" if plausible is None else f"({len(plausible.names)},)"
         return Unusable(f"{what} has shape {array.shape}, wanted {wanted}")
-    entries: list[float] = array.tolist()
+    entries: tuple[float, ...] = tuple(array.tolist())
     if not all(map(isfinite, entries)):
         return Unusable(f"{what} holds NaN or infinity")
     if plausible is not None:
-        for name, entry, (low, high) in zip(plausible.names, entries, plausible.sides, strict=True):
+        for entry, (low, high), name in zip(entries, plausible.sides, plausible.names, strict=True):
             if entry < low or entry > high:
                 return Unusable(f"{what} is out of its plausible range: {name} = {entry:g}, wanted {low:g} to {high:g}")
-    return array
+    return entries

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.dynamics import AbstractDynamics
+from safedpa.dynamics import AbstractDynamics, PhysicsModel
+from safedpa.errors import InputError
 
 __all__ = ["Prediction"]
 
@@ -30,13 +32,41 @@ class Prediction:
         self._step = step
         self._step_count, self._step_words = _accepted(step, 3) if step is not None else (0, frozenset())
         self._model: AbstractDynamics | None = None
+        self._physics: PhysicsModel | None = None
+        self._fixed: tuple[float, ...] = ()
 
     @classmethod
     def of_model(cls, model: AbstractDynamics) -> Prediction:
         """The prediction of a model of this project, with what its actuators remember."""
         prediction = cls(model.affine)
         prediction._model = model
+        if isinstance(model, PhysicsModel):
+            prediction._physics, prediction._fixed = model, tuple(model.latent.tolist())
         return prediction
+
+    def following(
+        self, state: tuple[float, ...], action: Sequence[float], latent: tuple[float, ...] | None, memory: Any
+    ) -> list[float]:
+        """``next_state`` for plain numbers. Raises InputError when the model returns another shape."""
+        if self._physics is not None and (step := self._physics.straight(self._physics.period)) is not None:
+            with contextlib.suppress(ValueError, ArithmeticError):  # numbers that Python's math refuses
+                return step(state, action, self._fixed if latent is None else latent, 0.0)
+        free = None if latent is None else np.array(latent)
+        found = self.next_state(np.array(state), np.array(action), free, memory)
+        reached: list[float] = _plain("predicted state", found, (len(state),))
+        return reached
+
+    def slopes_of_one(
+        self, state: tuple[float, ...], around: Sequence[float], latent: tuple[float, ...] | None, memory: Any
+    ) -> list[list[float]]:
+        """``slopes`` for plain numbers. Raises InputError when the model returns another shape."""
+        if self._physics is not None and (tangent := self._physics.straight_tangent()) is not None:
+            with contextlib.suppress(ValueError, ArithmeticError):
+                return tangent(state, around, self._fixed if latent is None else latent, 0.0)[1]
+        free = None if latent is None else np.array(latent)
+        found = self.slopes(np.array(state), np.array(around), free, memory)
+        g: list[list[float]] = _plain("g of the model", found, (len(state), len(around)))
+        return g
 
     def next_state(self, state: Values, action: Values, latent: Values | None, memory: Any) -> Values:
         """x[t+1] (states,) under ``action`` (actions,)."""
@@ -72,3 +102,9 @@ def _accepted(function: Callable[..., Any], most: int) -> tuple[int, frozenset[s
     ]
     count = most if any(p.kind is p.VAR_POSITIONAL for p in parameters) else min(most, len(positional))
     return count, words
+
+
+def _plain(what: str, array: Values, shape: tuple[int, ...]) -> Any:
+    if array.shape != shape:
+        raise InputError(f"{what}: got shape {array.shape}, wanted {shape}")
+    return array.tolist()

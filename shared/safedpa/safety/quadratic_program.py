@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.inputs import all_finite
 from safedpa.safety.nearest import Row, nearest_kept
 
 __all__ = ["QuadraticProgram", "Solution"]
@@ -29,9 +28,9 @@ _ACCURACY = 1e-11
 class Solution:
     """Minimiser; ``solved`` is False when the solver did not vouch for it: then it must not be used."""
 
-    action: Values
+    action: Sequence[float]
     """(actions,)."""
-    slack: Values
+    slack: Sequence[float]
     """(m,) in the conditions' units."""
     solved: bool
     status: str
@@ -55,34 +54,40 @@ class QuadraticProgram:
             zip(low.tolist(), high.tolist(), self.range.tolist(), strict=True)
         )
         """Lowest, highest and range of each action, as plain numbers."""
+        self._lowest: tuple[float, ...] = tuple(low.tolist())
         self._weights: tuple[float, ...] = tuple(weights.tolist())
         self._box = tuple(_box(len(low)))
         self._workspaces: dict[int, _Workspace] = {}
 
-    def solve(self, A: Values, b: Values, wish: Values) -> Solution:
-        """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,)."""
-        slack = np.zeros(len(b))
-        scaled, limits = A * self.range, b - A.dot(self.low)
-        if not all_finite(limits):  # A low is in them: a number of A that is none as well
-            return Solution(self.low, slack, False, "numbers not finite")
-        table: list[list[float]] = scaled.tolist()
-        rows = [
-            (slopes, limit, index)
-            for index, (slopes, limit) in enumerate(zip(table, limits.tolist(), strict=True))
-            if sum([slope for slope in slopes if slope < 0.0]) < limit
-        ]
+    def solve(self, A: Sequence[Sequence[float]], b: Sequence[float], wish: Sequence[float]) -> Solution:
+        """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,), all of them plain numbers."""
+        rows: list[tuple[list[float], float, int]] = []
+        for index, (slopes, limit) in enumerate(zip(A, b, strict=True)):
+            scaled, below = [], 0.0
+            for slope, (low, _, width) in zip(slopes, self.sides, strict=True):
+                limit -= slope * low  # noqa: PLW2901 - in the scaled variables
+                slope *= width  # noqa: PLW2901
+                scaled.append(slope)
+                if slope < 0.0:
+                    below += slope
+            if not isfinite(limit):  # A low is in it: a number of A that is none as well
+                return Solution(self._lowest, (0.0,) * len(b), False, "numbers not finite")
+            if below < limit:
+                rows.append((scaled, limit, index))
         if not rows:
-            return Solution(np.minimum(np.maximum(wish, self.low), self.high), slack, True, "not needed")
+            within = [min(max(value, low), high) for value, (low, high, _) in zip(wish, self.sides, strict=True)]
+            return Solution(within, (0.0,) * len(b), True, "not needed")
         action = self._without_slack(rows, wish) if len(self.sides) <= 2 else None
         if action is not None:
-            return Solution(action, slack, True, "solved")
-        needed = [index for _, _, index in rows]
-        return self._with_slack(scaled[needed], limits[needed], wish, needed, slack)
+            return Solution(action, (0.0,) * len(b), True, "solved")
+        return self._with_slack(rows, wish, len(b))
 
-    def _without_slack(self, rows: Sequence[tuple[list[float], float, int]], wish: Values) -> Values | None:
+    def _without_slack(
+        self, rows: Sequence[tuple[list[float], float, int]], wish: Sequence[float]
+    ) -> list[float] | None:
         """The minimiser for slopes and limits in closed form, if it needs no slack; None: ask the solver."""
         price, weights = self.linear, self._weights
-        wanted = [(value - low) / width for value, (low, _, width) in zip(wish.tolist(), self.sides, strict=True)]
+        wanted = [(value - low) / width for value, (low, _, width) in zip(wish, self.sides, strict=True)]
         if len(wanted) == 1:  # beside a second one that nothing depends on
             wanted.append(0.0)
             conditions = [(slopes[0], 0.0, limit, price) for slopes, limit, _ in rows]
@@ -92,22 +97,26 @@ class QuadraticProgram:
         found = nearest_kept(conditions, (wanted[0], wanted[1]), (weights[0], weights[-1]))
         if found is None:
             return None
-        return np.array([low + width * value for value, (low, _, width) in zip(found, self.sides, strict=False)])
+        return [low + width * value for value, (low, _, width) in zip(found, self.sides, strict=False)]
 
-    def _with_slack(self, left: Values, right: Values, wish: Values, needed: Any, slack: Values) -> Solution:
+    def _with_slack(
+        self, rows: Sequence[tuple[list[float], float, int]], wish: Sequence[float], count: int
+    ) -> Solution:
         """The minimiser by PIQP."""
-        workspace = self._workspace(len(right))
-        solved, status, solution = workspace.solve(left, right, (wish - self.low) / self.range)
-        actions = len(self.low)
-        slack[needed] = solution[actions : actions + len(needed)]
-        return Solution(self.low + self.range * solution[:actions], slack, solved, status)
+        workspace, actions = self._workspace(len(rows)), len(self.sides)
+        wanted = (np.array(wish) - self.low) / self.range
+        left, right = np.array([slopes for slopes, _, _ in rows]), np.array([limit for _, limit, _ in rows])
+        solved, status, solution = workspace.solve(left, right, wanted)
+        action: list[float] = (self.low + self.range * solution[:actions]).tolist()
+        slack = [0.0] * count
+        for value, (_, _, index) in zip(solution[actions : actions + len(rows)].tolist(), rows, strict=True):
+            slack[index] = value
+        return Solution(action, slack, solved, status)
 
-    def distance(self, action: Values, wish: Values) -> float:
+    def distance(self, action: Sequence[float], wish: Sequence[float]) -> float:
         """(action - wish)' W (action - wish)."""
         total = 0.0
-        for value, wanted, (_, _, width), weight in zip(
-            action.tolist(), wish.tolist(), self.sides, self._weights, strict=True
-        ):
+        for value, wanted, (_, _, width), weight in zip(action, wish, self.sides, self._weights, strict=True):
             total += weight * ((value - wanted) / width) ** 2
         return total
 

@@ -67,7 +67,7 @@ class SafetyFilter:
             ),
             stacks=Stacks(),
             backup=backup,
-            resting_action=settings.resting_action,
+            resting_action=tuple(settings.resting_action.tolist()),
             state_range=state_range,
             wish_range=Plausible(low - reach, high + reach, names),
             latent_range=latent_range,

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from math import isfinite
 
-import numpy as np
-from numpy.typing import NDArray
-
-from safedpa.safety.conditions import Conditions, Outcome, limits
+from safedpa.safety.conditions import Conditions, Outcome, Plain, Tangent
 from safedpa.safety.quadratic_program import QuadraticProgram
 
 __all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "TIE", "DecisionError", "search"]
-
-Values = NDArray[np.float64]
 
 _BOUND_TOLERANCE = 1e-6
 """Share of an action's range by which a solution may miss its bounds before it is not believed."""
@@ -43,7 +38,7 @@ class DecisionError(Exception):
 
 
 def search(
-    conditions: Conditions, program: QuadraticProgram, wish: Values, start: Outcome, rounds: int, tolerance: float
+    conditions: Conditions, program: QuadraticProgram, wish: Plain, start: Outcome, rounds: int, tolerance: float
 ) -> tuple[Outcome, str]:
     """The best outcome found and the solver's word.
 
@@ -53,8 +48,8 @@ def search(
     are kept and none of them needlessly far, or when slopes drawn at a solution lead to it again, as they always would.
     Raises DecisionError when the solver did not solve, or its solution is not finite or misses the bounds.
     """
-    A, b = conditions.linearised(start)
-    about, status = _posed(conditions, program, A, b, wish)
+    tangent = conditions.linearised(start)
+    about, status = _posed(conditions, program, tangent, start, wish)
     best, before, fresh = about, start, True
     for _ in range(rounds - 1):
         if about.violation <= tolerance and about.tightest <= NEEDLESS * tolerance:
@@ -63,43 +58,41 @@ def search(
             break
         fresh = not tolerance < about.violation < SERVED_WELL * before.violation
         if fresh:
-            A, b = conditions.linearised(about)
-        else:
-            b = limits(A, about)
+            tangent = conditions.linearised(about)
         before = about
-        about, status = _posed(conditions, program, A, b, wish)
+        about, status = _posed(conditions, program, tangent, about, wish)
         best = _better(program, wish, best, about, tolerance)
     return best, status
 
 
 def _same(program: QuadraticProgram, one: Outcome, other: Outcome) -> bool:
-    near = zip(one.action.tolist(), other.action.tolist(), program.sides, strict=True)
+    near = zip(one.action, other.action, program.sides, strict=True)
     return all(abs(value - last) <= SAME * width for value, last, (_, _, width) in near)
 
 
-def _better(program: QuadraticProgram, wish: Values, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
+def _better(program: QuadraticProgram, wish: Plain, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
     if max(one.violation, other.violation) <= tolerance:
         return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
     return other if other.violation < one.violation - TIE else one
 
 
 def _posed(
-    conditions: Conditions, program: QuadraticProgram, A: Values, b: Values, wish: Values
+    conditions: Conditions, program: QuadraticProgram, tangent: Tangent, about: Outcome, wish: Plain
 ) -> tuple[Outcome, str]:
+    A, b = tangent.at(about)
     solution = program.solve(A, b, wish)
     if not solution.solved:
         raise DecisionError(f"the QP was not solved: {solution.status}", solution.status)
     return conditions.outcome(_believed(solution.action, program, solution.status)), solution.status
 
 
-def _believed(action: Values, program: QuadraticProgram, status: str) -> Values:
-    values: list[float] = action.tolist()
-    if not all(map(isfinite, values)):
-        raise DecisionError("the QP's solution holds NaN or infinity", status)
-    clipped = [min(max(value, low), high) for value, (low, high, _) in zip(values, program.sides, strict=True)]
-    if clipped == values:
-        return action
-    missed = zip(values, clipped, program.sides, strict=True)
-    if any(abs(value - kept) > _BOUND_TOLERANCE * width for value, kept, (_, _, width) in missed):
-        raise DecisionError("the QP's solution misses the actuator bounds", status)
-    return np.array(clipped)
+def _believed(action: Plain, program: QuadraticProgram, status: str) -> tuple[float, ...]:
+    believed = []
+    for value, (low, high, width) in zip(action, program.sides, strict=True):
+        if not isfinite(value):
+            raise DecisionError("the QP's solution holds NaN or infinity", status)
+        kept = min(max(value, low), high)
+        if abs(value - kept) > _BOUND_TOLERANCE * width:
+            raise DecisionError("the QP's solution misses the actuator bounds", status)
+        believed.append(kept)
+    return tuple(believed)
