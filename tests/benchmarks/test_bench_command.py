@@ -10,6 +10,8 @@ import pytest
 from safedpa_services.benchmarks.rows import ROWS
 from safedpa_services.command_line.group import safedpa
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_rows_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["bench", "list"]) == 0

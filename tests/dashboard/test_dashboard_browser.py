@@ -12,6 +12,8 @@ import pytest
 
 from safedpa_services.command_line.group import safedpa
 
+pytestmark = pytest.mark.slow
+
 _FLAGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",

@@ -21,6 +21,8 @@ from safedpa.bus.authority import HOSTS, Authority
 from safedpa.bus.ports import free_port
 from safedpa.records import read_messages
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "deploy"))
 

@@ -13,6 +13,8 @@ from safedpa.dynamics import load_model, parse_model, write_model
 from safedpa.records import load_run
 from safedpa_sim.hidden import Case, write_case
 
+pytestmark = pytest.mark.slow
+
 Diagnose = tuple[Report, Path]
 
 

@@ -20,6 +20,8 @@ from safedpa_sim.hidden.excitation import car_commands
 from safedpa_sim.robots import CarRobot
 from safedpa_sim.robots.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 DRAG = 0.15
 NOISE = np.array([0.002, 0.002, 0.003, 0.015])
 

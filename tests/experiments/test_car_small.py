@@ -9,6 +9,8 @@ from PIL import Image
 
 from safedpa_services.command_line.group import safedpa
 
+pytestmark = pytest.mark.slow
+
 SMALL = ["--processes", "1", "--load", "none", "--load", "box"]
 
 

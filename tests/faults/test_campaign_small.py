@@ -12,6 +12,8 @@ from safedpa_sim.faults.campaign import run_faults
 from safedpa_sim.faults.fault import Fault
 from safedpa_sim.faults.table import all_faults, faults_named, small_faults
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.processes
 def test_whatever_fails_the_robot_is_safe_and_drives_again(tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ from safedpa_services.command_line.group import safedpa
 from safedpa_sim.experiments.hidden_effects import run_cases
 from safedpa_sim.hidden import cases_of
 
+pytestmark = pytest.mark.slow
+
 ORDINARY = {case.name.split("-")[1]: case for case in cases_of("ordinary", 24)}
 
 

@@ -27,6 +27,8 @@ from safedpa_sim.hidden.lanes import Lane
 from safedpa_sim.hidden.pendulum import GRAVITY, LENGTH, simulate_pendulums
 from safedpa_sim.hidden.write import PATCH
 
+pytestmark = pytest.mark.slow
+
 DRY = {"towed_load", "rolling_resistance", "coulomb_friction", "stribeck_friction"}
 SINGLE = [f"car/{name}" for name in CAR_EFFECTS] + [f"pendulum/{name}" for name in PENDULUM_EFFECTS]
 

@@ -23,6 +23,8 @@ from safedpa_sim.experiments.live_drive import CASES, live_scene
 from safedpa_sim.experiments.live_record import record_drive
 from safedpa_sim.robots.core import CarRobot
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def bent(tmp_path_factory):

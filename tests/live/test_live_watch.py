@@ -10,6 +10,8 @@ from safedpa.diagnosis.live.forecasts import Forecast
 from safedpa.diagnosis.live.place import place_in_words
 from safedpa.diagnosis.live.watch import Decision, Watch
 
+pytestmark = pytest.mark.slow
+
 CHANGE = 800
 """Tick; 40 s."""
 FAULTS = {

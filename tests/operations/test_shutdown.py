@@ -18,7 +18,7 @@ import pytest
 from safedpa.bus import STATE, VERDICT, Bus, StateMessage, VerdictMessage, ZenohSettings, ZenohTransport
 from safedpa.records import read_messages
 
-pytestmark = pytest.mark.processes
+pytestmark = [pytest.mark.processes, pytest.mark.slow]
 
 _LONG = 60.0
 

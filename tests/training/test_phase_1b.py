@@ -21,6 +21,8 @@ from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.transitions import scales
 from safedpa_sim.training.weights_export import export_weights
 
+pytestmark = pytest.mark.slow
+
 SMALL = load_configuration("car_small")
 SHORT = replace(
     SMALL, phase_1b=replace(SMALL.phase_1b, cars=16, batch=128, steps=1024, evaluate_every=2, evaluation_cars=8)

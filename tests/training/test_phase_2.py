@@ -18,6 +18,8 @@ from safedpa_sim.training.phase_2 import train_history_encoder
 from safedpa_sim.training.prediction import latents_along
 from safedpa_sim.training.simulator import BatchedCars
 
+pytestmark = pytest.mark.slow
+
 # Loads of one kind of friction, and nothing else: what a history of two and a half seconds can tell.
 SMALL = replace(
     load_configuration("car_small"),

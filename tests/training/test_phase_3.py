@@ -25,6 +25,8 @@ from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.tuning_data import drives_of
 from safedpa_sim.training.weights_export import export_model
 
+pytestmark = pytest.mark.slow
+
 SMALL = load_configuration("car_small")
 
 

@@ -34,6 +34,8 @@ from safedpa_services.workbench.live_panels import change_lines, error_bars
 from safedpa_services.workbench.look import LIGHT
 from safedpa_services.workbench.replay_link import ReplayLink
 
+pytestmark = pytest.mark.slow
+
 REPORT = {
     "robot": "car",
     "stages": [{"heldout_error": 0.6}],

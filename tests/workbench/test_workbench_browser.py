@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 90_000
 """ms; a search takes seconds, on a busy machine more."""
 MAP = ".panel:nth-of-type(2) .js-plotly-plot >> nth=0"
