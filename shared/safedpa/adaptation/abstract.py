@@ -59,5 +59,5 @@ def check_transition(state: Vector, action: Vector, next_state: Vector, period: 
 
 
 def _is_finite(vector: Vector) -> bool:
-    """As ``np.isfinite(vector).all()``, quicker: a sum of squares is finite only if every entry is."""
-    return isfinite(np.vdot(vector, vector)) or bool(np.isfinite(vector).all())
+    """As ``np.isfinite(vector).all()``, quicker: a sum is finite only if every entry is."""
+    return isfinite(sum(vector.tolist())) or bool(np.isfinite(vector).all())

@@ -20,6 +20,10 @@ __all__ = ["Bus"]
 _CLAIM_POLL_SECONDS = 0.05
 
 
+def _everyone(_robot: str) -> bool:
+    return True
+
+
 def _usable(payload: bytes | None) -> Answer | None:
     """The answer, unless there is none or it is none; one that refuses to tell is as good as none."""
     try:
@@ -40,7 +44,7 @@ class Bus:
         transport: AbstractTransport,
         fleet: str,
         decode: Decode = decode,
-        serves: Callable[[str], bool] = lambda _robot: True,
+        serves: Callable[[str], bool] = _everyone,
     ) -> None:
         self.fleet, self._decode, self._serves = fleet, decode, serves
         self._transport = transport
@@ -54,11 +58,11 @@ class Bus:
         """
         if type(message) is not topic.message:
             raise MessageError(f"{topic.name}: got {type(message).__name__}, wanted {topic.message.__name__}")
-        key = key_of(self.fleet, robot, topic, service)
         payload = encode(message)
         if self._holds and topic.bundles and not alone:
             self._held.setdefault((topic, service), []).append((robot, payload))
         else:
+            key = key_of(self.fleet, robot, topic, service)
             self._transport.put(key, payload, never_drop=topic.delivery == "all")
 
     def hold(self) -> None:
@@ -126,11 +130,11 @@ class Bus:
         service = key.rsplit("/", 1)[1] if topic.per_service else ""
         if len(payload) > topic.largest_bytes or key != key_of(self.fleet, BUNDLE, topic, service):
             raise MessageError(f"key '{key}': got {len(payload)} bytes, wanted a bundle of {topic.name}")
-        return [
-            (key_of(self.fleet, robot, topic, service), message)
-            for robot, message in unbundled(payload)
-            if (wanted in ("*", robot)) and self._serves(robot)
-        ]
+        entries = unbundled(payload)
+        if wanted != "*" or self._serves is not _everyone:
+            entries = [entry for entry in entries if wanted in ("*", entry[0]) and self._serves(entry[0])]
+        fleet = self.fleet
+        return [(key_of(fleet, robot, topic, service), message) for robot, message in entries]
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
         """Asks about one robot; None when nobody answers within ``timeout`` [s].

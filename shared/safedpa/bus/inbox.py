@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 from safedpa.bus.codec import decode
 from safedpa.bus.messages import Message
@@ -35,8 +35,7 @@ Decode = Callable[[type[Any], bytes], Any]
 """As ``codec.decode``."""
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(NamedTuple):
     """A message that arrived; ``at`` [s] by the receiver's clock."""
 
     topic: Topic

@@ -22,6 +22,9 @@ _MARKED = {"stopped": "filter.stopped", "disabled": "filter.disabled"}
 _TROUBLE = ("model.dropped", "model.refused", "filter.fallback_entered", "filter.disabled", "filter.stopped")
 
 
+_TOLD = (VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage)
+
+
 @dataclass
 class _Status:
     name: str
@@ -70,7 +73,8 @@ class Journal:
     def said(self, robot: str, outputs: Outputs) -> None:
         """What the service publishes about a robot; told where it differs from what it said before."""
         for message in outputs.values():
-            self._said(robot, message)
+            if isinstance(message, _TOLD):
+                self._said(robot, message)
 
     def _said(self, robot: str, message: Message) -> None:
         if isinstance(message, VerdictMessage):

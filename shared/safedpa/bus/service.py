@@ -188,7 +188,7 @@ class ServiceLoop:
             self.inbox.coalesce(quantum)
 
     def _take(self, item: Received) -> None:
-        if not self._has_room_for(item.robot):
+        if item.robot not in self._slots and not self._has_room_for(item.robot):
             self._refuse(f"got robot '{item.robot}' beside {_MOST_ROBOTS} others; start another service for some")
             return
         if item.topic in self._node.listens:
@@ -197,8 +197,6 @@ class ServiceLoop:
             self._take_known(item)
 
     def _has_room_for(self, robot: str) -> bool:
-        if robot in self._slots:
-            return True
         if robot not in self._spoken_of and len(self._slots) + len(self._spoken_of) >= _MOST_ROBOTS:
             return False
         self._spoken_of[robot] = self.clock()
@@ -266,7 +264,8 @@ class ServiceLoop:
     def _expect(self, robot: str, slot: Slot) -> None:
         """Looks at the robot now, and again when in real time its share of the period is over."""
         self._touched[robot] = None
-        self._agenda.at(self._deadline(slot), robot)
+        if self._node.inputs and not slot.state.lockstep:  # else it is stepped now, or waits for its inputs alone
+            self._agenda.at(self._deadline(slot), robot)
 
     def _deadline(self, slot: Slot) -> float:
         return float("inf") if slot.state.lockstep else slot.arrived + self._node.share * slot.state.period
@@ -289,7 +288,8 @@ class ServiceLoop:
     def _step(self, robot: str, slot: Slot) -> None:
         inputs = slot.given(self._node.inputs)
         read = consumed(self._node.inputs, inputs, slot.state)
-        slot.trace, slot.skipped = Trace(slot.trace.step + 1, read, tuple(slot.skipped)), []
+        slot.trace = Trace(slot.trace.step + 1, read, tuple(slot.skipped))
+        slot.skipped.clear()
         started = time.perf_counter()
         try:
             outputs = slot.trace.on(self._node.step(robot, slot.state, inputs))
@@ -303,7 +303,7 @@ class ServiceLoop:
         slot.outputs, counts = outputs, slot.counts
         self._journal.said(robot, outputs)
         late = [item.sentence for item in inputs.values() if isinstance(item, Stale)]
-        counts.failing, counts.detail = False, "; ".join(late)
+        counts.failing, counts.detail = False, "; ".join(late) if late else ""
         counts.steps += 1
         counts.stale += bool(late)
         slot.unfinished_since = self.clock()
@@ -328,15 +328,17 @@ class ServiceLoop:
         """What nobody waits for; in real time a little later, when the processor is not needed by those on the way."""
         slot.unfinished_since = None
         try:
-            further = slot.trace.on(self._node.afterwards(robot))
-            self._publish(robot, further)
+            further = self._node.afterwards(robot)
+            if further:
+                self._publish(robot, slot.trace.on(further))
         except _NOT_A_ROBOTS:
             raise
         except Exception as error:  # noqa: BLE001  the action is on its way; the others are served on
             self._failed(robot, error, slot.state.tick)
             return
-        self._journal.said(robot, further)
-        slot.outputs = {**(slot.outputs or {}), **further}
+        if further:
+            self._journal.said(robot, further)
+            slot.outputs = {**(slot.outputs or {}), **further}
 
     def _publish(self, robot: str, outputs: Outputs) -> None:
         for topic, message in outputs.items():

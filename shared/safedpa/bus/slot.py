@@ -20,7 +20,7 @@ _SHORTEST_PERIOD = 0.001
 """s; a robot that says it senses more often than that is served as if it sensed that often."""
 
 
-@dataclass
+@dataclass(slots=True)
 class Counts:
     """What goes into a heartbeat."""
 
@@ -32,7 +32,7 @@ class Counts:
     detail: str = ""
 
 
-@dataclass
+@dataclass(slots=True)
 class Slot:
     """One robot."""
 
@@ -77,11 +77,17 @@ class Slot:
 
     def is_complete(self, topics: Sequence[Topic]) -> bool:
         """Whether every input of the state's tick is there."""
-        return all(_fits(self.inputs.get(topic), self.state) for topic in topics)
+        for topic in topics:  # noqa: SIM110  a loop costs half of what `all` does, and every message asks
+            if not _fits(self.inputs.get(topic), self.state):
+                return False
+        return True
 
     def has_any(self, topics: Sequence[Topic]) -> bool:
         """Whether some input of the state's tick is there."""
-        return any(_fits(self.inputs.get(topic), self.state) for topic in topics)
+        for topic in topics:  # noqa: SIM110  likewise
+            if _fits(self.inputs.get(topic), self.state):
+                return True
+        return False
 
     def keep(self, topic: Topic, message: Message) -> bool:
         """Keeps an input that is newer than the one before; False when it is of no use.

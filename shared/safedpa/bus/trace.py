@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from safedpa.bus.messages import ComputedMessage, Message, StateMessage
 from safedpa.bus.node import Inputs, Outputs, Stale
@@ -15,8 +15,7 @@ _NEVER = -1.0
 _write = object.__setattr__
 
 
-@dataclass(frozen=True, slots=True)
-class Trace:
+class Trace(NamedTuple):
     """The fields of ``ComputedMessage`` for the outputs of one step."""
 
     step: int = 0
@@ -39,7 +38,7 @@ class Trace:
 
 def consumed(topics: Sequence[Topic], inputs: Inputs, state: StateMessage) -> tuple[tuple[float, ...], ...]:
     """(inputs, 2): age in ticks and publish time of each input as ``ComputedMessage.consumed`` has them."""
-    return tuple(_row(inputs[topic], state) for topic in topics)
+    return tuple([_row(inputs[topic], state) for topic in topics])
 
 
 def _row(item: Message | Stale, state: StateMessage) -> tuple[float, float]:

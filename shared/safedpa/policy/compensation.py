@@ -32,6 +32,7 @@ class SpeedCompensation:
     def __init__(self, model: PhysicsModel) -> None:
         self.model = model
         self._nominal = model.latent
+        self._nominal_entries: list[float] = model.latent.tolist()
         self._speed = model.system.state_names.index("speed")
         self._target = model.system.action_names.index("target_speed")
 
@@ -51,6 +52,13 @@ class SpeedCompensation:
         """
         nudged = wish.copy()
         nudged[self._target] += _NUDGE
+        step = self.model.straight(self.model.period)
+        if step is not None:
+            with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
+                at, wished, known = state.tolist(), wish.tolist(), latent.tolist()
+                loaded = step(at, wished, known, 0.0)[self._speed]
+                beyond = step(at, nudged.tolist(), known, 0.0)[self._speed]
+                return loaded, step(at, wished, self._nominal_entries, 0.0)[self._speed], (beyond - loaded) / _NUDGE
         memory = self.model.initial_memory(wish, latent)
         loaded = self._speed_after(state, wish, memory, latent)
         slope = (self._speed_after(state, nudged, memory, latent) - loaded) / _NUDGE
@@ -58,8 +66,4 @@ class SpeedCompensation:
         return loaded, unloaded, slope
 
     def _speed_after(self, state: Values, wish: Values, memory: Any, latent: Values) -> float:
-        step = self.model.straight(self.model.period)
-        if step is not None:
-            with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
-                return float(step(state.tolist(), wish.tolist(), latent.tolist(), 0.0)[self._speed])
         return float(self.model.advance(state, wish, memory, latent)[0][self._speed])
