@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.diagnosis.elimination import Products
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
@@ -22,7 +23,8 @@ from safedpa.dynamics.settings import Setting
 from safedpa.effects.parameter import Parameter
 
 __all__ = [
-    "Fit", "bounds_of", "difference_of", "fit", "inverse_of", "moved", "objective", "scale_of", "size_of",
+    "Fit", "bounds_of", "difference_of", "fit", "inverse_of", "moved", "objectives", "products_of",
+    "size_of",
 ]  # fmt: skip
 
 _STEPS = 8
@@ -56,6 +58,12 @@ class Fit:
         """(paths,)"""
         return np.array([self.model.settings[path].value for path in self.paths])
 
+    @property
+    def prior(self) -> Floats:
+        """Curvature that keeps a direction without any of its own from moving by more than some ordinary changes,
+        (paths,)."""
+        return np.array([(5.0 * size_of(self.model.parameters[path])) ** -2 for path in self.paths])
+
     def deviations(self, shooting: Shooting) -> Floats:
         """One standard deviation of each parameter (paths,), NaN at a bound: jackknife over blocks of time.
 
@@ -71,12 +79,11 @@ class Fit:
         size = columns.shape[-1]
         count = int(shooting.block.max()) + 1
         curvature, slope = np.zeros((count, size, size)), np.zeros((count, size))
-        np.add.at(curvature, shooting.block, np.einsum("wip,wiq->wpq", columns, columns))
-        np.add.at(slope, shooting.block, np.einsum("wip,wi->wp", columns, self.residual))
+        products, slopes = products_of(columns, self.residual)
+        np.add.at(curvature, shooting.block, products)
+        np.add.at(slope, shooting.block, slopes)
         whole, total = curvature.sum(axis=0), slope.sum(axis=0)
-        shifts = np.array(
-            [inverse_of(whole - own) @ (total - part) for own, part in zip(curvature, slope, strict=True)]
-        )
+        shifts = (inverse_of(whole - curvature) @ (total - slope)[..., None])[..., 0]
         spread = ((shifts - shifts.mean(axis=0)) ** 2).sum(axis=0) * (count - 1) / max(count, 1)
         white = np.diag(inverse_of(whole)) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
         found[self.free] = np.sqrt(np.maximum(np.maximum(spread, white), 0.0))
@@ -84,25 +91,22 @@ class Fit:
 
     def without(self, shooting: Shooting) -> dict[int, Floats]:
         """Parameters (paths,) fitted without each fold, to first order, by fold."""
-        curvature = np.einsum("wip,wiq->wpq", self.columns, self.columns)
-        slope = np.einsum("wip,wi->wp", self.columns, self.residual)
-        found = {}
-        for fold in np.unique(shooting.fold).tolist():
-            used = shooting.fold != fold
-            values = self.values.copy()
-            if self.free.any() and used.any():
-                part = curvature[used].sum(axis=0) + np.diag(_prior(self.model, self.paths))
-                part = part[np.ix_(self.free, self.free)]
-                values[self.free] -= inverse_of(part, _SETTLED) @ slope[used].sum(axis=0)[self.free]
-            found[fold] = np.clip(values, *bounds_of(self.model, self.paths))
-        return found
+        folds = np.unique(shooting.fold)
+        values, free = np.tile(self.values, (len(folds), 1)), self.free
+        if free.any() and len(folds) > 1:
+            curvature, slope = products_of(self.columns[..., free], self.residual)
+            used = [shooting.fold != fold for fold in folds]
+            parts = np.stack([curvature[own].sum(axis=0) for own in used]) + np.diag(self.prior[free])
+            slopes = np.stack([slope[own].sum(axis=0) for own in used])
+            values[:, free] -= (inverse_of(parts, _SETTLED) @ slopes[..., None])[..., 0]
+        return dict(zip(folds.tolist(), np.clip(values, *bounds_of(self.model, self.paths)), strict=True))
 
     def heldout_squares(self, shooting: Shooting) -> Floats:
         """Squares (windows, states) of the reduced residual in the states' units, fitted without the window's fold."""
         shift = np.zeros((len(shooting.windows), len(self.paths)))
         for fold, values in self.without(shooting).items():
             shift[shooting.fold == fold] = values - self.values
-        residual = self.residual + np.einsum("wip,wp->wi", self.columns, shift)
+        residual = self.residual + (self.columns @ shift[..., None])[..., 0]
         return np.asarray(shooting.squares(residual) * self.scale**2)
 
 
@@ -143,17 +147,16 @@ def fit(
     return best
 
 
-def objective(residual: Floats, shooting: Shooting, scale: Floats) -> tuple[float, Floats]:
-    """(objective per independent number, each state's root mean square) of residuals (windows, compared, states)."""
-    reduced = shooting.eliminated(residual[..., None], scale)[..., 0]
-    found = scale_of(shooting, reduced, scale)
-    return float((shooting.size * np.log(found)).sum() / shooting.size.sum()), found
+def objectives(residuals: Floats, shooting: Shooting, scale: Floats) -> Floats:
+    """The objective per independent number of residuals (models, windows, compared, states), (models,)."""
+    return _objectives(shooting.elimination.products(residuals), shooting, scale)[0]
 
 
-def scale_of(shooting: Shooting, reduced: Floats, scale: Floats) -> Floats:
-    """Root mean square of each state's reduced residual in the state's unit, (states,); never 0."""
-    squares = shooting.squares(reduced).sum(axis=0)
-    return np.asarray(np.maximum(np.sqrt(squares / shooting.size) * scale, 1e-6))
+def _objectives(products: Products, shooting: Shooting, scale: Floats) -> tuple[Floats, Floats]:
+    """(objectives per independent number (models,), each state's root mean square (states, models)), never 0."""
+    squares = shooting.elimination.squares(products, scale)
+    found = np.maximum(np.sqrt(squares / shooting.size[:, None]), 1e-6)
+    return shooting.size @ np.log(found) / shooting.size.sum(), found
 
 
 def _linearised(
@@ -165,31 +168,36 @@ def _linearised(
     for path, step in zip(paths[count:], steps, strict=True):
         variants.append(moved(model, {path: model.settings[path].value + step}))
     residuals = shooting.residuals(variants)
-    own = [(residuals[i + 1] - residuals[0]) / step for i, step in enumerate(steps)]
-    columns = np.stack(own, axis=-1) if own else np.zeros((*residuals[0].shape, 0))
+    whole = np.empty((*residuals[0].shape, 1 + len(paths)))
+    whole[..., 0], columns = residuals[0], whole[..., 1:]
     if known is not None:
-        columns = np.concatenate([known, columns], axis=-1)
-    value, found = objective(residuals[0], shooting, scale)
-    value, found = objective(residuals[0], shooting, found)
-    reduced = shooting.eliminated(np.concatenate([residuals[0][..., None], columns], axis=-1), found)
-    slope = np.einsum("wip,wi->p", reduced[..., 1:], reduced[..., 0])
+        columns[..., :count] = known
+    for index, step in enumerate(steps):
+        columns[..., count + index] = (residuals[index + 1] - residuals[0]) / step
+    products = shooting.elimination.products(residuals[:1])
+    for _ in range(2):
+        values, found = _objectives(products, shooting, scale)
+        scale = found[:, 0]
+    reduced = shooting.eliminated(whole, scale)
+    flat = reduced.reshape(-1, reduced.shape[-1])
+    slope = flat[:, 1:].T @ flat[:, 0]
     low, high = bounds_of(model, paths)
     now = np.array([model.settings[path].value for path in paths])
     size = np.array([size_of(model.parameters[path]) for path in paths])
     held = ((now <= low + 1e-9 * size) & (slope > 0)) | ((now >= high - 1e-9 * size) & (slope < 0))
     dead = (reduced[..., 1:] ** 2).sum(axis=(0, 1)) * size**2 < 1e-8 * shooting.size.sum()
-    return Fit(model, paths, value, found, reduced[..., 0], reduced[..., 1:], columns, ~(held | dead))
+    return Fit(model, paths, float(values[0]), scale, reduced[..., 0], reduced[..., 1:], columns, ~(held | dead))
 
 
 def _stepped(at: Fit, damping: float) -> PhysicsModel | None:
     """The model after a Gauss-Newton step of the free parameters, clipped to the bounds; None where none is free."""
     if not at.free.any():
         return None
-    columns = at.columns[..., at.free]
-    curvature = np.einsum("wip,wiq->pq", columns, columns)
-    prior = _prior(at.model, at.paths)[at.free]
+    columns = at.columns[..., at.free].reshape(at.residual.size, -1)
+    curvature = columns.T @ columns
+    prior = at.prior[at.free]
     curvature = curvature + np.diag(damping * np.diag(curvature) + prior)
-    slope = np.einsum("wip,wi->p", columns, at.residual)
+    slope = columns.T @ at.residual.reshape(-1)
     values = at.values
     values[at.free] -= inverse_of(curvature) @ slope
     low, high = bounds_of(at.model, at.paths)
@@ -202,22 +210,24 @@ def moved(model: PhysicsModel, values: dict[str, float]) -> PhysicsModel:
 
 
 def inverse_of(matrix: Floats, smallest: float = 1e-7) -> Floats:
-    """Inverse of a symmetric matrix after scaling its diagonal to 1; directions without any curvature do not move."""
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(
-        np.linalg.pinv(matrix / np.outer(size, size), rcond=smallest, hermitian=True) / np.outer(size, size)
-    )
+    """Inverses of symmetric matrices (..., n, n) whose diagonals were scaled to 1; directions without any curvature do
+    not move."""
+    size = np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 1e-300))
+    around = size[..., :, None] * size[..., None, :]
+    return np.asarray(np.linalg.pinv(matrix / around, rcond=smallest, hermitian=True) / around)
+
+
+def products_of(columns: Floats, residual: Floats) -> tuple[Floats, Floats]:
+    """Products of reduced columns (windows, numbers, paths) with each other and with the residual (windows, numbers),
+    window by window: (windows, paths, paths) and (windows, paths)."""
+    turned = columns.swapaxes(1, 2)
+    return turned @ columns, (turned @ residual[..., None])[..., 0]
 
 
 def bounds_of(model: PhysicsModel, paths: Iterable[str]) -> tuple[Floats, Floats]:
     """Lowest and highest values, (paths,) each."""
     found = [model.parameters[path] for path in paths]
     return np.array([item.low for item in found]), np.array([item.high for item in found])
-
-
-def _prior(model: PhysicsModel, paths: Iterable[str]) -> Floats:
-    """Curvature that keeps a direction without any of its own from moving by more than some ordinary changes."""
-    return np.array([(5.0 * size_of(model.parameters[path])) ** -2 for path in paths])
 
 
 def size_of(parameter: Parameter) -> float:

@@ -12,14 +12,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.diagnosis.fitting import bounds_of, difference_of, inverse_of, moved, size_of
 from safedpa.diagnosis.innovations import Innovations, LinearTrack, Noise, filtered
-from safedpa.diagnosis.rollout import felt_actions, mechanics_of
+from safedpa.diagnosis.rollout import felt_columns
+from safedpa.diagnosis.side_by_side import SideBySide
 from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 from safedpa.dynamics import PhysicsModel
@@ -132,14 +132,15 @@ class _Steps:
         """States one row later, (pieces, rows, states)."""
         flat = self.pieces.rows.reshape(-1)
         finer = self.substeps if _remembers(model) else 1
-        felt = felt_actions(model, self.finer if finer > 1 else self.windows)
-        mechanics, now = mechanics_of(model), states.reshape(len(flat), -1)
-        seconds: Any = self.windows.period[flat] / self.substeps
-        with np.errstate(all="ignore"):
-            for part in range(self.substeps):
-                time: Any = self.windows.time[flat] + part * seconds
-                now, _ = mechanics.advance(now, felt[finer * flat + part % finer], (), period=seconds, time=time)
-        return np.clip(np.nan_to_num(now), -1e6, 1e6).reshape(states.shape)
+        felt = felt_columns(model, self.finer if finer > 1 else self.windows)
+        mechanics, now = SideBySide([model]), list(states.reshape(len(flat), -1).T)
+        seconds = self.windows.period[flat] / self.substeps
+        action = [column[finer * flat] for column in felt]
+        for part in range(self.substeps):
+            if part and finer > 1:
+                action = [column[finer * flat + part] for column in felt]
+            now = mechanics.ahead(now, action, seconds, self.windows.time[flat] + part * seconds)
+        return np.clip(np.nan_to_num(np.stack(now, axis=-1)), -1e6, 1e6).reshape(states.shape)
 
     @cached_property
     def finer(self) -> Windows:

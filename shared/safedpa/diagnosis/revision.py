@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from safedpa.diagnosis.fitting import fit, inverse_of, objective
+from safedpa.diagnosis.fitting import fit, inverse_of, objectives
 from safedpa.diagnosis.found import Judged, Search, given_names
 from safedpa.diagnosis.heldout import Heldout, error_with
 from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
@@ -45,8 +45,7 @@ def _refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
     starts = [model]
     for item in fresh:
         starts = [with_start(made, item, values) for made in starts for values in starts_of(item)]
-    residual = search.shooting.residuals(starts)
-    values = [objective(part, search.shooting, search.current.fit.scale)[0] for part in residual]
+    values = objectives(search.shooting.residuals(starts), search.shooting, search.current.fit.scale)
     paths = [*search.first.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
     found = fit(starts[int(np.argmin(values))], paths, search.shooting, search.current.fit.scale)
     return trial_of(found, search.shooting, (), None)

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from safedpa.diagnosis.actuators import felt_at_once
+from safedpa.diagnosis.side_by_side import SideBySide
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import CommandEffect
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, NUMPY
 
-__all__ = ["felt_actions", "mechanics_of", "rollout", "rollout_at", "rollout_steps"]
+__all__ = ["common_period", "felt_actions", "felt_columns", "rollout", "rollout_at", "rollout_steps"]
 
 Columns = dict[str, Floats]
 """One action's value in every row, by the action's name."""
@@ -62,20 +63,18 @@ def rollout_steps(model: PhysicsModel, windows: Windows) -> Iterator[tuple[int, 
     Raises InputError when model and runs are of different systems.
     """
     _check_system(model, windows)
-    _, mechanics = _split(model)
-    felt = felt_actions(model, windows)
+    mechanics, felt = SideBySide([model]), felt_columns(model, windows)
     order = np.argsort(-windows.steps, kind="stable")
     start, steps = windows.start[order], windows.steps[order]
-    states = windows.states[start]
-    period = _common_period(windows)
+    states = list(windows.states[start].T)
+    period = common_period(windows)
     for step in range(int(steps.max(initial=0))):
         active = int(np.searchsorted(-steps, -step, side="left"))
         rows = start[:active] + step
         seconds: Any = windows.period[rows] if period is None else period
-        time: Any = windows.time[rows]
-        with np.errstate(all="ignore"):
-            states, _ = mechanics.advance(states[:active], felt[rows], (), period=seconds, time=time)
-        yield step + 1, order[:active], states
+        now = [column[:active] for column in states]
+        states = mechanics.ahead(now, [column[rows] for column in felt], seconds, windows.time[rows])
+        yield step + 1, order[:active], np.stack(states, axis=-1)
 
 
 def felt_actions(model: PhysicsModel, windows: Windows) -> Floats:
@@ -83,12 +82,16 @@ def felt_actions(model: PhysicsModel, windows: Windows) -> Floats:
 
     Every stretch starts with actuators that have settled at its first action.
     """
-    commands, _ = _split(model)
+    columns = felt_columns(model, windows)
+    return np.stack(columns, axis=-1) if columns else windows.actions  # nothing acts on a ball that falls
+
+
+def felt_columns(model: PhysicsModel, windows: Windows) -> list[Floats]:
+    """The same action by action, (rows,) each."""
     names = windows.system.action_names
-    if not names:  # nothing acts on a ball that falls
-        return windows.actions
     columns = {name: windows.actions[:, index] for index, name in enumerate(names)}
     key: tuple[Any, ...] = ()
+    commands = sorted((e for e in model.effects if isinstance(e, CommandEffect)), key=lambda item: int(item.stage))
     for command in commands:
         own = {p.name: model.settings[f"{command.name}.{p.name}"].value for p in command.parameters}
         key = (*key, command, tuple(own.items()))
@@ -97,7 +100,7 @@ def felt_actions(model: PhysicsModel, windows: Windows) -> Floats:
                 windows.memo.pop(next(iter(windows.memo)))
             windows.memo[key] = _transformed(command, columns, own, windows)
         columns = windows.memo[key]
-    return np.stack(np.broadcast_arrays(*(columns[name] for name in names)), axis=-1)
+    return [np.ascontiguousarray(np.broadcast_to(columns[name], windows.actions.shape[:1])) for name in names]
 
 
 def _transformed(command: CommandEffect, columns: Columns, own: dict[str, float], windows: Windows) -> Columns:
@@ -127,23 +130,7 @@ def _followed(command: CommandEffect, columns: Columns, own: dict[str, float], w
     return dict(zip(names, table, strict=True))
 
 
-def _split(model: PhysicsModel) -> tuple[list[CommandEffect], PhysicsModel]:
-    """The effects on commands in the order in which they act, and the model without them."""
-    commands = sorted((e for e in model.effects if isinstance(e, CommandEffect)), key=lambda item: int(item.stage))
-    if not commands:
-        return [], model
-    others = [item for item in model.effects if not isinstance(item, CommandEffect)]
-    gone = {item.name for item in commands}
-    settings = {path: setting for path, setting in model.settings.items() if path.split(".")[0] not in gone}
-    return commands, PhysicsModel(model.base, others, settings, model.period)
-
-
-def mechanics_of(model: PhysicsModel) -> PhysicsModel:
-    """The model without the effects on its commands: it takes felt actions."""
-    return _split(model)[1]
-
-
-def _common_period(windows: Windows) -> float | None:
+def common_period(windows: Windows) -> float | None:
     """The one period of all rows, or None where rows are spaced irregularly."""
     middle = float(np.median(windows.period))
     return middle if np.ptp(windows.period) <= _SAME * middle else None

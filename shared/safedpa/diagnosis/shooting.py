@@ -10,19 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.diagnosis.rollout import felt_actions
+from safedpa.diagnosis.elimination import Elimination
+from safedpa.diagnosis.simulation import simulate
 from safedpa.diagnosis.windows import Floats, Rows, Windows, windows_of
 from safedpa.dynamics import PhysicsModel
-from safedpa.dynamics.settings import Setting
-from safedpa.effects import CommandEffect
 from safedpa.records.run import Run
 
-__all__ = ["Shooting", "folds_of", "shooting_of", "simulate"]
+__all__ = ["Shooting", "folds_of", "shooting_of"]
 
 _ROWS = 24
 """Rows of a window that are compared at most."""
@@ -35,6 +34,8 @@ _FEWEST_BLOCKS = 10
 """Of logs that are shorter than so many of the shortest: a ball falls for three seconds only."""
 _GLITCH = 8.0
 """Median deviations from the neighbouring rows beyond which a row is a glitch."""
+_FARTHEST = 1e3
+"""What a residual counts at most, in its unit: predictions may grow without bound."""
 _PUSH = 5.0
 """Times the median size of a window's residual beyond which it counts less."""
 
@@ -62,32 +63,33 @@ class Shooting:
         """predicted - measured (..., windows, compared, states), angles by the short way round."""
         with np.errstate(all="ignore"):
             found = self.windows.system.difference(predicted, np.broadcast_to(self.measured, predicted.shape))
-        return np.asarray(np.clip(np.nan_to_num(found, nan=1e3, posinf=1e3, neginf=-1e3), -1e3, 1e3))
+        if found.size and found.min() >= -_FARTHEST and found.max() <= _FARTHEST:  # neither for NaN
+            return found
+        bounded = np.nan_to_num(found, nan=_FARTHEST, posinf=_FARTHEST, neginf=-_FARTHEST)
+        return np.asarray(np.clip(bounded, -_FARTHEST, _FARTHEST))
 
     def residuals(self, models: Sequence[PhysicsModel]) -> Floats:
         """(models, windows, compared, states)"""
         return self.residual(simulate(models, self.windows, self.rows, self.starts))
+
+    @cached_property
+    def elimination(self) -> Elimination:
+        """What takes a start's part out of residuals and slopes."""
+        return Elimination(self.counts, self.tangent)
 
     def eliminated(self, columns: Floats, scale: Floats) -> Floats:
         """Columns (windows, compared, states, columns) over ``scale``, without what a start explains.
 
         c - A (A'A)^-1 A'c with A = sqrt(counts) tangent / scale; shape (windows, compared * states, columns).
         """
-        weight = np.sqrt(self.counts) / scale
-        count = len(self.windows)
-        basis = (self.tangent * weight[..., None]).reshape(count, -1, self.tangent.shape[-1])
-        wide = (columns * weight[..., None]).reshape(count, basis.shape[1], -1)
-        basis = basis / (np.linalg.norm(basis, axis=1, keepdims=True) + 1e-30)
-        turned = basis.transpose(0, 2, 1)
-        gram = turned @ basis + 1e-9 * np.eye(basis.shape[2])
-        return np.asarray(wide - basis @ np.linalg.solve(gram, turned @ wide))
+        return self.elimination.reduced(columns, scale)
 
     def squares(self, reduced: Floats) -> Floats:
         """Sum of the squares of a reduced residual (windows, compared * states), by window and state."""
         shaped = reduced.reshape(len(self.windows), len(self.rows), -1)
         return np.asarray((shaped**2).sum(axis=1))
 
-    @property
+    @cached_property
     def size(self) -> Floats:
         """How many independent numbers each state has: rows that count, less one start a window, shape (states,)."""
         return np.asarray(np.maximum(self.counts.sum(axis=(0, 1)) - len(self.windows), 1.0))
@@ -165,51 +167,6 @@ def folds_of(windows: Windows, folds: int) -> Rows:
             share = (windows.clock[windows.start[own]] - first) / max(last - first, 1e-9)
             found[own] = np.minimum((share * folds).astype(np.int64), folds - 1)
     return found
-
-
-def simulate(models: Sequence[PhysicsModel], windows: Windows, rows: Rows, starts: Floats) -> Floats:
-    """Predicted states (models, windows, compared, states); models of one structure, whose numbers may differ.
-
-    ``starts`` (windows, states) or (models, windows, states). Beyond a window's end nothing is meant.
-    """
-    count, size = len(windows), starts.shape[-1]
-    mechanics, latent = _together(models, count)
-    felt = np.stack([felt_actions(model, windows) for model in models])
-    states = np.broadcast_to(starts, (len(models), count, size)).reshape(-1, size)
-    period = _period(windows)
-    found = np.empty((len(models), count, len(rows), size))
-    wanted = {int(row): index for index, row in enumerate(rows)}
-    for step in range(int(rows[-1]) + 1):
-        if step in wanted:
-            found[:, :, wanted[step]] = states.reshape(len(models), count, size)
-        at = np.minimum(windows.start + step, windows.end - 1)
-        seconds: Any = np.tile(windows.period[at], len(models)) if period is None else period
-        time: Any = np.tile(windows.time[at], len(models))
-        with np.errstate(all="ignore"):
-            action = felt[:, at].reshape(len(states), -1)
-            states, _ = mechanics.advance(states, action, (), latent, period=seconds, time=time)
-    return found
-
-
-def _together(models: Sequence[PhysicsModel], count: int) -> tuple[PhysicsModel, Floats | None]:
-    """One model without commands whose latent (models * windows, latents) holds the numbers that differ."""
-    first = models[0]
-    others = [item for item in first.effects if not isinstance(item, CommandEffect)]
-    owners = {"base", *(item.name for item in others)}
-    paths = [path for path in first.settings if path.split(".")[0] in owners]
-    values = {path: [model.settings[path].value for model in models] for path in paths}
-    varied = {path for path in paths if len(set(values[path])) > 1}
-    settings = {path: Setting(values[path][0], path in varied) for path in paths}
-    mechanics = PhysicsModel(first.base, others, settings, first.period)
-    if not mechanics.latent_names:
-        return mechanics, None
-    table = np.array([values[path] for path in mechanics.latent_names]).T
-    return mechanics, np.repeat(table, count, axis=0)
-
-
-def _period(windows: Windows) -> float | None:
-    middle = float(np.median(windows.period))
-    return middle if np.ptp(windows.period) <= 1e-6 * middle else None
 
 
 def _tangent(shooting: Shooting, model: PhysicsModel) -> Floats:

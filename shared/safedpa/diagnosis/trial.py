@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from safedpa.diagnosis.fitting import Fit, fit, objective
+from safedpa.diagnosis.fitting import Fit, fit, objectives
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
@@ -135,8 +135,7 @@ def tried(
 
 def _lowest(models: Sequence[PhysicsModel], shooting: Shooting, scale: Floats) -> PhysicsModel:
     """Of several models the one with the lowest objective."""
-    values = [objective(residual, shooting, scale)[0] for residual in shooting.residuals(models)]
-    return models[int(np.argmin(values))]
+    return models[int(np.argmin(objectives(shooting.residuals(models), shooting, scale)))]
 
 
 def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Trial | None) -> Trial:

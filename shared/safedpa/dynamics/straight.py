@@ -83,6 +83,15 @@ class _Tape:
         results = self.record(f"{name}({', '.join(f'{{{index}}}' for index in range(len(operands)))})", *operands)
         return [self.record(f"{{0}}[{index}]", results) for index in range(count)]
 
+    def keep(self, results: Iterable[str]) -> None:
+        """Forgets the lines that no result needs: where x goes within a period, say, if nothing depends on x."""
+        needed, kept = set(results), []
+        for line in reversed(self.lines):
+            if line[0] in needed:
+                needed.update(line[2])
+                kept.append(line)
+        self.lines = kept[::-1]
+
     def operations(self) -> Operations:
         """A table whose functions write themselves down."""
         table = {name: lambda *operands, name=name: self.record(name, *operands) for name in _FUNCTIONS}
@@ -253,6 +262,7 @@ def _taped(
         f"[{', '.join(number.name for number in numbers)}] = {whole}"
         for whole, numbers in (("state", state), ("action", action), ("latent", latent))
     ]
+    tape.keep(names)
     return tape, head, names
 
 
