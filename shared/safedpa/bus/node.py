@@ -51,6 +51,8 @@ class AbstractNode(ABC):
     outputs: ClassVar[tuple[Topic, ...]]
     share: ClassVar[float]
     listens: ClassVar[tuple[Topic, ...]] = ()
+    lingers: ClassVar[bool] = True
+    """Whether ``afterwards`` takes so long that it waits for a pause; else it follows at once."""
 
     @abstractmethod
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:

@@ -127,7 +127,16 @@ class ServiceLoop:
             self._forget_silent()
             if not self._slots:
                 self._tell_health(NO_ROBOT, None)
+            self._tell_of_silent()
             self._tell_setup()
+
+    def _tell_of_silent(self) -> None:
+        """Who speaks is told of when it speaks; waking up for each heartbeat would cost more than the heartbeat."""
+        silent = [entry for entry in self._slots.items() if entry[1].next_heartbeat <= self.clock()]
+        self._hold_for(silent)
+        for robot, slot in silent:
+            self._tell_health(robot, slot)
+        self._bus.flush()
 
     def patience(self, longest_wait: float) -> float:
         """s until something is due, at most ``longest_wait``."""
@@ -165,7 +174,9 @@ class ServiceLoop:
         self._bus.flush()
         now = self.clock()  # one moment for all of them: what comes afterwards comes together, too
         for robot, slot in due:
-            if slot.unfinished_since is not None:
+            if slot.unfinished_since is not None and not self._node.lingers:
+                self._finish(robot, slot)
+            elif slot.unfinished_since is not None:
                 slot.unfinished_since = now
                 self._agenda.at(now + _FINISH_SHARE * slot.state.period, robot)
 
@@ -245,7 +256,6 @@ class ServiceLoop:
         self._journal.met(robot, state.tick, again=again)
         self._next_setup = self.clock()  # whoever records the robot shall know the setup from the first seconds on
         self._expect(robot, slot)
-        self._agenda.at(slot.next_heartbeat, robot)
 
     def _take_tick(self, item: Received, slot: Slot, state: StateMessage) -> None:
         robot, at = item.robot, item.at
@@ -388,6 +398,5 @@ class ServiceLoop:
         if slot is not None:
             share = 1.0 if slot.told else (_SPREAD * len(self._slots)) % 1.0
             slot.told, slot.next_heartbeat = True, self.clock() + share * _HEARTBEAT_SECONDS
-            self._agenda.at(slot.next_heartbeat, robot)
         message = heartbeat(self._node.name, slot, self._strangers, self._node.model_of(robot) if slot else "")
         self._bus.publish(HEALTH, robot, message, self._node.name)

@@ -56,6 +56,7 @@ class PolicyNode(AbstractNode):
     outputs = (WISH, TAKEOVER)
     listens = (MODEL,)
     share = 0.2
+    lingers = False
 
     def __init__(
         self, model: PhysicsModel, settings: GoalSeekerSettings | None = None, controller: str | None = None
