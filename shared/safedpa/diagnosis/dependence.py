@@ -53,10 +53,8 @@ class Dependences:
     def values(self, variable: str, state: str) -> tuple[Floats, Floats]:
         """The function at its knots and standard deviations, by a jackknife over the folds."""
         chosen = self.chosen[variable, state]
-        whole = self.problem.grams.sum(axis=0)
-        parts = [self.problem.solved(chosen, whole - gram)[self.problem.always :] for gram in self.problem.grams]
-        count = len(parts)
-        spread = np.sqrt((count - 1) * np.var(np.array(parts), axis=0))
+        parts = self.problem.solved(chosen, self.problem.whole - self.problem.grams)[:, self.problem.always :]
+        spread = np.sqrt((len(parts) - 1) * np.var(parts, axis=0))
         return self.problem.coefficients(chosen), spread
 
 

@@ -81,33 +81,35 @@ class Innovations:
 
 
 def filtered(track: LinearTrack, noise: Noise, slopes: bool = True) -> Innovations:
-    """One pass over every piece. Noises (variants, ...) side by side: then only ``cost`` is that of each."""
-    variants = len(noise.measured)
+    """One pass over every piece.
+
+    Without ``slopes`` noises (variants, ...) side by side, and only ``cost``, that of each, is worked out.
+    """
     pieces, rows, size = track.seen.shape
     wide = track.columns if slopes else track.columns[..., :0]
     covariance, mean = _begin(track, noise, wide.shape[-1])
     white = np.zeros((pieces, rows, size, 1 + wide.shape[-1]))
-    states, ratio, cost = np.zeros((pieces, rows, size)), np.zeros((pieces, rows, size)), np.zeros(variants)
+    states, ratio, cost = np.zeros((pieces, rows, size)), np.zeros((pieces, rows, size)), np.zeros(len(covariance))
     spread = (noise.measured[:, None] * np.ones((pieces, 1))) ** 2
-    push = _pushes(track, noise)
+    push, step = _pushes(track, noise), np.zeros(covariance.shape)
     for row in range(rows):
-        inside = track.inside[:, row]
-        seen = np.zeros((pieces, size, 1 + wide.shape[-1]))
-        seen[..., 0] = track.seen[:, row]
-        surprise = seen - mean[..., :size, :]
-        total = covariance[..., :size, :size] + _diagonal(spread * track.doubt[:, row] ** 2)
+        inside, counted = track.inside[:, row], track.counted[:, row]
+        surprise = -mean[..., :size, :]
+        surprise[..., 0] += track.seen[:, row]
+        total = covariance[..., :size, :size].copy()
+        _diagonal_of(total)[...] += spread * track.doubt[:, row] ** 2
         root = np.linalg.cholesky(total)
-        own = np.linalg.solve(root, surprise)
-        gain = np.linalg.solve(total, covariance[..., :size, :]) * inside[:, None, None]
+        solved = np.linalg.solve(total, np.concatenate([covariance[..., :size, :], surprise[..., :1]], axis=-1))
+        gain = solved[..., :-1] * inside[:, None, None]
+        log = 2.0 * np.log(_diagonal_of(root)).sum(axis=-1)
+        cost += (((surprise[..., 0] * solved[..., -1]).sum(axis=-1) + log) * counted).sum(axis=-1)
         mean = mean + gain.swapaxes(-1, -2) @ surprise
         covariance = covariance - covariance[..., :, :size] @ gain
-        counted = track.counted[:, row]
-        log = 2.0 * np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
-        cost += (((own[..., 0] ** 2).sum(axis=-1) + log) * counted).sum(axis=-1)
-        white[:, row] = own[0] * counted[:, None, None]
-        states[:, row] = mean[0, ..., :size, 0]
-        ratio[:, row] = surprise[0, ..., 0] / np.sqrt(np.diagonal(total[0], axis1=-2, axis2=-1)) * inside[:, None]
-        mean, covariance = _onward(track, row, mean, covariance, wide, push)
+        if slopes:
+            white[:, row] = np.linalg.solve(root[0], surprise[0]) * counted[:, None, None]
+            states[:, row] = mean[0, ..., :size, 0]
+            ratio[:, row] = surprise[0, ..., 0] / np.sqrt(_diagonal_of(total[0])) * inside[:, None]
+        mean, covariance = _onward(track, row, mean, covariance, wide, push, step)
     flat = white.reshape(pieces, rows * size, -1)
     return Innovations(flat[..., 0], flat[..., 1:], states, ratio, cost)
 
@@ -135,23 +137,29 @@ def _onward(
     covariance: Floats,
     wide: Floats,
     push: tuple[Floats, Floats, Floats],
+    step: Floats,
 ) -> tuple[Floats, Floats]:
-    """From one row to the next."""
+    """From one row to the next; ``step`` (variants, pieces, entries, entries) is written over, zeros at first."""
     kept, fresh, small = push
-    size, pushes = track.seen.shape[-1], len(track.disturbed)
-    step = np.zeros((*kept.shape[:2], size + pushes, size + pushes))
+    size = track.seen.shape[-1]
     step[..., :size, :size] = track.transition[:, row]
-    at = size + np.arange(pushes)
-    step[..., track.disturbed, at] = track.period[:, row, None]
-    step[..., at, at] = kept[:, :, row, None]
+    for entry, state in enumerate(track.disturbed.tolist(), start=size):
+        step[..., state, entry] = track.period[:, row]
+        step[..., entry, entry] = kept[..., row]
     mean = step @ mean
     mean[..., :size, 0] += track.drift[:, row]
     mean[..., :size, 1:] += wide[:, row]
     covariance = step @ covariance @ step.swapaxes(-1, -2)
-    entries = np.arange(size)
-    covariance[..., entries, entries] += small[:, None] + track.bent[:, row] ** 2
-    covariance[..., at, at] += fresh[:, :, row]
-    return mean, 0.5 * (covariance + covariance.swapaxes(-1, -2))
+    covariance = 0.5 * (covariance + covariance.swapaxes(-1, -2))
+    own = _diagonal_of(covariance)
+    own[..., :size] += small[:, None] + track.bent[:, row] ** 2
+    own[..., size:] += fresh[:, :, row]
+    return mean, covariance
+
+
+def _diagonal_of(matrices: Floats) -> Floats:
+    """A view of the diagonals (..., n) that can be written."""
+    return np.asarray(np.einsum("...ii->...i", matrices))
 
 
 def _diagonal(entries: Floats) -> Floats:

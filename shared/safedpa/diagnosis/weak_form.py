@@ -45,6 +45,8 @@ _MOST = 4
 """Terms."""
 _LOOKED_AT = 8
 """Terms whose gain on unseen data is worked out at each step."""
+_REGULAR = 1e-6
+"""Determinant from which a derivative is inverted as it is."""
 
 
 class Valued(Protocol):
@@ -88,36 +90,37 @@ class Regression:
         flat = flat.reshape(-1, flat.shape[-1])
         return np.asarray(flat.T @ flat, dtype=np.float64)
 
-    def solved(self, chosen: Sequence[int], gram: Floats) -> Floats:
-        """Coefficients of the always-in and the chosen columns by least squares."""
+    @cached_property
+    def whole(self) -> Floats:
+        """Products of columns and residual with each other, by all windows."""
+        return np.asarray(self.grams.sum(axis=0))
+
+    def solved(self, chosen: Sequence[int], grams: Floats) -> Floats:
+        """Coefficients (..., always and chosen) of the always-in and the chosen columns by least squares, from products
+        (..., columns and residual, columns and residual)."""
         index = self._index(chosen)
-        square = gram[np.ix_(index, index)]
+        square, right = grams[..., index, :][..., index], grams[..., index, -1]
         # a column that only the fold left out has is rounding here, and counts nothing
-        least = 1e-9 * np.diag(self.grams.sum(axis=0))[index] + 1e-300
-        size = np.sqrt(np.maximum(np.diag(square), least))
-        scaled = square / np.outer(size, size)
-        return np.asarray(-np.linalg.pinv(scaled, rcond=1e-7, hermitian=True) @ (gram[index, -1] / size) / size)
+        least = 1e-9 * np.diag(self.whole)[index] + 1e-300
+        size = np.sqrt(np.maximum(np.diagonal(square, axis1=-2, axis2=-1), least))
+        scaled = square / (size[..., :, None] * size[..., None, :])
+        inverse = np.linalg.pinv(scaled, rcond=1e-7, hermitian=True)
+        return np.asarray(-(inverse @ (right / size)[..., None])[..., 0] / size)
 
     def coefficients(self, chosen: Sequence[int]) -> Floats:
         """Of the chosen columns, by all windows."""
-        return self.solved(chosen, self.grams.sum(axis=0))[self.always :]
+        return self.solved(chosen, self.whole)[self.always :]
 
     def unseen(self, chosen: Sequence[int]) -> Floats:
         """Squares (windows,) with coefficients fitted without the window's fold."""
-        grams = self.grams
-        whole = grams.sum(axis=0)
-        index = self._index(chosen)
-        found = np.empty(len(self.residual))
-        for number, fold in enumerate(np.unique(self.fold)):
-            own = self.fold == fold
-            values = self.solved(chosen, whole - grams[number])
-            found[own] = ((self.residual[own] + self.columns[own][..., index] @ values) ** 2).sum(axis=1)
-        return found
+        columns = self.columns[..., self._index(chosen)]
+        values = self.solved(chosen, self.whole - self.grams)[np.unique(self.fold, return_inverse=True)[1]]
+        left = self.residual + (columns @ values[..., None])[..., 0]
+        return np.asarray((left**2).sum(axis=1))
 
     def falls(self, chosen: Sequence[int]) -> Floats:
         """How much each column takes off the squares beside the chosen ones, to order them by."""
-        gram = self.grams.sum(axis=0)
-        index = self._index(chosen)
+        gram, index = self.whole, self._index(chosen)
         part = np.linalg.pinv(gram[np.ix_(index, index)], rcond=1e-10, hermitian=True) @ gram[index]
         left = gram - gram[index].T @ part
         own = np.diag(left)[:-1]
@@ -207,18 +210,23 @@ def _columns(trial: Trial, shooting: Shooting, states: Sequence[str], terms: Seq
     system = shooting.windows.system
     seconds, values = _integrands(trial, shooting, terms)
     tangent = shooting.tangent
-    inverse = np.linalg.pinv(tangent, rcond=1e-9)
-    found = []
-    for state in states:
-        pulled = inverse[..., system.state_names.index(state)]  # T(s)^-1 e
-        steps = (
-            0.5
-            * seconds[..., None, None]
-            * (pulled[:, :-1, :, None] * values[0][:, :, None] + pulled[:, 1:, :, None] * values[1][:, :, None])
-        )
-        sums = np.concatenate([np.zeros_like(steps[:, :1]), np.cumsum(steps, axis=1)], axis=1)
-        found.append(np.einsum("wnij,wnjt->wnit", tangent, sums))
-    return shooting.eliminated(np.concatenate(found, axis=-1), trial.fit.scale)
+    inverse = _inverses(tangent)
+    first, second = (0.5 * seconds[..., None] * end for end in values)
+    whole = np.zeros((*tangent.shape[:3], len(states) * len(terms)))
+    for number, state in enumerate(states):
+        pulled = inverse[..., system.state_names.index(state), None]  # T(s)^-1 e
+        steps = pulled[:, :-1] * first[:, :, None]
+        steps += pulled[:, 1:] * second[:, :, None]
+        sums = np.cumsum(steps, axis=1, out=steps)
+        whole[:, 1:, :, number * len(terms) : (number + 1) * len(terms)] = tangent[:, 1:] @ sums
+    return shooting.eliminated(whole, trial.fit.scale)
+
+
+def _inverses(matrices: Floats) -> Floats:
+    """Inverses (..., n, n), of directions that are gone none."""
+    if (np.abs(np.linalg.det(matrices)) > _REGULAR).all():
+        return np.asarray(np.linalg.inv(matrices))
+    return np.asarray(np.linalg.pinv(matrices, rcond=1e-9))
 
 
 def _integrands(trial: Trial, shooting: Shooting, terms: Sequence[Valued]) -> tuple[Floats, tuple[Floats, Floats]]:
