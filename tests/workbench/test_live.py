@@ -36,6 +36,9 @@ from safedpa_services.workbench.replay_link import ReplayLink
 
 pytestmark = pytest.mark.slow
 
+PATIENCE = 90_000
+"""ms; on a busy machine a page takes its time."""
+
 REPORT = {
     "robot": "car",
     "stages": [{"heldout_error": 0.6}],
@@ -275,11 +278,11 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
         page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
         page.on("console", lambda message: complaints.append(message.text))
         page.goto(f"http://127.0.0.1:{free_port}/live")
-        page.wait_for_selector(".candidate.open >> text=Accept", timeout=60_000)
+        page.wait_for_selector(".candidate.open >> text=Accept", timeout=PATIENCE)
         assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
         page.keyboard.press("a")
-        page.wait_for_selector("text=/change 1 is offered to/", timeout=20_000)
-        page.wait_for_selector("text=−80 % since the change", timeout=30_000)
+        page.wait_for_selector("text=/change 1 is offered to/", timeout=PATIENCE)
+        page.wait_for_selector("text=−80 % since the change", timeout=PATIENCE)
         assert page.locator(".candidate").count() == 0
         assert page.evaluate("document.documentElement.scrollWidth") <= 1280
         page.close()

@@ -86,10 +86,10 @@ def brushed(watched):
     page.mouse.down()
     page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 0.7 * box["height"], steps=5)
     page.mouse.up()
-    page.wait_for_selector("text=/windows: error/", timeout=10_000)
+    page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
     said = page.locator(".panel:nth-of-type(2) [aria-live]").inner_text()
     last = "document.querySelectorAll('.panel')[1].querySelectorAll('.js-plotly-plot')[1].data.at(-1)"
-    page.wait_for_function(f"{last}.mode === 'markers'")
+    page.wait_for_function(f"{last}.mode === 'markers'", timeout=PATIENCE)
     return said, page.evaluate(f"{last}.x.length")
 
 
@@ -122,23 +122,23 @@ def test_the_five_steps_on_a_drive_with_hidden_drag(browser, serve, drives):
 @pytest.mark.processes
 def test_everything_by_keyboard_and_saved(browser, serve, drives, tmp_path):
     model, runs = drives
-    watched = Watched(browser, serve(model, *runs))
+    watched = Watched(browser, serve(model, runs[0]))
     page = watched.page
     page.wait_for_selector(".candidate", timeout=PATIENCE)
     first = page.locator(".candidate .name").first.inner_text()
     page.keyboard.press("x")
-    page.wait_for_function(f"document.querySelector('.candidate .name').innerText !== '{first}'")
+    page.wait_for_function(f"document.querySelector('.candidate .name').innerText !== '{first}'", timeout=PATIENCE)
     page.keyboard.press("u")
-    page.wait_for_function(f"document.querySelector('.candidate .name').innerText === '{first}'")
+    page.wait_for_function(f"document.querySelector('.candidate .name').innerText === '{first}'", timeout=PATIENCE)
     page.keyboard.press("m")
-    page.wait_for_selector("text=/windows: error/")
+    page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
     page.keyboard.press("a")
     watched.wait_for_bars(2)
     page.keyboard.press("s")
     page.wait_for_selector("text=/Written: .*model.toml/", timeout=PATIENCE)
     assert "quadratic_drag" in (tmp_path / "out" / "model.toml").read_text(encoding="utf-8")
     page.keyboard.press("?")
-    page.wait_for_selector("text=add the candidate that is open")
+    page.wait_for_selector("text=add the candidate that is open", timeout=PATIENCE)
     page.keyboard.press("Escape")
     reached = set()
     for _ in range(40):
@@ -175,7 +175,7 @@ def test_the_real_car(browser, serve, data_folder):
     logs = sorted(Path(data_folder, "dart_rc_car").glob("91*/*.csv"))
     if not logs:
         pytest.skip(f"no car logs in {data_folder}")
-    watched = Watched(browser, serve("dart_car", *logs, "--columns", "dart_car_columns"))
+    watched = Watched(browser, serve("dart_car", *logs[:2], "--columns", "dart_car_columns"))
     page = watched.page
     page.wait_for_selector(f"{MAP} >> .heatmaplayer", state="attached", timeout=PATIENCE)
     before = watched.wait_for_bars(2)
