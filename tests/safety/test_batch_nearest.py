@@ -87,3 +87,10 @@ def test_a_robot_without_numbers_changes_nothing_for_the_next() -> None:
     points, certain = nearest_kept_by_many(slopes, limits, np.full(5, inf), np.full((3, 2), 0.5), np.ones(2))
     assert certain.tolist() == [True, False, True]
     np.testing.assert_array_equal(points[[0, 2]], [[0.75, 0.5], [0.75, 0.5]])
+
+
+@pytest.mark.parametrize("size", [1.0, 100.0])
+def test_the_corner_of_almost_parallel_conditions_is_not_believed(size: float) -> None:
+    """x >= 0.75 and 1e-10 y >= x - 0.75 + 5e-11 meet at y = 0.5, but not so that rounding could tell."""
+    slopes = [[size, 0.0], [-size, 1e-10 * size]]
+    assert not one(slopes, [0.75 * size, (-0.75 + 5e-11) * size], inf, (0.5, 0.2))[1]
