@@ -6,7 +6,7 @@ BIN := $(ENVIRONMENT)/bin
 INSTALLED := $(ENVIRONMENT)/.installed
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help run test test-fleet lint types contracts check environment constraints clean
+.PHONY: help run test test-compiled test-fleet lint types contracts check environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -20,6 +20,14 @@ test: environment  ## runs all tests
 
 test-fleet: environment  ## a fleet of containers: faults, intruders; installs docker on Debian
 	@deploy/test-fleet
+
+COMPILED := $(CURDIR)/build/compiled
+
+test-compiled: environment  ## the filter's tests on a wheel with its compiled modules; needs a C compiler
+	@rm -rf $(COMPILED)
+	@SAFEDPA_COMPILE=1 $(PIP) --no-deps --target $(COMPILED) .
+	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; assert compiled_modules() == MODULES'
+	@PYTHONPATH=$(COMPILED) $(BIN)/pytest -q tests/safety
 
 lint: environment  ## ruff: rules and format
 	@$(BIN)/ruff check .

@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
+from safedpa.compiled import compiled_modules
 from safedpa.errors import InputError, SafedpaError, did_you_mean
 from safedpa.records.atomic import atomic_path
 from safedpa_services.benchmarks.results import Effort
@@ -92,6 +93,7 @@ def machine() -> Document:
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
+        "compiled": bool(compiled_modules()),
         "threads": os.environ.get("OMP_NUM_THREADS", "as many as there are cores"),
         "versions": {name: found for name in _VERSIONS if (found := _version(name))},
     }

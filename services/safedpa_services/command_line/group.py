@@ -55,7 +55,20 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
+def _told(context: click.Context, option: click.Parameter, asked: bool) -> None:
+    """The version, and what the filter's innermost modules are; they are imported only for this."""
+    del option
+    if asked and not context.resilient_parsing:
+        from safedpa.compiled import compiled_modules
+
+        road = "compiled" if compiled_modules() else "Python source"
+        click.echo(f"safedpa, version {version('safedpa')}; the filter's innermost modules: {road}")
+        context.exit()
+
+
 @click.command(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(version("safedpa"), prog_name="safedpa")
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_told, help="Show the version and exit."
+)
 def safedpa() -> None:
     """Safe deep policy adaptation: drive safely, compare the model with measurements, find what it lacks."""

@@ -9,6 +9,7 @@ from typing import Any, final
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.prediction import Prediction
+from safedpa.safety.program_rows import Side
 
 __all__ = ["NO_INFLUENCE", "Conditions", "Outcome", "Plain", "Tangent"]
 
@@ -64,7 +65,7 @@ class Tangent:
     def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
         """A (rows, actions) and b (rows,) of the rows that actions might break, with the true residual at ``about``."""
         residual, action, rows, reach = about.residual, about.action, self._rows, self._reach
-        near = [index for index, value in enumerate(residual) if value < reach]
+        near = [index for index, value in enumerate(residual) if not value >= reach]
         missing = [index for index in near if index not in rows]
         if missing:
             self._add(missing)
@@ -106,36 +107,41 @@ class Conditions:
         memory: Any,
         eta: float,
         epsilon: Plain,
-        sides: Sequence[tuple[float, float, float]],
+        sides: Sequence[Side],
     ) -> None:
         self.barriers, self._prediction = barriers, prediction
         self._state, self._latent, self._memory = state, latent, memory
         self._sides = sides
-        self.h_now = barriers.heights(state)
+        self._widths = [width for _, _, width in sides]
+        self.h_now: list[float] = barriers.heights(state)
         _finite("h at the state", self.h_now)
         share = 1.0 - eta
-        self.required = [share * h + margin for h, margin in zip(self.h_now, epsilon, strict=True)]
+        self.required: list[float] = [share * h + margin for h, margin in zip(self.h_now, epsilon, strict=True)]
         self._last_g: list[list[float]] | None = None
 
     def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
         following = self._following(action)
-        h_next = self.barriers.heights(following)
+        h_next: list[float] = self.barriers.heights(following)
         _finite("h at the predicted state", h_next)
         residual = [h - wanted for h, wanted in zip(h_next, self.required, strict=True)]
         return Outcome(action, following, h_next, residual)
 
     def linearised(self, about: Outcome) -> Tangent:
         """The conditions tangent at ``about``."""
-        g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
-        if not isfinite(sum(map(sum, g))):
-            for row in g:
-                _finite("g of the model", row)
-        widths = [width for _, _, width in self._sides]
-        return Tangent(self.barriers, self._unsaturated(g, about), about, widths)
+        if self._last_g is None or not self._prediction.affine:
+            self._last_g = self._slopes(about)
+        return Tangent(self.barriers, self._last_g, about, self._widths)
+
+    def _slopes(self, about: Outcome) -> list[list[float]]:
+        """g (states, actions) about an action."""
+        g: list[list[float]] = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
+        for row in g:
+            _finite("g of the model", row)
+        return self._unsaturated(g, about)
 
     def _following(self, action: Plain) -> list[float]:
-        found = self._prediction.following(self._state, action, self._latent, self._memory)
+        found: list[float] = self._prediction.following(self._state, action, self._latent, self._memory)
         _finite("predicted state", found)
         return found
 
@@ -151,7 +157,6 @@ class Conditions:
                 last = self._last_g
                 column = self._chord(about, index) if last is None else [row[index] for row in last]
                 g = [[*row[:index], slope, *row[index + 1 :]] for row, slope in zip(g, column, strict=True)]
-        self._last_g = g
         return g
 
     def _chord(self, about: Outcome, index: int) -> list[float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from operator import itemgetter
 from typing import Any, final
 
@@ -15,6 +14,7 @@ from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.inputs import Plausible, Unusable, checked_input
+from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError, search
@@ -41,6 +41,7 @@ class Tools:
     prediction: Prediction
     program: QuadraticProgram
     stacks: Stacks
+    margins: Margins
     backup: Backup | None
     resting_action: Action
     state_range: Plausible | None
@@ -50,7 +51,7 @@ class Tools:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Request:
     """What one tick brings; nothing of it is trusted."""
 
@@ -132,11 +133,7 @@ class Decision:
         barriers = self._tools.stacks.of(request.barriers)
         if not barriers.names:
             raise DecisionError("there is no barrier to keep")
-        margins = {**settings.epsilon, **request.epsilon}
-        epsilon = barriers.of_each(margins, margins.get("default", 0.0))
-        if not all(map(isfinite, epsilon)) or min(epsilon) < 0.0:
-            raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
-        self._margin = max(epsilon)
+        epsilon, self._margin = self._tools.margins.of(barriers, request.epsilon)
         self._conditions = Conditions(
             barriers,
             self._tools.prediction,

@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.dynamics import AbstractDynamics, PhysicsModel
+from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.errors import InputError
 
 __all__ = ["Prediction"]
@@ -34,6 +34,8 @@ class Prediction:
         self._model: AbstractDynamics | None = None
         self._physics: PhysicsModel | None = None
         self._fixed: tuple[float, ...] = ()
+        self.affine = False
+        """Whether the model is known to be affine in the action: then its slopes are the same about every action."""
 
     @classmethod
     def of_model(cls, model: AbstractDynamics) -> Prediction:
@@ -42,6 +44,7 @@ class Prediction:
         prediction._model = model
         if isinstance(model, PhysicsModel):
             prediction._physics, prediction._fixed = model, tuple(model.latent.tolist())
+            prediction.affine = isinstance(model.base, LearnedBase) and not model.effects
         return prediction
 
     def following(

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, isfinite
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.nearest import Row, nearest_kept
+from safedpa.safety.program_rows import ScaledRow, Side, breakable, closest
 
 __all__ = ["QuadraticProgram", "Solution"]
 
@@ -50,30 +49,17 @@ class QuadraticProgram:
     def __init__(self, low: Values, high: Values, weights: Values, quadratic: float, linear: float) -> None:
         self.low, self.high, self.range = low, high, high - low
         self.weights, self.quadratic, self.linear = weights, quadratic, linear
-        self.sides: tuple[tuple[float, float, float], ...] = tuple(
-            zip(low.tolist(), high.tolist(), self.range.tolist(), strict=True)
-        )
+        self.sides: tuple[Side, ...] = tuple(zip(low.tolist(), high.tolist(), self.range.tolist(), strict=True))
         """Lowest, highest and range of each action, as plain numbers."""
         self._lowest: tuple[float, ...] = tuple(low.tolist())
         self._weights: tuple[float, ...] = tuple(weights.tolist())
-        self._box = tuple(_box(len(low)))
         self._workspaces: dict[int, _Workspace] = {}
 
     def solve(self, A: Sequence[Sequence[float]], b: Sequence[float], wish: Sequence[float]) -> Solution:
         """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,), all of them plain numbers."""
-        rows: list[tuple[list[float], float, int]] = []
-        for index, (slopes, limit) in enumerate(zip(A, b, strict=True)):
-            scaled, below = [], 0.0
-            for slope, (low, _, width) in zip(slopes, self.sides, strict=True):
-                limit -= slope * low  # noqa: PLW2901 - in the scaled variables
-                slope *= width  # noqa: PLW2901
-                scaled.append(slope)
-                if slope < 0.0:
-                    below += slope
-            if not isfinite(limit):  # A low is in it: a number of A that is none as well
-                return Solution(self._lowest, (0.0,) * len(b), False, "numbers not finite")
-            if below < limit:
-                rows.append((scaled, limit, index))
+        finite, rows = breakable(A, b, self.sides)
+        if not finite:
+            return Solution(self._lowest, (0.0,) * len(b), False, "numbers not finite")
         if not rows:
             within = [min(max(value, low), high) for value, (low, high, _) in zip(wish, self.sides, strict=True)]
             return Solution(within, (0.0,) * len(b), True, "not needed")
@@ -82,26 +68,11 @@ class QuadraticProgram:
             return Solution(action, (0.0,) * len(b), True, "solved")
         return self._with_slack(rows, wish, len(b))
 
-    def _without_slack(
-        self, rows: Sequence[tuple[list[float], float, int]], wish: Sequence[float]
-    ) -> list[float] | None:
-        """The minimiser for slopes and limits in closed form, if it needs no slack; None: ask the solver."""
-        price, weights = self.linear, self._weights
-        wanted = [(value - low) / width for value, (low, _, width) in zip(wish, self.sides, strict=True)]
-        if len(wanted) == 1:  # beside a second one that nothing depends on
-            wanted.append(0.0)
-            conditions = [(slopes[0], 0.0, limit, price) for slopes, limit, _ in rows]
-        else:
-            conditions = [(slopes[0], slopes[1], limit, price) for slopes, limit, _ in rows]
-        conditions += self._box
-        found = nearest_kept(conditions, (wanted[0], wanted[1]), (weights[0], weights[-1]))
-        if found is None:
-            return None
-        return [low + width * value for value, (low, _, width) in zip(found, self.sides, strict=False)]
+    def _without_slack(self, rows: Sequence[ScaledRow], wish: Sequence[float]) -> list[float] | None:
+        """The minimiser in closed form, if it needs no slack; None: ask the solver."""
+        return closest(rows, wish, self.sides, self._weights, self.linear)
 
-    def _with_slack(
-        self, rows: Sequence[tuple[list[float], float, int]], wish: Sequence[float], count: int
-    ) -> Solution:
+    def _with_slack(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution:
         """The minimiser by PIQP."""
         workspace, actions = self._workspace(len(rows)), len(self.sides)
         wanted = (np.array(wish) - self.low) / self.range
@@ -125,14 +96,6 @@ class QuadraticProgram:
         if size not in self._workspaces:
             self._workspaces[size] = _Workspace(size, self.weights, self.quadratic, self.linear)
         return self._workspaces[size]
-
-
-def _box(actions: int) -> Iterator[Row]:
-    """0 <= u <= 1 as conditions that no slack can relieve."""
-    for index in range(min(actions, 2)):
-        side = (1.0, 0.0) if index == 0 else (0.0, 1.0)
-        yield (*side, 0.0, inf)
-        yield (-side[0], -side[1], -1.0, inf)
 
 
 @final

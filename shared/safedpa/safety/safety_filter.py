@@ -24,6 +24,7 @@ from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
 from safedpa.safety.decision import Backup, Decision, Request, Tools
 from safedpa.safety.inputs import Plausible
+from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError
@@ -66,6 +67,7 @@ class SafetyFilter:
                 low, high, settings.weight_vector, settings.slack_quadratic, settings.slack_linear
             ),
             stacks=Stacks(),
+            margins=Margins(settings.epsilon),
             backup=backup,
             resting_action=tuple(settings.resting_action.tolist()),
             state_range=state_range,

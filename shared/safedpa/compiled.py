@@ -1,0 +1,22 @@
+"""Whether the modules that every decision runs through are the compiled ones of a built wheel, or Python source."""
+
+from __future__ import annotations
+
+import importlib
+
+__all__ = ["MODULES", "compiled_modules"]
+
+MODULES = (
+    "safedpa.safety.braking",
+    "safedpa.safety.car_geometry",
+    "safedpa.safety.conditions",
+    "safedpa.safety.nearest",
+    "safedpa.safety.program_rows",
+)
+"""What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
+
+
+def compiled_modules() -> tuple[str, ...]:
+    """Those of ``MODULES`` that are compiled in this installation: all of them or none."""
+    files = ((name, importlib.import_module(name).__file__ or "") for name in MODULES)
+    return tuple(name for name, file in files if not file.endswith(".py"))
