@@ -171,6 +171,31 @@ def test_a_stale_input_tells_its_age(real_time: Fleet, age: int) -> None:
     assert real_time.health()["r"].stale == 1
 
 
+@pytest.mark.parametrize("age", [1, 2])
+def test_in_real_time_a_node_with_slack_takes_the_input_of_the_tick_before(
+    real_time: Fleet, monkeypatch: pytest.MonkeyPatch, age: int
+) -> None:
+    monkeypatch.setattr(Wisher, "slack", 1)
+    real_time.state(5)
+    real_time.latent(5)
+    real_time.state(5 + age)
+    assert real_time.wished() == [("r", 5), *([("r", 6)] if age == 1 else [])]
+    real_time.wait(0.02)
+    robot, tick, latent = real_time.node.steps[-1]
+    assert (robot, tick) == ("r", 5 + age)
+    assert latent == Stale(LATENT, 2) if age == 2 else isinstance(latent, LatentMessage)
+
+
+def test_in_lockstep_nobody_has_slack(lockstep: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Wisher, "slack", 1)
+    lockstep.state(0)
+    lockstep.latent(0)
+    lockstep.state(1)
+    assert lockstep.wished() == [("r", 0)]
+    lockstep.latent(1)
+    assert lockstep.wished() == [("r", 1)]
+
+
 def test_repetitions_do_not_push_the_deadline(real_time: Fleet) -> None:
     real_time.state(0)
     for _ in range(5):

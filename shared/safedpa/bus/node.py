@@ -51,6 +51,8 @@ class AbstractNode(ABC):
     outputs: ClassVar[tuple[Topic, ...]]
     share: ClassVar[float]
     listens: ClassVar[tuple[Topic, ...]] = ()
+    slack: ClassVar[int] = 0
+    """Age in ticks up to which, in real time, an input is as good as that of the tick: nobody waits for a newer one."""
     lingers: ClassVar[bool] = True
     """Whether ``afterwards`` takes so long that it waits for a pause; else it follows at once."""
 

@@ -284,7 +284,7 @@ class ServiceLoop:
         return state.epoch != slot.state.epoch and at - slot.heard > max(_SILENCE_SECONDS, 3.0 * slot.state.period)
 
     def _advance(self, robot: str, slot: Slot) -> None:
-        if slot.is_complete(self._node.inputs) or self.clock() >= self._deadline(slot):
+        if slot.is_complete(self._node.inputs, self._node.slack) or self.clock() >= self._deadline(slot):
             self._step(robot, slot)
         elif not slot.prepared and slot.has_any(self._node.inputs):
             slot.prepared = True
@@ -296,7 +296,7 @@ class ServiceLoop:
                 self._failed(robot, error, slot.state.tick)
 
     def _step(self, robot: str, slot: Slot) -> None:
-        inputs = slot.given(self._node.inputs)
+        inputs = slot.given(self._node.inputs, self._node.slack)
         read = consumed(self._node.inputs, inputs, slot.state)
         slot.trace = Trace(slot.trace.step + 1, read, tuple(slot.skipped))
         slot.skipped.clear()

@@ -75,17 +75,18 @@ class Slot:
         self._credit -= 1.0
         return True
 
-    def is_complete(self, topics: Sequence[Topic]) -> bool:
-        """Whether every input of the state's tick is there."""
+    def is_complete(self, topics: Sequence[Topic], slack: int) -> bool:
+        """Whether every input is there: of the state's tick, or in real time at most ``slack`` ticks older."""
+        slack = 0 if self.state.lockstep else slack
         for topic in topics:  # noqa: SIM110  a loop costs half of what `all` does, and every message asks
-            if not _fits(self.inputs.get(topic), self.state):
+            if not _fits(self.inputs.get(topic), self.state, slack):
                 return False
         return True
 
     def has_any(self, topics: Sequence[Topic]) -> bool:
         """Whether some input of the state's tick is there."""
         for topic in topics:  # noqa: SIM110  likewise
-            if _fits(self.inputs.get(topic), self.state):
+            if _fits(self.inputs.get(topic), self.state, 0):
                 return True
         return False
 
@@ -102,18 +103,19 @@ class Slot:
         self.inputs[topic] = message
         return True
 
-    def given(self, topics: Sequence[Topic]) -> Inputs:
+    def given(self, topics: Sequence[Topic], slack: int) -> Inputs:
         """The inputs of a step, stale where they are missing or too old."""
-        return {topic: _usable(topic, self.inputs.get(topic), self.state) for topic in topics}
+        slack = 0 if self.state.lockstep else slack
+        return {topic: _usable(topic, self.inputs.get(topic), self.state, slack) for topic in topics}
 
 
-def _fits(message: Message | None, state: StateMessage) -> bool:
-    return message is not None and message.epoch == state.epoch and message.tick == state.tick
+def _fits(message: Message | None, state: StateMessage, slack: int) -> bool:
+    return message is not None and message.epoch == state.epoch and 0 <= state.tick - message.tick <= slack
 
 
-def _usable(topic: Topic, message: Message | None, state: StateMessage) -> Message | Stale:
-    """The message, unless it is of another epoch, of a later tick, or older than the topic allows."""
+def _usable(topic: Topic, message: Message | None, state: StateMessage, slack: int) -> Message | Stale:
+    """The message, unless it is of another epoch, of a later tick, or older than the topic and the node allow."""
     if message is None or message.epoch != state.epoch:
         return Stale(topic, None)
     age = state.tick - message.tick
-    return message if 0 <= age <= topic.largest_age_ticks else Stale(topic, max(age, 0))
+    return message if 0 <= age <= max(topic.largest_age_ticks, slack) else Stale(topic, max(age, 0))

@@ -56,6 +56,7 @@ class PolicyNode(AbstractNode):
     outputs = (WISH, TAKEOVER)
     listens = (MODEL,)
     share = 0.2
+    slack = 1  # a load does not change within a tick, and waiting for news of it would take a quarter of sense to act
     lingers = False
 
     def __init__(
