@@ -31,10 +31,13 @@ def test_every_phase_reaches_its_figure(trained: Path) -> None:
     assert min(told["1a"]["explained"]) > 0.93  # share of each increment's variance
     curve = told["1b"]["learning_curve"]
     assert curve[-1]["reward"] > curve[0]["reward"] + 1.0
+    assert curve[0]["steps"] < 0.5 * told["1b"]["steps"]
+    assert told["1b"]["nearest"] < 0.8 * curve[0]["nearest"]
     assert told["1b"]["success"] > 0.15
     assert max(told["2"]["explained"]) > 0.15  # phi sees what a history can show of z; some of it no history shows
     assert told["3"]["times_better"]["one_step"] > 2.0
     assert told["3"]["times_better"]["20_steps"] > 1.5
+    assert list(trained.glob("checkpoint_*.pt")) == [], "checkpoints go when the training is done"
 
 
 @pytest.mark.slow
