@@ -32,7 +32,7 @@ def test_a_full_disk_ends_the_recording_not_the_drive(tmp_path: Path) -> None:
 
 def _await_a_driving_robot(endpoint: str, fleet: str, running: subprocess.Popen[str]) -> None:
     """Returns once a state is heard on the bus that the running loop opened."""
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline and running.poll() is None:
         try:
             with Bus(ZenohTransport(ZenohSettings(connect=(endpoint,))), fleet) as bus:
