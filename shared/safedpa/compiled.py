@@ -12,6 +12,7 @@ MODULES = (
     "safedpa.safety.conditions",
     "safedpa.safety.nearest",
     "safedpa.safety.program_rows",
+    "safedpa.safety.search",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
 

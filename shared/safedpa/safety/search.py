@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
+from typing import Protocol
 
-from safedpa.safety.conditions import Conditions, Outcome, Plain, Tangent
-from safedpa.safety.quadratic_program import QuadraticProgram
+from safedpa.safety.conditions import Outcome, Plain
+from safedpa.safety.program_rows import Side
+from safedpa.safety.quadratic_program import Solution
 
 __all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "TIE", "DecisionError", "search"]
 
@@ -37,8 +40,39 @@ class DecisionError(Exception):
         self.solver = solver
 
 
+class Drawn(Protocol):
+    """What the search needs of a ``Tangent``."""
+
+    def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
+        """A and b of A a >= b."""
+
+
+class Posed(Protocol):
+    """What the search needs of ``Conditions``."""
+
+    def outcome(self, action: Plain) -> Outcome:
+        """What the action leads to."""
+
+    def linearised(self, about: Outcome) -> Drawn:
+        """The conditions tangent there."""
+
+
+class Program(Protocol):
+    """What the search needs of a ``QuadraticProgram``."""
+
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """Of each action."""
+
+    def solve(self, A: Sequence[Plain], b: Plain, wish: Plain) -> Solution:
+        """The minimiser."""
+
+    def distance(self, action: Plain, wish: Plain) -> float:
+        """Between two actions."""
+
+
 def search(
-    conditions: Conditions, program: QuadraticProgram, wish: Plain, start: Outcome, rounds: int, tolerance: float
+    conditions: Posed, program: Program, wish: Plain, start: Outcome, rounds: int, tolerance: float
 ) -> tuple[Outcome, str]:
     """The best outcome found and the solver's word.
 
@@ -65,20 +99,18 @@ def search(
     return best, status
 
 
-def _same(program: QuadraticProgram, one: Outcome, other: Outcome) -> bool:
+def _same(program: Program, one: Outcome, other: Outcome) -> bool:
     near = zip(one.action, other.action, program.sides, strict=True)
     return all(abs(value - last) <= SAME * width for value, last, (_, _, width) in near)
 
 
-def _better(program: QuadraticProgram, wish: Plain, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
+def _better(program: Program, wish: Plain, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
     if max(one.violation, other.violation) <= tolerance:
         return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
     return other if other.violation < one.violation - TIE else one
 
 
-def _posed(
-    conditions: Conditions, program: QuadraticProgram, tangent: Tangent, about: Outcome, wish: Plain
-) -> tuple[Outcome, str]:
+def _posed(conditions: Posed, program: Program, tangent: Drawn, about: Outcome, wish: Plain) -> tuple[Outcome, str]:
     A, b = tangent.at(about)
     solution = program.solve(A, b, wish)
     if not solution.solved:
@@ -86,7 +118,7 @@ def _posed(
     return conditions.outcome(_believed(solution.action, program, solution.status)), solution.status
 
 
-def _believed(action: Plain, program: QuadraticProgram, status: str) -> tuple[float, ...]:
+def _believed(action: Plain, program: Program, status: str) -> tuple[float, ...]:
     believed = []
     for value, (low, high, width) in zip(action, program.sides, strict=True):
         if not isfinite(value):
