@@ -27,7 +27,7 @@ from safedpa.bus import (
 from safedpa.bus.coalescing import quantum_for
 from safedpa.bus.transport import Subscription
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 
 
 def until(condition: Callable[[], bool]) -> bool:

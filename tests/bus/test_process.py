@@ -97,20 +97,20 @@ def test_an_uncaught_error_ends_the_process_and_its_sign_of_life(fault: str, fre
     options = ("--fleet", "crash-test", "--connect", f"tcp/127.0.0.1:{free_port}", "--fault", fault)
     with watcher(free_port) as bus, started(*options) as process:
         ready(process)
-        assert within(10.0, lambda: bus.instances("r", "service") == ["x"])
+        assert within(30.0, lambda: bus.instances("r", "service") == ["x"])
         if fault == "callback":
 
             def sent() -> bool:
                 bus._transport.put("safedpa/crash-test/r/state", b"x", never_drop=True)
                 return process.poll() is not None
 
-            assert within(10.0, sent)
+            assert within(30.0, sent)
         else:
             assert process.stdin is not None
             process.stdin.write("now\n")
             process.stdin.flush()
-            assert within(10.0, lambda: process.poll() is not None)
-        assert within(1.0, lambda: bus.instances("r", "service") == []), "still announced a second after its end"
+            assert within(30.0, lambda: process.poll() is not None)
+        assert within(5.0, lambda: bus.instances("r", "service") == []), "still announced seconds after its end"
         assert process.returncode == 70
         assert process.stderr is not None
         assert "RuntimeError: planted in" in process.stderr.read()
@@ -121,14 +121,14 @@ def test_a_signal_ends_it_in_good_order(number: signal.Signals, free_port: int) 
     with started("--listen", f"tcp/127.0.0.1:{free_port}") as process:
         ready(process)
         process.send_signal(number)
-        output, errors = process.communicate(timeout=10)
+        output, errors = process.communicate(timeout=30)
         assert (process.returncode, output, errors) == (0, f"{number.name}\n", "")
 
 
 def test_a_supervised_process_ends_with_its_supervisor(free_port: int) -> None:
     with started("--listen", f"tcp/127.0.0.1:{free_port}", "--supervised") as process:
         ready(process)
-        output, _ = process.communicate(timeout=10)  # closes its standard input
+        output, _ = process.communicate(timeout=30)  # closes its standard input
         assert (process.returncode, output) == (0, "the supervisor is gone\n")
 
 
@@ -138,7 +138,7 @@ def test_a_supervised_process_ends_when_all_its_pipes_break_at_once(free_port: i
         for pipe in (process.stdin, process.stdout, process.stderr):
             assert pipe is not None
             pipe.close()
-        assert process.wait(timeout=10) in (0, 70), "it cannot say good-bye, but it goes"
+        assert process.wait(timeout=30) in (0, 70), "it cannot say good-bye, but it goes"
 
 
 def test_without_a_supervisor_it_outlives_its_standard_input(free_port: int) -> None:
@@ -150,7 +150,7 @@ def test_without_a_supervisor_it_outlives_its_standard_input(free_port: int) -> 
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(timeout=0.5)
         process.terminate()
-        assert process.wait(timeout=10) == 0
+        assert process.wait(timeout=30) == 0
 
 
 @pytest.mark.parametrize(

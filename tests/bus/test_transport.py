@@ -25,7 +25,7 @@ from safedpa.bus import (
 from safedpa.bus import ZenohTransport as Zenoh
 from safedpa.errors import BusError, InputError
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 
 
 def until(condition: Callable[[], bool]) -> bool:

@@ -26,7 +26,7 @@ from safedpa.bus import (
 from safedpa.bus.joint_transport import JointTransport
 from safedpa.bus.turning import Turning
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 
 
 class Guesser(AbstractNode):

@@ -77,7 +77,7 @@ def tls_client(network: Any, role: str | None) -> bytes:
         context.load_cert_chain(network.folder / f"{role}.pem", network.folder / f"{role}.key.pem")
     host, port = network.endpoint.removeprefix("tls/").split(":")
     with (
-        socket.create_connection((host, int(port)), timeout=5.0) as raw,
+        socket.create_connection((host, int(port)), timeout=30.0) as raw,
         context.wrap_socket(raw, server_hostname=host) as secured,
     ):
         secured.sendall(b"\x00\x00\x00")

@@ -57,9 +57,9 @@ class Process:
 
     def end(self) -> None:
         self.running.terminate()
-        self.running.wait(10.0)
+        self.running.wait(60.0)
         for reader in self._readers:
-            reader.join(5.0)
+            reader.join(60.0)
         for pipe in (self.running.stdin, self.running.stdout, self.running.stderr):
             pipe.close()
 

@@ -154,7 +154,7 @@ class Loop:
     def end(self) -> dict[str, Any]:
         """The robot's account of its drive."""
         self.running["robot"].send_signal(signal.SIGTERM)
-        self.running["robot"].wait(20.0)
+        self.running["robot"].wait(60.0)
         account: dict[str, Any] = json.loads((self.folder / "robot.json").read_text())
         return account
 

@@ -226,9 +226,9 @@ def test_the_commands_of_the_file_make_a_loop_that_is_healthy_and_drives(tmp_pat
         assert outside.health("policy")[0] == 1, "healthy without a process"
         robot = processes["robot"]
         robot.send_signal(signal.SIGTERM)
-        account = json.loads(robot.communicate(timeout=20)[0])
+        account = json.loads(robot.communicate(timeout=60)[0])
         processes["recorder"].send_signal(signal.SIGTERM)
-        processes["recorder"].wait(20)
+        processes["recorder"].wait(60)
     assert (account["load"], account["collisions"]) == ("box", 0)
     kinds = {key.split("/")[3] for key, _, _ in read_messages(tmp_path / "recording.mcap")}
     assert {STATE.name, ACTION.name} <= kinds

@@ -15,7 +15,7 @@ from safedpa_sim.faults.proxy import Proxy
 DATA = (4).to_bytes(2, "little") + b"\x05\x03\x1d\x00"
 SIGN_OF_LIFE = (1).to_bytes(2, "little") + b"\x04"
 QUIET_SECONDS = 0.3
-LONG_SECONDS = 10.0
+LONG_SECONDS = 30.0
 
 
 class Echo:

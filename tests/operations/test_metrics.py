@@ -194,7 +194,7 @@ def test_the_page_is_served_and_the_port_is_free_afterwards(talked: Any, free_po
 
         def stopped(served: list[str] = served) -> bool:
             if talked.overview.services.keys() & {("metrics", os.getpid())}:
-                with urllib.request.urlopen(f"http://127.0.0.1:{free_port}/metrics", timeout=10) as page:
+                with urllib.request.urlopen(f"http://127.0.0.1:{free_port}/metrics", timeout=60) as page:
                     served.append(page.read().decode())
             return bool(served)
 

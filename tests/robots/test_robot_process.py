@@ -76,7 +76,7 @@ def test_a_lockstep_run_ends_with_an_account_and_repeats(bus, start, tmp_path):
         path = tmp_path / f"{run}.json"
         robot = start("--lockstep", "--seconds", "2", "--seed", "3", "--summary", str(path))
         answer(bus, robot, 40)
-        output, errors = robot.communicate(timeout=20)
+        output, errors = robot.communicate(timeout=60)
         assert robot.returncode == 0
         assert told(errors) == ["process.started", "process.ended"]
         account = json.loads(path.read_text())
@@ -93,7 +93,7 @@ def test_sigterm_brakes_first(bus, start):
     assert states[-1].values[3] > 0.5
     inbox = bus.inbox((STATE,), "r1")
     robot.send_signal(signal.SIGTERM)
-    output, errors = robot.communicate(timeout=20)
+    output, errors = robot.communicate(timeout=60)
     assert robot.returncode == 0
     assert set(told(errors)) <= {
         "process.started",
@@ -112,7 +112,7 @@ def test_a_second_robot_of_the_same_name_is_refused_in_one_line(bus, start):
     first = start()
     answer(bus, first, 1)
     second = start()
-    output, errors = second.communicate(timeout=20)
+    output, errors = second.communicate(timeout=60)
     assert (second.returncode, output) == (2, "")
     assert errors.count("\n") == 1
     assert "'r1' of fleet 'test' lives already" in errors
@@ -121,7 +121,7 @@ def test_a_second_robot_of_the_same_name_is_refused_in_one_line(bus, start):
 
 def test_of_two_robots_that_start_at_once_one_stays(bus, start):
     pair = [start("--seconds", "2"), start("--seconds", "2")]
-    outcomes = [robot.communicate(timeout=20) for robot in pair]
+    outcomes = [robot.communicate(timeout=60) for robot in pair]
     assert sorted(robot.returncode for robot in pair) == [0, 2], outcomes
 
 
@@ -131,13 +131,13 @@ def test_of_two_robots_that_start_at_once_one_stays(bus, start):
 )
 def test_bad_options_are_one_line_and_exit_code_two(options, start, bus):
     robot = start(*options)
-    output, errors = robot.communicate(timeout=20)
+    output, errors = robot.communicate(timeout=60)
     assert (robot.returncode, output) == (2, "")
     assert errors.count("\n") == 1
 
 
 def test_a_summary_that_cannot_be_written_is_refused_at_the_start(tmp_path: Path, start, bus):
     robot = start("--summary", str(tmp_path / "nowhere" / "a.json"))
-    _, errors = robot.communicate(timeout=20)
+    _, errors = robot.communicate(timeout=60)
     assert robot.returncode == 2
     assert "--summary" in errors

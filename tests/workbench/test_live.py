@@ -291,7 +291,7 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
     finally:
         server.send_signal(signal.SIGINT)
         try:
-            server.wait(20)
+            server.wait(60)
         finally:
             server.kill()
             server.wait()

@@ -39,7 +39,7 @@ def serve(free_port, tmp_path):
     for server in started:
         server.send_signal(signal.SIGINT)
         try:
-            assert server.wait(20) == 0
+            assert server.wait(60) == 0
         finally:
             server.kill()
             server.wait()
