@@ -40,24 +40,24 @@ class DecisionError(Exception):
         self.solver = solver
 
 
-class Drawn(Protocol):
+class _Drawn(Protocol):
     """What the search needs of a ``Tangent``."""
 
     def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
         """A and b of A a >= b."""
 
 
-class Posed(Protocol):
+class _Posed(Protocol):
     """What the search needs of ``Conditions``."""
 
     def outcome(self, action: Plain) -> Outcome:
         """What the action leads to."""
 
-    def linearised(self, about: Outcome) -> Drawn:
+    def linearised(self, about: Outcome) -> _Drawn:
         """The conditions tangent there."""
 
 
-class Program(Protocol):
+class _Program(Protocol):
     """What the search needs of a ``QuadraticProgram``."""
 
     @property
@@ -72,7 +72,7 @@ class Program(Protocol):
 
 
 def search(
-    conditions: Posed, program: Program, wish: Plain, start: Outcome, rounds: int, tolerance: float
+    conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int, tolerance: float
 ) -> tuple[Outcome, str]:
     """The best outcome found and the solver's word.
 
@@ -99,18 +99,18 @@ def search(
     return best, status
 
 
-def _same(program: Program, one: Outcome, other: Outcome) -> bool:
+def _same(program: _Program, one: Outcome, other: Outcome) -> bool:
     near = zip(one.action, other.action, program.sides, strict=True)
     return all(abs(value - last) <= SAME * width for value, last, (_, _, width) in near)
 
 
-def _better(program: Program, wish: Plain, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
+def _better(program: _Program, wish: Plain, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
     if max(one.violation, other.violation) <= tolerance:
         return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
     return other if other.violation < one.violation - TIE else one
 
 
-def _posed(conditions: Posed, program: Program, tangent: Drawn, about: Outcome, wish: Plain) -> tuple[Outcome, str]:
+def _posed(conditions: _Posed, program: _Program, tangent: _Drawn, about: Outcome, wish: Plain) -> tuple[Outcome, str]:
     A, b = tangent.at(about)
     solution = program.solve(A, b, wish)
     if not solution.solved:
@@ -118,7 +118,7 @@ def _posed(conditions: Posed, program: Program, tangent: Drawn, about: Outcome, 
     return conditions.outcome(_believed(solution.action, program, solution.status)), solution.status
 
 
-def _believed(action: Plain, program: Program, status: str) -> tuple[float, ...]:
+def _believed(action: Plain, program: _Program, status: str) -> tuple[float, ...]:
     believed = []
     for value, (low, high, width) in zip(action, program.sides, strict=True):
         if not isfinite(value):
