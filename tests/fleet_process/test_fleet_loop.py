@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -77,6 +78,22 @@ def test_in_step_all_sense_at_once_else_spread_over_the_period(stack: Make) -> N
             fleet.clock.now += 0.0025
         assert max(states) == most
         assert sum(states) == 5
+
+
+def test_robots_that_share_a_moment_speak_and_are_answered_in_bundles_as_if_each_were_alone(stack: Make) -> None:
+    names = tuple(f"car{index:04d}" for index in range(24))
+    fleet = stack(names)
+    keys: Counter[str] = Counter()
+    MemoryTransport(fleet.broker).subscribe("safedpa/test/*/*", lambda key, _payload: keys.update([key]))
+    fleet.drive(1.0)
+    assert fleet.fleet.late == 0
+    for topic in ("state", "latent", "wish", "action", "verdict"):
+        assert keys[f"safedpa/test/+/{topic}"] >= 12 * 18, topic
+        assert not [key for key in keys if key.endswith(f"/{topic}") and "/+/" not in key], topic
+    alone = stack(names[:1])
+    alone.drive(1.0)
+    assert alone.cars[names[0]].tick == fleet.cars[names[0]].tick
+    assert alone.cars[names[0]].trajectory_hash == fleet.cars[names[0]].trajectory_hash
 
 
 def test_a_collision_is_told_with_robot_place_and_what_the_watchdog_did(stack: Make) -> None:
