@@ -25,8 +25,8 @@ from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["FleetLoop"]
 
-_MOMENTS_APART_SECONDS = 0.004
-"""Between two moments at which robots sense."""
+_MOST_MOMENTS = 5
+"""Of a period, at which robots sense where there are many: larger bundles cost less for each robot, and take longer."""
 _FEW = 8
 """Robots that have each a moment of their own."""
 _DEADLINE_SHARE = 0.9
@@ -59,7 +59,7 @@ class _Turning:
 class FleetLoop:
     """Turns ``robots`` by name. With ``in_step`` all sense at the same moment, else spread over the period.
 
-    Where there are many, those whose moments lie within 4 ms have the same one, and their states travel in one bundle.
+    Where there are many they share five moments, and the states of one moment travel in one bundle.
     """
 
     def __init__(
@@ -72,9 +72,7 @@ class FleetLoop:
     ) -> None:
         self._bus, self._clock = bus, clock
         self._inbox = bus.inbox((ACTION,), clock=clock)
-        shortest = min(robot.period for robot in robots.values())
-        most = len(robots) if len(robots) < _FEW else max(1, int(shortest / _MOMENTS_APART_SECONDS))
-        self._begin, self._moments = clock(), 1 if in_step else min(len(robots), most)
+        self._begin, self._moments = clock(), 1 if in_step else len(robots) if len(robots) < _FEW else _MOST_MOMENTS
         self._turning = {}
         for index, (name, robot) in enumerate(robots.items()):
             due = self._begin + index * self._moments // len(robots) / self._moments * robot.period
