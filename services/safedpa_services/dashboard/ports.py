@@ -72,5 +72,6 @@ class Door:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def close(self) -> None:
-        """Answers no more."""
+        """Answers no more. The thread ends first: it would go on looking at whoever gets the closed socket's number."""
+        self._server.shutdown()
         self._server.server_close()
