@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +18,22 @@ from safedpa_sim.point.driven import PolicyDriver, driven, windy_task
 from safedpa_sim.point.methods import METHODS, Method, ShieldedDriver, driver_of
 from safedpa_sim.point.policy_file import BaselinePolicy, save_policy
 from safedpa_sim.point.shield import shield_of
+from safedpa_sim.point.task import PointTask
 
 FORCE = 0.008
 NOWHERE = Path("no weights here")
 """So that those that ship are taken."""
 
 
-def towards_goal(seen: np.ndarray, _: object = None) -> np.ndarray:
+def towards_goal(seen: np.ndarray) -> np.ndarray:
     """Straight to the goal, whatever lies there."""
     off = np.arctan2(seen[:, 13], seen[:, 12])
     thrust = np.clip(1.5 * np.cos(off) * seen[:, 14], -1.0, 1.0)
     return np.stack((thrust, np.clip(2.0 * off, -1.0, 1.0)), axis=1)
+
+
+def _observed(task: PointTask, _: np.ndarray) -> np.ndarray:
+    return towards_goal(task.observation())
 
 
 class Reckless:
@@ -61,7 +67,8 @@ def test_the_filter_that_knows_the_wind_keeps_a_reckless_wish_safe() -> None:
     costs = {}
     for name in ("oracle", "none"):
         task = windy_task(8, 1, FORCE, 2)
-        driver = ShieldedDriver(task, shield_of(name, task, adapts=""), towards_goal)
+        wish = partial(_observed, task)
+        driver = ShieldedDriver(task, shield_of(name, task, adapts=""), wish)
         found = driven(driver, task, 150)
         costs[name] = found.cost.sum()
         assert (found.corrected > 0.0) == (name == "oracle")
@@ -71,11 +78,11 @@ def test_the_filter_that_knows_the_wind_keeps_a_reckless_wish_safe() -> None:
 
 def test_what_ships_is_safe_behind_the_learned_filter_and_ppo_alone_is_not() -> None:
     found = {}
-    for name in ("seeker", "ppo"):
+    for name in ("safedpa", "ppo"):
         task = windy_task(8, 1, FORCE, 7)
         found[name] = driven(driver_of(METHODS[name], task, NOWHERE, NOWHERE), task, 150)
-    assert found["seeker"].cost.sum() == 0.0
-    assert found["seeker"].goals.sum() > 0.0
+    assert found["safedpa"].cost.sum() == 0.0
+    assert found["safedpa"].goals.sum() >= 5.0
     assert found["ppo"].cost.sum() > 0.0
 
 

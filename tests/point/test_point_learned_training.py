@@ -16,6 +16,7 @@ from safedpa_sim.experiments.point_story import PointStory, point_story, point_s
 from safedpa_sim.point.heat_map import HeatMap, heat_map
 from safedpa_sim.point.hidden import HIDDEN, point_logs
 from safedpa_sim.point.policy_task import LatentPolicy, PointPractice
+from safedpa_sim.point.seeing import entries_seen
 from safedpa_sim.training.configuration import load_configuration
 
 
@@ -27,8 +28,8 @@ def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str]) -> N
     assert records["fix_45"]["loss"] < records["mix"]["loss"]
     weights = load_weights(tmp_path / "point_learned.safetensors")
     assert all(weights.has(name) for name in ("mu", "f", "g", "phi", "policy"))
-    seen, latent = np.zeros((3, 31)), np.zeros((3, 2))
-    assert LatentPolicy(weights).act(seen, latent).shape == (3, 2)
+    assert len(records["1b"]["imitation_errors"]) == 2
+    assert LatentPolicy(weights).act(np.zeros((3, entries_seen(2)))).shape == (3, 2)
     assert load_weights(tmp_path / "point_rma_p.safetensors").has("policy")
 
 
@@ -37,9 +38,9 @@ def test_robots_that_practise_behind_the_stand_in_never_enter_a_hazard() -> None
     weights = _plain()
     contacts = []
     for sheltered in (True, False):
-        robots = PointPractice(configuration, weights, 48, 0, sheltered=sheltered, calm=True)
-        chosen, began = np.tile(np.array([1.0, 0.1], np.float32), (48, 1)), 0
-        for _ in range(120):
+        robots = PointPractice(configuration, weights, 24, 0, sheltered=sheltered, calm=True)
+        chosen, began = np.tile(np.array([1.0, 0.1], np.float32), (24, 1)), 0
+        for _ in range(80):
             moved = robots.advance(chosen)
             began += int(moved.began.sum())
         contacts.append(began)
@@ -53,12 +54,12 @@ def test_the_latent_in_view_is_that_of_the_wind() -> None:
     robots = PointPractice(load_configuration("point_small"), weights, 5, 1)
     wind = robots.task.simulation.force.T / robots.task.simulation.body.mass
     assert robots.latent == pytest.approx(LearnedNetworks(weights).encode(wind), abs=1e-5)
-    assert robots.observation().shape == (5, 33)
-    assert robots.observation(np.array([2])).shape == (1, 33)
+    assert robots.observation().shape == (5, entries_seen(2))
+    assert robots.observation(np.array([2])).shape == (1, entries_seen(2))
 
 
 def test_force_and_drag_are_named_and_the_mended_filter_is_safer() -> None:
-    result = point_story(PointStory(robots=40, seconds=3.0))
+    result = point_story(PointStory(robots=24, seconds=2.0))
     case = result["cases"]["force and drag"]
     assert set(case["added"]) == {"constant_force", "viscous_drag"}
     assert case["values"]["constant_force.ax"]["value"] == pytest.approx(-0.809, abs=0.03)

@@ -82,36 +82,55 @@ def _circles(result: dict[str, Any], path: Path) -> None:
 
 
 def _success(result: dict[str, Any], path: Path) -> None:
-    """Steps in hazards, on a scale of powers, against goals."""
-    with figure(path, 5.2) as drawn:
-        axes = drawn.subplots()
-        for name, row in result["methods"].items():
-            unsafe = 100 * (1.0 - row["safe_steps"][0])
+    """Episodes with an unsafe step against goals; a number at each point, names beside the picture."""
+    with figure(path, 4.6) as drawn:
+        axes, names = drawn.subplots(1, 2, width_ratios=(2.3, 1.0))
+        placed: list[tuple[float, float]] = []
+        for number, (name, row) in enumerate(result["methods"].items(), 1):
+            unsafe = 100 * (1.0 - row["safe_episodes"] / row["episodes"])
             goals, low, high = row["goals"]
             axes.errorbar(
-                goals, unsafe, xerr=[[goals - low], [high - goals]], fmt="o", color=_colour(name), markersize=6
+                goals, unsafe, xerr=[[goals - low], [high - goals]], fmt="o", color=_colour(name), markersize=5
             )
+            label = _free_place((goals, unsafe), placed)
+            placed.append(label)
             axes.annotate(
-                row["title"],
+                str(number),
                 (goals, unsafe),
-                (2, 4),
-                textcoords="offset points",
-                fontsize=6.5,
-                rotation=35,
+                label,
+                fontsize=7.5,
                 color=BLACK,
+                ha="center",
+                va="center",
+                arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkB": 3},
             )
+            names.text(0.0, 1.0 - 0.058 * number, f"{number}", fontsize=7.5, color=_colour(name), ha="right")
+            names.text(0.06, 1.0 - 0.058 * number, row["title"], fontsize=7.5, color=BLACK)
+        names.set_axis_off()
         axes.axhline(2.0, color=GREY, linestyle=":", linewidth=1)
-        axes.set_yscale("symlog", linthresh=0.1)
-        axes.set_yticks([0, 0.1, 1, 2, 10], ["0", "0.1", "1", "2", "10"])
-        axes.set_ylim(-0.02, 60)
+        axes.set_ylim(-5, 101)
         axes.set_xlabel("goals reached in an episode")
-        axes.set_ylabel("steps in a hazard [%]")
+        axes.set_ylabel("episodes with a step in a hazard [%]")
         if "ppo" in result["methods"]:
             axes.axvline(0.9 * result["methods"]["ppo"]["goals"][0], color=GREY, linestyle=":", linewidth=1)
         bare(axes)
         heading(
-            drawn, "Safe and quick: right and below", "dotted: 2 % of steps; 0.9 of PPO's goals. Bars: 95 % intervals"
+            drawn,
+            "Safe and quick: right and below",
+            "dotted: 2 % of episodes; 0.9 of PPO's goals. Bars: 95 % intervals",
         )
+
+
+def _free_place(point: tuple[float, float], taken: list[tuple[float, float]]) -> tuple[float, float]:
+    """Where a label is a little off its point and off all labels so far: goals, percent."""
+    goals, percent = point
+    for ring in (1.0, 1.7, 2.5, 3.4, 4.4):
+        for angle in np.arange(8) * np.pi / 4 + 0.4:
+            place = (goals + 0.22 * ring * float(np.cos(angle)), percent + 4.0 * ring * float(np.sin(angle)))
+            apart = [np.hypot((place[0] - other[0]) / 0.3, (place[1] - other[1]) / 5.5) for other in taken]
+            if place[1] > -3.0 and (not apart or min(apart) > 1.0):
+                return place
+    return place
 
 
 def _paths(result: dict[str, Any], path: Path) -> None:

@@ -4,8 +4,9 @@
 
 with h_i's tangent over the action at the predicted next state, posed anew once at the solution. Two entries of the
 action leave few corners, so all of them are tried. Where none will do, or the conditions do not hold at the prediction
-for the solution, the stopping manoeuvre's own action is taken: it holds them all. Where there is no room any more,
-h_i(x) < 0 for some i, and the conditions cannot be met, the action that leaves most room is taken: recovery.
+for the solution, the stopping manoeuvre's own action is taken: it keeps every h_i from falling. Where that is not
+enough, since h_i(x) < epsilon / eta asks for more room than there is, the action that leaves most room is taken:
+recovery. So a robot whose wind is believed wrong, and that drifts while it believes that it stands, pushes itself away.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ __all__ = ["ETA", "Around", "Believed", "Filtered", "best_end", "filtered", "nea
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-ETA: Final = 0.2
+ETA: Final = 0.5
 _NUDGE = 0.02
 """Of the action's range, for the tangent."""
 _GRID: Final = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 5), np.linspace(-1.0, 1.0, 5)), axis=-1).reshape(-1, 2)
@@ -88,7 +89,7 @@ def filtered(
     wrong = np.flatnonzero(np.any(reached < needed - _TOLERANCE, axis=1))
     stopping = np.zeros(len(wish), bool)
     if len(wrong):
-        without_room = present[wrong].min(axis=1) < 0.0
+        without_room = present[wrong].min(axis=1) < epsilon / ETA
         around = Around(hazards[wrong], radii, believed.of(wrong), end[wrong], without_room)
         action[wrong], stopping[wrong] = _corrected(state[wrong], wish[wrong], around, needed[wrong])
     corrected = np.zeros(len(wish), bool)
@@ -116,7 +117,7 @@ class Around:
     believed: Believed
     end: Floats
     without_room: Flags
-    """(robots,): where h < 0 for some hazard now."""
+    """(robots,): where h < epsilon / eta for some hazard, so that room has to be gained."""
 
     def rooms(self, action: Floats) -> Floats:
         """h (robots, m) at the predictions for actions (robots, 2)."""

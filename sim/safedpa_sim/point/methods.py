@@ -17,14 +17,16 @@ from safedpa_sim.point.belief import Belief, LearnedBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.driven import Driver, PolicyDriver
 from safedpa_sim.point.plan import BASELINES
+from safedpa_sim.point.seeing import policy_seen
 from safedpa_sim.point.seeking import sought
 from safedpa_sim.point.shield import FIXED_DIRECTIONS, Shield, shield_of, weights_named
 from safedpa_sim.point.task import PointTask
+from safedpa_sim.point.way import Ways
 
 __all__ = ["BASELINE_TITLES", "METHODS", "Method", "ShieldedDriver", "driver_of", "with_weights"]
 
 Floats = NDArray[np.float64]
-Wish = Callable[[Floats, Floats], NDArray[np.floating[Any]]]
+Wish = Callable[[Floats], NDArray[np.floating[Any]]]
 
 BASELINE_TITLES: Final = {
     "ppo": "PPO",
@@ -69,14 +71,14 @@ METHODS: Final = {
 
 @final
 class ShieldedDriver:
-    """A wish of observations and latents, through the filter."""
+    """A wish, of the latents as they are, through the filter."""
 
     def __init__(self, task: PointTask, shield: Shield, wish: Wish) -> None:
         self._task, self._shield, self._wish = task, shield, wish
         self.corrected = self.stopping = np.zeros(task.count, bool)
 
     def act(self) -> Floats:  # noqa: D102
-        wish = self._wish(self._task.observation(), self._shield.see(self._task))
+        wish = self._wish(self._shield.see(self._task))
         found = self._shield.act(self._task, wish)
         self.corrected, self.stopping = found.corrected, found.stopping
         return found.action
@@ -91,7 +93,8 @@ def driver_of(method: Method, task: PointTask, models: Path, baselines: Path) ->
         policy = baseline_named(method.policy, "wind", baselines)
         if not method.filter:
             return PolicyDriver(task, policy)
-        return ShieldedDriver(task, shield_of(method.filter, task, folder=models), lambda seen, _: policy.act(seen))
+        shield = shield_of(method.filter, task, folder=models)
+        return ShieldedDriver(task, shield, lambda _: policy.act(task.observation()))
     if method.policy == "seeker":
         shield = shield_of(method.filter, task, folder=models)
         return ShieldedDriver(task, shield, _seeking(task, LearnedBelief(weights_named("learned", models))))
@@ -99,7 +102,14 @@ def driver_of(method: Method, task: PointTask, models: Path, baselines: Path) ->
 
     learned = LatentPolicy(weights_named(method.policy, models))
     shield = shield_of(method.filter or "none", task, adapts=method.policy, folder=models)
-    return ShieldedDriver(task, shield, learned.act)
+    ways = Ways(task.count)
+
+    def wish(latent: Floats) -> Floats:
+        place, layout = task.simulation.pose[:2].T, task.layout
+        turn, _ = ways.first_turns(place, layout.hazards, layout.goal)
+        return learned.act(policy_seen(task, latent, turn))
+
+    return ShieldedDriver(task, shield, wish)
 
 
 def with_weights(models: Path, baselines: Path) -> tuple[str, ...]:
@@ -115,7 +125,7 @@ def with_weights(models: Path, baselines: Path) -> tuple[str, ...]:
 def _seeking(task: PointTask, belief: Belief) -> Wish:
     """Towards the goal in the wind that the latent stands for."""
 
-    def wish(_: Floats, latent: Floats) -> Floats:
+    def wish(latent: Floats) -> Floats:
         state = centre_state(task.simulation)
         motion = belief.believed(state, latent).motion
         return to_task_action(sought(state, task.layout.goal, task.layout.hazards, motion))

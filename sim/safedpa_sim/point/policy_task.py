@@ -1,4 +1,8 @@
-"""What a point robot's policy pi(x, z) learns: to drive from goal to goal among hazards, the wind's latent in view."""
+"""What a point robot's policy pi(x, z) learns: to drive from goal to goal among hazards, the wind's latent in view.
+
+Reward: metres gained along the shortest way around the hazards, 1 for each goal. The robots are sheltered by the filter
+with the simulated physics itself, so that hazards need not be in the reward.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +17,11 @@ from safedpa.networks.layers import layers_of
 from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import filtered
-from safedpa_sim.point.layout import HAZARD_RADIUS
-from safedpa_sim.point.task import EPISODE_STEPS, PointTask
+from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS
+from safedpa_sim.point.seeing import entries_seen, policy_seen
+from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, PointTask
+from safedpa_sim.point.teaching import taught
+from safedpa_sim.point.way import Ways
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
 from safedpa_sim.training.moved import Moved
@@ -32,13 +39,15 @@ _EVALUATION_SEED = 1_000_003
 _EVALUATION_TICKS = 500
 _TURNS = 0.001
 """Probability per tick that the wind becomes another."""
+_JUMP = 0.3
+"""m; a way past the other side of a hazard may be longer at once, by no more than this in the reward."""
 _LARGEST = 10.0
 """Scaled observations are clipped to it."""
 
 
 @final
 class LatentPolicy:
-    """a = clip(pi([o, z]), -1, 1) over the range of commands, scaled as it was trained; o: ``PointTask.observation``.
+    """a = clip(pi(o), -1, 1) over the range of commands, scaled as it was trained; o: ``policy_seen``.
 
     Raises InputError for weights without a policy, or with one for other observations.
     """
@@ -48,13 +57,18 @@ class LatentPolicy:
         if not self._layers:
             raise InputError("weights: got no policy (policy.0.weight), wanted one; run phase 1b of 'safedpa train'")
         self._middle, self._scale = weights["observation_middle"], weights["observation_scale"]
+        got, wanted = self._layers[0].weight.shape[1], entries_seen(weights.description.latents)
+        if got != wanted:
+            raise InputError(
+                f"weights: got a policy of {got} numbers, wanted one of {wanted}; train it with 'safedpa train point'"
+            )
 
-    def act(self, observation: NDArray[np.floating[Any]], latent: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Actions (robots, 2) of ``PointTask`` for observations (robots, 31) and latents (robots, latents)."""
-        return to_task_action(self.chosen(np.concatenate((observation, latent), axis=1)))
+    def act(self, seen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Actions (robots, 2) of ``PointTask`` for what ``policy_seen`` gives (robots, entries)."""
+        return to_task_action(self.chosen(seen))
 
     def chosen(self, seen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Actions (robots, 2) in [-1, 1] of the fastest thrust and turn, for [o, z]."""
+        """Actions (robots, 2) in [-1, 1] of the fastest thrust and turn."""
         scaled = ((seen - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
         return np.asarray(dense_stack(scaled, self._layers, "tanh").clip(-1.0, 1.0), dtype=np.float64)
 
@@ -91,6 +105,13 @@ class PointPractice:
         self._know_wind()
         self.applied: Floats = np.zeros((count, 2), np.float32)
         self._within = np.zeros(count, bool)
+        self._ways = Ways(count)
+        self._turn, self._left = self._way()
+
+    def _way(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where the ways turn first, and how long they are [m]."""
+        layout = self.task.layout
+        return self._ways.first_turns(self.task.simulation.pose[:2].T, layout.hazards, layout.goal)
 
     @property
     def state(self) -> Floats:
@@ -103,11 +124,17 @@ class PointPractice:
             self.task.restart(which)
             self._within[which] = False
             self._know_wind()
+            self._turn, self._left = self._way()
 
     def observation(self, which: NDArray[np.intp] | slice = slice(None)) -> Floats:
-        """[o, z] (robots, 31 + latents)."""
-        seen = np.concatenate((self.task.observation(), self.latent), axis=1)
-        return seen[which].astype(np.float32)
+        """``policy_seen`` (robots, entries)."""
+        return policy_seen(self.task, self.latent, self._turn)[which].astype(np.float32)
+
+    def teacher(self) -> Floats:
+        """Actions (robots, 2) in [-1, 1] of a driver that knows the wind: what a policy may be taught by."""
+        state = centre_state(self.task.simulation)
+        motion = self._belief.believed(state, np.zeros((self.count, 0))).motion
+        return taught(state, self._turn, motion).astype(np.float32)
 
     def exploring(self, random: np.random.Generator) -> Floats:
         """Actions at random, for the scales of what is observed."""
@@ -125,12 +152,19 @@ class PointPractice:
         stepped = task.advance(to_task_action(action))
         within = stepped.cost > 0.0
         began, self._within = within & ~self._within, within
-        reward = (stepped.reward - self._penalty * stepped.cost).astype(np.float32)
         self.goals = stepped.reached
+        reward = self._gained() - self._penalty * stepped.cost
         if not self._calm:
             self._turn_wind()
         never = np.zeros(self.count, bool)
-        return Moved(reward, never, stepped.timed_out, never, began)
+        return Moved(reward.astype(np.float32), never, stepped.timed_out, never, began)
+
+    def _gained(self) -> NDArray[np.float64]:
+        """m along the way; where a goal was reached, what had been left to its edge, and 1."""
+        before = self._left
+        self._turn, self._left = self._way()
+        gained = np.clip(before - self._left, -_JUMP, _JUMP)
+        return np.where(self.goals, before - GOAL_RADIUS + GOAL_REWARD, gained)
 
     def _turn_wind(self) -> None:
         which = np.flatnonzero(self._random.random(self.count) < _TURNS)

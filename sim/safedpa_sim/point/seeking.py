@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safedpa.safety.stopping_barrier import Motion
 from safedpa_sim.point.layout import HAZARD_RADIUS
 
-__all__ = ["sought"]
+__all__ = ["sought", "steered"]
 
 Floats = NDArray[np.float64]
 
@@ -30,11 +30,15 @@ _BERTH, _LOOK = 0.15, 1.0
 
 def sought(state: Floats, goal: Floats, hazards: Floats, motion: Motion) -> Floats:
     """Actions (robots, 2) in [-1, 1] of the strongest thrust and the fastest turn, for states (robots, 5)."""
-    yaw, vx, vy = state.T[2:]
     apart = goal - state[:, :2]
     distance = np.linalg.norm(apart, axis=1)
     way = _around(state, np.arctan2(apart[:, 1], apart[:, 0]), distance, hazards)
-    speed = np.minimum(_CRUISE, _APPROACH * distance + _SLOWEST)
+    return steered(state, way, np.minimum(_CRUISE, _APPROACH * distance + _SLOWEST), motion)
+
+
+def steered(state: Floats, way: Floats, speed: Floats, motion: Motion) -> Floats:
+    """Actions (robots, 2) that bring states (robots, 5) to ``speed`` (robots,) [m/s] along ``way`` (robots,) [rad]."""
+    yaw, vx, vy = state.T[2:]
     wanted_x = (speed * np.cos(way) - vx) / _SECONDS - motion.wind[0] + motion.drag * vx
     wanted_y = (speed * np.sin(way) - vy) / _SECONDS - motion.wind[1] + motion.drag * vy
     along = wanted_x * np.cos(yaw) + wanted_y * np.sin(yaw)

@@ -20,6 +20,7 @@ from safedpa.errors import InputError, did_you_mean
 __all__ = [
     "Ablations",
     "Configuration",
+    "Imitation",
     "Phase1a",
     "Phase1b",
     "Phase2",
@@ -84,6 +85,22 @@ class Phase1b:
     """Updates between two evaluations."""
     evaluation_cars: int = limited(512, 1, 100_000)
     """Drives of an evaluation; the last one has four times as many."""
+
+
+@dataclass(frozen=True)
+class Imitation:
+    """Before phase 1b: what a teacher would do, learned in the states that the policy comes to."""
+
+    rounds: int = limited(0, 0, 1000)
+    """0: no teacher."""
+    ticks: int = limited(100, 2)
+    """That each robot drives in a round."""
+    updates: int = limited(300, 1)
+    """Steps of Adam after each round."""
+    batch: int = limited(4096, 1)
+    learning_rate: float = limited(1e-3, 1e-8, 1.0)
+    noise: float = limited(0.25, 0.0, 10.0)
+    """Standard deviation of what is added to half of the actions, as a share of half their range."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +189,7 @@ class Configuration:
     absent: float = limited(0.2, 0.0, 1.0)
     """Share of the environments in which a given effect does nothing."""
     phase_1a: Phase1a = Phase1a()
+    imitation: Imitation = Imitation()
     phase_1b: Phase1b = Phase1b()
     phase_2: Phase2 = Phase2()
     phase_3: Phase3 = Phase3()
@@ -185,13 +203,15 @@ class Configuration:
     def digest(self, *sections: str) -> str:
         """Twelve hexadecimal digits over everything that is common to all phases, and the named sections.
 
-        How far phi looks back counts only where phi is trained.
+        How far phi looks back counts only where phi is trained, a teacher only where there is one.
         """
         plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in _SECTIONS}
         plain["simulator"] = write_model(self.simulator)
         if "phase_2" not in sections:
             del plain["history"]
         chosen = {name: asdict(getattr(self, name)) for name in sections if name in _SECTIONS}
+        if not self.imitation.rounds:
+            chosen.pop("imitation", None)  # nothing is made from it
         text = json.dumps({**plain, **chosen}, sort_keys=True)
         return sha256(text.encode()).hexdigest()[:12]
 

@@ -83,7 +83,7 @@ def _penalised(configuration: Configuration, given: Weights, out: Path, tell: Te
 
 
 _SIMULATED, _LEARNED = "{robot}_simulated", "{robot}_learned"
-_TO_POLICY = ("phase_1a", "phase_1b")
+_TO_POLICY = ("phase_1a", "imitation", "phase_1b")
 _TO_HISTORY = (*_TO_POLICY, "phase_2")
 _ALONE = ("phase_1a", "ablations")
 _POLICY = ("policy.", "observation_")

@@ -33,7 +33,7 @@ class PracticeEnvironment(VecEnv):
 
     def reset(self) -> NDArray[np.float32]:
         """The observations of all robots (robots, observations)."""
-        return self._seen()
+        return self.scaled_observation()
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Takes the actions (robots, actions)."""
@@ -44,7 +44,7 @@ class PracticeEnvironment(VecEnv):
         moved = self.practice.advance(self._chosen)
         ended = moved.reached | moved.timed_out
         infos: list[dict[str, Any]] = [{}] * self.num_envs
-        observation = self._seen()
+        observation = self.scaled_observation()
         which = np.flatnonzero(ended)
         if len(which):
             for index in which:
@@ -53,13 +53,14 @@ class PracticeEnvironment(VecEnv):
                     "TimeLimit.truncated": bool(moved.timed_out[index]),
                 }
             self.practice.restart(which)
-            observation[which] = self._seen(which)
+            observation[which] = self.scaled_observation(which)
         self.reached += int(moved.reached.sum())
         self.ended += len(which)
         self.contacts += int(moved.began.sum())
         return observation, moved.reward, ended, infos
 
-    def _seen(self, which: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.float32]:
+    def scaled_observation(self, which: NDArray[np.intp] | slice = slice(None)) -> NDArray[np.float32]:
+        """What the robots of those indices see now, all of them without."""
         return (self.practice.observation(which) - self._middle) / self._scale
 
     def close(self) -> None:

@@ -1,0 +1,119 @@
+"""The shortest way to the goal around all hazards, for many robots: where it turns first, and how long it is.
+
+Hazards are grown by a berth. Ways are made of straight lines between the corners of octagons around them, of which
+those that cross no grown hazard make a graph; the way from a corner to all others is found once for each layout.
+"""
+
+from __future__ import annotations
+
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa_sim.point.layout import HAZARD_RADIUS
+
+__all__ = ["BERTH", "Ways"]
+
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+BERTH: Final = 0.1
+"""m that a way keeps from a hazard's edge."""
+_CORNER: Final = 0.12
+"""m from a hazard's edge to its octagon's edges."""
+_CORNERS: Final = 8
+_LEAST: Final = 0.15
+"""m from a hazard's middle: a robot that is nearer still finds a way out."""
+_NEARER: Final = 0.01
+"""m by which a robot within the berth may come nearer on its way."""
+_FAR: Final = 1e6
+"""m, where there is no way."""
+
+
+@final
+class Ways:
+    """Ways of ``count`` robots. The graphs of their layouts are kept until the hazards lie elsewhere."""
+
+    def __init__(self, count: int) -> None:
+        corners = 8 * _CORNERS
+        self._hazards = np.full((count, 8, 2), np.nan)
+        self._goal = np.full((count, 2), np.nan)
+        self._corners = np.zeros((count, corners, 2), np.float32)
+        self._apart = np.zeros((count, corners, corners), np.float32)
+        self._left = np.zeros((count, corners), np.float32)
+        """m from each corner to the goal."""
+
+    def first_turns(self, place: Doubles, hazards: Doubles, goal: Doubles) -> tuple[Doubles, Doubles]:
+        """Where the ways from places (robots, 2) to goals (robots, 2) among hazards (robots, 8, 2) turn first, the
+        goal itself where nothing is between, and their lengths (robots,) [m]; straight on where there is no way."""
+        self._renew(hazards, goal)
+        around, start, end = (np.asarray(part, np.float32) for part in (hazards, place, goal))
+        own = np.sqrt(np.square(around - start[:, None]).sum(2).min(1))
+        reach = np.clip(own - _NEARER, _LEAST, HAZARD_RADIUS + BERTH)
+        first, length = end.copy(), np.sqrt(np.square(end - start).sum(1))
+        which = np.flatnonzero(_crosses(start[:, None], end[:, None], around, reach)[:, 0])
+        if len(which):
+            first[which], length[which] = self._around(which, start[which], around[which], reach[which])
+            none = which[length[which] >= _FAR]
+            first[none], length[none] = end[none], np.sqrt(np.square(end - start).sum(1))[none] + 1.0
+        return first.astype(np.float64), length.astype(np.float64)
+
+    def _around(self, which: NDArray[np.intp], start: Floats, around: Floats, reach: Floats) -> tuple[Floats, Floats]:
+        """The first corners of the robots ``which``, and the lengths of their ways."""
+        corners = self._corners[which]
+        total = np.sqrt(np.square(corners - start[:, None]).sum(2)) + self._left[which]
+        total[_crosses(start[:, None], corners, around, reach)] = _FAR
+        best, robots = total.argmin(1), np.arange(len(which))
+        return corners[robots, best], total[robots, best]
+
+    def _renew(self, hazards: Doubles, goal: Doubles) -> None:
+        """Graphs where hazards lie elsewhere, lengths where the goal does."""
+        moved = np.flatnonzero(np.any(self._hazards != hazards, axis=(1, 2)))
+        for index in moved:
+            self._corners[index], self._apart[index] = _graph(hazards[index].astype(np.float32))
+        self._goal[moved] = np.nan
+        self._hazards[moved] = hazards[moved]
+        which = np.flatnonzero(np.any(self._goal != goal, axis=1))
+        if len(which):
+            corners, end = self._corners[which], goal[which, None].astype(np.float32)
+            reach = np.full(len(which), HAZARD_RADIUS + BERTH, np.float32)
+            last = np.sqrt(np.square(corners - end).sum(2))
+            last[_crosses(end, corners, hazards[which].astype(np.float32), reach)] = _FAR
+            self._left[which] = (self._apart[which] + last[:, None]).min(axis=2)
+            self._goal[which] = goal[which]
+
+
+def _graph(hazards: Floats) -> tuple[Floats, Floats]:
+    """Corners (64, 2) and the lengths (64, 64) [m] of the ways between them."""
+    from scipy.sparse.csgraph import shortest_path
+
+    angles = 2.0 * np.pi * np.arange(_CORNERS) / _CORNERS
+    ring = (HAZARD_RADIUS + _CORNER) / np.cos(np.pi / _CORNERS) * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    corners = (hazards[:, None] + ring).reshape(-1, 2).astype(np.float32)
+    free = np.flatnonzero(np.sqrt(np.square(corners[:, None] - hazards).sum(2).min(1)) >= HAZARD_RADIUS + BERTH)
+    some = corners[free]
+    lengths = np.sqrt(np.square(some[:, None] - some).sum(2))
+    reach = np.full(1, HAZARD_RADIUS + BERTH, np.float32)
+    first, second = np.triu_indices(len(free), 1)
+    crossed = _crosses(some[None, first], some[None, second], hazards[None], reach)[0]
+    lengths[first[crossed], second[crossed]] = lengths[second[crossed], first[crossed]] = 0.0
+    apart = np.full((len(corners), len(corners)), _FAR, np.float32)
+    apart[np.ix_(free, free)] = np.minimum(shortest_path(lengths, method="D", directed=False), _FAR)
+    return corners, apart
+
+
+def _crosses(start: Floats, end: Floats, hazards: Floats, reach: Floats) -> Flags:
+    """(robots, lines): whether the lines between start and end (robots, 1 or lines, 2) come nearer than ``reach``
+    (robots,) to any of hazards (robots, 8, 2)."""
+    along_x, along_y = (end - start)[..., 0], (end - start)[..., 1]
+    size = np.maximum(along_x * along_x + along_y * along_y, 1e-9)
+    crossed = np.zeros(size.shape, bool)
+    for hazard in range(hazards.shape[1]):
+        to_x = hazards[:, hazard, 0, None] - start[..., 0]
+        to_y = hazards[:, hazard, 1, None] - start[..., 1]
+        share = np.clip((to_x * along_x + to_y * along_y) / size, 0.0, 1.0)
+        off_x, off_y = to_x - share * along_x, to_y - share * along_y
+        crossed |= off_x * off_x + off_y * off_y < np.square(reach)[:, None]
+    return crossed
