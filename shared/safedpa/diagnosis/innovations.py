@@ -98,7 +98,7 @@ def filtered(track: LinearTrack, noise: Noise, slopes: bool = True) -> Innovatio
         surprise[..., 0] += track.seen[:, row]
         total = covariance[..., :size, :size].copy()
         _diagonal_of(total)[...] += spread * track.doubt[:, row] ** 2
-        root = np.linalg.cholesky(total)
+        root: Floats = np.asarray(np.linalg.cholesky(total), dtype=np.float64)
         solved = np.linalg.solve(total, np.concatenate([covariance[..., :size, :], surprise[..., :1]], axis=-1))
         gain = solved[..., :-1] * inside[:, None, None]
         log = 2.0 * np.log(_diagonal_of(root)).sum(axis=-1)

@@ -35,12 +35,25 @@ def measure(effort: Effort) -> Row:
     with tempfile.TemporaryDirectory(prefix="safedpa-bench-") as name:
         logs = [written(case, Path(name) / str(number), runs, seconds) for number, case in enumerate(cases)]
         own, candidates = _ours(cases, logs)
+        offered = _offered(logs[0])
         peers = _peers(cases, [told(log) for log in logs], effort)
         curves = (_over_length(Path(name), effort), _over_effects(logs[-1], effort))
     target = Target("the longest of the cases", 10.0, own.figures["longest"], "s")
     work = f"diagnosis of {runs} runs of {seconds:g} s, {candidates} candidates and their pairs, {len(cases)} cases"
-    notes = (f"hidden: {', '.join(case.name for case in cases)}",)
+    notes = (f"hidden: {', '.join(case.name for case in cases)}", offered)
     return Row("diagnosis", work, "seconds", (own,), tuple(peers), (target,), curves, notes=notes)
+
+
+def _offered(log: Any) -> str:
+    """Which candidates there are: the library of cars without what the given model's actions do not allow."""
+    from safedpa.diagnosis.diagnose import library_for
+    from safedpa.dynamics import load_model
+    from safedpa.effects import effects_of
+
+    model = load_model(log.model)
+    every, offered = effects_of(model.system.name), {item.name for item in library_for(model)}
+    left_out = ", ".join(name for name in every if name not in offered)
+    return f"candidates: {len(offered)} of the library's {len(every)} effects; not for this drive: {left_out or 'none'}"
 
 
 def _ours(cases: Sequence[Hidden], logs: Sequence[Any]) -> tuple[Entry, int]:
