@@ -25,6 +25,7 @@ def test_margins_follow_the_request_and_the_barriers() -> None:
     asked["speed"] = 0.3
     for _ in range(2):
         assert margins.of(one, asked) == ([0.1, 0.3, 0.3], 0.3)
+    assert margins.of(one, dict(asked)) is margins.of(one, asked)  # kept
     assert margins.of(other, asked) == ([0.1, 0.1, 0.3, 0.3], 0.3)
     assert margins.of(one, {}) == ([0.1, 0.02, 0.02], 0.1)
 
