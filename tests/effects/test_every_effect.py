@@ -16,6 +16,8 @@ from safedpa.effects import AbstractEffect, effects_of
 ALL = [*effects_of("car").values(), *effects_of("pendulum").values(), *effects_of("point").values()]
 EVERY = pytest.mark.parametrize("item", ALL, ids=lambda item: f"{item.robot}-{item.name}")
 FEW = settings(max_examples=8, deadline=None)
+FEWER = settings(max_examples=4, deadline=None)
+"""A slope by torch takes a tenth of a second."""
 TICKS = 4
 
 BASES: dict[str, tuple[AbstractBase, dict[str, float]]] = {
@@ -111,7 +113,7 @@ def test_floats_numpy_and_torch_agree(item: AbstractEffect, data: st.DataObject)
 
 
 @EVERY
-@FEW
+@FEWER
 @given(data=st.data())
 def test_forward_mode_complex_step_and_central_differences_agree(item: AbstractEffect, data: st.DataObject) -> None:
     import torch
