@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.heldout import error_with, heldout_of
-from safedpa.diagnosis.report import as_document
+from safedpa.diagnosis.report import Report, as_document
 from safedpa.diagnosis.shooting import shooting_of
 from safedpa.diagnosis.trial import trial_of, tried
 from safedpa.dynamics import PhysicsModel, load_model
@@ -19,7 +19,7 @@ from safedpa.effects import effect
 from safedpa.records import load_run
 from safedpa.records.run import Run
 
-__all__ = ["HORIZON", "diagnosed", "oracle_error"]
+__all__ = ["HORIZON", "beside_the_truth", "diagnosed", "oracle_error"]
 
 HORIZON = 1.0
 """s, as the command has it."""
@@ -47,3 +47,16 @@ def oracle_error(model: Path, runs: Sequence[Path], effects: Sequence[str]) -> f
 def _loaded(model: Path, runs: Sequence[Path]) -> tuple[PhysicsModel, list[Run]]:
     given = load_model(model)
     return given, [load_run(path, given.system) for path in runs]
+
+
+def beside_the_truth(report: Report, effects: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """What was hidden, and what diagnosis said: what it added, every number, the held-out error of each stage."""
+    return {
+        "true": {name: dict(values) for name, values in effects.items()},
+        "added": list(report.added),
+        "values": {
+            path: {"value": value.value, "std": value.std, "unit": value.unit}
+            for path, value in report.parameters.items()
+        },
+        "error": [stage.heldout_error for stage in report.stages],
+    }

@@ -27,6 +27,7 @@ from safedpa.safety.run_calibration import calibration_from_runs
 from safedpa.safety.shipped import settings_named
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.experiments.car_workers import Workers
+from safedpa_sim.experiments.diagnosing import beside_the_truth
 from safedpa_sim.experiments.statistics import wilson_interval
 from safedpa_sim.pendulum.hidden import HIDDEN, PERIOD, oracle_model, swings_all_around
 from safedpa_sim.pendulum.task import BALANCING
@@ -130,15 +131,7 @@ def _prepared(
     given = {key: (model, _margin(model, calibrating, story.coverage)) for key, model in models.items()}
     same = given["diagnosed"][1]
     given["shipped, margin of the diagnosed"] = (shipped, _belonging(same, given["shipped"][1]))
-    said = {
-        "true": {key: dict(values) for key, values in hidden.effects.items()},
-        "added": list(found.added),
-        "values": {
-            key: {"value": value.value, "std": value.std, "unit": value.unit} for key, value in found.parameters.items()
-        },
-        "error": [stage.heldout_error for stage in found.stages],
-    }
-    return given, said
+    return given, beside_the_truth(found, hidden.effects)
 
 
 def _forgetting(mended: PhysicsModel, shipped: PhysicsModel) -> PhysicsModel:

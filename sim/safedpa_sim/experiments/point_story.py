@@ -15,6 +15,7 @@ import numpy as np
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError, did_you_mean
+from safedpa_sim.experiments.diagnosing import beside_the_truth
 from safedpa_sim.experiments.statistics import wilson_interval
 from safedpa_sim.point.belief import ModelBelief, TrueBelief
 from safedpa_sim.point.hidden import HIDDEN, HiddenPoint, hide, point_logs
@@ -61,13 +62,7 @@ def point_story(story: PointStory, tell: Tell = lambda _done, _all: None) -> dic
         found = diagnose(given, point_logs(hidden, story.seed, story.logs, story.log_seconds), _HORIZON)
         models = {"shipped": given, "diagnosed": found.models[-1]}
         cases[name] = {
-            "true": {key: dict(values) for key, values in hidden.effects.items()},
-            "added": list(found.added),
-            "values": {
-                key: {"value": value.value, "std": value.std, "unit": value.unit}
-                for key, value in found.parameters.items()
-            },
-            "error": [stage.heldout_error for stage in found.stages],
+            **beside_the_truth(found, hidden.effects),
             "rows": {
                 **{title: _row(hidden, model, story) for title, model in models.items()},
                 "oracle": _row(hidden, None, story),
