@@ -23,7 +23,7 @@ __all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Shield", "shield_of", "wei
 
 Floats = NDArray[np.float64]
 
-EPSILON: Final = 0.002
+EPSILON: Final = 0.005
 """m; the same margin for every method."""
 FIXED_DIRECTIONS: Final = (45, 135, 225, 315)
 METHODS: Final = (
