@@ -51,17 +51,20 @@ def test_a_second_robot_of_the_same_name_is_refused(tmp_path: Path) -> None:
     first = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--seconds", "0"]
     first += ["--listen", endpoint, "--out", str(tmp_path), "--fleet", "twins"]
     with subprocess.Popen(first, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        _await_a_driving_robot(endpoint, "twins", running)
-        second = [sys.executable, "-m", "safedpa_sim.robots", "--name", "r1", "--seconds", "1", "--fleet", "twins"]
-        refused = subprocess.run(
-            [*second, "--connect", endpoint, "--summary", str(tmp_path / "second.json")],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-        running.send_signal(signal.SIGINT)
-        output, errors = running.communicate(timeout=60)
+        try:
+            _await_a_driving_robot(endpoint, "twins", running)
+            second = [sys.executable, "-m", "safedpa_sim.robots", "--name", "r1", "--seconds", "1", "--fleet", "twins"]
+            refused = subprocess.run(
+                [*second, "--connect", endpoint, "--summary", str(tmp_path / "second.json")],
+                capture_output=True,
+                text=True,
+                timeout=60,
+                check=False,
+            )
+            running.send_signal(signal.SIGINT)
+            output, errors = running.communicate(timeout=60)
+        finally:
+            running.kill()
     assert refused.returncode == 2
     assert "r1" in refused.stderr
     assert "choose another" in refused.stderr
