@@ -17,7 +17,7 @@ __all__ = ["free_port"]
 _LOWEST, _EPHEMERAL = 20000, 32768
 """Ports that are handed out lie between, where the system's own choice for outgoing connections begins by default."""
 _FEWEST = 1000
-_SPACING = 97
+_SPACING = 1009
 """Ports between where two processes begin to look that were started one after the other."""
 _RANGE = Path("/proc/sys/net/ipv4/ip_local_port_range")
 
