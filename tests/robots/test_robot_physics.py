@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import atan, cos, hypot, sin, tan
+from math import atan, cos, hypot, sin, tan, tanh
 
 import pytest
 from hypothesis import given, settings
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from safedpa_sim.robots import LOADS, CarWorld
 from safedpa_sim.robots.actuators import SpeedServo, SteeringActuator
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY
+from safedpa_sim.robots.ground_forces import ground_forces
 from safedpa_sim.robots.tyres import axle_force
 
 OPEN_FIELD = (-500.0, 500.0, -500.0, 500.0)
@@ -254,3 +255,71 @@ def test_the_kinematic_bicycle_is_near_but_not_the_truth():
     assert abs(rate / kinematic - 1.0) > 1e-3
     slip = atan(world.body.velocity.y / world.body.velocity.x)
     assert slip != 0.0
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.floats(-4, 4),
+    st.floats(-2, 2),
+    st.floats(-8, 8),
+    st.floats(-6, 6),
+    st.one_of(st.just(0.0), st.floats(-0.6, 0.6)),
+)
+def test_the_forces_on_the_ground_are_those_of_two_axles(forward, sideways, rate, drive, steer):
+    car = CAR_PARAMETERS
+    to_rear, to_front = car.centre_of_mass, car.wheelbase - car.centre_of_mass
+    share = min(max((to_rear - drive * car.centre_height / GRAVITY) / car.wheelbase, 0.0), 1.0)
+    force, limit = car.mass * drive, car.mass * GRAVITY * car.friction
+    cosine, sine, ahead = cos(steer), sin(steer), sideways + rate * to_front
+    rolling, across = forward * cosine + ahead * sine, ahead * cosine - forward * sine
+    front = axle_force(rolling, across, force * share, limit * share, car.front_slip, car.slip_speed)
+    rest, behind = 1.0 - share, sideways - rate * to_rear
+    rear = axle_force(forward, behind, force * rest, limit * rest, car.rear_slip, car.slip_speed)
+    resistance = car.mass * (car.rolling * tanh(forward / 0.02) + car.drag * abs(forward) * forward)
+    push = front[0] * sine + front[1] * cosine
+    wanted = (
+        front[0] * cosine - front[1] * sine + rear[0] - resistance,
+        push + rear[1],
+        push * to_front - rear[1] * to_rear,
+    )
+    assert ground_forces(car)(forward, sideways, rate, drive, steer) == wanted, "to the last bit"
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.sampled_from(LOAD_NAMES), actions, st.tuples(st.floats(-1, 1), st.floats(-1, 1)), st.floats(-0.1, 0.1))
+def test_a_period_is_its_substeps_by_servo_steering_tyres_and_runners(load, sequence, wind, offset):
+    quick, slow = open_world(load), open_world(load)
+    for world in (quick, slow):
+        world.wind, world.steering_offset = wind, offset
+    for target_speed, steer in sequence[:12]:
+        quick.advance(target_speed, steer, 0.05)
+        for _ in range(20):
+            substep(slow, target_speed, steer, 0.0025)
+        assert quick.state == slow.state, "to the last bit"
+        assert (quick.time, quick.servo.acceleration) == (slow.time, slow.servo.acceleration)
+        assert quick.steering.angle == slow.steering.angle
+        assert not quick.towed or quick.towed.pose == slow.towed.pose
+
+
+def substep(world: CarWorld, target_speed: float, steer: float, seconds: float) -> None:
+    """One substep as the parts define it."""
+    yaw, (vx, vy) = world.body.angle, world.body.velocity
+    forward, sideways = vx * cos(yaw) + vy * sin(yaw), vy * cos(yaw) - vx * sin(yaw)
+    drive = world.servo.advance(target_speed, forward, seconds)
+    angle = world.steering.advance(steer + world.steering_offset, seconds)
+    along, across, torque = ground_forces(CAR_PARAMETERS)(forward, sideways, world.body.angular_velocity, drive, angle)
+    mass, (east, north) = CAR_PARAMETERS.mass, world.wind
+    world.body.force = (
+        along * cos(yaw) - across * sin(yaw) + mass * east,
+        along * sin(yaw) + across * cos(yaw) + mass * north,
+    )
+    world.body.torque = torque
+    if world.towed:
+        body, grip = world.towed.body, world.towed.body.mass * world.towed.load.grip
+        cosine, sine, (vx, vy) = cos(body.angle), sin(body.angle), body.velocity
+        forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
+        _, across = axle_force(forward, sideways, 0.0, grip, 0.1, 0.3)
+        body.force = (-across * sine, across * cosine)
+    world.time += seconds
+    world.contacts.time = world.time
+    world.space.step(seconds)

@@ -23,15 +23,16 @@ class SpeedServo:
     """
 
     def __init__(self, parameters: CarParameters) -> None:
-        self._gain, self._limit = parameters.servo_gain, parameters.servo_limit
-        self._share = _cached_share(parameters.servo_lag)
+        self.gain, self.limit = parameters.servo_gain, parameters.servo_limit
+        self.share = _cached_share(parameters.servo_lag)
+        """Of its way to the wanted acceleration that it goes in so many seconds."""
         self.acceleration = 0.0
 
     def advance(self, target: float, speed: float, seconds: float) -> float:
         """The drive acceleration [m/s2] at the end of ``seconds``."""
-        wanted, limit = self._gain * (target - speed), self._limit
+        wanted, limit = self.gain * (target - speed), self.limit
         wanted = -limit if wanted < -limit else limit if wanted > limit else wanted
-        self.acceleration += (wanted - self.acceleration) * self._share(seconds)
+        self.acceleration += (wanted - self.acceleration) * self.share(seconds)
         return self.acceleration
 
 
@@ -45,6 +46,14 @@ class SteeringActuator:
 
     def advance(self, command: float, seconds: float) -> float:
         """The wheels' angle [rad] at the end of ``seconds``."""
-        change, largest = (command - self.angle) * self._share(seconds), self._rate * seconds
-        self.angle += -largest if change < -largest else largest if change > largest else change
-        return self.angle
+        return self.angles(command, seconds, 1)[0]
+
+    def angles(self, command: float, seconds: float, steps: int) -> list[float]:
+        """The wheels' angle [rad] at the end of each of so many steps of ``seconds`` under one command."""
+        share, largest, angle, found = self._share(seconds), self._rate * seconds, self.angle, []
+        for _ in range(steps):
+            change = (command - angle) * share
+            angle += -largest if change < -largest else largest if change > largest else change
+            found.append(angle)
+        self.angle = angle
+        return found

@@ -48,6 +48,8 @@ class CarRobot(SimulatedRobot):
         self.changed_at: int | None = None
         """Tick in which the planned change was made."""
         self._change = change
+        self._taken = scene.load, footprint(scene.load)
+        """What it tows, and the room that it takes with it."""
         self._goals = scene.goals()
         self.goal = next(self._goals)
         guard = ActionGuard(epoch, (car.speed_low, -car.steer_limit), (car.speed_high, car.steer_limit))
@@ -84,11 +86,14 @@ class CarRobot(SimulatedRobot):
     def state_message(self) -> StateMessage:
         """State k, and what the robot perceives around it."""
         towed = self.world.towed
+        load = towed.load if towed else None
+        if load is not self._taken[0]:
+            self._taken = load, footprint(load)
         return self._state(
             goal=self.goal,
             obstacles=self.scene.obstacles,
             field=self.scene.field,
-            footprint=footprint(towed.load if towed else None),
+            footprint=self._taken[1],
             load_pose=towed.pose if towed else (),
         )
 
@@ -99,7 +104,7 @@ class CarRobot(SimulatedRobot):
         if self._change is not None and self._change.made(self):
             self._change, self.changed_at = None, self.tick
         self.world.advance(self._applied[0], self._applied[1], self.period)
-        x, y, _, _ = self.values
+        x, y, _, _ = self.world.state
         if hypot(self.goal[0] - x, self.goal[1] - y) < GOAL_RADIUS:
             self.goals_reached += 1
             self.goal = next(self._goals)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, sin, tanh
+from math import cos, sin, sqrt, tanh
 
 from safedpa_sim.robots.car_parameters import GRAVITY, CarParameters
-from safedpa_sim.robots.tyres import axle_force
 
 __all__ = ["GroundForces", "ground_forces"]
 
@@ -19,7 +18,7 @@ _ROLLING_SPEED = 0.02
 
 
 def ground_forces(car: CarParameters) -> GroundForces:
-    """Tyre forces of both axles, each on its friction circle under the load that the drive shifts, less the resistance
+    """Tyre forces of both axles (``axle_force``), each under the load that the drive shifts, less the resistance
 
     mass (rolling tanh(v / 0.02 m/s) + drag |v| v).
     """
@@ -34,27 +33,25 @@ def ground_forces(car: CarParameters) -> GroundForces:
     )
 
     def forces(forward: float, sideways: float, rate: float, drive: float, steer: float) -> tuple[float, float, float]:
+        # axle_force is written out for both axles: twenty times a period the calls would cost as much as the sums
         share = (to_rear - drive * height / GRAVITY) / wheelbase
         share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
         force = mass * drive
         ahead = sideways + rate * to_front
         cosine, sine = cos(steer), sin(steer)
-        front_x, front_y = axle_force(
-            forward * cosine + ahead * sine,
-            ahead * cosine - forward * sine,
-            force * share,
-            limit * share,
-            front_slip,
-            slip_speed,
-        )
+        pushed, most = force * share, limit * share
+        along = -most if pushed < -most else most if pushed > most else pushed
+        slip = (ahead * cosine - forward * sine) / (front_slip * (abs(forward * cosine + ahead * sine) + slip_speed))
+        front_y = -sqrt(most * most - along * along) * slip / sqrt(1.0 + slip * slip)
         rear = 1.0 - share
-        rear_x, rear_y = axle_force(
-            forward, sideways - rate * to_rear, force * rear, limit * rear, rear_slip, slip_speed
-        )
+        pushed, most = force * rear, limit * rear
+        rear_x = -most if pushed < -most else most if pushed > most else pushed
+        slip = (sideways - rate * to_rear) / (rear_slip * (abs(forward) + slip_speed))
+        rear_y = -sqrt(most * most - rear_x * rear_x) * slip / sqrt(1.0 + slip * slip)
         resistance = mass * (rolling * tanh(forward / _ROLLING_SPEED) + drag * abs(forward) * forward)
-        across = front_x * sine + front_y * cosine
+        across = along * sine + front_y * cosine
         return (
-            front_x * cosine - front_y * sine + rear_x - resistance,
+            along * cosine - front_y * sine + rear_x - resistance,
             across + rear_y,
             across * to_front - rear_y * to_rear,
         )

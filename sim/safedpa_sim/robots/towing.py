@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from math import atan, cos, pi, sin
+from math import atan, cos, pi, sin, sqrt
 
 import pymunk
 from pymunk._chipmunk_cffi import lib
 
 from safedpa_sim.robots.contacts import LOAD
 from safedpa_sim.robots.loads import Load
-from safedpa_sim.robots.tyres import axle_force
 
 __all__ = ["TowedBody"]
 
-_angle, _velocity, _set_force = lib.cpBodyGetAngle, lib.cpBodyGetVelocity, lib.cpBodySetForce
+_angle, _position = lib.cpBodyGetAngle, lib.cpBodyGetPosition
+_velocity, _set_force = lib.cpBodyGetVelocity, lib.cpBodySetForce
 
 _FEET = 0.45
 """The feet stand at this share of the side from the centre, under the middle of each edge. Under the corners the joints
@@ -40,7 +40,9 @@ class TowedBody:
         self._space = space
         self.body, self.shape = _body_behind(car, hitch, load)
         self._handle = self.body._body
-        self._grip = self.body.mass * load.grip
+        grip = self.body.mass * load.grip
+        self._hold = -sqrt(grip * grip)
+        """N; the largest force of the runners, against the slip."""
         space.add(self.body, self.shape)
         arm = _FEET * load.side
         for place in ((arm, 0.0), (-arm, 0.0), (0.0, arm), (0.0, -arm)):
@@ -71,16 +73,18 @@ class TowedBody:
     @property
     def pose(self) -> tuple[float, float, float, float, float]:
         """x, y [m] of the centre, yaw [rad], length and width [m]."""
-        return (*self.body.position, self.body.angle, self.load.side, self.load.side)
+        place, side = _position(self._handle), self.load.side
+        return place.x, place.y, _angle(self._handle), side, side
 
     def apply_runners(self) -> None:
-        """Sets the runners' force for the coming substep."""
+        """Sets the runners' force for the coming substep: ``axle_force`` without drive, written out."""
         handle = self._handle
         angle, velocity = _angle(handle), _velocity(handle)
         cosine, sine = cos(angle), sin(angle)
         vx, vy = velocity.x, velocity.y
         forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
-        _, across = axle_force(forward, sideways, 0.0, self._grip, _RUNNER_SLIP, _RUNNER_SPEED)
+        slip = sideways / (_RUNNER_SLIP * (abs(forward) + _RUNNER_SPEED))
+        across = self._hold * slip / sqrt(1.0 + slip * slip)
         _set_force(handle, (-across * sine, across * cosine))
 
     def unhitch(self) -> None:

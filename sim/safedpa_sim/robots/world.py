@@ -16,7 +16,8 @@ from safedpa_sim.robots.towing import TowedBody
 
 __all__ = ["CarWorld"]
 
-_angle, _velocity, _rate = lib.cpBodyGetAngle, lib.cpBodyGetVelocity, lib.cpBodyGetAngularVelocity
+_angle, _position = lib.cpBodyGetAngle, lib.cpBodyGetPosition
+_velocity, _rate = lib.cpBodyGetVelocity, lib.cpBodyGetAngularVelocity
 _set_force, _set_torque, _step = lib.cpBodySetForce, lib.cpBodySetTorque, lib.cpSpaceStep
 """What pymunk's own ``body.angle``, ``space.step`` and so on call, without what stands around it: a substep asks for
 little, and its housekeeping for bodies that are added or removed within a step concerns nothing here."""
@@ -72,9 +73,10 @@ class CarWorld:
     @property
     def state(self) -> tuple[float, float, float, float]:
         """x, y [m], yaw [rad] (not wrapped) and forward speed [m/s] of the middle of the rear axle."""
-        yaw, (x, y), (vx, vy) = self.body.angle, self.body.position, self.body.velocity
-        offset = self.parameters.centre_of_mass
-        return x - offset * cos(yaw), y - offset * sin(yaw), yaw, vx * cos(yaw) + vy * sin(yaw)
+        handle, offset = self._handle, self.parameters.centre_of_mass
+        yaw, place, velocity = _angle(handle), _position(handle), _velocity(handle)
+        cosine, sine = cos(yaw), sin(yaw)
+        return place.x - offset * cosine, place.y - offset * sine, yaw, velocity.x * cosine + velocity.y * sine
 
     @property
     def collisions(self) -> list[Collision]:
@@ -101,27 +103,29 @@ class CarWorld:
     def advance(self, target_speed: float, steer: float, seconds: float) -> None:
         """Holds an action for ``seconds``, in equal substeps of at most 1/400 s."""
         substeps = ceil(seconds / SUBSTEP - 1e-9)
-        for _ in range(substeps):
-            self._substep(target_speed, steer, seconds / substeps)
-
-    def _substep(self, target_speed: float, steer: float, seconds: float) -> None:
-        handle = self._handle
-        yaw, velocity = _angle(handle), _velocity(handle)
-        cosine, sine = cos(yaw), sin(yaw)
-        vx, vy = velocity.x, velocity.y
-        forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
-        drive = self.servo.advance(target_speed, forward, seconds)
-        angle = self.steering.advance(steer + self.steering_offset, seconds)
-        along, across, torque = self._ground_forces(forward, sideways, _rate(handle), drive, angle)
-        mass, (east, north) = self.parameters.mass, self.wind
-        across_east, across_north = across * sine, across * cosine
-        _set_force(handle, (along * cosine - across_east + mass * east, along * sine + across_north + mass * north))
-        _set_torque(handle, torque)
-        for load in self._loads:
-            load.apply_runners()
-        self.time += seconds
-        self.contacts.time = self.time
-        _step(self.space._space, seconds)
+        if substeps <= 0:
+            return
+        pace, now, mass, (east, north) = seconds / substeps, self.time, self.parameters.mass, self.wind
+        space, handle, loads, contacts = self.space._space, self._handle, self._loads, self.contacts
+        servo, forces = self.servo, self._ground_forces
+        gain, limit, share, drive = servo.gain, servo.limit, servo.share(pace), servo.acceleration
+        for angle in self.steering.angles(steer + self.steering_offset, pace, substeps):
+            yaw, velocity = _angle(handle), _velocity(handle)
+            cosine, sine = cos(yaw), sin(yaw)
+            vx, vy = velocity.x, velocity.y
+            forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
+            wanted = gain * (target_speed - forward)  # SpeedServo.advance, written out
+            drive += ((-limit if wanted < -limit else limit if wanted > limit else wanted) - drive) * share
+            along, across, torque = forces(forward, sideways, _rate(handle), drive, angle)
+            to_east = along * cosine - across * sine + mass * east
+            _set_force(handle, (to_east, along * sine + across * cosine + mass * north))
+            _set_torque(handle, torque)
+            for load in loads:
+                load.apply_runners()
+            now += pace
+            contacts.time = now
+            _step(space, pace)
+        self.time, servo.acceleration = now, drive
 
 
 def _add_solids(
