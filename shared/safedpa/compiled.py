@@ -7,10 +7,13 @@ import importlib
 __all__ = ["MODULES", "compiled_modules"]
 
 MODULES = (
+    "safedpa.networks.plain_rows",
+    "safedpa.safety.affine_motion",
     "safedpa.safety.braking",
     "safedpa.safety.car_geometry",
     "safedpa.safety.conditions",
     "safedpa.safety.nearest",
+    "safedpa.safety.plain_input",
     "safedpa.safety.program_rows",
     "safedpa.safety.search",
 )

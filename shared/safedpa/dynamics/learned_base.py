@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import chain
+from collections.abc import Sequence
 from typing import Any, final
 
 import numpy as np
@@ -71,19 +71,25 @@ class LearnedBase(AbstractBase):
     def _single(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
         """The change of one robot."""
         states, actions = len(entries), len(wish)
-        known = called(self._of_one, (*entries, *latent), states * (1 + actions))
+        known = called(self.known_of_one, (*entries, *latent), states * (1 + actions))
         rows = [known[start : start + actions] for start in range(states, len(known), actions)]
         return [
             start + sum(slope * felt for slope, felt in zip(row, wish, strict=True))
             for start, row in zip(known[:states], rows, strict=True)
         ]
 
-    def _of_one(self, *known: float) -> list[float]:
-        """f and g in a row, from state and latent; the last are kept, for the many actions that the filter tries."""
+    def is_latent(self, paths: Sequence[str]) -> bool:
+        """Whether a model's free parameters are z and nothing else, in its order."""
+        return tuple(paths) == tuple(f"base.{name}" for name in self._latents)
+
+    def known_of_one(self, *known: float) -> list[float]:
+        """f (states,) and g (states, actions) in a row, from state and latent; nobody may write into it.
+
+        The last are kept, for the many actions that the filter tries.
+        """
         if self._last is None or self._last[0] != known:
             states = len(self.system.state)
-            f, g = self.networks.increment_of_one(known[:states], known[states:])
-            self._last = (known, [*f, *chain.from_iterable(g)])
+            self._last = (known, self.networks.row_of_one(known[:states], known[states:]))
         return self._last[1]
 
     def _batch(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:

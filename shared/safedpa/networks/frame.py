@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from safedpa.errors import InputError
+from safedpa.networks.plain_rows import turn_rows
 from safedpa.operations import FLOATS, Operations, Scalar, operations_for
 
 __all__ = ["Frame", "frame_of"]
@@ -47,15 +48,13 @@ class Frame:
         """``own_increment`` of the entries of one state and the one that follows, without arrays."""
         return self._own(state, [after - before for before, after in zip(state, following, strict=True)], FLOATS)
 
-    def turn_to_world(self, state: Sequence[float], own: Sequence[list[float]]) -> None:
-        """``world_increment`` of one state in place: ``own[entry]`` holds that entry of several own-frame changes."""
+    def turn_to_world(self, state: Sequence[float], rows: list[float], width: int) -> None:
+        """``world_increment`` of one state in place, for ``width`` own-frame changes: entry by entry, all of them."""
         if self._rotation is None:
             return
         cosine, sine = self._rotation(state, FLOATS)
         for x, y in self._turned:
-            for index, (along, across) in enumerate(zip(own[x], own[y], strict=True)):
-                own[x][index] = cosine * along - sine * across
-                own[y][index] = sine * along + cosine * across
+            turn_rows(rows, x * width, y * width, width, cosine, sine)
 
     def own_increment(self, state: Array, following: Array) -> Array:
         """The change from ``state`` to ``following`` (..., states) in the frame of ``state``; angles the short way."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from safedpa.networks.frame import frame_of
 from safedpa.networks.layers import Layer, dense_stack, layers_of
 from safedpa.networks.paired import Paired
+from safedpa.networks.plain_rows import world_row
 from safedpa.networks.weights import Weights
 
 __all__ = ["LearnedNetworks"]
@@ -67,10 +68,16 @@ class LearnedNetworks:
         self, state: Sequence[float], latent: Sequence[float]
     ) -> tuple[list[float], list[list[float]]]:
         """``increment`` for the entries of one state and one latent: f (states,), g (states, actions)."""
-        found = self._increments.one([*self._frame.features_of_one(state), *latent])
-        rows: list[list[float]] = found.reshape(len(state), -1).tolist()
-        self._frame.turn_to_world(state, rows)
-        return [row[0] for row in rows], [row[1:] for row in rows]
+        row, states = self.row_of_one(state, latent), len(state)
+        actions = len(row) // states - 1
+        return row[:states], [row[start : start + actions] for start in range(states, len(row), actions)]
+
+    def row_of_one(self, state: Sequence[float], latent: Sequence[float]) -> list[float]:
+        """``increment_of_one`` in one row: f, then g entry by entry of the state."""
+        rows = self._increments.plain_of_one((*self._frame.features_of_one(state), *latent))
+        width = len(rows) // len(state)
+        self._frame.turn_to_world(state, rows, width)
+        return world_row(rows, width)
 
     def _paired(self, weights: Weights) -> Paired:
         """F and G as functions of features and latent in SI units, with a row (f, g) for each entry of the state.

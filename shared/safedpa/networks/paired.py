@@ -6,9 +6,10 @@ is one more column, whose input is 1; the first layer hands the 1 on. Nothing is
 
 from __future__ import annotations
 
+import struct
 import threading
-from collections.abc import Sequence
-from typing import NamedTuple, final
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,11 +57,18 @@ class Paired:
         """y (outputs,) for x (inputs,), as plain numbers or an array; the next call overwrites it."""
         work = self._work
         work.input[0, :-1] = values
-        for x, matrix, y, whole in work.steps:
-            np.dot(x, matrix, out=y)
-            if whole is not None:
-                np.maximum(whole, _ZERO, out=whole)
+        work.run()
         return work.output
+
+    def plain_of_one(self, values: Sequence[float]) -> list[float]:
+        """``one`` for plain numbers, which are put in and taken out without an array."""
+        work = self._work
+        try:
+            work.put(work.first, 0, *values)
+        except (OverflowError, struct.error):  # beyond float32, or of another number: as an array takes it
+            work.input[0, :-1] = values
+        work.run()
+        return list(work.take(work.last))
 
     def many(self, inputs: NDArray[np.floating]) -> Rows:
         """y (n, outputs) for x (n, inputs)."""
@@ -92,17 +100,29 @@ class _Work(threading.local):
             buffer[:, left.after.stop] = buffer[:, right.after.stop] = 1.0
         self.output: Rows = np.zeros(leave.shape[1], dtype=np.float32)
         self.steps = self._steps_of_one(enter, middle, leave)
+        self.put, self.take = (
+            struct.Struct(f"{len(enter) - 1}f").pack_into,
+            struct.Struct(f"{leave.shape[1]}f").unpack_from,
+        )
+        self.first, self.last = self.input[0].data.cast("B"), self.output.data.cast("B")
+
+    def run(self) -> None:
+        """All products for the one input that lies in ``input``."""
+        for product, matrix, y, whole in self.steps:
+            product(matrix, y)
+            if whole is not None:
+                np.maximum(whole, _ZERO, out=whole)
 
     def _steps_of_one(
         self, enter: Rows, middle: Sequence[tuple[_Middle, _Middle]], leave: Rows
-    ) -> list[tuple[Rows, Rows, Rows, Rows | None]]:
-        """Input, matrix and output of each product for one input, and the whole layer where it is complete."""
+    ) -> list[tuple[Callable[..., Any], Rows, Rows, Rows | None]]:
+        """Product with an input, matrix and output for each, and the whole layer where it is complete."""
         rows = [buffer[0] for buffer in self.hidden]
-        steps: list[tuple[Rows, Rows, Rows, Rows | None]] = [(self.input[0], enter, rows[0], rows[0])]
+        steps: list[tuple[Callable[..., Any], Rows, Rows, Rows | None]] = [(self.input[0].dot, enter, rows[0], rows[0])]
         for (left, right), before, after in zip(middle, rows, rows[1:], strict=False):
-            steps.append((before[left.before], left.matrix, after[left.after], None))
-            steps.append((before[right.before], right.matrix, after[right.after], after))
-        return [*steps, (rows[-1], leave, self.output, None)]
+            steps.append((before[left.before].dot, left.matrix, after[left.after], None))
+            steps.append((before[right.before].dot, right.matrix, after[right.after], after))
+        return [*steps, (rows[-1].dot, leave, self.output, None)]
 
 
 def _entering(layer: Layer) -> Rows:

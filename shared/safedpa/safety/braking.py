@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import copysign, isfinite
+from math import isfinite
 from typing import final
 
 from safedpa.errors import InputError
@@ -40,8 +40,9 @@ class Braking:
         if size <= corner:
             return speed / self.gain
         size = corner / self.gain + (size * size - corner * corner) / (2.0 * self.deceleration)
-        return copysign(size, speed)
+        return size if speed > 0.0 else -size
 
     def slope(self, speed: float) -> float:
         """d(D)/d(speed) [s] = max(1 / k, |speed| / b)."""
-        return max(1.0 / self.gain, abs(speed) / self.deceleration)
+        slow, quick = 1.0 / self.gain, abs(speed) / self.deceleration
+        return quick if quick > slow else slow

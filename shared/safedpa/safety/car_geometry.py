@@ -1,14 +1,15 @@
 """Obstacles, field and speed limits of a car over plain numbers: what the filter asks for several times a decision.
 
 No arrays: a service comes back to this after fifty milliseconds, and then the first call of each of numpy's functions
-costs several microseconds, a multiplication of two floats still nothing.
+costs several microseconds, a multiplication of two floats still nothing. Numbers that belong together stand in lists
+side by side and are looked up by their place, which is what costs least when this module is compiled.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, hypot, sin
-from typing import final
+from math import cos, hypot, sin, sqrt
+from typing import Final, final
 
 from safedpa.safety.braking import Braking
 from safedpa.safety.obstacle_barrier import SMALLEST_DISTANCE
@@ -18,7 +19,12 @@ __all__ = ["CarGeometry", "Row"]
 Row = tuple[float, float, float, float]
 """Something of each entry of the state (x, y, yaw, speed)."""
 
-_WALLS = 8
+_WALLS: Final = 8
+_SMALLEST: Final[float] = SMALLEST_DISTANCE
+
+_SMALL: Final = 1e-290
+_LARGE: Final = 1e290
+"""Between them the root of a sum of squares is as good as ``hypot``; beyond, squares are rounded away or infinite."""
 
 
 @final
@@ -37,7 +43,12 @@ class CarGeometry:
         body: tuple[float, float],
         braking: Braking,
     ) -> None:
-        self._obstacles, self._field, self._limits = obstacles, field, limits
+        self._places_x: list[float] = [x for x, _, _ in obstacles]
+        self._places_y: list[float] = [y for _, y, _ in obstacles]
+        self._reaches: list[float] = [reach for _, _, reach in obstacles]
+        self._walled = field is not None
+        self._low_x, self._high_x, self._low_y, self._high_y = (0.0, 0.0, 0.0, 0.0) if field is None else field
+        self._lowest, self._highest = limits
         self._rear, self._front = body
         self._braking = braking
 
@@ -50,61 +61,78 @@ class CarGeometry:
 
     def heights(self, state: Sequence[float]) -> list[float]:
         """h (m,) at ``state`` (x, y, yaw, speed)."""
-        x, y, yaw, speed = state
+        x: float = state[0]
+        y: float = state[1]
+        yaw: float = state[2]
+        speed: float = state[3]
         cosine, sine = cos(yaw), sin(yaw)
         rear, front = self._ends(speed)
+        places_x, places_y, reaches = self._places_x, self._places_y, self._reaches
         h: list[float] = []
-        for place_x, place_y, reach in self._obstacles:
-            apart_x, apart_y = place_x - x, place_y - y
+        for index in range(len(reaches)):
+            apart_x, apart_y = places_x[index] - x, places_y[index] - y
             along, across = cosine * apart_x + sine * apart_y, cosine * apart_y - sine * apart_x
-            nearest = rear if along < rear else front if along > front else along
-            h.append(hypot(along - nearest, across) - reach)
-        if self._field is not None:
-            low_x, high_x, low_y, high_y = self._field
-            front_x, front_y, rear_x, rear_y = x + front * cosine, y + front * sine, x + rear * cosine, y + rear * sine
-            h += [front_x - low_x, high_x - front_x, front_y - low_y, high_y - front_y]
-            h += [rear_x - low_x, high_x - rear_x, rear_y - low_y, high_y - rear_y]
-        lowest, highest = self._limits
-        h += [highest - speed, speed - lowest]
+            if along < rear:
+                along -= rear
+            elif along > front:
+                along -= front
+            else:
+                along = 0.0
+            square = along * along + across * across
+            distance = sqrt(square) if _SMALL < square < _LARGE else hypot(along, across)
+            h.append(distance - reaches[index])
+        if self._walled:
+            for reach in (front, rear):
+                end_x, end_y = x + reach * cosine, y + reach * sine
+                h.append(end_x - self._low_x)
+                h.append(self._high_x - end_x)
+                h.append(end_y - self._low_y)
+                h.append(self._high_y - end_y)
+        h.append(self._highest - speed)
+        h.append(speed - self._lowest)
         return h
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[Row]:
         """d(h_i)/d(state) of the rows asked for."""
-        x, y, yaw, speed = state
+        x: float = state[0]
+        y: float = state[1]
+        yaw: float = state[2]
+        speed: float = state[3]
         cosine, sine = cos(yaw), sin(yaw)
-        ends = self._ends(speed)
-        slope: float = self._braking.slope(speed)
-        count = len(self._obstacles)
-        walls = _WALLS if self._field is not None else 0
+        rear, front = self._ends(speed)
+        slope = self._braking.slope(speed)
+        count = len(self._reaches)
+        walls = _WALLS if self._walled else 0
         found: list[Row] = []
         for row in rows:
             if row < count:
-                place_x, place_y, _ = self._obstacles[row]
-                found.append(_obstacle_slopes(place_x - x, place_y - y, cosine, sine, ends, speed, slope))
+                apart_x, apart_y = self._places_x[row] - x, self._places_y[row] - y
+                found.append(_obstacle_slopes(apart_x, apart_y, cosine, sine, rear, front, speed, slope))
             elif row < count + walls:
-                found.append(_wall_slopes(row - count, cosine, sine, ends, speed, slope))
+                found.append(_wall_slopes(row - count, cosine, sine, rear, front, speed, slope))
             else:
                 found.append((0.0, 0.0, 0.0, -1.0 if row == count + walls else 1.0))
         return found
 
     def steepest(self, state: Sequence[float]) -> Row:
         """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
-        speed = state[3]
-        rear, front = self._ends(speed)
-        slope: float = self._braking.slope(speed)
-        return 1.0, 1.0, max(-rear, front, rear, -front), max(slope, 1.0)
+        speed: float = state[3]
+        ends = self._ends(speed)
+        slope = self._braking.slope(speed)
+        rear, front = abs(ends[0]), abs(ends[1])
+        return 1.0, 1.0, rear if rear > front else front, slope if slope > 1.0 else 1.0
 
 
 def _obstacle_slopes(
-    apart_x: float, apart_y: float, cosine: float, sine: float, ends: tuple[float, float], speed: float, slope: float
+    apart_x: float, apart_y: float, cosine: float, sine: float, rear: float, front: float, speed: float, slope: float
 ) -> Row:
     """d(h)/d(state) of one obstacle whose centre lies (apart_x, apart_y) from the robot."""
-    rear, front = ends
     along, across = cosine * apart_x + sine * apart_y, cosine * apart_y - sine * apart_x
     nearest = rear if along < rear else front if along > front else along
     along -= nearest
-    distance: float = hypot(along, across)
-    size = max(distance, SMALLEST_DISTANCE)
+    square = along * along + across * across
+    distance = sqrt(square) if _SMALL < square < _LARGE else hypot(along, across)
+    size = distance if distance > _SMALLEST else _SMALLEST
     ahead, aside = along / size, across / size if distance else 1.0  # on the segment itself to the left is a direction
     end = front if speed >= 0.0 else rear
     stretched = nearest == end or (speed == 0.0 and nearest == rear)
@@ -112,9 +140,8 @@ def _obstacle_slopes(
     return sine * aside - cosine * ahead, -sine * ahead - cosine * aside, -nearest * aside, change
 
 
-def _wall_slopes(wall: int, cosine: float, sine: float, ends: tuple[float, float], speed: float, slope: float) -> Row:
+def _wall_slopes(wall: int, cosine: float, sine: float, rear: float, front: float, speed: float, slope: float) -> Row:
     """d(h)/d(state) of one wall at one end of the segment, which the speed moves."""
-    rear, front = ends
     reach = front if wall < 4 else rear
     moves = speed >= 0.0 if wall < 4 else speed <= 0.0
     change = slope if moves else 0.0

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf, isfinite
-from typing import Any, final
+from typing import Any, Final, final
 
 from safedpa.errors import InputError
+from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
 
-__all__ = ["NO_INFLUENCE", "Conditions", "Outcome", "Plain", "Tangent"]
+__all__ = ["NO_INFLUENCE", "Conditions", "Outcome", "Plain", "Tangent", "smallest"]
 
 Plain = Sequence[float]
 
-NO_INFLUENCE = 1e-9
+NO_INFLUENCE: Final = 1e-9
 """A column of g this small, relative to the size of the state, is rounding error: the actuator is saturated."""
 
-_ROUNDING = 1e-9
+_ROUNDING: Final = 1e-9
 """Share by which the reach of an action is taken too far, so that no rounding error leaves a row out."""
 
 
@@ -30,15 +31,26 @@ class Outcome:
         self.action, self.next_state, self.h_next = action, next_state, h_next
         self.residual = residual
         """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i): negative where a condition is broken."""
-        self.tightest: float = min(residual)
+        tightest = residual[0]
+        for value in residual:
+            tightest = value if value < tightest else tightest
+        self.tightest: float = tightest
         """Smallest residual."""
-        self.violation: float = max(0.0, -self.tightest)
+        self.violation: float = -tightest if tightest < 0.0 else 0.0
         """The slack that this action needs: max(0, -min residual)."""
 
     @property
     def least(self) -> float:
         """Smallest h_i(x+)."""
-        return min(self.h_next)
+        return smallest(self.h_next)
+
+    def binding(self, names: tuple[str, ...], limit: float) -> tuple[str, ...]:
+        """Of ``names`` (m,) those whose residual is ``limit`` at most, the tightest first."""
+        if self.tightest > limit:
+            return ()
+        found = [(value, index) for index, value in enumerate(self.residual) if value <= limit]
+        found.sort()
+        return tuple([names[index] for _, index in found])
 
 
 @final
@@ -49,44 +61,69 @@ class Tangent:
     A row's slopes are computed when it is asked for, and only if some action might break it.
     """
 
-    def __init__(self, barriers: AbstractStack, g: Sequence[Plain], about: Outcome, widths: Plain) -> None:
+    def __init__(self, barriers: AbstractStack, g: list[list[float]], about: Outcome, widths: list[float]) -> None:
         self._barriers, self._g, self._state = barriers, g, about.next_state
         self._rows: dict[int, list[float]] = {}
-        steepest = barriers.steepest(about.next_state)
         self._reach = inf
         """By more than this no action within its range changes a row: sum_kj |p_k| |g_kj| width_j at the most."""
+        steepest = barriers.steepest(about.next_state)
         if steepest is not None:
-            reach = 0.0
-            for slope, row in zip(steepest, g, strict=True):
-                for entry, width in zip(row, widths, strict=True):
-                    reach += slope * abs(entry) * width
-            self._reach = reach * (1.0 + _ROUNDING) + _ROUNDING
+            self._reach = self._furthest(steepest, widths) * (1.0 + _ROUNDING) + _ROUNDING
 
     def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
         """A (rows, actions) and b (rows,) of the rows that actions might break, with the true residual at ``about``."""
         residual, action, rows, reach = about.residual, about.action, self._rows, self._reach
-        near = [index for index, value in enumerate(residual) if not value >= reach]
-        missing = [index for index in near if index not in rows]
+        near: list[int] = []
+        missing: list[int] = []
+        for index in range(len(residual)):
+            if not residual[index] >= reach:
+                near.append(index)
+                if index not in rows:
+                    missing.append(index)
         if missing:
             self._add(missing)
-        slopes = [rows[index] for index in near]
-        limits = []
-        for index, row in zip(near, slopes, strict=True):
+        slopes: list[list[float]] = []
+        limits: list[float] = []
+        for index in near:
+            row = rows[index]
             total = -residual[index]
-            for slope, value in zip(row, action, strict=True):
-                total += slope * value
+            for column in range(len(row)):
+                value: float = action[column]
+                total += row[column] * value
+            slopes.append(row)
             limits.append(total)
         return slopes, limits
 
-    def _add(self, missing: Sequence[int]) -> None:
-        for index, p in zip(missing, self._barriers.slopes(self._state, missing), strict=True):
-            row = [0.0] * len(self._g[0])
-            for slope, entries in zip(p, self._g, strict=True):
-                for column, entry in enumerate(entries):
-                    row[column] += slope * entry
-            self._rows[index] = row
-            if not isfinite(sum(row)):
-                _finite("gradient of h", p)
+    def _furthest(self, steepest: Plain, widths: list[float]) -> float:
+        g, reach = self._g, 0.0
+        if len(steepest) != len(g):
+            raise ValueError(f"the model has slopes of {len(g)} states, the barriers of {len(steepest)}")
+        for index in range(len(g)):
+            slope: float = steepest[index]
+            row = g[index]
+            for column in range(len(row)):
+                reach += slope * abs(row[column]) * widths[column]
+        return reach
+
+    def _add(self, missing: list[int]) -> None:
+        g, states = self._g, len(self._g)
+        found: Sequence[Plain] = self._barriers.slopes(self._state, missing)
+        for place in range(len(missing)):
+            p = found[place]
+            if len(p) != states:
+                raise ValueError(f"h has slopes of {len(p)} states, the model of {states}")
+            row = [0.0] * len(g[0])
+            total = 0.0
+            for state in range(states):
+                slope: float = p[state]
+                entries = g[state]
+                for column in range(len(row)):
+                    share = slope * entries[column]
+                    row[column] += share
+                    total += share
+            self._rows[missing[place]] = row
+            if total - total != 0.0:
+                _refuse_infinite("gradient of h", list(p))
 
 
 @final
@@ -112,11 +149,19 @@ class Conditions:
         self.barriers, self._prediction = barriers, prediction
         self._state, self._latent, self._memory = state, latent, memory
         self._sides = sides
-        self._widths = [width for _, _, width in sides]
-        self.h_now: list[float] = barriers.heights(state)
-        _finite("h at the state", self.h_now)
+        self._widths: list[float] = [width for _, _, width in sides]
+        self._motion: AffineMotion | None = prediction.affine_motion(state, latent) if prediction.affine else None
+        h_now: list[float] = barriers.heights(state)
+        self.h_now = h_now
+        _finite("h at the state", h_now)
         share = 1.0 - eta
-        self.required: list[float] = [share * h + margin for h, margin in zip(self.h_now, epsilon, strict=True)]
+        if len(epsilon) != len(h_now):
+            raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
+        required: list[float] = []
+        for index in range(len(h_now)):
+            margin: float = epsilon[index]
+            required.append(share * h_now[index] + margin)
+        self.required = required
         self._last_g: list[list[float]] | None = None
 
     def outcome(self, action: Plain) -> Outcome:
@@ -124,7 +169,12 @@ class Conditions:
         following = self._following(action)
         h_next: list[float] = self.barriers.heights(following)
         _finite("h at the predicted state", h_next)
-        residual = [h - wanted for h, wanted in zip(h_next, self.required, strict=True)]
+        required = self.required
+        if len(h_next) != len(required):
+            raise ValueError(f"{len(h_next)} values of h, wanted {len(required)}")
+        residual: list[float] = []
+        for index in range(len(required)):
+            residual.append(h_next[index] - required[index])
         return Outcome(action, following, h_next, residual)
 
     def linearised(self, about: Outcome) -> Tangent:
@@ -135,13 +185,21 @@ class Conditions:
 
     def _slopes(self, about: Outcome) -> list[list[float]]:
         """g (states, actions) about an action."""
-        g: list[list[float]] = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
+        g: list[list[float]]
+        if self._motion is not None:
+            g = self._motion.slopes()
+        else:
+            g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
             _finite("g of the model", row)
         return self._unsaturated(g, about)
 
     def _following(self, action: Plain) -> list[float]:
-        found: list[float] = self._prediction.following(self._state, action, self._latent, self._memory)
+        found: list[float]
+        if self._motion is not None:
+            found = self._motion.after(action)
+        else:
+            found = self._prediction.following(self._state, action, self._latent, self._memory)
         _finite("predicted state", found)
         return found
 
@@ -151,9 +209,13 @@ class Conditions:
         A tangent of zero would say that this action does not matter, though its other values do: the chord leads to the
         bound that is further away, unless an earlier tangent knows the slope.
         """
-        noise = NO_INFLUENCE * (1.0 + max(map(abs, about.next_state)))
+        largest = 0.0
+        for value in about.next_state:
+            size = abs(value)
+            largest = size if size > largest else largest
+        noise = NO_INFLUENCE * (1.0 + largest)
         for index in range(len(about.action)):
-            if all(-noise <= row[index] <= noise for row in g):
+            if _silent(g, index, noise):
                 last = self._last_g
                 column = self._chord(about, index) if last is None else [row[index] for row in last]
                 g = [[*row[:index], slope, *row[index + 1 :]] for row, slope in zip(g, column, strict=True)]
@@ -167,6 +229,30 @@ class Conditions:
         return [(there - here) / (end - value) for there, here in reached]
 
 
-def _finite(what: str, numbers: Plain) -> None:
-    if not isfinite(sum(numbers)) and not all(map(isfinite, numbers)):
+def smallest(numbers: list[float]) -> float:
+    """Of one number at least."""
+    least = numbers[0]
+    for value in numbers:
+        least = value if value < least else least
+    return least
+
+
+def _silent(g: list[list[float]], column: int, noise: float) -> bool:
+    for row in g:  # noqa: SIM110 - no generator for every column
+        if not -noise <= row[column] <= noise:
+            return False
+    return True
+
+
+def _finite(what: str, numbers: list[float]) -> None:
+    total = 0.0
+    for value in numbers:
+        total += value
+    if total - total != 0.0:
+        _refuse_infinite(what, numbers)
+
+
+def _refuse_infinite(what: str, numbers: list[float]) -> None:
+    """Finite numbers have an infinite sum where they are as large as a float can be."""
+    if not all(map(isfinite, numbers)):
         raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")

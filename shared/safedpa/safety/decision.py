@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Any, final
 
 import numpy as np
@@ -12,10 +11,11 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
-from safedpa.safety.conditions import Conditions, Outcome
+from safedpa.safety.conditions import Conditions, Outcome, smallest
 from safedpa.safety.inputs import Plausible, Unusable, checked_input
 from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
+from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError, search
 from safedpa.safety.settings import FilterSettings
@@ -89,9 +89,9 @@ class Decision:
             raise DecisionError("; ".join(self._problems))
         assert self._wish is not None
         conditions = self._posed()
-        within = self._within(self._wish)
-        unclipped = within == self._wish
-        asked = conditions.outcome(self._wish if unclipped else within)  # bit for bit, -0.0 as well
+        clipped = self._within(self._wish)
+        unclipped = clipped == self._wish
+        asked = conditions.outcome(self._wish if unclipped else clipped)  # bit for bit, -0.0 as well
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
         if asked.violation <= self._tools.settings.slack_tolerance:
@@ -176,13 +176,12 @@ class Decision:
         return self._within(tuple(action.tolist()))
 
     def _within(self, action: Action) -> Action:
-        sides = self._tools.program.sides
-        return tuple([min(max(value, low), high) for value, (low, high, _) in zip(action, sides, strict=True)])
+        return within(action, self._tools.program.sides)
 
     def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
-        return self._answer(
-            status, outcome.action, reason, solver, outcome.violation, self._active(outcome), outcome.least
-        )
+        limit = _BINDING * self._tools.settings.slack_tolerance
+        active = () if self._conditions is None else outcome.binding(self._conditions.barriers.names, limit)
+        return self._answer(status, outcome.action, reason, solver, outcome.violation, active, outcome.least)
 
     def _answer(
         self,
@@ -195,28 +194,19 @@ class Decision:
         h_next: float | None = None,
     ) -> Verdict:
         taken = np.array(action)
-        taken.flags.writeable = False
-        known = self._conditions is not None and h_next is not None
+        taken.setflags(write=False)
+        conditions = self._conditions
         return Verdict(
             action=taken,
             status=status,
             reason=reason,
             slack=slack,
             active=active,
-            h_now=min(self._conditions.h_now) if self._conditions is not None else 0.0,
+            h_now=0.0 if conditions is None else smallest(conditions.h_now),
             h_next=0.0 if h_next is None else h_next,
             margin=self._margin,
             solver=solver,
             microseconds=1e6 * (self._tools.clock() - self._start),
             wish=None if self._wish is None else np.array(self._wish),
-            known=known,
+            known=conditions is not None and h_next is not None,
         )
-
-    def _active(self, outcome: Outcome) -> tuple[str, ...]:
-        limit = _BINDING * self._tools.settings.slack_tolerance
-        if outcome.tightest > limit or self._conditions is None:
-            return ()
-        binding = [
-            pair for pair in zip(outcome.residual, self._conditions.barriers.names, strict=True) if pair[0] <= limit
-        ]
-        return tuple(name for _, name in sorted(binding, key=itemgetter(0)))

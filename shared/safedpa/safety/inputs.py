@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.safety.plain_input import BELIEVED, NOT_FINITE, first_unbelieved
+
 __all__ = ["Plausible", "Unusable", "checked_input"]
 
 Values = NDArray[np.float64]
+
+_FLOAT = np.dtype(np.float64)
+_NO_RANGE: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
 
 
 @final
@@ -25,10 +29,10 @@ class Plausible:
     names: tuple[str, ...]
 
     @cached_property
-    def sides(self) -> tuple[tuple[float, float], ...]:
-        """(low, high) of each entry, as plain numbers: a few of them are compared faster than arrays."""
-        low, high = (np.broadcast_to(side, len(self.names)).tolist() for side in (self.low, self.high))
-        return tuple(zip(low, high, strict=True))
+    def sides(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Low and high (entries,) as plain numbers: a few of them are compared faster than arrays."""
+        low, high = (tuple(np.broadcast_to(side, len(self.names)).tolist()) for side in (self.low, self.high))
+        return low, high
 
 
 @final
@@ -43,18 +47,23 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[f
     """``value`` as (entries,) finite numbers within the plausible range, or why not."""
     if value is None:
         return Unusable(f"{what} is missing")
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except Exception:  # noqa: BLE001 - whatever an object raises when it is read, it is not a vector of numbers
-        return Unusable(f"{what} does not consist of numbers")
-    if array.ndim != 1 or (plausible is not None and len(array) != len(plausible.names)):
+    entries: tuple[float, ...]
+    if type(value) is np.ndarray and value.dtype is _FLOAT and value.ndim == 1:
+        shape, entries = value.shape, tuple(value.tolist())
+    else:
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except Exception:  # noqa: BLE001 - whatever an object raises when it is read, it is not a vector of numbers
+            return Unusable(f"{what} does not consist of numbers")
+        shape, entries = array.shape, tuple(array.tolist()) if array.ndim == 1 else ()
+    if len(shape) != 1 or (plausible is not None and len(entries) != len(plausible.names)):
         wanted = "one axis" if plausible is None else f"({len(plausible.names)},)"
-        return Unusable(f"{what} has shape {array.shape}, wanted {wanted}")
-    entries: tuple[float, ...] = tuple(array.tolist())
-    if not all(map(isfinite, entries)):
+        return Unusable(f"{what} has shape {shape}, wanted {wanted}")
+    low, high = _NO_RANGE if plausible is None else plausible.sides
+    found = first_unbelieved(entries, low, high)
+    if found == BELIEVED:
+        return entries
+    if plausible is None or found == NOT_FINITE:
         return Unusable(f"{what} holds NaN or infinity")
-    if plausible is not None:
-        for entry, (low, high), name in zip(entries, plausible.sides, plausible.names, strict=True):
-            if entry < low or entry > high:
-                return Unusable(f"{what} is out of its plausible range: {name} = {entry:g}, wanted {low:g} to {high:g}")
-    return entries
+    said = f"{plausible.names[found]} = {entries[found]:g}, wanted {low[found]:g} to {high[found]:g}"
+    return Unusable(f"{what} is out of its plausible range: {said}")

@@ -11,18 +11,18 @@ is the optimum over all of them, so what is returned is the minimiser, whatever 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
+from typing import Final, final
 
-__all__ = ["KEPT", "MOST", "PARALLEL", "Row", "nearest_kept"]
+__all__ = ["KEPT", "MOST", "PARALLEL", "NearestKept", "Point", "Row", "nearest_kept"]
 
 Row = tuple[float, float, float, float]
 """a_1, a_2, b, and the largest multiplier: the price of slack per unit, infinite where there is none."""
 
-KEPT = 1e-12
+KEPT: Final = 1e-12
 """A condition broken by less is kept: rounding errors of a corner are a thousand times smaller."""
-PARALLEL = 1e-9
+PARALLEL: Final = 1e-9
 """Share of the product of two rows' sizes: below, their corner is not computed."""
-MOST = 8
+MOST: Final = 8
 """Conditions that are taken in; then others have to answer."""
 
 Point = tuple[float, float]
@@ -30,66 +30,95 @@ Point = tuple[float, float]
 
 def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | None:
     """The minimiser; None where it needs slack, is not found in a few steps, or a number is not finite."""
-    if not isfinite(sum([a + b + limit for a, b, limit, _ in rows])):
-        return None
-    point, taken = wish, list[Row]()
-    for _ in range(MOST):
-        worst, newest = KEPT, None
-        x, y = point
-        for row in rows:
-            a, b, limit, _ = row
-            broken = limit - a * x - b * y
-            if broken > worst:
-                worst, newest = broken, row
-        if newest is None:
-            return point
-        found = _with_newest(taken, newest, wish, weights)
-        if found is None:
-            return None
-        point = found
-        taken.append(newest)
-    return None
+    problem = NearestKept(wish[0], wish[1], weights[0], weights[1])
+    for a, b, limit, price in rows:
+        problem.add(a, b, limit, price)
+    return (problem.x, problem.y) if problem.solve() else None
 
 
-def _with_newest(taken: Sequence[Row], newest: Row, wish: Point, weights: Point) -> Point | None:
-    """The optimum over ``taken`` and ``newest``, which the optimum over ``taken`` alone breaks."""
-    foot = _foot(newest, wish, weights)
-    if foot is not None and _keeps(foot, taken):
-        return foot
-    for other in taken:
-        corner = _corner(other, newest, wish, weights)
-        if corner is not None and _keeps(corner, taken):
-            return corner
-    return None
+@final
+class NearestKept:
+    """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``)."""
 
+    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
+        self._wish_x, self._wish_y = wish_x, wish_y
+        self._weight_x, self._weight_y = weight_x, weight_y
+        self._a: list[float] = []
+        self._b: list[float] = []
+        self._limit: list[float] = []
+        self._price: list[float] = []
+        self._sum = 0.0
+        self._taken: list[int] = []
+        self.x, self.y = wish_x, wish_y
 
-def _foot(row: Row, wish: Point, weights: Point) -> Point | None:
-    """The optimum with one condition: 2 W (u - wish) = multiplier a."""
-    a, b, limit, price = row
-    along, across = a / weights[0], b / weights[1]
-    size = a * along + b * across
-    if size == 0.0:
-        return None
-    share = (limit - a * wish[0] - b * wish[1]) / size
-    if not 0.0 <= 2.0 * share <= price:
-        return None
-    return wish[0] + share * along, wish[1] + share * across
+    def add(self, a: float, b: float, limit: float, price: float) -> None:
+        """The condition a x + b y >= limit, whose multiplier may be ``price`` at most."""
+        self._a.append(a)
+        self._b.append(b)
+        self._limit.append(limit)
+        self._price.append(price)
+        self._sum += a + b + limit
 
+    def solve(self) -> bool:
+        """Whether the minimiser was found."""
+        if self._sum - self._sum != 0.0:  # a number among them is not finite
+            return False
+        firsts, seconds, limits = self._a, self._b, self._limit
+        for _ in range(MOST):
+            worst, newest = KEPT, -1
+            x, y = self.x, self.y
+            for index in range(len(limits)):
+                broken = limits[index] - firsts[index] * x - seconds[index] * y
+                if broken > worst:
+                    worst, newest = broken, index
+            if newest < 0:
+                return True
+            if not self._takes(newest):
+                return False
+            self._taken.append(newest)
+        return False
 
-def _corner(one: Row, other: Row, wish: Point, weights: Point) -> Point | None:
-    """The optimum with two conditions: both hold with equality, 2 W (u - wish) = sum of multiplier a."""
-    a, b, first, _ = one
-    c, d, second, _ = other
-    determinant = a * d - b * c
-    if abs(determinant) <= PARALLEL * (abs(a) + abs(b)) * (abs(c) + abs(d)):
-        return None
-    x, y = (first * d - second * b) / determinant, (a * second - c * first) / determinant
-    pull, push = 2.0 * weights[0] * (x - wish[0]), 2.0 * weights[1] * (y - wish[1])
-    multipliers = (pull * d - push * c) / determinant, (a * push - b * pull) / determinant
-    if all(0.0 <= multiplier <= row[3] for multiplier, row in zip(multipliers, (one, other), strict=True)):
-        return x, y
-    return None
+    def _takes(self, newest: int) -> bool:
+        """Goes to the optimum over what is taken in and ``newest``, which the optimum so far breaks; False: none."""
+        if self._foot(newest) and self._keeps():
+            return True
+        for other in self._taken:  # noqa: SIM110 - a generator would cost more than the corners
+            if self._corner(other, newest) and self._keeps():
+                return True
+        return False
 
+    def _foot(self, row: int) -> bool:
+        """The optimum with one condition: 2 W (u - wish) = multiplier a."""
+        a, b = self._a[row], self._b[row]
+        along, across = a / self._weight_x, b / self._weight_y
+        size = a * along + b * across
+        if size == 0.0:
+            return False
+        share = (self._limit[row] - a * self._wish_x - b * self._wish_y) / size
+        if not 0.0 <= 2.0 * share <= self._price[row]:
+            return False
+        self.x, self.y = self._wish_x + share * along, self._wish_y + share * across
+        return True
 
-def _keeps(point: Point, rows: Sequence[Row]) -> bool:
-    return all(limit - a * point[0] - b * point[1] <= KEPT for a, b, limit, _ in rows)
+    def _corner(self, one: int, other: int) -> bool:
+        """The optimum with two conditions: both hold with equality, 2 W (u - wish) = sum of multiplier a."""
+        a, b, first = self._a[one], self._b[one], self._limit[one]
+        c, d, second = self._a[other], self._b[other], self._limit[other]
+        determinant = a * d - b * c
+        if abs(determinant) <= PARALLEL * (abs(a) + abs(b)) * (abs(c) + abs(d)):
+            return False
+        x, y = (first * d - second * b) / determinant, (a * second - c * first) / determinant
+        pull, push = 2.0 * self._weight_x * (x - self._wish_x), 2.0 * self._weight_y * (y - self._wish_y)
+        if not 0.0 <= (pull * d - push * c) / determinant <= self._price[one]:
+            return False
+        if not 0.0 <= (a * push - b * pull) / determinant <= self._price[other]:
+            return False
+        self.x, self.y = x, y
+        return True
+
+    def _keeps(self) -> bool:
+        """Whether the point keeps all that is taken in."""
+        for row in self._taken:  # noqa: SIM110 - a generator would cost as much as all of it
+            if not self._limit[row] - self._a[row] * self.x - self._b[row] * self.y <= KEPT:
+                return False
+        return True

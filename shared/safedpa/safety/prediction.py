@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, final
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.errors import InputError
+from safedpa.safety.affine_motion import AffineMotion
 
 __all__ = ["Prediction"]
 
@@ -34,6 +34,7 @@ class Prediction:
         self._model: AbstractDynamics | None = None
         self._physics: PhysicsModel | None = None
         self._fixed: tuple[float, ...] = ()
+        self._learned: LearnedBase | None = None
         self.affine = False
         """Whether the model is known to be affine in the action: then its slopes are the same about every action."""
 
@@ -44,16 +45,37 @@ class Prediction:
         prediction._model = model
         if isinstance(model, PhysicsModel):
             prediction._physics, prediction._fixed = model, tuple(model.latent.tolist())
-            prediction.affine = isinstance(model.base, LearnedBase) and not model.effects
+            if isinstance(model.base, LearnedBase) and not model.effects:
+                prediction.affine = True
+                prediction._learned = model.base if model.base.is_latent(model.latent_names) else None
         return prediction
+
+    def affine_motion(self, state: tuple[float, ...], latent: tuple[float, ...] | None) -> AffineMotion | None:
+        """All of ``following`` and ``slopes_of_one`` at this state; None: ask those.
+
+        Only of a model that is known to be affine, without effects. The networks are asked once.
+        """
+        base, model = self._learned, self._physics
+        if base is None or model is None:
+            return None
+        free = self._fixed if latent is None else latent
+        if len(state) != len(model.system.state_names) or len(free) != len(model.latent_names):
+            return None
+        try:
+            known = base.known_of_one(*state, *free)
+        except (ValueError, ArithmeticError):  # numbers that Python's math refuses
+            return None
+        return AffineMotion(state, known, model.period, base.weights.description.period)
 
     def following(
         self, state: tuple[float, ...], action: Sequence[float], latent: tuple[float, ...] | None, memory: Any
     ) -> list[float]:
         """``next_state`` for plain numbers. Raises InputError when the model returns another shape."""
         if self._physics is not None and (step := self._physics.straight(self._physics.period)) is not None:
-            with contextlib.suppress(ValueError, ArithmeticError):  # numbers that Python's math refuses
+            try:
                 return step(state, action, self._fixed if latent is None else latent, 0.0)
+            except (ValueError, ArithmeticError):  # numbers that Python's math refuses
+                pass
         free = None if latent is None else np.array(latent)
         found = self.next_state(np.array(state), np.array(action), free, memory)
         reached: list[float] = _plain("predicted state", found, (len(state),))
@@ -64,8 +86,10 @@ class Prediction:
     ) -> list[list[float]]:
         """``slopes`` for plain numbers. Raises InputError when the model returns another shape."""
         if self._physics is not None and (tangent := self._physics.straight_tangent()) is not None:
-            with contextlib.suppress(ValueError, ArithmeticError):
+            try:
                 return tangent(state, around, self._fixed if latent is None else latent, 0.0)[1]
+            except (ValueError, ArithmeticError):
+                pass
         free = None if latent is None else np.array(latent)
         found = self.slopes(np.array(state), np.array(around), free, memory)
         g: list[list[float]] = _plain("g of the model", found, (len(state), len(around)))

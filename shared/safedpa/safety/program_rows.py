@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, isfinite
+from math import inf
 
-from safedpa.safety.nearest import Row, nearest_kept
+from safedpa.safety.nearest import NearestKept
 
-__all__ = ["ScaledRow", "Side", "breakable", "closest"]
+__all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "within"]
 
 ScaledRow = tuple[list[float], float, int]
 """Slopes (actions,), limit and index of a condition: slopes u >= limit."""
@@ -15,25 +15,34 @@ ScaledRow = tuple[list[float], float, int]
 Side = tuple[float, float, float]
 """Lowest value, highest value and range of an action."""
 
-_BOX: list[Row] = [(1.0, 0.0, 0.0, inf), (-1.0, 0.0, -1.0, inf), (0.0, 1.0, 0.0, inf), (0.0, -1.0, -1.0, inf)]
-"""0 <= u <= 1 as conditions that no slack can relieve."""
-
 
 def breakable(
     A: Sequence[Sequence[float]], b: Sequence[float], sides: tuple[Side, ...]
 ) -> tuple[bool, list[ScaledRow]]:
-    """Whether all numbers of A a >= b are finite, and the rows that some action within the bounds breaks."""
+    """Whether all numbers of A a >= b are finite, and the rows that some action within the bounds breaks.
+
+    Raises ValueError when they are not as many as their limits, or a row has not one slope for each action.
+    """
     rows: list[ScaledRow] = []
-    for index, (slopes, right) in enumerate(zip(A, b, strict=True)):
+    count, actions = len(b), len(sides)
+    if len(A) != count:
+        raise ValueError(f"the program has {len(A)} rows and {count} limits")
+    for index in range(count):
+        slopes = A[index]
+        if len(slopes) != actions:
+            raise ValueError(f"row {index} has {len(slopes)} slopes for {actions} actions")
         scaled: list[float] = []
-        limit, below = right, 0.0
-        for slope, (low, _, width) in zip(slopes, sides, strict=True):
+        limit: float = b[index]
+        below = 0.0
+        for column in range(actions):
+            low, _, width = sides[column]
+            slope: float = slopes[column]
             limit -= slope * low
             steep = slope * width
             scaled.append(steep)
             if steep < 0.0:
                 below += steep
-        if not isfinite(limit):  # A low is in it: a number of A that is none as well
+        if limit - limit != 0.0:  # not finite; A low is in it: a number of A that is none as well
             return False, rows
         if below < limit:
             rows.append((scaled, limit, index))
@@ -45,12 +54,39 @@ def closest(
 ) -> list[float] | None:
     """Of one or two actions: the minimiser without slack in closed form; None: ask the solver."""
     low, _, width = sides[0]
-    first = (wish[0] - low) / width
-    if len(sides) == 1:  # beside a second one that nothing depends on
-        conditions = [(slopes[0], 0.0, limit, price) for slopes, limit, _ in rows] + _BOX[:2]
-        found = nearest_kept(conditions, (first, 0.0), (weights[0], weights[0]))
-        return None if found is None else [low + width * found[0]]
-    base, _, reach = sides[1]
-    conditions = [(slopes[0], slopes[1], limit, price) for slopes, limit, _ in rows] + _BOX
-    found = nearest_kept(conditions, (first, (wish[1] - base) / reach), (weights[0], weights[1]))
-    return None if found is None else [low + width * found[0], base + reach * found[1]]
+    base, reach, weight, aside = 0.0, 1.0, weights[0], 0.0
+    single = len(sides) == 1  # beside a second one that nothing depends on
+    if not single:
+        base, _, reach = sides[1]
+        weight, aside = weights[1], (wish[1] - base) / reach
+    problem = NearestKept((wish[0] - low) / width, aside, weights[0], weight)
+    for index in range(len(rows)):
+        slopes, limit, _ = rows[index]
+        problem.add(slopes[0], 0.0 if single else slopes[1], limit, price)
+    problem.add(1.0, 0.0, 0.0, inf)  # 0 <= u <= 1: no slack can relieve it
+    problem.add(-1.0, 0.0, -1.0, inf)
+    if not single:
+        problem.add(0.0, 1.0, 0.0, inf)
+        problem.add(0.0, -1.0, -1.0, inf)
+    if not problem.solve():
+        return None
+    return [low + width * problem.x] if single else [low + width * problem.x, base + reach * problem.y]
+
+
+def within(action: Sequence[float], sides: tuple[Side, ...]) -> tuple[float, ...]:
+    """(actions,) each entry at its bound where it lies beyond."""
+    kept: list[float] = []
+    for index in range(len(sides)):
+        low, high, _ = sides[index]
+        value: float = action[index]
+        kept.append(low if value < low else high if value > high else value)
+    return tuple(kept)
+
+
+def apart(action: Sequence[float], wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]) -> float:
+    """(action - wish)' W (action - wish), W = diag(weights / range^2)."""
+    total = 0.0
+    for index in range(len(sides)):
+        share = (action[index] - wish[index]) / sides[index][2]
+        total += weights[index] * (share * share)
+    return total

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.program_rows import ScaledRow, Side, breakable, closest
+from safedpa.safety.program_rows import ScaledRow, Side, apart, breakable, closest, within
 
 __all__ = ["QuadraticProgram", "Solution"]
 
@@ -23,7 +23,7 @@ _ACCURACY = 1e-11
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Solution:
     """Minimiser; ``solved`` is False when the solver did not vouch for it: then it must not be used."""
 
@@ -33,6 +33,9 @@ class Solution:
     """(m,) in the conditions' units."""
     solved: bool
     status: str
+
+    def __init__(self, action: Sequence[float], slack: Sequence[float], solved: bool, status: str) -> None:
+        self.__dict__.update(action=action, slack=slack, solved=solved, status=status)  # quicker than one by one
 
 
 @final
@@ -61,9 +64,8 @@ class QuadraticProgram:
         if not finite:
             return Solution(self._lowest, (0.0,) * len(b), False, "numbers not finite")
         if not rows:
-            within = [min(max(value, low), high) for value, (low, high, _) in zip(wish, self.sides, strict=True)]
-            return Solution(within, (0.0,) * len(b), True, "not needed")
-        action = self._without_slack(rows, wish) if len(self.sides) <= 2 else None
+            return Solution(within(wish, self.sides), (0.0,) * len(b), True, "not needed")
+        action = closest(rows, wish, self.sides, self._weights, self.linear) if len(self.sides) <= 2 else None
         if action is not None:
             return Solution(action, (0.0,) * len(b), True, "solved")
         return self._with_slack(rows, wish, len(b))
@@ -86,10 +88,7 @@ class QuadraticProgram:
 
     def distance(self, action: Sequence[float], wish: Sequence[float]) -> float:
         """(action - wish)' W (action - wish)."""
-        total = 0.0
-        for value, wanted, (_, _, width), weight in zip(action, wish, self.sides, self._weights, strict=True):
-            total += weight * ((value - wanted) / width) ** 2
-        return total
+        return apart(action, wish, self.sides, self._weights)
 
     def _workspace(self, rows: int) -> _Workspace:
         size = 1 << (rows - 1).bit_length()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
-from typing import Protocol
+from typing import Final, Protocol
 
 from safedpa.safety.conditions import Outcome, Plain
 from safedpa.safety.program_rows import Side
@@ -12,23 +11,23 @@ from safedpa.safety.quadratic_program import Solution
 
 __all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "TIE", "DecisionError", "search"]
 
-_BOUND_TOLERANCE = 1e-6
+_BOUND_TOLERANCE: Final = 1e-6
 """Share of an action's range by which a solution may miss its bounds before it is not believed."""
 
 
-SAME = 1e-8
+SAME: Final = 1e-8
 """Share of an action's range within which a solution is the last one over again; the solver's accuracy is 1e-9."""
 
 
-SERVED_WELL = 0.1
+SERVED_WELL: Final = 0.1
 """Slopes that brought the violation below this share of the last one are used once more."""
 
 
-NEEDLESS = 100.0
+NEEDLESS: Final = 100.0
 """A solution whose every condition is kept by more than this many tolerances (1 cm) was led astray by its slopes."""
 
 
-TIE = 1e-9
+TIE: Final = 1e-9
 """Unit of h: by less than this no violation is smaller than another; where an actuator saturates they are the same."""
 
 
@@ -100,12 +99,16 @@ def search(
 
 
 def _same(program: _Program, one: Outcome, other: Outcome) -> bool:
-    near = zip(one.action, other.action, program.sides, strict=True)
-    return all(abs(value - last) <= SAME * width for value, last, (_, _, width) in near)
+    sides, here, there = program.sides, one.action, other.action
+    for index in range(len(sides)):
+        change: float = here[index] - there[index]
+        if not abs(change) <= SAME * sides[index][2]:
+            return False
+    return True
 
 
 def _better(program: _Program, wish: Plain, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
-    if max(one.violation, other.violation) <= tolerance:
+    if one.violation <= tolerance and other.violation <= tolerance:
         return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
     return other if other.violation < one.violation - TIE else one
 
@@ -119,11 +122,14 @@ def _posed(conditions: _Posed, program: _Program, tangent: _Drawn, about: Outcom
 
 
 def _believed(action: Plain, program: _Program, status: str) -> tuple[float, ...]:
-    believed = []
-    for value, (low, high, width) in zip(action, program.sides, strict=True):
-        if not isfinite(value):
+    sides = program.sides
+    believed: list[float] = []
+    for index in range(len(sides)):
+        low, high, width = sides[index]
+        value: float = action[index]
+        if value - value != 0.0:
             raise DecisionError("the QP's solution holds NaN or infinity", status)
-        kept = min(max(value, low), high)
+        kept = low if value < low else high if value > high else value
         if abs(value - kept) > _BOUND_TOLERANCE * width:
             raise DecisionError("the QP's solution misses the actuator bounds", status)
         believed.append(kept)
