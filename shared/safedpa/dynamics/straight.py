@@ -11,6 +11,7 @@ which is the reference: ``PhysicsModel`` takes it wherever this one has no answe
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, final
@@ -49,6 +50,9 @@ _FLOAT_FORMS = {
     "where": "({1} if {0} else {2})",
 }
 """What the table of floats does, without a call; the other functions are called under their names."""
+
+_DEEPEST = 40
+"""Brackets in one expression: Python's own parser takes no more than 200 within each other."""
 
 _FUNCTIONS = tuple(field.name for field in fields(Operations))
 
@@ -279,10 +283,14 @@ def _compiled(
     last_use = {name: index for index, (_, _, operands) in enumerate(tape.lines) for name in operands}
     computed = {name for name, _, _ in tape.lines}
     lines = ["def step(state, action, latent, time):", *head]
+    nested = set[str]() if freeing else _used_once(tape, after)
+    written: dict[str, str] = {}
     for index, (name, form, operands) in enumerate(tape.lines):
-        function = f"{form}({', '.join(operands)})"
-        written = forms.get(form) if form in _FUNCTIONS else form
-        lines.append(f"{name} = {function if written is None else written.format(*operands)}")
+        term = _term(form, [written.get(operand, operand) for operand in operands], forms)
+        if name in nested and term.count("(") <= _DEEPEST:
+            written[name] = f"({term})"
+            continue
+        lines.append(f"{name} = {term}")
         spent = {other for other in operands if other in computed and last_use[other] == index and other not in after}
         if freeing and spent:
             lines.append(f"del {', '.join(sorted(spent))}")
@@ -292,3 +300,23 @@ def _compiled(
     exec("\n    ".join(lines), scope)  # arithmetic on names of our own, nothing from outside
     step: StraightStep = scope["step"]
     return step
+
+
+def _term(form: str, operands: Sequence[str], forms: Mapping[str, str]) -> str:
+    """One operation as Python has it."""
+    written = forms.get(form) if form in _FUNCTIONS else form
+    return f"{form}({', '.join(operands)})" if written is None else written.format(*operands)
+
+
+def _used_once(tape: _Tape, after: Sequence[str]) -> set[str]:
+    """Variables that one line alone needs, and always: that line may hold the operation itself.
+
+    A quarter of the time was storing such numbers and loading them again. A form with a branch in it may need an
+    operand twice or never: such a one stays a variable.
+    """
+    uses = Counter(operand for _, _, operands in tape.lines for operand in operands)
+    branching = {
+        operand for _, form, operands in tape.lines if " if " in _FLOAT_FORMS.get(form, form) for operand in operands
+    }
+    twice = {operand for _, form, operands in tape.lines if form == "sign" for operand in operands}
+    return {name for name, count in uses.items() if count == 1} - branching - twice - set(after)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
+from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.held_model import HeldModel
@@ -23,6 +25,7 @@ from safedpa.systems import POINT
 __all__ = ["NO_BARRIERS", "Decided", "FilteredRobot"]
 
 Values = NDArray[np.float64]
+Rows = tuple[tuple[float, ...], ...]
 
 _LATENT_PATIENCE = 1.0
 """s; for so long the last latent stands in for a missing one: in a second a load does not change unnoticed."""
@@ -40,6 +43,21 @@ class Decided(NamedTuple):
 
 def _late(state: StateMessage, known: LatentMessage) -> bool:
     return (state.tick - known.tick) * state.period > _LATENT_PATIENCE + 0.5 * state.period
+
+
+def _walked(step: StraightStep, state: StateMessage, verdict: Verdict, latent: Values) -> Rows:
+    """The next states by the model's straight line; empty where it refuses a number, or one is not finite.
+
+    ``held`` does the same with arrays at both ends, and answers then.
+    """
+    rows, entries, action, free = [], state.values, verdict.action.tolist(), latent.tolist()
+    try:
+        for _ in range(_PREDICTED_STEPS):
+            entries = tuple(step(entries, action, free, 0.0))
+            rows.append(entries)
+    except (ValueError, ArithmeticError):
+        return ()
+    return tuple(rows) if isfinite(sum(map(sum, rows))) else ()
 
 
 @dataclass
@@ -88,7 +106,7 @@ class FilteredRobot:
         if state.tick != self.tick + 1 or state.applied_by != "filter":
             self.margin.expect(None)  # what was predicted is not what was done
         self.tick = state.tick
-        self.margin.observe(np.array(state.values), NO_BARRIERS if isinstance(self.barriers, str) else self.barriers)
+        self.margin.observe(state.values, NO_BARRIERS if isinstance(self.barriers, str) else self.barriers)
 
     def usable_latent(self, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
         """The latent to use, and what is wrong with it."""
@@ -109,23 +127,24 @@ class FilteredRobot:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
         if len(state.applied) != len(self.held.model.system.action):
             return  # the filter refuses such a state for its own reasons; nothing to learn here
-        told = self.decision
+        told, expected = self.decision, self.expected_memory
         obeyed = told is not None and state.tick == told.state.tick + 1 and state.applied_by == "filter"
-        if obeyed and self.expected_memory is not None:
-            self.memory = self.expected_memory
+        if obeyed and expected is not None:
+            self.memory = expected
         else:
             self.memory = self.held.model.initial_memory(np.array(state.applied))
 
-    def predicted(
-        self, state: StateMessage, verdict: Verdict, latent: Values | None
-    ) -> tuple[tuple[tuple[float, ...], ...], Any]:
+    def predicted(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> tuple[Rows, Any]:
         """The next states (steps, states) that the model expects under the action held; actuators' memory after one."""
         model = self.held.model
         if len(state.values) != len(model.system.state):
             return (), None
+        step = model.straight(state.period)
+        if step is not None and (rows := _walked(step, state, verdict, model.latent if latent is None else latent)):
+            return rows, self.memory
         values = np.array(state.values)
-        rows, after_one = model.held(values, verdict.action, self.memory, latent, _PREDICTED_STEPS, period=state.period)
-        return (tuple(map(tuple, rows)), after_one) if np.isfinite(rows).all() else ((), None)
+        found, memory = model.held(values, verdict.action, self.memory, latent, _PREDICTED_STEPS, period=state.period)
+        return (tuple(map(tuple, found)), memory) if np.isfinite(found).all() else ((), None)
 
     def try_out(self, decided: Decided, barriers: AbstractStack | str) -> None:
         """Decides once more what another model decided. Raises InputError where only this one has to fall back."""

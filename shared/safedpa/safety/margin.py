@@ -80,11 +80,13 @@ class OnlineMargin:
     def update(self, error: float) -> float:
         """The margin after one more error was seen; an error that is not finite counts as a miss and is not kept."""
         missed = not error <= self.value
-        self._count(missed)
-        self._level += self._rate * (self._target - float(missed))
+        if missed or self._misses or len(self._missed) < self._window:
+            self._count(missed)
+        self._level += self._rate * (self._target - missed)
         if isfinite(error):
             self._keep(error)
-        self.value = max(self.calibrated, self._quantile())
+        quantile = self._quantile()
+        self.value = quantile if quantile > self.calibrated else self.calibrated
         return self.value
 
     def _count(self, missed: bool) -> None:
@@ -97,13 +99,14 @@ class OnlineMargin:
         self._misses += missed
 
     def _keep(self, error: float) -> None:
-        if len(self._errors) < self._window:
-            self._errors.append(error)
+        errors, ordered, oldest = self._errors, self._ordered, self._oldest
+        if len(errors) < self._window:
+            errors.append(error)
         else:
-            del self._ordered[bisect_left(self._ordered, self._errors[self._oldest])]
-            self._errors[self._oldest] = error
-            self._oldest = (self._oldest + 1) % self._window
-        insort(self._ordered, error)
+            del ordered[bisect_left(ordered, errors[oldest])]
+            errors[oldest] = error
+            self._oldest = oldest + 1 if oldest + 1 < self._window else 0
+        insort(ordered, error)
 
     def _quantile(self) -> float:
         if not self._errors:

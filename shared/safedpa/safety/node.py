@@ -6,9 +6,7 @@ Whatever is missing, an action goes out in time: without a wish, or with a laten
 from __future__ import annotations
 
 import time
-from typing import Any, TypedDict, final
-
-import numpy as np
+from typing import Any, final
 
 from safedpa.bus import (
     ACTION,
@@ -44,13 +42,6 @@ _STANDS = 0.02
 """m/s; slower than that a car stands."""
 
 
-class _Stamp(TypedDict):
-    epoch: int
-    tick: int
-    robot_time: float
-    publish_time: float
-
-
 @final
 class SafetyFilterNode(AbstractNode):
     """Filters the wishes for each robot. With ``settings.enabled`` false it hands wishes on and says so.
@@ -65,6 +56,7 @@ class SafetyFilterNode(AbstractNode):
     outputs = (ACTION, VERDICT, TAKEOVER)
     listens = (MODEL,)
     share = 0.5
+    slack = {LATENT: 1}  # as the policy: a wish must not wait for news of a load, which changes slowly
 
     def __init__(
         self,
@@ -128,7 +120,7 @@ class SafetyFilterNode(AbstractNode):
             wished = wish.values if isinstance(wish, WishMessage) else None
             verdict = memory.filter.decide(state.values, wished, latent, **known)
         memory.decision = Decided(state, latent, verdict)
-        return {ACTION: ActionMessage(**_stamp(state), values=tuple(verdict.action.tolist()))}
+        return {ACTION: _action(state, tuple(verdict.action.tolist()))}
 
     def afterwards(self, robot: str) -> Outputs:
         """The verdict, with the next states that the model expects; the action is on its way already."""
@@ -136,7 +128,7 @@ class SafetyFilterNode(AbstractNode):
         assert memory.decision is not None
         state, latent, verdict = memory.decision
         predicted, memory.expected_memory = memory.predicted(state, verdict, latent)
-        memory.margin.expect(np.array(predicted[0]) if predicted else None)
+        memory.margin.expect(predicted[0] if predicted else None)
         outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory)}
         answer = self._versions.answer(robot, state)
         return outputs if answer is None else {**outputs, TAKEOVER: answer}
@@ -175,8 +167,7 @@ class SafetyFilterNode(AbstractNode):
         if broken is not None:
             self._broken[robot] = broken
         verdict = resting_verdict(self._settings.resting_action, reason)
-        action = tuple(verdict.action.tolist())
-        return {ACTION: ActionMessage(**_stamp(state), values=action), VERDICT: _report(state, verdict, ())}
+        return {ACTION: _action(state, tuple(verdict.action.tolist())), VERDICT: _report(state, verdict, ())}
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
@@ -196,15 +187,20 @@ class SafetyFilterNode(AbstractNode):
         return held
 
 
-def _stamp(state: StateMessage) -> _Stamp:
-    return _Stamp(epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=time.time())
+def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
+    return ActionMessage(
+        epoch=state.epoch, tick=state.tick, robot_time=state.robot_time, publish_time=time.time(), values=values
+    )
 
 
 def _report(
     state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot | None = None
 ) -> VerdictMessage:
     return VerdictMessage(
-        **_stamp(state),
+        epoch=state.epoch,
+        tick=state.tick,
+        robot_time=state.robot_time,
+        publish_time=time.time(),
         status=verdict.status.value,
         sentence=verdict.sentence,
         action=tuple(verdict.action.tolist()),

@@ -38,35 +38,50 @@ class WatchedMargin:
         }
         self.promised = calibration.coverage if calibration.date != "never" else -1.0
         """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""
-        self._expected: Values | None = None
+        self._expected: Sequence[float] | None = None
 
     @property
     def coverage(self) -> float:
         """Share of the last steps in which the margin held, the least of all kinds of barrier; -1 before the first."""
-        return min((told for margin in self._margins.values() if (told := margin.coverage) is not None), default=-1.0)
+        least = -1.0
+        for margin in self._margins.values():
+            told = margin.coverage
+            if told is not None and (least < 0.0 or told < least):
+                least = told
+        return least
 
     @property
     def epsilon(self) -> dict[str, float]:
         """The margins in force."""
         return {kind: margin.value for kind, margin in self._margins.items()}
 
-    def expect(self, next_state: Values | None) -> None:
+    def expect(self, next_state: Sequence[float] | Values | None) -> None:
         """Keeps the prediction (states,) for the next measurement; None: there is none."""
-        self._expected = next_state
+        self._expected = None if next_state is None else _plain(next_state)
 
-    def observe(self, state: Values, barriers: Sequence[AbstractBarrier]) -> None:
+    def observe(self, state: Sequence[float] | Values, barriers: Sequence[AbstractBarrier]) -> None:
         """Holds the last prediction against the measured ``state`` (states,); call it once per period."""
         expected, self._expected = self._expected, None
-        if expected is None or expected.shape != state.shape:
+        if expected is None or len(expected) != len(state):
             return
         stack = stacked(barriers)
-        errors: list[float] = (stack.values(expected) - stack.values(state)).tolist() if stack.names else []
+        if not stack.names:
+            return
+        hoped, measured = stack.heights(expected), stack.heights(_plain(state))
+        errors = [before - after for before, after in zip(hoped, measured, strict=True)]
         for kind, rows in stack.rows.items():
-            worst = _largest([errors[row] for row in rows])
-            if kind in self._margins and isfinite(worst):
-                self._margins[kind].update(worst)
+            margin = self._margins.get(kind)
+            if margin is not None:
+                worst = _largest([errors[row] for row in rows])
+                if isfinite(worst):
+                    margin.update(worst)
+
+
+def _plain(state: Sequence[float] | Values) -> Sequence[float]:
+    """As numbers of Python's own: a few of them are computed with faster than an array."""
+    return state.tolist() if isinstance(state, np.ndarray) else state
 
 
 def _largest(errors: list[float]) -> float:
-    """NaN where one is. A few numbers are compared faster than an array."""
-    return nan if any(map(isnan, errors)) else max(errors)
+    """NaN where one is: then the sum is none either."""
+    return max(errors) if isfinite(sum(errors)) or not any(map(isnan, errors)) else nan
