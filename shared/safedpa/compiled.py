@@ -12,8 +12,10 @@ MODULES = (
     "safedpa.safety.braking",
     "safedpa.safety.car_geometry",
     "safedpa.safety.conditions",
+    "safedpa.safety.decision",
+    "safedpa.safety.inputs",
     "safedpa.safety.nearest",
-    "safedpa.safety.plain_input",
+    "safedpa.safety.prediction",
     "safedpa.safety.program_rows",
     "safedpa.safety.search",
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -108,21 +109,25 @@ class _Work(threading.local):
 
     def run(self) -> None:
         """All products for the one input that lies in ``input``."""
-        for product, matrix, y, whole in self.steps:
-            product(matrix, y)
-            if whole is not None:
-                np.maximum(whole, _ZERO, out=whole)
+        for step in self.steps:
+            step()
 
     def _steps_of_one(
         self, enter: Rows, middle: Sequence[tuple[_Middle, _Middle]], leave: Rows
-    ) -> list[tuple[Callable[..., Any], Rows, Rows, Rows | None]]:
-        """Product with an input, matrix and output for each, and the whole layer where it is complete."""
+    ) -> list[Callable[[], Any]]:
+        """The products for one input, and what cuts off below zero each layer that is complete."""
         rows = [buffer[0] for buffer in self.hidden]
-        steps: list[tuple[Callable[..., Any], Rows, Rows, Rows | None]] = [(self.input[0].dot, enter, rows[0], rows[0])]
+        steps = [partial(self.input[0].dot, enter, rows[0]), _cut(rows[0])]
         for (left, right), before, after in zip(middle, rows, rows[1:], strict=False):
-            steps.append((before[left.before].dot, left.matrix, after[left.after], None))
-            steps.append((before[right.before].dot, right.matrix, after[right.after], after))
-        return [*steps, (rows[-1].dot, leave, self.output, None)]
+            for network in (left, right):
+                steps.append(partial(before[network.before].dot, network.matrix, after[network.after]))
+            steps.append(_cut(after))
+        return [*steps, partial(rows[-1].dot, leave, self.output)]
+
+
+def _cut(whole: Rows) -> partial[Any]:
+    """Of the same shape as the layer, zeros are compared faster than one zero."""
+    return partial(np.maximum, whole, np.zeros_like(whole), out=whole)
 
 
 def _entering(layer: Layer) -> Rows:

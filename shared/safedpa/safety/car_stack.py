@@ -48,10 +48,14 @@ class Stacks:
 
     def __init__(self) -> None:
         self._last: AbstractStack = Barriers(())
+        self._given: AbstractStack = self._last
 
     def of(self, parts: Sequence[AbstractBarrier]) -> AbstractStack:
         """The stack of just these objects."""
+        if parts is self._given:
+            return parts
         if isinstance(parts, AbstractStack):
+            self._given = parts
             return parts
         known = self._last.parts
         if len(parts) != len(known) or not all(map(is_, parts, known)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +17,22 @@ from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
-from safedpa.safety.search import DecisionError, search
+from safedpa.safety.search import DecisionError
+from safedpa.safety.search import search as _search
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict
 
 __all__ = ["Backup", "Decision", "Request", "Tools"]
 
-Values = NDArray[np.float64]
-Action = tuple[float, ...]
+Values: TypeAlias = NDArray[np.float64]
+Action: TypeAlias = tuple[float, ...]
 Backup = Callable[[Values | None], Any]
 """The backup action (actions,) at a state (states,); None when the state is not known."""
 
-_BINDING = 10.0
+search: Callable[..., tuple[Outcome, str]] = _search
+"""Looked up at every call, compiled or not: tests put others in its place."""
+
+_BINDING: Final = 10.0
 """A condition within this many slack tolerances of its limit is reported as active."""
 
 
@@ -51,7 +55,7 @@ class Tools:
 
 
 @final
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Request:
     """What one tick brings; nothing of it is trusted."""
 

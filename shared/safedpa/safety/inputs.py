@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, final
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.plain_input import BELIEVED, NOT_FINITE, first_unbelieved
-
 __all__ = ["Plausible", "Unusable", "checked_input"]
 
-Values = NDArray[np.float64]
+Values: TypeAlias = NDArray[np.float64]
 
-_FLOAT = np.dtype(np.float64)
-_NO_RANGE: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+_ARRAY: Final[Any] = np.ndarray
+_FLOAT: Final[Any] = np.dtype(np.float64)
+
+_BELIEVED: Final = -1
+"""All entries are finite and within their range."""
+_NOT_FINITE: Final = -2
+"""One of them is NaN or infinite."""
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class Plausible:
-    """The range in which an input is believed, both (entries,), with the entries' names for messages."""
+    """The range in which an input is believed, both (entries,), with the entries' names for messages.
 
-    low: Values
-    high: Values
-    names: tuple[str, ...]
+    One number stands for all entries; raises ValueError where the range and the names are not as many.
+    """
 
-    @cached_property
-    def sides(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Low and high (entries,) as plain numbers: a few of them are compared faster than arrays."""
-        low, high = (tuple(np.broadcast_to(side, len(self.names)).tolist()) for side in (self.low, self.high))
-        return low, high
+    def __init__(self, low: Values, high: Values, names: Sequence[str]) -> None:
+        self.low, self.high = low, high
+        self.names: tuple[str, ...] = tuple(names)
+        self.lowest: tuple[float, ...] = tuple(np.broadcast_to(low, len(self.names)).tolist())
+        """As plain numbers: a few of them are compared faster than arrays."""
+        self.highest: tuple[float, ...] = tuple(np.broadcast_to(high, len(self.names)).tolist())
 
 
 @final
@@ -48,7 +50,7 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[f
     if value is None:
         return Unusable(f"{what} is missing")
     entries: tuple[float, ...]
-    if type(value) is np.ndarray and value.dtype is _FLOAT and value.ndim == 1:
+    if type(value) is _ARRAY and value.dtype is _FLOAT and value.ndim == 1:
         shape, entries = value.shape, tuple(value.tolist())
     else:
         try:
@@ -59,11 +61,24 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[f
     if len(shape) != 1 or (plausible is not None and len(entries) != len(plausible.names)):
         wanted = "one axis" if plausible is None else f"({len(plausible.names)},)"
         return Unusable(f"{what} has shape {shape}, wanted {wanted}")
-    low, high = _NO_RANGE if plausible is None else plausible.sides
-    found = first_unbelieved(entries, low, high)
-    if found == BELIEVED:
+    low: tuple[float, ...] = () if plausible is None else plausible.lowest
+    high: tuple[float, ...] = () if plausible is None else plausible.highest
+    found = _first_unbelieved(entries, low, high)
+    if found == _BELIEVED:
         return entries
-    if plausible is None or found == NOT_FINITE:
+    if plausible is None or found == _NOT_FINITE:
         return Unusable(f"{what} holds NaN or infinity")
     said = f"{plausible.names[found]} = {entries[found]:g}, wanted {low[found]:g} to {high[found]:g}"
     return Unusable(f"{what} is out of its plausible range: {said}")
+
+
+def _first_unbelieved(entries: tuple[float, ...], low: tuple[float, ...], high: tuple[float, ...]) -> int:
+    """The place of the first entry outside ``low`` to ``high`` (none, or as many), or what stands above."""
+    for value in entries:
+        if value - value != 0.0:
+            return _NOT_FINITE
+    for index in range(len(low)):
+        value = entries[index]
+        if value < low[index] or value > high[index]:
+            return index
+    return _BELIEVED

@@ -11,6 +11,7 @@ is the optimum over all of them, so what is returned is the minimiser, whatever 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from typing import Final, final
 
 __all__ = ["KEPT", "MOST", "PARALLEL", "NearestKept", "Point", "Row", "nearest_kept"]
@@ -24,6 +25,11 @@ PARALLEL: Final = 1e-9
 """Share of the product of two rows' sizes: below, their corner is not computed."""
 MOST: Final = 8
 """Conditions that are taken in; then others have to answer."""
+
+_UNIT_A: Final[list[float]] = [1.0, -1.0, 0.0, 0.0]
+_UNIT_B: Final[list[float]] = [0.0, 0.0, 1.0, -1.0]
+_UNIT_LIMIT: Final[list[float]] = [0.0, -1.0, 0.0, -1.0]
+_UNIT_PRICE: Final[list[float]] = [inf, inf, inf, inf]
 
 Point = tuple[float, float]
 
@@ -58,6 +64,13 @@ class NearestKept:
         self._limit.append(limit)
         self._price.append(price)
         self._sum += a + b + limit
+
+    def within_unit(self, entries: int) -> None:
+        """Adds 0 <= x <= 1, and for two ``entries`` the same of y: no slack can relieve these."""
+        self._a += _UNIT_A[: 2 * entries]
+        self._b += _UNIT_B[: 2 * entries]
+        self._limit += _UNIT_LIMIT[: 2 * entries]
+        self._price += _UNIT_PRICE[: 2 * entries]
 
     def solve(self) -> bool:
         """Whether the minimiser was found."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from safedpa.safety.affine_motion import AffineMotion
 
 __all__ = ["Prediction"]
 
-Values = NDArray[np.float64]
+Values: TypeAlias = NDArray[np.float64]
 
 
 @final
@@ -28,9 +28,9 @@ class Prediction:
     """
 
     def __init__(self, affine: Callable[..., Any], step: Callable[..., Any] | None = None) -> None:
-        self._affine, self._affine_count, self._affine_words = affine, *_accepted(affine, 2)
-        self._step = step
-        self._step_count, self._step_words = _accepted(step, 3) if step is not None else (0, frozenset())
+        self._affine, self._step = affine, step
+        self._affine_count, self._affine_words = _accepted(affine, 2)
+        self._step_count, self._step_words = (0, frozenset[str]()) if step is None else _accepted(step, 3)
         self._model: AbstractDynamics | None = None
         self._physics: PhysicsModel | None = None
         self._fixed: tuple[float, ...] = ()

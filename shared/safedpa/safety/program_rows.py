@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
 
 from safedpa.safety.nearest import NearestKept
 
@@ -63,11 +62,7 @@ def closest(
     for index in range(len(rows)):
         slopes, limit, _ = rows[index]
         problem.add(slopes[0], 0.0 if single else slopes[1], limit, price)
-    problem.add(1.0, 0.0, 0.0, inf)  # 0 <= u <= 1: no slack can relieve it
-    problem.add(-1.0, 0.0, -1.0, inf)
-    if not single:
-        problem.add(0.0, 1.0, 0.0, inf)
-        problem.add(0.0, -1.0, -1.0, inf)
+    problem.within_unit(1 if single else 2)
     if not problem.solve():
         return None
     return [low + width * problem.x] if single else [low + width * problem.x, base + reach * problem.y]
