@@ -28,6 +28,7 @@ from safedpa.bus import (
     WishMessage,
     encode,
 )
+from safedpa.bus.slot import Slot
 from safedpa.errors import MessageError
 
 EPOCH = 8731
@@ -175,7 +176,7 @@ def test_a_stale_input_tells_its_age(real_time: Fleet, age: int) -> None:
 def test_in_real_time_a_node_with_slack_takes_the_input_of_the_tick_before(
     real_time: Fleet, monkeypatch: pytest.MonkeyPatch, age: int
 ) -> None:
-    monkeypatch.setattr(Wisher, "slack", 1)
+    monkeypatch.setattr(Wisher, "slack", {LATENT: 1})
     real_time.state(5)
     real_time.latent(5)
     real_time.state(5 + age)
@@ -186,8 +187,19 @@ def test_in_real_time_a_node_with_slack_takes_the_input_of_the_tick_before(
     assert latent == Stale(LATENT, 2) if age == 2 else isinstance(latent, LatentMessage)
 
 
+def test_slack_is_for_the_topics_that_are_named(state_at: Callable[..., StateMessage]) -> None:
+    stamp = {"epoch": EPOCH, "robot_time": 0.0, "publish_time": 0.0}
+    slot = Slot(state_at(6, epoch=EPOCH, lockstep=False), 0.0, 0.0, 0.0)
+    slot.keep(LATENT, LatentMessage(**stamp, tick=5, model="m", values=(0.1,), deviations=(0.1,)))
+    slot.keep(WISH, WishMessage(**stamp, tick=5, values=(0.0, 0.0), controller="test"))
+    assert not slot.is_complete((LATENT, WISH), {LATENT: 1})
+    slot.keep(WISH, WishMessage(**stamp, tick=6, values=(0.0, 0.0), controller="test"))
+    assert slot.is_complete((LATENT, WISH), {LATENT: 1})
+    assert not slot.is_complete((LATENT, WISH), {})
+
+
 def test_in_lockstep_nobody_has_slack(lockstep: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Wisher, "slack", 1)
+    monkeypatch.setattr(Wisher, "slack", {LATENT: 1})
     lockstep.state(0)
     lockstep.latent(0)
     lockstep.state(1)

@@ -141,15 +141,16 @@ def test_messages_from_many_threads_at_once_are_each_answered_once(state_at: Cal
     assert sorted(heard) == sorted((robot, tick) for robot in robots for tick in range(ticks))
 
 
-def test_a_state_alone_prepares_nothing_yet(state_at: Callable[..., StateMessage]) -> None:
-    """Preparing before the first input is there would take the processor from those who compute that input."""
+def test_what_the_state_alone_allows_is_prepared_once_while_inputs_are_on_their_way(
+    state_at: Callable[..., StateMessage],
+) -> None:
     broker = MemoryBroker()
     node, bus = Wisher(), Bus(MemoryTransport(broker), "f")
     node.inputs = (LATENT, ACTION)  # type: ignore[assignment]
     loop = ServiceLoop(node, Bus(MemoryTransport(broker), "f"))
     bus.publish(STATE, "r", state_at(3, lockstep=True))
     loop.turn(0.0)
-    assert node.prepared == []
+    assert node.prepared == [3]
     stamp = {"epoch": state_at(3).epoch, "tick": 3, "robot_time": 0.0, "publish_time": 0.0}
     bus.publish(LATENT, "r", LatentMessage(**stamp, model="m", values=(0.5,), deviations=(0.1,)))
     loop.turn(0.0)

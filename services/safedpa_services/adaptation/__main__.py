@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from safedpa.bus.process import Stop, run_process
+from safedpa.bus.process import Stop, Urgency, run_process
 from safedpa_services.nodes import adaptation
 from safedpa_services.serving import serve, service_parser
 
@@ -15,4 +15,4 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 
 
 if __name__ == "__main__":
-    run_process(work, service_parser("safedpa-adaptation"))
+    run_process(work, service_parser("safedpa-adaptation"), Urgency.ADAPTATION)

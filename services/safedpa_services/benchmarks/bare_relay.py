@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.process import Stop, run_process
+from safedpa.bus.process import Stop, Urgency, run_process
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
@@ -25,4 +25,4 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="bare-relay")
     for name in ("--connect", "--source", "--target", "--alive"):
         parser.add_argument(name, required=True)
-    run_process(work, parser)
+    run_process(work, parser, Urgency.ROBOT)

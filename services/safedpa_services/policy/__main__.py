@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from safedpa.bus.process import Stop, run_process
+from safedpa.bus.process import Stop, Urgency, run_process
 from safedpa_services.nodes import add_policy_options, policy
 from safedpa_services.serving import serve, service_parser
 
@@ -17,4 +17,4 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 if __name__ == "__main__":
     parser = service_parser("safedpa-policy")
     add_policy_options(parser)
-    run_process(work, parser)
+    run_process(work, parser, Urgency.POLICY)

@@ -9,7 +9,7 @@ from safedpa.bus import Bus, ZenohSettings, ZenohTransport
 from safedpa.bus.access import ROUTER, access_control, size_limits
 from safedpa.bus.certificates import Certificates
 from safedpa.bus.log import log_event
-from safedpa.bus.process import Stop, run_process
+from safedpa.bus.process import Stop, Urgency, run_process
 from safedpa.errors import InputError
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals
 from safedpa_services.router.router import Router
@@ -84,4 +84,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    run_process(work, _parser())
+    run_process(work, _parser(), Urgency.ROUTER)

@@ -51,8 +51,9 @@ class AbstractNode(ABC):
     outputs: ClassVar[tuple[Topic, ...]]
     share: ClassVar[float]
     listens: ClassVar[tuple[Topic, ...]] = ()
-    slack: ClassVar[int] = 0
-    """Age in ticks up to which, in real time, an input is as good as that of the tick: nobody waits for a newer one."""
+    slack: ClassVar[Mapping[Topic, int]] = {}
+    """By topic, the age in ticks up to which, in real time, an input is as good as that of the tick: nobody waits for a
+    newer one, which is taken all the same where it is there. Topics that are not named are waited for."""
     lingers: ClassVar[bool] = True
     """Whether ``afterwards`` takes so long that it waits for a pause; else it follows at once."""
 

@@ -15,6 +15,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
+from enum import IntEnum
 from pathlib import Path
 from types import TracebackType
 
@@ -25,15 +26,28 @@ from safedpa.bus.version import software_version
 from safedpa.bus.zenoh_transport import Mode, ZenohSettings, ZenohTransport
 from safedpa.errors import BusError, SafedpaError
 
-__all__ = ["Stop", "add_bus_options", "bus_from", "lifetime", "run_process", "settings_from"]
+__all__ = ["Stop", "Urgency", "add_bus_options", "bus_from", "lifetime", "run_process", "settings_from"]
 
 EXIT_CRASHED = 70
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 """A second signal: it ended at once, whatever was not finished."""
 
-_REAL_TIME_PRIORITY = 10
-"""Of 1 to 99; the kernel's own threads stand above it."""
+
+class Urgency(IntEnum):
+    """Who runs first where there is less processor than work: real-time priorities of 1 to 99.
+
+    The kernel's own threads stand above all of them. A state wakes everybody at once; first come those for whom the
+    action waits. The wish is computed before the filter prepares, and a latent serves a tick later as well. The robot
+    and a router have little to do, and all others wait for it.
+    """
+
+    LAST = 9
+    ADAPTATION = 10
+    FILTER = 11
+    POLICY = 12
+    ROBOT = 13
+    ROUTER = 14
 
 
 class Stop:
@@ -113,8 +127,13 @@ def settings_from(options: argparse.Namespace) -> ZenohSettings:
     return ZenohSettings(mode, tuple(options.listen), tuple(options.connect), certificates)
 
 
-def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argparse.ArgumentParser) -> None:
-    """Parses the options, runs ``work``, and ends the process with its exit code; never returns."""
+def run_process(
+    work: Callable[[argparse.Namespace, Stop], int], parser: argparse.ArgumentParser, urgency: Urgency = Urgency.LAST
+) -> None:
+    """Parses the options, runs ``work``, and ends the process with its exit code; never returns.
+
+    ``urgency`` counts where it is started with ``--realtime``.
+    """
     sys.excepthook = _end_at_once
     threading.excepthook = lambda arguments: _end_at_once(
         arguments.exc_type, arguments.exc_value or arguments.exc_type(), arguments.exc_traceback
@@ -128,7 +147,7 @@ def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argpars
     stop = Stop()
     stop.listen_to_signals(lambda: _leave(EXIT_INTERRUPTED))
     if options.realtime:
-        _ask_for_real_time()
+        _ask_for_real_time(urgency)
     if options.supervised:
         threading.Thread(target=_watch_supervisor, args=(stop,), daemon=True).start()
     try:
@@ -139,10 +158,10 @@ def run_process(work: Callable[[argparse.Namespace, Stop], int], parser: argpars
     _leave(code)
 
 
-def _ask_for_real_time() -> None:
-    """First come, first served before all ordinary processes; stays an ordinary one where that is not permitted."""
+def _ask_for_real_time(urgency: Urgency) -> None:
+    """Before all ordinary processes and those of less urgency; an ordinary one where that is not permitted."""
     with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_REAL_TIME_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(urgency))
 
 
 def _watch_supervisor(stop: Stop) -> None:

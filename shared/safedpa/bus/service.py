@@ -286,7 +286,7 @@ class ServiceLoop:
     def _advance(self, robot: str, slot: Slot) -> None:
         if slot.is_complete(self._node.inputs, self._node.slack) or self.clock() >= self._deadline(slot):
             self._step(robot, slot)
-        elif not slot.prepared and slot.has_any(self._node.inputs):
+        elif not slot.prepared:
             slot.prepared = True
             try:
                 self._node.prepare(robot, slot.state)

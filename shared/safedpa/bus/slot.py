@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from safedpa.bus.messages import Message, StateMessage
@@ -12,6 +12,7 @@ from safedpa.bus.trace import Trace
 
 __all__ = ["Counts", "Slot"]
 
+_NO_SLACK: Mapping[Topic, int] = {}
 _BURST = 10.0
 """States that may come at once: a network that was held up delivers what it kept."""
 _PACE = 2.0
@@ -75,20 +76,13 @@ class Slot:
         self._credit -= 1.0
         return True
 
-    def is_complete(self, topics: Sequence[Topic], slack: int) -> bool:
-        """Whether every input is there: of the state's tick, or in real time at most ``slack`` ticks older."""
-        slack = 0 if self.state.lockstep else slack
+    def is_complete(self, topics: Sequence[Topic], slack: Mapping[Topic, int]) -> bool:
+        """Whether every input is there: of the state's tick, or in real time older by at most its topic's ``slack``."""
+        slack = _NO_SLACK if self.state.lockstep else slack
         for topic in topics:  # noqa: SIM110  a loop costs half of what `all` does, and every message asks
-            if not _fits(self.inputs.get(topic), self.state, slack):
+            if not _fits(self.inputs.get(topic), self.state, slack.get(topic, 0)):
                 return False
         return True
-
-    def has_any(self, topics: Sequence[Topic]) -> bool:
-        """Whether some input of the state's tick is there."""
-        for topic in topics:  # noqa: SIM110  likewise
-            if _fits(self.inputs.get(topic), self.state, 0):
-                return True
-        return False
 
     def keep(self, topic: Topic, message: Message) -> bool:
         """Keeps an input that is newer than the one before; False when it is of no use.
@@ -103,10 +97,10 @@ class Slot:
         self.inputs[topic] = message
         return True
 
-    def given(self, topics: Sequence[Topic], slack: int) -> Inputs:
+    def given(self, topics: Sequence[Topic], slack: Mapping[Topic, int]) -> Inputs:
         """The inputs of a step, stale where they are missing or too old."""
-        slack = 0 if self.state.lockstep else slack
-        return {topic: _usable(topic, self.inputs.get(topic), self.state, slack) for topic in topics}
+        slack = _NO_SLACK if self.state.lockstep else slack
+        return {topic: _usable(topic, self.inputs.get(topic), self.state, slack.get(topic, 0)) for topic in topics}
 
 
 def _fits(message: Message | None, state: StateMessage, slack: int) -> bool:

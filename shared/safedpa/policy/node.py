@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from safedpa.bus import (
     ModelMessage,
     Outputs,
     StateMessage,
+    Topic,
     WishMessage,
 )
 from safedpa.bus.model_versions import ModelVersions
@@ -56,7 +57,8 @@ class PolicyNode(AbstractNode):
     outputs = (WISH, TAKEOVER)
     listens = (MODEL,)
     share = 0.2
-    slack = 1  # a load does not change within a tick, and waiting for news of it would take a quarter of sense to act
+    # A load does not change within a tick, and waiting for news of it would take a quarter of sense to act.
+    slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1}
     lingers = False
 
     def __init__(

@@ -6,7 +6,8 @@ Whatever is missing, an action goes out in time: without a wish, or with a laten
 from __future__ import annotations
 
 import time
-from typing import Any, final
+from collections.abc import Mapping
+from typing import Any, ClassVar, final
 
 from safedpa.bus import (
     ACTION,
@@ -24,6 +25,7 @@ from safedpa.bus import (
     Outputs,
     Stale,
     StateMessage,
+    Topic,
     VerdictMessage,
     WishMessage,
 )
@@ -56,7 +58,8 @@ class SafetyFilterNode(AbstractNode):
     outputs = (ACTION, VERDICT, TAKEOVER)
     listens = (MODEL,)
     share = 0.5
-    slack = {LATENT: 1}  # as the policy: a wish must not wait for news of a load, which changes slowly
+    # As the policy: a wish does not wait for news of a load. The watch over the margin sees what that costs.
+    slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1}
 
     def __init__(
         self,

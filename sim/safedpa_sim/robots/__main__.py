@@ -8,7 +8,7 @@ import json
 import sys
 from pathlib import Path
 
-from safedpa.bus.process import Stop, add_bus_options, bus_from, lifetime, run_process
+from safedpa.bus.process import Stop, Urgency, add_bus_options, bus_from, lifetime, run_process
 from safedpa.bus.setup import setup_message
 from safedpa_sim.robots.account import account_of, check_writable, write_account
 from safedpa_sim.robots.changes import CHANGES
@@ -86,4 +86,4 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 
 
 if __name__ == "__main__":
-    run_process(work, robot_parser())
+    run_process(work, robot_parser(), Urgency.ROBOT)
