@@ -7,11 +7,8 @@ import gc
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from functools import lru_cache
-from typing import Any
 
-from safedpa.bus import NO_ROBOT, AbstractTransport, Bus, ServiceLoop, ZenohTransport, decode
-from safedpa.bus.inbox import Decode
+from safedpa.bus import NO_ROBOT, AbstractTransport, Bus, ServiceLoop, ZenohTransport
 from safedpa.bus.joint_transport import JointTransport
 from safedpa.bus.journal import Journal
 from safedpa.bus.process import Stop, add_bus_options, lifetime, settings_from
@@ -22,11 +19,6 @@ __all__ = ["serve", "service_parser"]
 
 _SWITCH_SECONDS = 0.0005
 """After so long a step gives way to the network's thread, which stamps what arrives; Python's own 5 ms are long."""
-
-_MOST_DECODED = 2048
-"""Messages that the services of one process read in turn: each is decoded for the first one."""
-_LARGEST_REMEMBERED = 4096
-"""Bytes; a state with six obstacles has 600. Senders of larger ones must not fill our memory with them."""
 
 
 def service_parser(program: str) -> argparse.ArgumentParser:
@@ -42,21 +34,20 @@ def serve(
     services: Sequence[Made],
     options: argparse.Namespace,
     stop: Stop,
-    serves: Callable[[str], bool] = lambda _robot: True,
+    serves: Callable[[str], bool] | None = None,
 ) -> int:
     """Runs one service on the bus, or several in the direction of their data, until ``stop``; returns exit code 0.
 
-    Each tells its setup. ``serves(robot)`` says of which robots several services take anything.
+    Each tells its setup. ``serves(robot)`` says of which robots they take anything; None: of all.
     """
     sys.setswitchinterval(_SWITCH_SECONDS)
     transport: AbstractTransport = ZenohTransport(settings_from(options))
-    read: Decode = decode
     if len(services) > 1:
         inside = frozenset(topic.name for made in services for topic in made.node.outputs) & frozenset(
             topic.name for made in services for topic in made.node.inputs
         )
-        transport, read = JointTransport(transport, inside), _decoded_once()
-    with Bus(transport, options.fleet, read) as bus, ExitStack() as lifetimes:
+        transport = JointTransport(transport, inside)
+    with Bus(transport, options.fleet) as bus, ExitStack() as lifetimes:
         for made in services:
             made.joined(bus)
         gc.collect()
@@ -64,18 +55,8 @@ def serve(
         for made in services:
             bus.announce(NO_ROBOT, made.node.name, made.setup.instance)
             lifetimes.enter_context(lifetime(made.node.name, stop))
-        Turning([_loop(made, Bus(transport, options.fleet, read, serves), options) for made in services]).run(stop)
+        Turning([_loop(made, Bus(transport, options.fleet, serves=serves), options) for made in services]).run(stop)
     return 0
-
-
-def _decoded_once() -> Decode:
-    """As ``decode``, but what is read again is the same message; messages are frozen."""
-    remembered: Any = lru_cache(maxsize=_MOST_DECODED)(decode)
-
-    def read(kind: type[Any], payload: bytes) -> Any:
-        return (remembered if len(payload) <= _LARGEST_REMEMBERED else decode)(kind, payload)
-
-    return read
 
 
 def _loop(made: Made, bus: Bus, options: argparse.Namespace) -> ServiceLoop:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import pytest
 
-from safedpa.bus import MemoryBroker, MemoryTransport
+from safedpa.bus import LATENT, STATE, Bus, MemoryBroker, MemoryTransport, Message, Received, Refused, decode, encode
+from safedpa.bus.bundle import packed
 from safedpa.bus.joint_transport import JointTransport
+from safedpa.bus.topics import BUNDLE
 from safedpa.errors import BusError
 
 INSIDE = frozenset(["latent"])
@@ -73,3 +78,82 @@ def test_everything_else_is_the_sessions() -> None:
     joint.close()
     with pytest.raises(BusError):
         joint.put("safedpa/f/r/latent", b"x", never_drop=False)
+
+
+class Reading:
+    """Decodes, and counts what."""
+
+    def __init__(self) -> None:
+        self.read: list[bytes] = []
+
+    def __call__(self, kind: type[Any], payload: bytes) -> Any:
+        self.read.append(payload)
+        return decode(kind, payload)
+
+
+def sent_to_several(
+    services: int, entries: Sequence[tuple[str, bytes]], **options: Any
+) -> tuple[Reading, list[list[Received | Refused]]]:
+    """What so many services of one process take of a bundle of states."""
+    broker, reading = MemoryBroker(), Reading()
+    joint = JointTransport(MemoryTransport(broker), INSIDE)
+    inboxes = [Bus(joint, "f", reading, **options).inbox((STATE,)) for _ in range(services)]
+    MemoryTransport(broker).put(f"safedpa/f/{BUNDLE}/state", packed(entries), never_drop=False)
+    return reading, [inbox.take(0.0) for inbox in inboxes]
+
+
+def test_a_message_is_read_once_for_all_who_share_a_process(samples: dict[str, Message]) -> None:
+    state = encode(samples["state"])
+    garbage, large = b"garbage", bytes(70_000)
+    reading, taken = sent_to_several(3, [("a", state), ("b", garbage), ("c", state)])
+    assert reading.read == [state, garbage, state]
+    assert taken[0] == taken[1] == taken[2]
+    assert [type(item) for item in taken[0]] == [Received, Refused, Received]
+    assert taken[0][0] is taken[1][0]
+    _, alone = sent_to_several(1, [("a", state), ("b", garbage), ("c", state)])
+    without_time = [item._replace(at=0.0) if isinstance(item, Received) else item for item in taken[0]]
+    assert without_time == [item._replace(at=0.0) if isinstance(item, Received) else item for item in alone[0]]
+    _, refused = sent_to_several(2, [("a", large)])
+    assert [[type(item) for item in items] for items in refused] == [[Refused], [Refused]]
+
+
+def test_what_is_replaced_before_anybody_takes_it_is_never_read(samples: dict[str, Message]) -> None:
+    broker, reading = MemoryBroker(), Reading()
+    joint = JointTransport(MemoryTransport(broker), INSIDE)
+    inboxes = [Bus(joint, "f", reading).inbox((STATE,)) for _ in range(2)]
+    newest = encode(samples["state"])
+    for payload in (b"1", b"2", b"3", newest):
+        MemoryTransport(broker).put("safedpa/f/a/state", payload, never_drop=False)
+    assert [len(inbox.take(0.0)) for inbox in inboxes] == [1, 1]
+    assert reading.read == [newest]
+
+
+def test_who_asks_for_other_robots_has_its_own(samples: dict[str, Message]) -> None:
+    broker = MemoryBroker()
+    joint = JointTransport(MemoryTransport(broker), INSIDE)
+    asked: tuple[Callable[[str], bool] | None, ...] = (None, lambda robot: robot == "a", lambda robot: robot == "b")
+    inboxes = [Bus(joint, "f", serves=serves).inbox((STATE,)) for serves in asked]
+    state = encode(samples["state"])
+    outside = MemoryTransport(broker)
+    outside.put(f"safedpa/f/{BUNDLE}/state", packed([("a", state), ("b", state)]), never_drop=False)
+    assert [[item.robot for item in inbox.take(0.0)] for inbox in inboxes] == [["a", "b"], ["a"], ["b"]]
+    outside.put("safedpa/f/b/state", state, never_drop=False)
+    assert [[item.robot for item in inbox.take(0.0)] for inbox in inboxes] == [["b"], [], ["b"]]
+
+
+def test_inside_a_bundle_is_opened_once_too_and_what_comes_alone_stays_alone(samples: dict[str, Message]) -> None:
+    reading = Reading()
+    joint = JointTransport(MemoryTransport(MemoryBroker()), INSIDE)
+    inboxes = [Bus(joint, "f", reading).inbox((LATENT,)) for _ in range(2)]
+    sender = Bus(joint, "f")
+    sender.hold()
+    for robot in ("a", "b"):
+        sender.publish(LATENT, robot, samples["latent"])
+    sender.flush()
+    taken = [inbox.take(0.0) for inbox in inboxes]
+    assert [[(item.robot, item.bundled) for item in items if isinstance(item, Received)] for items in taken] == [
+        [("a", True), ("b", True)]
+    ] * 2
+    assert len(reading.read) == 2
+    sender.publish(LATENT, "a", samples["latent"])
+    assert [item.bundled for inbox in inboxes for item in inbox.take(0.0) if isinstance(item, Received)] == [False] * 2

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.bus import Bus, MemoryTransport, ServiceLoop, StateMessage, WishMessage, decode, encode
+from safedpa.bus import Bus, MemoryTransport, ServiceLoop
 from safedpa.bus.joint_transport import JointTransport
-from safedpa.errors import InputError, MessageError
+from safedpa.errors import InputError
 from safedpa_services.benchmarks.fleet import FleetTrial, fleet_benchmark
-from safedpa_services.serving import _decoded_once
 from safedpa_services.stack.__main__ import serves
 
 Make = Callable[..., Any]
@@ -21,10 +20,10 @@ Make = Callable[..., Any]
 
 def test_in_one_process_every_trajectory_is_the_same(stack: Make, undisturbed: dict[str, str]) -> None:
     fleet = stack(tuple(undisturbed))
-    joint, read = JointTransport(MemoryTransport(fleet.broker), frozenset(["latent", "wish"])), _decoded_once()
+    joint = JointTransport(MemoryTransport(fleet.broker), frozenset(["latent", "wish"]))
     for loop in fleet.services:
         loop._bus.close()  # those of the fixture, each with a session of its own
-    fleet.services = [ServiceLoop(node, Bus(joint, "test", read), clock=fleet.clock) for node in fleet.nodes]
+    fleet.services = [ServiceLoop(node, Bus(joint, "test"), clock=fleet.clock) for node in fleet.nodes]
     fleet.drive(2.0)
     assert fleet.fleet.late == 0
     assert {name: car.trajectory_hash for name, car in fleet.cars.items()} == undisturbed
@@ -46,21 +45,6 @@ def test_the_shares_of_a_fleet_are_alike() -> None:
 def test_a_share_that_is_none_is_refused_in_words(share: str) -> None:
     with pytest.raises(InputError, match="wanted a number and how many"):
         serves(share)
-
-
-def test_what_is_read_again_is_the_same_message_and_what_is_large_is_not_remembered(stack: Make) -> None:
-    (car,) = stack(("a",)).cars.values()
-    read, payload = _decoded_once(), encode(car.state_message())
-    assert read(StateMessage, payload) == decode(StateMessage, payload)
-    assert read(StateMessage, payload) is read(StateMessage, payload)
-    with pytest.raises(MessageError):
-        read(WishMessage, payload)
-    large = encode(StateMessage(**{**_fields(car.state_message()), "obstacles": ((1.0, 2.0, 0.1),) * 300}))
-    assert read(StateMessage, large) is not read(StateMessage, large)
-
-
-def _fields(message: Any) -> dict[str, Any]:
-    return {name: getattr(message, name) for name in StateMessage.__dataclass_fields__}
 
 
 @pytest.mark.processes

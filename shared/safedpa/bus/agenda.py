@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from math import inf
 from typing import final
 
 __all__ = ["Agenda"]
@@ -10,26 +11,38 @@ __all__ = ["Agenda"]
 
 @final
 class Agenda:
-    """Moments [s] by robot. A moment that is not needed any more is not taken back: looking once too often is cheap."""
+    """Moments [s] by robot. A moment that is not needed any more is not taken back: looking once too often is cheap.
+
+    Robots that are served together have their moments together, so each moment stands there once.
+    """
 
     def __init__(self) -> None:
-        self._moments: list[tuple[float, str]] = []
+        self._moments: list[float] = []
+        self._robots: dict[float, list[str]] = {}
+        """By moment."""
 
     def at(self, when: float, robot: str) -> None:
         """Adds a moment; never, where it is infinite."""
-        if when < float("inf"):
-            heapq.heappush(self._moments, (when, robot))
+        robots = self._robots.get(when)
+        if robots is not None:
+            robots.append(robot)
+        elif when < inf:
+            self._robots[when] = [robot]
+            heapq.heappush(self._moments, when)
 
     def due(self, now: float) -> list[str]:
         """Takes the robots whose moment has come, earliest first; each once."""
+        moments = self._moments
+        if not moments or moments[0] > now:
+            return []
         found: dict[str, None] = {}
-        while self._moments and self._moments[0][0] <= now:
-            found[heapq.heappop(self._moments)[1]] = None
+        while moments and moments[0] <= now:
+            found.update(dict.fromkeys(self._robots.pop(heapq.heappop(moments))))
         return list(found)
 
     def next(self) -> float:
         """The earliest moment; infinite where there is none."""
-        return self._moments[0][0] if self._moments else float("inf")
+        return self._moments[0] if self._moments else inf
 
     def __len__(self) -> int:
-        return len(self._moments)
+        return sum(map(len, self._robots.values()))

@@ -6,22 +6,19 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
-from safedpa.bus.bundle import Entry, packed, parts, unbundled
+from safedpa.bus.accepting import Accepting
+from safedpa.bus.bundle import Entry, packed, parts
 from safedpa.bus.codec import decode, encode
 from safedpa.bus.inbox import Answered, Decode, Inbox
 from safedpa.bus.messages import Message
 from safedpa.bus.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
 from safedpa.bus.topics import BUNDLE, Topic, key_of
-from safedpa.bus.transport import AbstractTransport, OnSample
+from safedpa.bus.transport import AbstractTransport
 from safedpa.errors import BusError, InputError, MessageError
 
 __all__ = ["Bus"]
 
 _CLAIM_POLL_SECONDS = 0.05
-
-
-def _everyone(_robot: str) -> bool:
-    return True
 
 
 def _usable(payload: bytes | None) -> Answer | None:
@@ -36,7 +33,7 @@ def _usable(payload: bytes | None) -> Answer | None:
 class Bus:
     """One participant of one fleet. Who shares a process with others may share its ``decode`` with them.
 
-    Of robots for whose name ``serves`` is false nothing gets into an inbox.
+    Of robots for whose name ``serves`` is false nothing gets into an inbox; None: all are served.
     """
 
     def __init__(
@@ -44,7 +41,7 @@ class Bus:
         transport: AbstractTransport,
         fleet: str,
         decode: Decode = decode,
-        serves: Callable[[str], bool] = _everyone,
+        serves: Callable[[str], bool] | None = None,
     ) -> None:
         self.fleet, self._decode, self._serves = fleet, decode, serves
         self._transport = transport
@@ -60,7 +57,10 @@ class Bus:
             raise MessageError(f"{topic.name}: got {type(message).__name__}, wanted {topic.message.__name__}")
         payload = encode(message)
         if self._holds and topic.bundles and not alone:
-            self._held.setdefault((topic, service), []).append((robot, payload))
+            held = self._held.get((topic, service))
+            if held is None:
+                held = self._held[topic, service] = []
+            held.append((robot, payload))
         else:
             key = key_of(self.fleet, robot, topic, service)
             self._transport.put(key, payload, never_drop=topic.delivery == "all")
@@ -71,7 +71,10 @@ class Bus:
 
     def flush(self) -> None:
         """Sends what was held, and holds nothing any more."""
-        held, self._held, self._holds = self._held, {}, False
+        self._holds = False
+        if not self._held:
+            return
+        held, self._held = self._held, {}
         for (topic, service), entries in held.items():
             for part in parts(entries):
                 robot, payload = part[0] if len(part) == 1 else (BUNDLE, packed(part))
@@ -106,35 +109,8 @@ class Bus:
                     inbox.fill_from(subscription)
         return inbox
 
-    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> OnSample:
-        """Puts what comes into the inbox: alone, or each message of a bundle by itself."""
-        keep = inbox.keep_all if all_of_them else inbox.keep_latest
-        prefix = f"safedpa/{self.fleet}/"
-        bundles, length = f"{prefix}{BUNDLE}/{topic.name}", len(prefix)
-
-        def accept(key: str, payload: bytes) -> None:
-            if key.startswith(bundles) and "*" not in key:
-                try:
-                    entries = self._entries(key, payload, topic, wanted)
-                except InputError:
-                    keep(key, payload)  # is refused where it is read, since its key names no robot
-                else:
-                    inbox.keep_bundle(entries, all_of_them=all_of_them)
-            elif self._serves(key[length:].partition("/")[0]):
-                keep(key, payload)
-
-        return accept
-
-    def _entries(self, key: str, payload: bytes, topic: Topic, wanted: str) -> list[Entry]:
-        """Key and payload of each message of a bundle that is asked for. Raises InputError where it is no bundle."""
-        service = key.rsplit("/", 1)[1] if topic.per_service else ""
-        if len(payload) > topic.largest_bytes or key != key_of(self.fleet, BUNDLE, topic, service):
-            raise MessageError(f"key '{key}': got {len(payload)} bytes, wanted a bundle of {topic.name}")
-        entries = unbundled(payload)
-        if wanted != "*" or self._serves is not _everyone:
-            entries = [entry for entry in entries if wanted in ("*", entry[0]) and self._serves(entry[0])]
-        fleet = self.fleet
-        return [(key_of(fleet, robot, topic, service), message) for robot, message in entries]
+    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> Accepting:
+        return Accepting(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
         """Asks about one robot; None when nobody answers within ``timeout`` [s].

@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 from safedpa.bus.codec import decode
 from safedpa.bus.messages import Message
@@ -17,7 +17,7 @@ from safedpa.bus.topics import TOPICS, Topic, topic_of
 from safedpa.bus.transport import Subscription
 from safedpa.errors import InputError, MessageError
 
-__all__ = ["Answered", "Inbox", "Received", "Refused"]
+__all__ = ["Answered", "Inbox", "Parcel", "Received", "Refused"]
 
 _LONGEST_QUEUE = 100_000
 """Messages of topics that must not be dropped, waiting in one inbox."""
@@ -75,8 +75,20 @@ class _Queue:
     """Bytes."""
 
 
-_Waiting = tuple[str, bytes, float, bool]
-"""Key, payload, when it came, whether it came among others."""
+@final
+class Parcel:
+    """A message that several inboxes of one process may hold: it is read for the first who takes it, once for all."""
+
+    __slots__ = ("bundled", "content", "key", "payload")
+
+    def __init__(self, key: str, payload: bytes, *, bundled: bool = False) -> None:
+        self.key, self.payload, self.bundled = key, payload, bundled
+        self.content: Received | Refused | None = None
+        """What was read; None until somebody did."""
+
+
+_Waiting = tuple[str, bytes, float, Parcel]
+"""Key, so much of the payload as is kept, when it came, and what holds what is read of it."""
 
 
 class Inbox:
@@ -141,41 +153,37 @@ class Inbox:
 
     def keep_latest(self, key: str, payload: bytes) -> None:
         """Accepts one payload; replaces an unread one of the same key."""
-        with self._filled:
-            self._put_latest(key, payload, self._clock(), bundled=False)
-            self._filled.notify()
-        if self._came is not None:
-            self._came()
+        self.keep_parcels([Parcel(key, payload)], all_of_them=False)
 
     def keep_all(self, key: str, payload: bytes) -> None:
         """Accepts one payload behind all unread ones."""
-        with self._filled:
-            self._put_last(key, payload, self._clock())
-            self._filled.notify()
-        if self._came is not None:
-            self._came()
+        self.keep_parcels([Parcel(key, payload)], all_of_them=True)
 
-    def keep_bundle(self, entries: Iterable[tuple[str, bytes]], *, all_of_them: bool) -> None:
-        """Accepts (key, payload) pairs that came at one moment, each as ``keep_latest`` or ``keep_all`` does."""
+    def keep_parcels(self, parcels: Sequence[Parcel], *, all_of_them: bool) -> None:
+        """Accepts what came at one moment, each as ``keep_latest`` or ``keep_all`` does."""
         with self._filled:
             now = self._clock()
-            for key, payload in entries:
-                if all_of_them:
-                    self._put_last(key, payload, now)
-                else:
-                    self._put_latest(key, payload, now, bundled=True)
+            if all_of_them:
+                for parcel in parcels:
+                    self._put_last(parcel, now)
+            else:
+                for parcel in parcels:
+                    self._put_latest(parcel, now)
             self._filled.notify()
         if self._came is not None:
             self._came()
 
-    def _put_latest(self, key: str, payload: bytes, at: float, *, bundled: bool) -> None:
-        if len(self._latest) >= _MOST_KEYS and key not in self._latest:
+    def _put_latest(self, parcel: Parcel, at: float) -> None:
+        key, payload, latest = parcel.key, parcel.payload, self._latest
+        if len(latest) >= _MOST_KEYS and key not in latest:
             self.dropped += 1
+        elif len(payload) <= _LARGEST_LATEST:
+            latest[key] = (key, payload, at, parcel)
         else:
-            self._latest[key] = (key, _cut(payload, _LARGEST_LATEST), at, bundled)
+            latest[key] = (key, _cut(payload, _LARGEST_LATEST), at, Parcel(key, b"", bundled=parcel.bundled))
 
-    def _put_last(self, key: str, payload: bytes, at: float) -> None:
-        kept = _cut(payload, _LARGEST_QUEUED)
+    def _put_last(self, parcel: Parcel, at: float) -> None:
+        kept, key = _cut(parcel.payload, _LARGEST_QUEUED), parcel.key
         queue = self._queues.setdefault(key, _Queue())
         queue.messages.append((kept, at))
         queue.size += len(kept)
@@ -228,9 +236,15 @@ class Inbox:
             self._latest = {}
             for key, queue in list(self._queues.items()):
                 count = len(queue.messages) if most is None else min(most, len(queue.messages))
-                waiting += [(key, *self._pop(key), False) for _ in range(count)]
+                waiting += [(key, *self._pop(key), Parcel(key, b"")) for _ in range(count)]
         waiting.sort(key=itemgetter(2))
-        return [self._opened(*item) for item in waiting]
+        taken = []
+        for key, payload, at, parcel in waiting:
+            content = parcel.content
+            if content is None:
+                content = parcel.content = self._opened(key, payload, at, parcel.bundled)
+            taken.append(content)
+        return taken
 
     def _opened(self, key: str, payload: bytes, at: float, bundled: bool) -> Received | Refused:
         robot = ""

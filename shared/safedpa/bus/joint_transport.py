@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from typing import final
 
+from safedpa.bus.accepting import Accepting
+from safedpa.bus.inbox import Parcel
 from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
 
 __all__ = ["JointTransport"]
@@ -26,9 +28,9 @@ class JointTransport(AbstractTransport):
     def put(self, key: str, payload: bytes, *, never_drop: bool) -> None:  # noqa: D102
         self._outer.put(key, payload, never_drop=never_drop)
         _, _, robot, topic, *_ = key.split("/")
-        for wanted, on_sample in self._local.get(topic, ()):
-            if wanted in ("*", robot):
-                on_sample(key, payload)
+        local = self._local.get(topic)
+        if local:
+            _spread([on_sample for wanted, on_sample in local if wanted in ("*", robot)], key, payload)
 
     def release(self, beginning: str) -> None:  # noqa: D102
         self._outer.release(beginning)
@@ -47,8 +49,7 @@ class JointTransport(AbstractTransport):
 
     def _to_all(self, hearers: list[OnSample]) -> OnSample:
         def heard(key: str, payload: bytes) -> None:
-            for on_sample in reversed(hearers):  # whoever computes first hears it last: then all have it
-                on_sample(key, payload)
+            _spread(hearers[::-1], key, payload)  # whoever computes first hears it last: then all have it
 
         return heard
 
@@ -69,3 +70,19 @@ class JointTransport(AbstractTransport):
 
     def close(self) -> None:  # noqa: D102
         self._outer.close()
+
+
+def _spread(hearers: list[OnSample], key: str, payload: bytes) -> None:
+    """To all of them, in order. A bundle is opened once, and each message in it is read once, for all who ask alike."""
+    first: Accepting | None = None
+    parcels: list[Parcel] = []
+    for on_sample in hearers:
+        if not isinstance(on_sample, Accepting):
+            on_sample(key, payload)
+        elif first is None:
+            first, parcels = on_sample, on_sample.opened(key, payload)
+            on_sample.put(parcels)
+        elif on_sample.asks_as(first):
+            on_sample.put(parcels)
+        else:
+            on_sample(key, payload)

@@ -22,7 +22,7 @@ _MARKED = {"stopped": "filter.stopped", "disabled": "filter.disabled"}
 _TROUBLE = ("model.dropped", "model.refused", "filter.fallback_entered", "filter.disabled", "filter.stopped")
 
 
-_TOLD = (VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage)
+_TOLD = frozenset((VerdictMessage, ModelMessage, TakeoverMessage, FindingMessage))
 
 
 @dataclass
@@ -73,7 +73,7 @@ class Journal:
     def said(self, robot: str, outputs: Outputs) -> None:
         """What the service publishes about a robot; told where it differs from what it said before."""
         for message in outputs.values():
-            if isinstance(message, _TOLD):
+            if type(message) in _TOLD:
                 self._said(robot, message)
 
     def _said(self, robot: str, message: Message) -> None:

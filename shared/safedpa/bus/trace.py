@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from safedpa.bus.messages import ComputedMessage, Message, StateMessage
+from safedpa.bus.messages import ComputedMessage, StateMessage
 from safedpa.bus.node import Inputs, Outputs, Stale
 from safedpa.bus.topics import Topic
 
@@ -31,17 +31,20 @@ class Trace(NamedTuple):
         for message in outputs.values():
             if isinstance(message, ComputedMessage):
                 _write(message, "step", self.step)
-                _write(message, "consumed", self.consumed)
-                _write(message, "skipped", self.skipped)
+                if self.consumed:
+                    _write(message, "consumed", self.consumed)
+                if self.skipped:
+                    _write(message, "skipped", self.skipped)
         return outputs
 
 
 def consumed(topics: Sequence[Topic], inputs: Inputs, state: StateMessage) -> tuple[tuple[float, ...], ...]:
     """(inputs, 2): age in ticks and publish time of each input as ``ComputedMessage.consumed`` has them."""
-    return tuple([_row(inputs[topic], state) for topic in topics])
-
-
-def _row(item: Message | Stale, state: StateMessage) -> tuple[float, float]:
-    if isinstance(item, Stale):
-        return (_NEVER if item.age_ticks is None else float(item.age_ticks), 0.0)
-    return float(state.tick - item.tick), item.publish_time
+    rows = []
+    for topic in topics:
+        item = inputs[topic]
+        if isinstance(item, Stale):
+            rows.append((_NEVER if item.age_ticks is None else float(item.age_ticks), 0.0))
+        else:
+            rows.append((float(state.tick - item.tick), item.publish_time))
+    return tuple(rows)
