@@ -26,6 +26,8 @@ _SOURCE = Path("shared")
 _LIST = _SOURCE / "safedpa" / "compiled.py"
 _OPTIONS = "--follow-imports=skip", "--ignore-missing-imports", "--python-version=3.11"
 """What the modules import from others stays what it is in Python; so nothing else need be installed to build."""
+_FLAGS = "-ffp-contract=off"
+"""No a * b + c in one operation, where a processor has it: its bits would not be those of Python."""
 
 
 class CompilingHook(BuildHookInterface[Any]):
@@ -74,7 +76,8 @@ class CompilingHook(BuildHookInterface[Any]):
                     break
                 (folder / "__init__.py").touch()
         command = [sys.executable, "-m", "mypyc", *_OPTIONS, *files]
-        done = subprocess.run(command, cwd=work, capture_output=True, text=True, check=False)
+        flags = {**os.environ, "CFLAGS": f"{os.environ.get('CFLAGS', '')} {_FLAGS}".strip()}
+        done = subprocess.run(command, cwd=work, capture_output=True, text=True, check=False, env=flags)
         made = sorted(path for path in work.rglob("*.so") if "build" not in path.relative_to(work).parts)
         if done.returncode != 0 or len(made) <= len(files):
             words = (done.stdout + done.stderr).strip().splitlines()

@@ -17,7 +17,9 @@ MODULES = (
     "safedpa.safety.nearest",
     "safedpa.safety.prediction",
     "safedpa.safety.program_rows",
+    "safedpa.safety.remembered",
     "safedpa.safety.search",
+    "safedpa.safety.solution",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
 

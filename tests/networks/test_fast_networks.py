@@ -146,3 +146,14 @@ def test_f_and_g_of_different_depth_are_refused(random_car_weights):
     )
     with pytest.raises(InputError, match="f has 3 layers, g has 4; wanted as many"):
         LearnedNetworks(deeper)
+
+
+@pytest.mark.parametrize("large", [1.0, 1e30, 1e39, float("inf"), float("nan")])
+def test_plain_numbers_in_and_out_are_those_of_arrays(large):
+    paired = LearnedNetworks(shipped("car_learned"))._increments
+    values = (0.1, -0.2, 0.3, large, 0.5, -large, 0.7)
+    with np.errstate(all="ignore"):
+        expected = paired.one(values).tolist()
+        np.testing.assert_array_equal(paired.plain_of_one(values), expected)
+        with pytest.raises(ValueError, match="could not broadcast"):
+            paired.plain_of_one(values[:-2])

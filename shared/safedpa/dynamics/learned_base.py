@@ -48,7 +48,7 @@ class LearnedBase(AbstractBase):
         self.networks = LearnedNetworks(weights)
         self.parameters = (*nominal.parameters, *_latent_parameters(weights))
         self._latents = tuple(f"{LATENT_PREFIX}{index}" for index in range(described.latents))
-        self._last: tuple[tuple[float, ...], list[float]] | None = None
+        self._last: tuple[tuple[float, ...], tuple[float, ...], list[float]] | None = None
         self._torch: Any = None
 
     def rates(self, state: Named, action: Named, parameters: Named, operations: Operations) -> Named:  # noqa: D102
@@ -83,14 +83,19 @@ class LearnedBase(AbstractBase):
         return tuple(paths) == tuple(f"base.{name}" for name in self._latents)
 
     def known_of_one(self, *known: float) -> list[float]:
-        """f (states,) and g (states, actions) in a row, from state and latent; nobody may write into it.
+        """``known_at`` for the entries of state and latent in a row."""
+        states = len(self.system.state)
+        return self.known_at(known[:states], known[states:])
+
+    def known_at(self, state: tuple[float, ...], latent: tuple[float, ...]) -> list[float]:
+        """f (states,) and g (states, actions) in a row, at one state and latent; nobody may write into it.
 
         The last are kept, for the many actions that the filter tries.
         """
-        if self._last is None or self._last[0] != known:
-            states = len(self.system.state)
-            self._last = (known, self.networks.row_of_one(known[:states], known[states:]))
-        return self._last[1]
+        last = self._last
+        if last is None or last[0] != state or last[1] != latent:
+            last = self._last = (state, latent, self.networks.row_of_one(state, latent))
+        return last[2]
 
     def _batch(self, entries: list[Scalar], latent: list[Scalar], wish: list[Scalar]) -> list[Scalar]:
         arrays = np.broadcast_arrays(*entries, *latent, *wish)

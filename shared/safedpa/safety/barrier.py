@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
+from safedpa.safety.remembered import Remembered
 
 __all__ = ["AbstractBarrier", "AbstractStack", "Barriers", "RememberingStack"]
 
 Values = NDArray[np.float64]
-
-_REMEMBERED_STATES = 8
-"""The measured one, the predicted ones of a decision's rounds, and the one expected from the last tick."""
 
 
 class AbstractBarrier(ABC):
@@ -85,6 +83,10 @@ class AbstractStack(Sequence[AbstractBarrier]):
         """(states,) what no |d(h_i)/d(x_j)| at ``state`` exceeds, for any row i; None where that is not known."""
         return None
 
+    def plain(self, states: int) -> Any:
+        """What has ``heights``, ``slopes`` and ``steepest`` of states with so many entries, by the shortest way."""
+        return self
+
     @property
     def one_by_one(self) -> Barriers:
         """The reference for these parts."""
@@ -120,7 +122,7 @@ class RememberingStack(AbstractStack):
     def __init__(self, stack: AbstractStack) -> None:
         super().__init__(stack.parts)
         self._stack = stack
-        self._known: dict[tuple[float, ...], list[float]] = {}
+        self._plain: dict[int, Remembered] = {}
 
     def values(self, state: Values) -> Values:  # noqa: D102
         return np.array(self.heights(state.tolist()))
@@ -129,19 +131,19 @@ class RememberingStack(AbstractStack):
         return self._stack.gradient(state)
 
     def heights(self, state: Sequence[float]) -> list[float]:  # noqa: D102
-        key = tuple(state)
-        h = self._known.get(key)
-        if h is None:
-            if len(self._known) >= _REMEMBERED_STATES:
-                del self._known[next(iter(self._known))]
-            h = self._known[key] = self._stack.heights(key)
-        return h
+        return self.plain(len(state)).heights(state)
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:  # noqa: D102
         return self._stack.slopes(state, rows)
 
     def steepest(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
         return self._stack.steepest(state)
+
+    def plain(self, states: int) -> Remembered:  # noqa: D102
+        known = self._plain.get(states)
+        if known is None:
+            known = self._plain[states] = Remembered(self._stack.plain(states))
+        return known
 
 
 def _plain(what: str, array: Values, shape: tuple[int, ...]) -> Any:

@@ -93,3 +93,6 @@ class CarStack(AbstractStack):
 
     def steepest(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
         return self._geometry.steepest(state) if len(state) == _STATES else None
+
+    def plain(self, states: int) -> CarGeometry | CarStack:  # noqa: D102
+        return self._geometry if states == _STATES else self

@@ -58,10 +58,11 @@ class Tangent:
     """A a >= b tangent at one outcome: h(x+) is taken as h + p'(x - x+) and x as x+ + g (a - about).
 
     x+ is the predicted state under ``about.action``, g (states, actions), ``widths`` (actions,) the actions' ranges.
-    A row's slopes are computed when it is asked for, and only if some action might break it.
+    ``barriers`` have ``slopes`` and ``steepest``. A row's slopes are computed when it is asked for, and only if some
+    action might break it.
     """
 
-    def __init__(self, barriers: AbstractStack, g: list[list[float]], about: Outcome, widths: list[float]) -> None:
+    def __init__(self, barriers: Any, g: list[list[float]], about: Outcome, widths: list[float]) -> None:
         self._barriers, self._g, self._state = barriers, g, about.next_state
         self._rows: dict[int, list[float]] = {}
         self._reach = inf
@@ -147,11 +148,13 @@ class Conditions:
         sides: Sequence[Side],
     ) -> None:
         self.barriers, self._prediction = barriers, prediction
+        plain = barriers.plain(len(state))
+        self._plain: Any = plain
         self._state, self._latent, self._memory = state, latent, memory
         self._sides = sides
         self._widths: list[float] = [width for _, _, width in sides]
         self._motion: AffineMotion | None = prediction.affine_motion(state, latent) if prediction.affine else None
-        h_now: list[float] = barriers.heights(state)
+        h_now: list[float] = plain.heights(state)
         self.h_now = h_now
         _finite("h at the state", h_now)
         share = 1.0 - eta
@@ -167,7 +170,7 @@ class Conditions:
     def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
         following = self._following(action)
-        h_next: list[float] = self.barriers.heights(following)
+        h_next: list[float] = self._plain.heights(following)
         _finite("h at the predicted state", h_next)
         required = self.required
         if len(h_next) != len(required):
@@ -181,7 +184,7 @@ class Conditions:
         """The conditions tangent at ``about``."""
         if self._last_g is None or not self._prediction.affine:
             self._last_g = self._slopes(about)
-        return Tangent(self.barriers, self._last_g, about, self._widths)
+        return Tangent(self._plain, self._last_g, about, self._widths)
 
     def _slopes(self, about: Outcome) -> list[list[float]]:
         """g (states, actions) about an action."""

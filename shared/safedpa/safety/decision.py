@@ -200,17 +200,19 @@ class Decision:
         taken = np.array(action)
         taken.setflags(write=False)
         conditions = self._conditions
-        return Verdict(
-            action=taken,
-            status=status,
-            reason=reason,
-            slack=slack,
-            active=active,
-            h_now=0.0 if conditions is None else smallest(conditions.h_now),
-            h_next=0.0 if h_next is None else h_next,
-            margin=self._margin,
-            solver=solver,
-            microseconds=1e6 * (self._tools.clock() - self._start),
-            wish=None if self._wish is None else np.array(self._wish),
-            known=conditions is not None and h_next is not None,
+        return Verdict.of(
+            {
+                "action": taken,
+                "status": status,
+                "reason": reason,
+                "slack": slack,
+                "active": active,
+                "h_now": 0.0 if conditions is None else smallest(conditions.h_now),
+                "h_next": 0.0 if h_next is None else h_next,
+                "margin": self._margin,
+                "solver": solver,
+                "microseconds": 1e6 * (self._tools.clock() - self._start),
+                "wish": None if self._wish is None else np.array(self._wish),
+                "known": conditions is not None and h_next is not None,
+            }
         )

@@ -36,7 +36,7 @@ Point = tuple[float, float]
 
 def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | None:
     """The minimiser; None where it needs slack, is not found in a few steps, or a number is not finite."""
-    problem = NearestKept(wish[0], wish[1], weights[0], weights[1])
+    problem = NearestKept(wish[0], wish[1], weights[0], weights[1], unit=False)
     for a, b, limit, price in rows:
         problem.add(a, b, limit, price)
     return (problem.x, problem.y) if problem.solve() else None
@@ -44,15 +44,18 @@ def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | No
 
 @final
 class NearestKept:
-    """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``)."""
+    """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``).
 
-    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
+    ``unit``: it begins with 0 <= x <= 1 and 0 <= y <= 1, which no slack can relieve.
+    """
+
+    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float, *, unit: bool) -> None:
         self._wish_x, self._wish_y = wish_x, wish_y
         self._weight_x, self._weight_y = weight_x, weight_y
-        self._a: list[float] = []
-        self._b: list[float] = []
-        self._limit: list[float] = []
-        self._price: list[float] = []
+        self._a: list[float] = _UNIT_A.copy() if unit else []
+        self._b: list[float] = _UNIT_B.copy() if unit else []
+        self._limit: list[float] = _UNIT_LIMIT.copy() if unit else []
+        self._price: list[float] = _UNIT_PRICE.copy() if unit else []
         self._sum = 0.0
         self._taken: list[int] = []
         self.x, self.y = wish_x, wish_y
@@ -64,13 +67,6 @@ class NearestKept:
         self._limit.append(limit)
         self._price.append(price)
         self._sum += a + b + limit
-
-    def within_unit(self, entries: int) -> None:
-        """Adds 0 <= x <= 1, and for two ``entries`` the same of y: no slack can relieve these."""
-        self._a += _UNIT_A[: 2 * entries]
-        self._b += _UNIT_B[: 2 * entries]
-        self._limit += _UNIT_LIMIT[: 2 * entries]
-        self._price += _UNIT_PRICE[: 2 * entries]
 
     def solve(self) -> bool:
         """Whether the minimiser was found."""

@@ -62,7 +62,7 @@ class Prediction:
         if len(state) != len(model.system.state_names) or len(free) != len(model.latent_names):
             return None
         try:
-            known = base.known_of_one(*state, *free)
+            known = base.known_at(state, free)
         except (ValueError, ArithmeticError):  # numbers that Python's math refuses
             return None
         return AffineMotion(state, known, model.period, base.weights.description.period)

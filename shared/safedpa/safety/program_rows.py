@@ -58,11 +58,10 @@ def closest(
     if not single:
         base, _, reach = sides[1]
         weight, aside = weights[1], (wish[1] - base) / reach
-    problem = NearestKept((wish[0] - low) / width, aside, weights[0], weight)
+    problem = NearestKept((wish[0] - low) / width, aside, weights[0], weight, unit=True)
     for index in range(len(rows)):
         slopes, limit, _ = rows[index]
         problem.add(slopes[0], 0.0 if single else slopes[1], limit, price)
-    problem.within_unit(1 if single else 2)
     if not problem.solve():
         return None
     return [low + width * problem.x] if single else [low + width * problem.x, base + reach * problem.y]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.safety.program_rows import ScaledRow, Side, apart, breakable, closest, within
+from safedpa.safety.solution import Solution
 
 __all__ = ["QuadraticProgram", "Solution"]
 
@@ -20,22 +20,6 @@ _NO_CONDITION = -1.0
 
 _ACCURACY = 1e-11
 """Of residuals and duality gap; PIQP's own 1e-8 leaves 1e-4 in flat directions; one more iteration costs 3 us."""
-
-
-@final
-@dataclass(frozen=True, eq=False, init=False)
-class Solution:
-    """Minimiser; ``solved`` is False when the solver did not vouch for it: then it must not be used."""
-
-    action: Sequence[float]
-    """(actions,)."""
-    slack: Sequence[float]
-    """(m,) in the conditions' units."""
-    solved: bool
-    status: str
-
-    def __init__(self, action: Sequence[float], slack: Sequence[float], solved: bool, status: str) -> None:
-        self.__dict__.update(action=action, slack=slack, solved=solved, status=status)  # quicker than one by one
 
 
 @final
@@ -65,7 +49,7 @@ class QuadraticProgram:
             return Solution(self._lowest, (0.0,) * len(b), False, "numbers not finite")
         if not rows:
             return Solution(within(wish, self.sides), (0.0,) * len(b), True, "not needed")
-        action = closest(rows, wish, self.sides, self._weights, self.linear) if len(self.sides) <= 2 else None
+        action = self._without_slack(rows, wish) if len(self.sides) <= 2 else None
         if action is not None:
             return Solution(action, (0.0,) * len(b), True, "solved")
         return self._with_slack(rows, wish, len(b))

@@ -7,7 +7,7 @@ from typing import Final, Protocol
 
 from safedpa.safety.conditions import Outcome, Plain
 from safedpa.safety.program_rows import Side
-from safedpa.safety.quadratic_program import Solution
+from safedpa.safety.solution import Solution
 
 __all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "TIE", "DecisionError", "search"]
 

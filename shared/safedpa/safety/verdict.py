@@ -40,12 +40,9 @@ _SENTENCES = {
 
 
 @final
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False)
 class Verdict:
-    """One decision of the filter. Every number in it is finite, whatever the inputs were.
-
-    Takes its fields by name.
-    """
+    """One decision of the filter. Every number in it is finite, whatever the inputs were."""
 
     action: NDArray[np.float64]
     """(actions,) what the robot shall do; always within the actuator limits; not writeable."""
@@ -71,36 +68,15 @@ class Verdict:
     known: bool
     """False when h_now and h_next could not be computed, or were not because the filter is switched off."""
 
-    def __init__(
-        self,
-        *,
-        action: NDArray[np.float64],
-        status: Status,
-        reason: str,
-        slack: float,
-        active: tuple[str, ...],
-        h_now: float,
-        h_next: float,
-        margin: float,
-        solver: str,
-        microseconds: float,
-        wish: NDArray[np.float64] | None,
-        known: bool,
-    ) -> None:
-        self.__dict__.update(  # what the dataclass would set one by one, in half of the time
-            action=action,
-            status=status,
-            reason=reason,
-            slack=slack,
-            active=active,
-            h_now=h_now,
-            h_next=h_next,
-            margin=margin,
-            solver=solver,
-            microseconds=microseconds,
-            wish=wish,
-            known=known,
-        )
+    @classmethod
+    def of(cls, fields: dict[str, Any]) -> Verdict:
+        """From all fields by name; the dictionary becomes the verdict's own.
+
+        In a third of the time: the ordinary way of a frozen class sets one after the other.
+        """
+        made = object.__new__(cls)
+        object.__setattr__(made, "__dict__", fields)
+        return made
 
     @property
     def sentence(self) -> str:

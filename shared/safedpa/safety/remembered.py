@@ -1,0 +1,43 @@
+"""h at the last few states, kept: within one tick the same states come up again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final, final
+
+__all__ = ["Remembered"]
+
+_STATES: Final = 8
+"""The measured one, the predicted ones of a decision's rounds, and the one expected from the last tick."""
+
+
+@final
+class Remembered:
+    """Barriers over plain numbers (``heights``, ``slopes``, ``steepest`` as an ``AbstractStack`` has them), remembered.
+
+    The lists that it hands out are shared: nobody may write into them.
+    """
+
+    def __init__(self, barriers: Any) -> None:
+        self._barriers = barriers
+        self._known: dict[tuple[float, ...], list[float]] = {}
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (m,) at ``state`` (states,)."""
+        key = tuple(state)
+        known = self._known
+        h: list[float] | None = known.get(key)
+        if h is None:
+            if len(known) >= _STATES:
+                del known[next(iter(known))]
+            h = self._barriers.heights(key)
+            known[key] = h
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Any:
+        """d(h_i)/d(x_j) of the rows asked for."""
+        return self._barriers.slopes(state, rows)
+
+    def steepest(self, state: Sequence[float]) -> Any:
+        """(states,) what no slope exceeds; None where that is not known."""
+        return self._barriers.steepest(state)
