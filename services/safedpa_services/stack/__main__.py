@@ -10,7 +10,7 @@ import argparse
 import zlib
 from collections.abc import Callable
 
-from safedpa.bus.process import Stop, run_process
+from safedpa.bus.process import Stop, Urgency, run_process
 from safedpa.errors import InputError
 from safedpa_services.nodes import adaptation, add_filter_options, add_policy_options, policy, safety_filter
 from safedpa_services.serving import serve, service_parser
@@ -24,7 +24,8 @@ def serves(share: str) -> Callable[[str], bool]:
     number, _, of = share.partition("/")
     if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
         raise InputError(f"--share: got '{share}', wanted a number and how many there are, such as 1/2")
-    return lambda robot: zlib.crc32(robot.encode()) % int(of) == int(number) - 1
+    own, all_of_them = int(number) - 1, int(of)
+    return lambda robot: zlib.crc32(robot.encode()) % all_of_them == own
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
@@ -38,4 +39,4 @@ if __name__ == "__main__":
     add_policy_options(parser)
     add_filter_options(parser)
     parser.add_argument("--share", default="1/1", metavar="N/OF", help="of several stacks: serve the N-th part alone")
-    run_process(work, parser)
+    run_process(work, parser, Urgency.FILTER)

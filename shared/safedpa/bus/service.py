@@ -23,7 +23,7 @@ from safedpa.bus.heartbeat import NO_ROBOT, heartbeat
 from safedpa.bus.inbox import Received, Refused
 from safedpa.bus.journal import Journal
 from safedpa.bus.messages import SetupMessage, StateMessage
-from safedpa.bus.node import AbstractNode, Outputs, Stale
+from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
 from safedpa.bus.setup import SETUP_SECONDS
 from safedpa.bus.slot import Counts, Slot
 from safedpa.bus.topics import ACTION, HEALTH, SETUP, STATE
@@ -50,6 +50,7 @@ _MOST_PER_KEY = 4
 """Messages of one topic of one robot that are taken in one turn."""
 _SPREAD = 0.618
 """Golden ratio: so many heartbeats spread over their period best, however many robots there are."""
+_NO_INPUTS: Inputs = {}
 _NOT_A_ROBOTS = (BusError, MemoryError)
 """Errors of the process itself: it ends, and whoever watches it starts it anew."""
 
@@ -110,16 +111,22 @@ class ServiceLoop:
 
     def serve(self, longest_wait: float) -> None:
         """Takes what arrived, steps what is due, and does what nobody waits for when its moment has come."""
-        for item in self.inbox.take(self.patience(longest_wait), _MOST_PER_KEY):
+        wait = self.patience(longest_wait) if longest_wait > 0.0 else 0.0
+        for item in self.inbox.take(wait, _MOST_PER_KEY):
             if isinstance(item, Refused):
                 self._refuse(item.reason, item.robot)
             else:
                 self._take(item)
         for known in self._greeting.ready():
             self._take_known(known)
-        self._touched.update(dict.fromkeys(self._agenda.due(self.clock())))
-        touched, self._touched = self._touched, {}
-        self._serve([(robot, self._slots[robot]) for robot in touched if robot in self._slots])
+        slots = self._slots
+        for robot in self._agenda.due(self.clock()):
+            slot = slots.get(robot)
+            if slot is not None and (slot.outputs is None or slot.unfinished_since is not None):
+                self._touched[robot] = None
+        if self._touched:
+            touched, self._touched = self._touched, {}
+            self._serve([(robot, slots[robot]) for robot in touched if robot in slots])
 
     def _keep_house(self) -> None:
         if self.clock() >= self._next_heartbeat:
@@ -199,12 +206,14 @@ class ServiceLoop:
             self.inbox.coalesce(quantum)
 
     def _take(self, item: Received) -> None:
-        if item.robot not in self._slots and not self._has_room_for(item.robot):
-            self._refuse(f"got robot '{item.robot}' beside {_MOST_ROBOTS} others; start another service for some")
+        robot, topic, node = item.robot, item.topic, self._node
+        known = robot in self._slots  # then it was greeted, too
+        if not known and not self._has_room_for(robot):
+            self._refuse(f"got robot '{robot}' beside {_MOST_ROBOTS} others; start another service for some")
             return
-        if item.topic in self._node.listens:
+        if topic in node.listens:
             self._hear(item)
-        if (item.topic is STATE or item.topic in self._node.inputs) and not self._greeting.holds(item):
+        if (topic is STATE or topic in node.inputs) and (known or not self._greeting.holds(item)):
             self._take_known(item)
 
     def _has_room_for(self, robot: str) -> bool:
@@ -233,14 +242,14 @@ class ServiceLoop:
         state = item.message
         assert isinstance(state, StateMessage)
         slot = self._slots.get(item.robot)
-        if slot is None or self._is_new_epoch(slot, state, item.at):
+        if slot is not None and state.epoch == slot.state.epoch and state.tick > slot.state.tick:
+            self._take_tick(item, slot, state)
+        elif slot is None or self._is_new_epoch(slot, state, item.at):
             self._begin(item, state, again=slot is not None)
         elif state.epoch != slot.state.epoch:
             self._refuse(f"a second robot speaks as '{item.robot}'", item.robot, state.tick, second=True)
         elif state.tick < slot.state.tick:
             self._refuse(f"state of tick {state.tick} after tick {slot.state.tick}", item.robot, state.tick)
-        elif state.tick > slot.state.tick:
-            self._take_tick(item, slot, state)
         else:
             slot.heard = item.at
             if slot.outputs is not None:  # the robot still waits: something on the way was lost or started late
@@ -296,13 +305,17 @@ class ServiceLoop:
                 self._failed(robot, error, slot.state.tick)
 
     def _step(self, robot: str, slot: Slot) -> None:
-        inputs = slot.given(self._node.inputs, self._node.slack)
-        read = consumed(self._node.inputs, inputs, slot.state)
-        slot.trace = Trace(slot.trace.step + 1, read, tuple(slot.skipped))
-        slot.skipped.clear()
+        node = self._node
+        inputs = slot.given(node.inputs, node.slack) if node.inputs else _NO_INPUTS
+        read = consumed(node.inputs, inputs, slot.state) if node.inputs else ()
+        skipped: tuple[float, ...] = ()
+        if slot.skipped:
+            skipped = tuple(slot.skipped)
+            slot.skipped.clear()
+        slot.trace = Trace(slot.trace.step + 1, read, skipped)
         started = time.perf_counter()
         try:
-            outputs = slot.trace.on(self._node.step(robot, slot.state, inputs))
+            outputs = slot.trace.on(node.step(robot, slot.state, inputs))
             slot.counts.microseconds = 1e6 * (time.perf_counter() - started)
             self._publish(robot, outputs)
         except _NOT_A_ROBOTS:
@@ -312,7 +325,7 @@ class ServiceLoop:
             return
         slot.outputs, counts = outputs, slot.counts
         self._journal.said(robot, outputs)
-        late = [item.sentence for item in inputs.values() if isinstance(item, Stale)]
+        late = [item.sentence for item in inputs.values() if type(item) is Stale] if node.inputs else []
         counts.failing, counts.detail = False, "; ".join(late) if late else ""
         counts.steps += 1
         counts.stale += bool(late)
@@ -351,9 +364,10 @@ class ServiceLoop:
             slot.outputs = {**(slot.outputs or {}), **further}
 
     def _publish(self, robot: str, outputs: Outputs) -> None:
+        publish, service = self._bus.publish, self._node.name
         for topic, message in outputs.items():
             alone = topic is ACTION and not self._slots[robot].bundled  # a robot may not see what others are told
-            self._bus.publish(topic, robot, message, self._node.name, alone=alone)
+            publish(topic, robot, message, service, alone=alone)
 
     def _forget_silent(self) -> None:
         oldest = self.clock() - _FORGET_SECONDS
