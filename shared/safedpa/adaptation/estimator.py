@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import pi, sqrt
+from math import isfinite, pi, sqrt
 from typing import Any, final
 
 import numpy as np
@@ -82,6 +82,7 @@ class LatentEstimator(AbstractEstimator):
         self._high = [parameter.high for parameter in chosen]
         self._typical = [parameter.typical or 0.1 * (parameter.high - parameter.low) for parameter in chosen]
         self._measured = settings.measurement_deviation
+        self._largest = settings.largest_innovation
         self._noise = [deviation**2 for deviation in self._measured]
         self._belief = Belief(
             [(settings.initial_deviation * typical) ** 2 for typical in self._typical],
@@ -96,27 +97,29 @@ class LatentEstimator(AbstractEstimator):
         return np.array([sqrt(variance) for variance in self._belief.variances()])
 
     def update(self, state: Vector, action: Vector, next_state: Vector, period: float) -> None:  # noqa: D102
-        check_transition(state, action, next_state, period)
+        start, felt, reached = state.tolist(), action.tolist(), next_state.tolist()
+        if not isfinite(sum(start) + sum(felt) + sum(reached) + period) or period <= 0.0:
+            check_transition(state, action, next_state, period)  # a sum may overflow where no number does
         memory = self._model.initial_memory(action) if self._memory is None else self._memory
         step = self._step(state, action, memory, period)
         predicted, self._memory = step(self._free)
         if not self._free:
             return
         self._belief.spread(period)
-        start, reached = state.tolist(), next_state.tolist()
-        motion = self._difference(reached, start)
-        if max([abs(change) / scale for change, scale in zip(motion, self._measured, strict=True)]) >= (
-            self._settings.smallest_motion
-        ):
-            self._learn(self._difference(reached, predicted), self._sensitivity(step, predicted))
+        motion, smallest = self._difference(reached, start), self._settings.smallest_motion
+        for change, scale in zip(motion, self._measured, strict=True):
+            if abs(change) / scale >= smallest:
+                self._learn(self._difference(reached, predicted), self._sensitivity(step, predicted))
+                return
 
     def _learn(self, innovation: Sequence[float], sensitivity: Sequence[Sequence[float]]) -> None:
         """The filter's measurement update: innovation (states,), sensitivity (states, latents)."""
         correction, surprise = self._belief.correct(innovation, sensitivity, self._noise)
-        weight = min(1.0, self._settings.largest_innovation / max(sqrt(surprise / len(innovation)), 1e-12))
+        weight = min(1.0, self._largest / max(sqrt(surprise / len(innovation)), 1e-12))
         moved = [value + weight * change for value, change in zip(self._free, correction, strict=True)]
-        bounds = zip(moved, self._low, self._high, strict=True)
-        self._free = [min(max(value, low), high) for value, low, high in bounds]
+        for index, (value, low, high) in enumerate(zip(moved, self._low, self._high, strict=True)):
+            moved[index] = low if value < low else high if value > high else value
+        self._free = moved
         self.latent = np.array(self._free)
 
     def forget_transient(self) -> None:

@@ -8,6 +8,7 @@ model says v+ = f_v(x, z) + g_v(x, z) u', so u' = (v+ - f_v) / g_v does the same
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from typing import Any, final
 
 import numpy as np
@@ -38,31 +39,37 @@ class SpeedCompensation:
 
     def compensated(self, state: Values, wish: Values, latent: Values) -> Values:
         """The wish (actions,) with another target speed [m/s], for state (states,) and latent (latents,)."""
-        loaded, unloaded, hold = self._speeds(state, wish, latent)
         changed = wish.copy()
-        if hold > _WEAKEST:
-            changed[self._target] += (unloaded - loaded) / hold
+        changed[self._target] = self.target(state.tolist(), wish.tolist(), latent.tolist())
         return changed
 
-    def _speeds(self, state: Values, wish: Values, latent: Values) -> tuple[float, float, float]:
+    def target(self, state: Sequence[float], wish: Sequence[float], latent: Sequence[float]) -> float:
+        """The target speed alone, over plain numbers."""
+        loaded, unloaded, hold = self._speeds(state, wish, latent)
+        asked = wish[self._target]
+        return asked + (unloaded - loaded) / hold if hold > _WEAKEST else asked
+
+    def _speeds(
+        self, state: Sequence[float], wish: Sequence[float], latent: Sequence[float]
+    ) -> tuple[float, float, float]:
         """The speed after the wish with the load and without, and its slope over the target speed with the load.
 
         Three steps of the model, which are the same to the last bit on each of its roads: a run repeats itself,
         whenever the straight line of arithmetic is ready.
         """
-        nudged = wish.copy()
+        nudged = list(wish)
         nudged[self._target] += _NUDGE
-        step = self.model.straight(self.model.period)
+        step, speed = self.model.straight(self.model.period), self._speed
         if step is not None:
             with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
-                at, wished, known = state.tolist(), wish.tolist(), latent.tolist()
-                loaded = step(at, wished, known, 0.0)[self._speed]
-                beyond = step(at, nudged.tolist(), known, 0.0)[self._speed]
-                return loaded, step(at, wished, self._nominal_entries, 0.0)[self._speed], (beyond - loaded) / _NUDGE
-        memory = self.model.initial_memory(wish, latent)
-        loaded = self._speed_after(state, wish, memory, latent)
-        slope = (self._speed_after(state, nudged, memory, latent) - loaded) / _NUDGE
-        unloaded = self._speed_after(state, wish, self.model.initial_memory(wish, self._nominal), self._nominal)
+                loaded = step(state, wish, latent, 0.0)[speed]
+                beyond = step(state, nudged, latent, 0.0)[speed]
+                return loaded, step(state, wish, self._nominal_entries, 0.0)[speed], (beyond - loaded) / _NUDGE
+        at, wished, further, known = np.array(state), np.array(wish), np.array(nudged), np.array(latent)
+        memory = self.model.initial_memory(wished, known)
+        loaded = self._speed_after(at, wished, memory, known)
+        slope = (self._speed_after(at, further, memory, known) - loaded) / _NUDGE
+        unloaded = self._speed_after(at, wished, self.model.initial_memory(wished, self._nominal), self._nominal)
         return loaded, unloaded, slope
 
     def _speed_after(self, state: Values, wish: Values, memory: Any, latent: Values) -> float:
