@@ -96,6 +96,17 @@ def test_robots_that_share_a_moment_speak_and_are_answered_in_bundles_as_if_each
     assert alone.cars[names[0]].trajectory_hash == fleet.cars[names[0]].trajectory_hash
 
 
+def test_nobody_wakes_up_for_an_action_that_came(stack: Make) -> None:
+    fleet = stack(NAMES)
+    fleet.drive(0.5)
+    loop = fleet.fleet
+    for _ in range(100):
+        moment = loop._next_moment()
+        live = [when for when, name, tick, senses in loop._events if senses or loop._turning[name].robot.tick == tick]
+        assert moment == min(live)
+        fleet.drive(0.0025)
+
+
 def test_a_collision_is_told_with_robot_place_and_what_the_watchdog_did(stack: Make) -> None:
     fleet = stack(("a", "b"))
     fleet.drive(0.5)

@@ -118,6 +118,20 @@ def test_an_agenda_gives_each_robot_once_when_its_moment_has_come(moments: list[
     assert agenda.next() == min((when for when, _ in moments if when > now), default=float("inf"))
 
 
+@given(
+    moments=st.lists(st.tuples(st.floats(0.0, 10.0), st.sampled_from("abc")), max_size=30),
+    awaited=st.sets(st.sampled_from("abc")),
+)
+def test_nobody_wakes_up_for_robots_that_are_not_awaited(moments: list[tuple[float, str]], awaited: set[str]) -> None:
+    agenda = Agenda()
+    for when, robot in moments:
+        agenda.at(when, robot)
+    first = min((when for when, robot in moments if robot in awaited), default=float("inf"))
+    assert agenda.next(awaited.__contains__) == first
+    assert len(agenda) == sum(when >= first for when, _ in moments), "what came before is taken back, and no more"
+    assert set(agenda.due(10.0)) == {robot for when, robot in moments if when >= first}
+
+
 class Silent(AbstractNode):
     """Answers nothing, and notes whom it served."""
 

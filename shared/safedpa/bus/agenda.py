@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from math import inf
 from typing import final
 
@@ -40,9 +41,15 @@ class Agenda:
             found.update(dict.fromkeys(self._robots.pop(heapq.heappop(moments))))
         return list(found)
 
-    def next(self) -> float:
-        """The earliest moment; infinite where there is none."""
-        return self._moments[0] if self._moments else inf
+    def next(self, awaited: Callable[[str], bool] | None = None) -> float:
+        """The earliest moment; infinite where there is none.
+
+        A moment at whose coming no robot is ``awaited`` any more is taken back: nobody has to wake up for it.
+        """
+        moments = self._moments
+        while awaited is not None and moments and not any(map(awaited, self._robots[moments[0]])):
+            del self._robots[heapq.heappop(moments)]
+        return moments[0] if moments else inf
 
     def __len__(self) -> int:
         return sum(map(len, self._robots.values()))

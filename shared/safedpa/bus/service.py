@@ -104,6 +104,12 @@ class ServiceLoop:
         speaks = self.clock() - slot.heard <= max(_SILENCE_SECONDS, 3.0 * slot.state.period)
         return speaks and not self._node.at_rest(robot)
 
+    @property
+    def only(self) -> Slot | None:
+        """The robot that is served, while there is no more than one."""
+        slots = tuple(self._slots.values())  # the other thread may add one meanwhile
+        return slots[0] if len(slots) == 1 else None
+
     def turn(self, longest_wait: float) -> None:
         """Takes what arrived, steps what is due, sends heartbeats and forgets who left when it is time."""
         self.serve(longest_wait)
@@ -120,10 +126,7 @@ class ServiceLoop:
         for known in self._greeting.ready():
             self._take_known(known)
         slots = self._slots
-        for robot in self._agenda.due(self.clock()):
-            slot = slots.get(robot)
-            if slot is not None and (slot.outputs is None or slot.unfinished_since is not None):
-                self._touched[robot] = None
+        self._touched.update(dict.fromkeys(filter(self._is_awaited, self._agenda.due(self.clock()))))
         if self._touched:
             touched, self._touched = self._touched, {}
             self._serve([(robot, slots[robot]) for robot in touched if robot in slots])
@@ -147,8 +150,13 @@ class ServiceLoop:
 
     def patience(self, longest_wait: float) -> float:
         """s until something is due, at most ``longest_wait``."""
-        moment = min(self._agenda.next(), self._greeting.deadline(), self._next_heartbeat)
+        moment = min(self._agenda.next(self._is_awaited), self._greeting.deadline(), self._next_heartbeat)
         return max(0.0, min(longest_wait, moment - self.clock()))
+
+    def _is_awaited(self, robot: str) -> bool:
+        """Whether something is left to do for the robot in the tick of its state."""
+        slot = self._slots.get(robot)
+        return slot is not None and (slot.outputs is None or slot.unfinished_since is not None)
 
     def _serve(self, touched: list[tuple[str, Slot]]) -> None:
         """Steps first, of robots that do not wait for us before those that do; then what nobody waits for."""

@@ -96,7 +96,7 @@ class FleetLoop:
         end = self._clock() + seconds
         while not stopped() and self._clock() < end:
             if not self._ready:
-                self._take(min(self._events[0][0], end))
+                self._take(min(self._next_moment(), end))
             self.turn()
 
     def turn(self) -> None:
@@ -119,6 +119,13 @@ class FleetLoop:
             name, tick = self._ready.popleft()
             if self._turning[name].robot.tick == tick:
                 self._move(name, self._turning[name])
+
+    def _next_moment(self) -> float:
+        """s; when a robot has to sense, or an action is late: nobody wakes up for one that came."""
+        events = self._events
+        while not events[0][3] and self._turning[events[0][1]].robot.tick != events[0][2]:
+            heapq.heappop(events)
+        return events[0][0]
 
     def _sense(self, name: str, turning: _Turning) -> None:
         robot = turning.robot
