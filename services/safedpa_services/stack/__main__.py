@@ -9,11 +9,16 @@ from __future__ import annotations
 import argparse
 import zlib
 from collections.abc import Callable
+from functools import lru_cache
 
 from safedpa.bus.process import Stop, Urgency, run_process
 from safedpa.errors import InputError
 from safedpa_services.nodes import adaptation, add_filter_options, add_policy_options, policy, safety_filter
 from safedpa_services.serving import serve, service_parser
+
+_ALL = "1/1"
+_REMEMBERED = 1024
+"""Names: every message asks, and names may come from anybody."""
 
 
 def serves(share: str) -> Callable[[str], bool]:
@@ -25,12 +30,12 @@ def serves(share: str) -> Callable[[str], bool]:
     if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
         raise InputError(f"--share: got '{share}', wanted a number and how many there are, such as 1/2")
     own, all_of_them = int(number) - 1, int(of)
-    return lambda robot: zlib.crc32(robot.encode()) % all_of_them == own
+    return lru_cache(maxsize=_REMEMBERED)(lambda robot: zlib.crc32(robot.encode()) % all_of_them == own)
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Serves until ``stop``; returns the exit code."""
-    mine = serves(options.share)
+    mine = None if options.share == _ALL else serves(options.share)
     return serve((adaptation(options), policy(options), safety_filter(options)), options, stop, mine)
 
 
@@ -38,5 +43,5 @@ if __name__ == "__main__":
     parser = service_parser("safedpa-stack")
     add_policy_options(parser)
     add_filter_options(parser)
-    parser.add_argument("--share", default="1/1", metavar="N/OF", help="of several stacks: serve the N-th part alone")
+    parser.add_argument("--share", default=_ALL, metavar="N/OF", help="of several stacks: serve the N-th part alone")
     run_process(work, parser, Urgency.FILTER)

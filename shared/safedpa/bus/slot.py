@@ -99,8 +99,14 @@ class Slot:
 
     def given(self, topics: Sequence[Topic], slack: Mapping[Topic, int]) -> Inputs:
         """The inputs of a step, stale where they are missing or too old."""
-        slack = _NO_SLACK if self.state.lockstep else slack
-        return {topic: _usable(topic, self.inputs.get(topic), self.state, slack.get(topic, 0)) for topic in topics}
+        slack, state, found = _NO_SLACK if self.state.lockstep else slack, self.state, dict[Topic, Message | Stale]()
+        for topic in topics:
+            message = self.inputs.get(topic)
+            if message is None or message.tick != state.tick or message.epoch != state.epoch:
+                found[topic] = _usable(topic, message, state, slack.get(topic, 0))
+            else:
+                found[topic] = message
+        return found
 
 
 def _fits(message: Message | None, state: StateMessage, slack: int) -> bool:
