@@ -104,12 +104,6 @@ class ServiceLoop:
         speaks = self.clock() - slot.heard <= max(_SILENCE_SECONDS, 3.0 * slot.state.period)
         return speaks and not self._node.at_rest(robot)
 
-    @property
-    def only(self) -> Slot | None:
-        """The robot that is served, while there is no more than one."""
-        slots = tuple(self._slots.values())  # the other thread may add one meanwhile
-        return slots[0] if len(slots) == 1 else None
-
     def turn(self, longest_wait: float) -> None:
         """Takes what arrived, steps what is due, sends heartbeats and forgets who left when it is time."""
         self.serve(longest_wait)
