@@ -47,8 +47,10 @@ class _Turning:
     robot: SimulatedRobot
     due: float
     """s; when its state of this tick should go out."""
+    told_every: int
+    """Ticks from one heartbeat to the next."""
     told_at: int
-    """Ticks of a heartbeat's period in which it is sent: not all robots' at once."""
+    """Tick among those in which it is sent: not all robots' at once."""
     published: float = 0.0
     held_up: bool = False
     braked: deque[bool] = field(default_factory=lambda: deque(maxlen=_REMEMBERED_TICKS))
@@ -76,7 +78,8 @@ class FleetLoop:
         self._turning = {}
         for index, (name, robot) in enumerate(robots.items()):
             due = self._begin + index * self._moments // len(robots) / self._moments * robot.period
-            self._turning[name] = _Turning(robot, due, index % _heartbeat_ticks(robot))
+            every = max(1, round(_HEARTBEAT_SECONDS / robot.period))
+            self._turning[name] = _Turning(robot, due, every, index % every)
         self._ready: deque[tuple[str, int]] = deque()
         """Robots whose action of a tick is there, and which have not moved yet."""
         self._events = [(turning.due, name, turning.robot.tick, True) for name, turning in self._turning.items()]
@@ -131,7 +134,7 @@ class FleetLoop:
         robot = turning.robot
         turning.published = self._clock()
         self._bus.publish(STATE, name, robot.state_message())
-        if robot.tick % _heartbeat_ticks(robot) == turning.told_at:
+        if robot.tick % turning.told_every == turning.told_at:
             self._tell_health(name, robot)
         heapq.heappush(self._events, (turning.published + _DEADLINE_SHARE * robot.period, name, robot.tick, False))
 
@@ -212,7 +215,3 @@ class FleetLoop:
             "collision_list": self.collisions,
             "refusals": dict(sum((robot.guard.refusals for robot in robots), Counter[str]())),
         }
-
-
-def _heartbeat_ticks(robot: SimulatedRobot) -> int:
-    return max(1, round(_HEARTBEAT_SECONDS / robot.period))

@@ -6,6 +6,7 @@ import hashlib
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, final
 
 from safedpa.bus.messages import ActionMessage, StateMessage
@@ -122,4 +123,9 @@ class SimulatedRobot(ABC):
 
     def _record(self) -> None:
         values = self.values
-        self._hash.update(struct.pack(f"<{len(values)}d", *values))
+        self._hash.update(_packing(len(values))(*values))
+
+
+@cache
+def _packing(count: int) -> Callable[..., bytes]:
+    return struct.Struct(f"<{count}d").pack
