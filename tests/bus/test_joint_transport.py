@@ -157,3 +157,17 @@ def test_inside_a_bundle_is_opened_once_too_and_what_comes_alone_stays_alone(sam
     assert len(reading.read) == 2
     sender.publish(LATENT, "a", samples["latent"])
     assert [item.bundled for inbox in inboxes for item in inbox.take(0.0) if isinstance(item, Received)] == [False] * 2
+
+
+def test_nobody_acts_before_every_service_has_it(samples: dict[str, Message]) -> None:
+    broker = MemoryBroker()
+    joint = JointTransport(MemoryTransport(broker), INSIDE)
+    inboxes = [Bus(joint, "f").inbox((STATE,)) for _ in range(3)]
+    seen: list[list[bool]] = []
+    for inbox in inboxes:
+        inbox.lead(lambda: seen.append([other.waiting for other in inboxes]))
+    state = encode(samples["state"])
+    outside = MemoryTransport(broker)
+    outside.put("safedpa/f/a/state", state, never_drop=False)
+    outside.put(f"safedpa/f/{BUNDLE}/state", packed([("a", state), ("b", state)]), never_drop=False)
+    assert seen == [[True] * 3] * 6

@@ -38,7 +38,10 @@ class Accepting:
 
     def __call__(self, key: str, payload: bytes) -> None:
         """Accepts what came under ``key``."""
-        self.put(self.opened(key, payload))
+        parcels = self.opened(key, payload)
+        if parcels:
+            self.put(parcels)
+            self.announce()
 
     def opened(self, key: str, payload: bytes) -> list[Parcel]:
         """What came under ``key``, as far as it is asked for: alone, or each message of a bundle by itself."""
@@ -51,9 +54,12 @@ class Accepting:
         return [Parcel(key, payload)] if served else []
 
     def put(self, parcels: list[Parcel]) -> None:
-        """Into the inbox; parcels may be shared with others where ``asks_as`` is true."""
-        if parcels:
-            self._inbox.keep_parcels(parcels, all_of_them=self._all_of_them)
+        """Into the inbox; parcels may be shared with others where ``asks_as`` is true, and ``announce`` follows."""
+        self._inbox.add_parcels(parcels, all_of_them=self._all_of_them)
+
+    def announce(self) -> None:
+        """What was put there may be acted upon."""
+        self._inbox.announce()
 
     def asks_as(self, other: Accepting) -> bool:
         """Whether it asks for the same as ``other``, so that what one of them opened is right for both."""

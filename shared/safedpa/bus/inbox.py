@@ -161,6 +161,11 @@ class Inbox:
 
     def keep_parcels(self, parcels: Sequence[Parcel], *, all_of_them: bool) -> None:
         """Accepts what came at one moment, each as ``keep_latest`` or ``keep_all`` does."""
+        self.add_parcels(parcels, all_of_them=all_of_them)
+        self.announce()
+
+    def add_parcels(self, parcels: Sequence[Parcel], *, all_of_them: bool) -> None:
+        """The same, but whoever leads is not told yet; ``announce`` follows once others have it, too."""
         with self._filled:
             now = self._clock()
             if all_of_them:
@@ -170,6 +175,9 @@ class Inbox:
                 for parcel in parcels:
                     self._put_latest(parcel, now)
             self._filled.notify()
+
+    def announce(self) -> None:
+        """Tells whoever leads that something came."""
         if self._came is not None:
             self._came()
 

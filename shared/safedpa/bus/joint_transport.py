@@ -73,16 +73,22 @@ class JointTransport(AbstractTransport):
 
 
 def _spread(hearers: list[OnSample], key: str, payload: bytes) -> None:
-    """To all of them, in order. A bundle is opened once, and each message in it is read once, for all who ask alike."""
+    """To all of them, in order, before any of them acts on it.
+
+    A bundle is opened once, and each message in it is read once, for all who ask alike.
+    """
     first: Accepting | None = None
-    parcels: list[Parcel] = []
+    shared: list[Parcel] = []
+    told: list[Accepting] = []
     for on_sample in hearers:
         if not isinstance(on_sample, Accepting):
             on_sample(key, payload)
-        elif first is None:
-            first, parcels = on_sample, on_sample.opened(key, payload)
+            continue
+        if first is None:
+            first, shared = on_sample, on_sample.opened(key, payload)
+        parcels = shared if on_sample is first or on_sample.asks_as(first) else on_sample.opened(key, payload)
+        if parcels:
             on_sample.put(parcels)
-        elif on_sample.asks_as(first):
-            on_sample.put(parcels)
-        else:
-            on_sample(key, payload)
+            told.append(on_sample)
+    for accepting in told:
+        accepting.announce()
