@@ -11,19 +11,22 @@ from safedpa_services.benchmarks.results import Curve, Effort, Entry, Row, Targe
 
 __all__ = ["measure"]
 
+_STACKS = 2
+"""The asked number of robots is for two cores."""
+
 
 def measure(effort: Effort) -> Row:
-    """Doubles and bisects twice: one process of each service for all robots, and one of each for every robot."""
+    """Doubles and bisects twice: two stacks of services that share all robots, and services for every robot."""
     seconds = effort.of(2.0, 20.0, 60.0)
     trials: list[dict[str, Any]] = []
-    trial = FleetTrial(effort.of(2, 100), seconds, realtime=True)
+    trial = FleetTrial(effort.of(2, 100), seconds, realtime=True, stacks=_STACKS)
     shared = largest_fleet(trial, trials.append, _shared) if not effort.quick else _once(trial, trials)
     apart_trials: list[dict[str, Any]] = []
     begin = FleetTrial(effort.of(1, 4), seconds, realtime=True)
     apart = (
         largest_fleet(begin, apart_trials.append, _apart) if not effort.quick else _once(begin, apart_trials, _apart)
     )
-    ours = (_entry("safedpa, one process of each service", shared, trials),)
+    ours = (_entry("safedpa, two stacks", shared, trials, "adaptation, policy and filter in one process, twice"),)
     note = "adaptation, policy and filter of its own, and a robot's process, for every robot"
     peers = (_entry("services for each robot", apart, apart_trials, note),)
     ordered = sorted(trials, key=lambda found: int(found["robots"]))
