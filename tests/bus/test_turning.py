@@ -155,3 +155,19 @@ def test_what_the_state_alone_allows_is_prepared_once_while_inputs_are_on_their_
     bus.publish(LATENT, "r", LatentMessage(**stamp, model="m", values=(0.5,), deviations=(0.1,)))
     loop.turn(0.0)
     assert node.prepared == [3]
+
+
+def test_what_is_due_is_asked_by_nobody_while_another_thread_turns() -> None:
+    process = Process()
+    turning, asked = Turning(process.loops), list[bool]()
+    for loop in process.loops:
+
+        def patience(longest_wait: float, ask: Callable[[float], float] = loop.patience) -> float:
+            asked.append(turning._turns.locked())
+            return ask(min(longest_wait, 0.001))
+
+        loop.patience = patience  # type: ignore[method-assign]
+    turns = iter([False] * 5 + [True])
+    turning.run(lambda: next(turns))
+    assert len(asked) >= 10
+    assert all(asked), "moments that nobody awaits are taken back meanwhile"

@@ -58,7 +58,8 @@ class Turning:
 
     def _turn(self, longest_wait: float) -> None:
         """On the main thread: waits, then does what is due."""
-        wait = min(loop.patience(longest_wait) for loop in self._loops)
+        with self._turns:  # whoever turns changes what is due
+            wait = min(loop.patience(longest_wait) for loop in self._loops)
         if not self._gathers:
             if not self._waiting:
                 self._changed.wait(wait)
