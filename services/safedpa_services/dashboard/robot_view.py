@@ -129,7 +129,9 @@ class RobotView:
             return entries
         if residual is not None:
             entries.append(residual_entry(residual[1]))
-        if self._look.is_car:
+        if len(verdict.predicted) == 1:  # the next state alone: the path that was told last stays
+            pass
+        elif self._look.is_car:
             entries.append(prediction_entry(verdict, self._position()))
         elif self._look.is_pendulum:
             entries.append(phase_prediction(verdict, self._look))

@@ -24,9 +24,8 @@ def field_figure(book: RobotBook, look: Look) -> dict[str, Any]:
     shapes: list[dict[str, Any]] = []
     ranges: tuple[Any, Any] = (None, None)
     if state is not None:
-        if book.verdict is not None and book.verdict.predicted:
-            ahead = [state.values, *book.verdict.predicted]
-            data.append(_line([v[0] for v in ahead], [v[1] for v in ahead], look.present, 3.0, "predicted"))
+        if book.ahead:
+            data.append(_line([v[0] for v in book.ahead], [v[1] for v in book.ahead], look.present, 3.0, "predicted"))
         data.append(_dot(state.goal[0], state.goal[1], "goal", look.present, "star", 13))
         shapes = [_circle(x, y, r, look) for x, y, r in state.obstacles]
         x, y, yaw = state.values[:3]

@@ -51,6 +51,8 @@ class RobotBook:
     epoch: int = 0
     state: StateMessage | None = None
     verdict: VerdictMessage | None = None
+    ahead: tuple[tuple[float, ...], ...] = ()
+    """The path that was predicted last."""
     finding: FindingMessage | None = None
     path: deque[tuple[float, tuple[float, ...]]] = field(default_factory=lambda: deque(maxlen=_MOST_STATES))
     """(s by the robot's clock, state)"""
@@ -77,6 +79,8 @@ class RobotBook:
             self._state(message, at)
         elif isinstance(message, VerdictMessage):
             self.verdict = message
+            if len(message.predicted) != 1:  # not the next state alone
+                self.ahead = message.predicted
         elif isinstance(message, FindingMessage):
             self._finding(message, at)
         elif isinstance(message, ModelMessage):

@@ -160,7 +160,7 @@ class VerdictMessage(ComputedMessage):
     microseconds: Number
     """Time that the decision took."""
     predicted: Rows = ()
-    """(steps, states) predicted under the action held, the first one period ahead."""
+    """(steps, states) predicted under the action held, one period apart; more than the next one not with every tick."""
     coverage: Number = -1.0
     """Share of the last 500 steps at most after which no barrier value lay below its prediction by more than the
     margin, the least of all kinds of barrier; -1: no step was watched yet."""

@@ -25,8 +25,9 @@ from safedpa_sim.robots.robot import SimulatedRobot
 
 __all__ = ["FleetLoop"]
 
-_MOST_MOMENTS = 5
-"""Of a period, at which robots sense where there are many: larger bundles cost less for each robot, and take longer."""
+_FEWEST_MOMENTS, _MOST_MOMENTS, _MANY = 2, 5, 300
+"""Of a period, at which robots sense where there are several, the fewer the more robots there are: larger bundles cost
+less for each robot, and take longer. With two, one half of the fleet moves while the other half is decided about."""
 _FEW = 8
 """Robots that have each a moment of their own."""
 _DEADLINE_SHARE = 0.9
@@ -57,11 +58,15 @@ class _Turning:
     """Of the newest ticks: whether the watchdog acted."""
 
 
+def _moments(robots: int) -> int:
+    return robots if robots < _FEW else max(_FEWEST_MOMENTS, min(_MOST_MOMENTS, _MANY // robots))
+
+
 @final
 class FleetLoop:
     """Turns ``robots`` by name. With ``in_step`` all sense at the same moment, else spread over the period.
 
-    Where there are many they share five moments, and the states of one moment travel in one bundle.
+    Where there are many they share two to five moments, and the states of one moment travel in one bundle.
     """
 
     def __init__(
@@ -74,7 +79,7 @@ class FleetLoop:
     ) -> None:
         self._bus, self._clock = bus, clock
         self._inbox = bus.inbox((ACTION,), clock=clock)
-        self._begin, self._moments = clock(), 1 if in_step else len(robots) if len(robots) < _FEW else _MOST_MOMENTS
+        self._begin, self._moments = clock(), 1 if in_step else _moments(len(robots))
         self._turning = {}
         for index, (name, robot) in enumerate(robots.items()):
             due = self._begin + index * self._moments // len(robots) / self._moments * robot.period
