@@ -6,9 +6,11 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from safedpa.bus import Bus, MemoryTransport
+import pytest
+
+from safedpa.bus import VERDICT, Bus, MemoryTransport, Received, VerdictMessage
 from safedpa_sim.robots.contacts import Collision
-from safedpa_sim.robots.fleet_loop import FleetLoop
+from safedpa_sim.robots.fleet_loop import FleetLoop, _moments
 
 Make = Callable[..., Any]
 NAMES = tuple(f"car{index}" for index in range(5))
@@ -94,6 +96,21 @@ def test_robots_that_share_a_moment_speak_and_are_answered_in_bundles_as_if_each
     alone.drive(1.0)
     assert alone.cars[names[0]].tick == fleet.cars[names[0]].tick
     assert alone.cars[names[0]].trajectory_hash == fleet.cars[names[0]].trajectory_hash
+
+
+@pytest.mark.parametrize(("robots", "moments"), [(1, 1), (7, 7), (8, 5), (60, 5), (100, 3), (150, 2), (1000, 2)])
+def test_the_more_robots_the_fewer_moments_they_share(robots: int, moments: int) -> None:
+    assert _moments(robots) == moments
+
+
+def test_the_path_is_told_with_every_fourth_tick_and_the_next_state_with_each(stack: Make) -> None:
+    fleet = stack(NAMES[:1])
+    verdicts = Bus(MemoryTransport(fleet.broker), "test").inbox((VERDICT,), keep_all=True)
+    fleet.drive(1.0)
+    told = [item.message for item in verdicts.take(0.0) if isinstance(item, Received)]
+    rows = {verdict.tick: len(verdict.predicted) for verdict in told if isinstance(verdict, VerdictMessage)}
+    assert len(rows) >= 15
+    assert rows == {tick: 8 if tick % 4 == 0 else 1 for tick in rows}
 
 
 def test_nobody_wakes_up_for_an_action_that_came(stack: Make) -> None:
