@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import ipaddress
 import json
-import os
 import sys
 import threading
 from collections.abc import Mapping
@@ -36,13 +35,6 @@ _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
 and more, and a link between peers that found each other is not made anew. A process that dies is seen at once anyway.
 """
 _ALIVE_TIMEOUT_SECONDS = 1.0
-_THREADS = (
-    "(net: (handover: rx), acc: (handover: rx), app: (handover: rx), rx: (worker_threads: 2), tx: (worker_threads: 1))"
-)
-"""Zenoh's threads. By default five groups: a message that arrives wakes a thread that looks after the socket, which
-wakes one that reads. In one group it is read by the thread that it woke; 0.1 ms less at each hop. Two, since a callback
-may hold one of them for as long as it likes; and sending apart, since a callback may wait until it can send.
-"""
 _MOST_GATHERED = 4096
 """Messages of one subscription that wait to be collected; beyond, the oldest give way. A thousand robots send so many
 in four of their periods, and the loop collects every few milliseconds."""
@@ -153,7 +145,6 @@ class ZenohTransport(AbstractTransport):
     """One Zenoh session. Raises BusError when it cannot be opened."""
 
     def __init__(self, settings: ZenohSettings) -> None:
-        os.environ.setdefault("ZENOH_RUNTIME", _THREADS)  # read when the first session is opened
         import zenoh
 
         configuration = zenoh.Config()
