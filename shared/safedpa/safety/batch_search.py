@@ -172,7 +172,7 @@ def search_by_many(conditions: ManyConditions, wish: Values, start: ManyOutcomes
         same = (np.abs(found.action - before.action[going]) <= SAME * width).all(axis=1)
         done[going] = (own.kept(found) & (tightest <= NEEDLESS)) | (fresh[going] & same)
         least, now = missing[going], np.maximum(0.0, -tightest)
-        fresh[going] = ~((0.0 < now) & (now < SERVED_WELL * least))
+        fresh[going] = ~((now > 0.0) & (now < SERVED_WELL * least))
         missing[going] = now
         anew = np.flatnonzero(certain & ~done & fresh)
         if len(anew) and index < settings.relinearisations:

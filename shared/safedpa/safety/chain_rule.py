@@ -8,7 +8,7 @@ __all__ = ["chain_rule"]
 
 
 def chain_rule(slopes: Sequence[Sequence[float]], g: list[list[float]]) -> list[list[float]]:
-    """p'g (rows, actions) of slopes p (rows, states) and g (states, actions). Raises ValueError where they do not fit."""
+    """p'g (rows, actions) of slopes p (rows, states), g (states, actions). Raises ValueError where they do not fit."""
     states = len(g)
     found: list[list[float]] = []
     for p in slopes:

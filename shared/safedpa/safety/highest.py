@@ -30,7 +30,7 @@ class HighestProgram:
         self._workspaces: dict[int, _Workspace] = {}
 
     def solve(self, slopes: Values, heights: Values, levels: Values) -> Values | None:
-        """u (actions,) for slopes (m, actions), heights (m,) at u = 0, levels (m,), NaN of a free row; None: unsolved."""
+        """u (actions,) for slopes (m, actions), heights (m,) at u = 0, levels (m,), NaN of a free row; or None."""
         rows = len(slopes)
         size = 1 << (rows - 1).bit_length()
         if size not in self._workspaces:

@@ -34,7 +34,7 @@ class QuadraticProgram:
     """min (a - wish)' W (a - wish) + rho |s|^2 + rho1 sum s  s.t.  A a + r s >= b,  low <= a <= high,  s >= 0.
 
     W = diag(weights / (high - low)^2), the largest weight taken as 1; r (m,) is each row's reach sum_j |A_ij| (high_j -
-    low_j), so that neither the rows' units nor the actions' matter. Always feasible: any a within its bounds with enough
+    low_j), so that neither the rows' units nor the actions' matter. Always feasible: any a in its bounds with enough
     slack. Solved in the variables u = (a - low) / (high - low) of [0, 1]; rows that no action within the bounds can
     break are left out (exact: their slack is 0), as are those that no action changes. Of one or two actions the
     solution without slack is found in closed form and taken where it proves to be the optimum. Else PIQP solves it, the

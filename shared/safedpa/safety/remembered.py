@@ -13,7 +13,7 @@ _STATES: Final = 8
 
 @final
 class Remembered:
-    """Barriers over plain numbers (``heights``, ``slopes``, ``along``, ``steepest`` as in ``AbstractStack``), remembered.
+    """Barriers over plain numbers (``heights``, ``slopes``, ``along``, ``steepest`` of ``AbstractStack``), remembered.
 
     The lists that it hands out are shared: nobody may write into them.
     """

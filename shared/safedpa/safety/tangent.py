@@ -101,8 +101,7 @@ class Tangent:
                 change += abs(row[column]) * self._widths[column]
             if change - change != 0.0:
                 _refuse_infinite(row)
-            if change > self._reach[index]:
-                self._reach[index] = change
+            self._reach[index] = max(self._reach[index], change)
             self._rows[index] = row
 
 

@@ -52,7 +52,7 @@ class Verdict:
     reason: str
     """One sentence about this decision: which input, which barrier, which of two actions."""
     slack: float
-    """max_i max(0, (1 - eta) h_i(x) + epsilon_i - h_i(x+)) under ``action``, x+ by the model, each in the unit of its h;
+    """max_i max(0, (1 - eta) h_i(x) + epsilon_i - h_i(x+)) under ``action``, x+ by the model, in the units of the h_i;
     0 when all hold but for rounding errors."""
     active: tuple[str, ...]
     """Names of the barriers whose condition binds or is broken, the tightest first."""
