@@ -3,7 +3,8 @@
 Every robot gets what ``SafetyFilter.decide`` would give it alone, to 1e-6: networks, barriers and the quadratic program
 run over arrays with the robots first. Whatever is out of the ordinary (an input that is not plausible, a program that
 needs slack, conditions that cannot all be kept, an h below 0) is left to the filter of one robot itself, so that the
-ladder of fallbacks exists once. The services keep one step per robot: there a robot's numbers must not depend on its neighbours.
+ladder of fallbacks exists once. The services keep one step per robot: there its numbers must not depend on its
+neighbours.
 """
 
 from __future__ import annotations
