@@ -4,7 +4,7 @@
     then     of the rows that this leaves free, the next least one, until all their conditions hold,
     last     the least change of the wish,
 
-each within ``TOLERANCE`` of a scale, and never below 0 where 0 can be attained. The programs are linear, tangent at the
+each within ``TOLERANCE`` of what the actions can change in h_i, and never below 0 where 0 can be attained. The programs are linear, tangent at the
 best action known, and are posed anew about their solution; what counts is the model's own prediction for it.
 """
 
@@ -29,8 +29,10 @@ Values = NDArray[np.float64]
 Action = tuple[float, ...]
 
 TOLERANCE: Final = 2e-3
-"""Share of a barrier's scale that is given away for the next aim."""
+"""Share of what the actions can change in an h that is given away for the next aim; the programs give away half."""
 
+_ROUNDING: Final = 1e-12
+"""Share of a scale by which the h of two actions may differ that no action changes."""
 _ROUNDS: Final = 4
 _LEVELS: Final = 4
 _TRUE: Final = 1e-6
@@ -74,6 +76,7 @@ class _Lift:
             reach = np.array(conditions.reach)
         scales = np.maximum(conditions.size, reach)
         self._scales = np.where(scales > 0.0, scales, 1.0)
+        self._given = np.maximum(TOLERANCE * reach / self._scales, _ROUNDING)
         self._required = np.array(conditions.required)
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
@@ -91,14 +94,15 @@ class _Lift:
 
     def _improved(self, about: Outcome) -> tuple[Outcome, bool]:
         """A better outcome than ``about`` (or itself), and whether the tangent there foretold it."""
-        tangent, best, exact = self._conditions.linearised(about), about, False
+        tangent, best = self._conditions.linearised(about), about
+        foretells: list[bool] = []
         for proposed, foretold in self._proposals(tangent, about):
             found = self._conditions.outcome(proposed)
-            exact = bool(np.abs(self._height(found) - foretold).max() <= _TRUE)
-            if not exact:
+            foretells.append(bool(np.abs(self._height(found) - foretold).max() <= _TRUE))
+            if not foretells[-1]:
                 found = self._best(found, [self._conditions.outcome(self._between(about, found, s)) for s in _STEPS])
             best = self._best(best, [found])
-        return best, exact
+        return best, bool(foretells) and all(foretells)
 
     def _proposals(self, tangent: Tangent, about: Outcome) -> Iterable[tuple[Action, Values]]:
         """Actions with the heights that the tangent foretells: the highest one, then the nearest as high."""
@@ -134,8 +138,9 @@ class _Lift:
             u = found
             reached = heights + slopes @ u
             least = reached[free].min()
-            kept = _lowered(least)
-            levels[free & (reached <= least + TOLERANCE)] = kept
+            given = 0.5 * self._given
+            binding = free & (reached <= least + given)
+            levels[binding] = _lowered(least, given)[binding]
             free = np.isnan(levels)
             if (reached >= wanted)[free].all():
                 break
@@ -149,11 +154,12 @@ class _Lift:
     def _best(self, best: Outcome, others: Iterable[Outcome]) -> Outcome:
         """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the wish."""
         compared = [best, *others]
-        heights = [float(self._height(one).min()) for one in compared]
-        level = _lowered(max(heights))
-        good = [one for one, height in zip(compared, heights, strict=True) if height >= level]
+        heights = [self._height(one) for one in compared]
+        level = _lowered(max([float(rows.min()) for rows in heights]), self._given)
+        good = [one for one, rows in zip(compared, heights, strict=True) if (rows >= level).all()]
         missing = [self._missing(one) for one in good]
-        good = [one for one, short in zip(good, missing, strict=True) if short <= min(missing) + TOLERANCE]
+        limit = min(missing) + float(self._given.max())
+        good = [one for one, short in zip(good, missing, strict=True) if short <= limit]
         return min(good, key=lambda one: self._program.distance(one.action, self._wish))
 
     def _height(self, one: Outcome) -> Values:
@@ -177,8 +183,8 @@ class _Lift:
         return within((self._low + self._range * u).tolist(), self._program.sides)
 
 
-def _lowered(height: float) -> float:
-    """The least that is as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
+def _lowered(height: float, given: Values) -> Values:
+    """(rows,) the least that is as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
     if -_TRUE < height <= 0.0:
-        return height
-    return height - TOLERANCE if height < 0.0 else max(0.0, height - TOLERANCE)
+        return np.full(len(given), height)
+    return height - given if height < 0.0 else np.maximum(0.0, height - given)
