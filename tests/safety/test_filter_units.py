@@ -137,7 +137,7 @@ def compare(one: Verdict, other: Verdict, units: Units, within: float) -> None:
 
 @dataclass
 class Planar:
-    """x[t+1] = x + B(x) a with two or three actions, and discs and half planes, each in a unit of its own."""
+    """x[t+1] = x + d + B a with two or three actions, and discs and half planes, each in a unit of its own."""
 
     actions: int
     seed: int
@@ -147,7 +147,7 @@ class Planar:
 
     def decide(self) -> Verdict:
         random = np.random.default_rng(self.seed)
-        matrix = random.normal(0.0, 0.2, (3, self.actions))
+        matrix, drift = random.normal(0.0, 0.2, (3, self.actions)), random.normal(0.0, 0.2, 3)
         centres, radii = random.normal(0.0, 1.0, (3, 3)), random.uniform(0.2, 0.8, 3)
         normal, offset = random.normal(size=3), random.uniform(0.0, 1.5)
         start, wish = random.normal(0.0, 1.0, 3), random.uniform(-1.2, 1.2, self.actions)
@@ -169,7 +169,7 @@ class Planar:
             eta=0.3,
             epsilon={barrier.kind: 0.01 * unit for barrier, unit in zip(barriers, self.units, strict=True)},
         )
-        safe = SafetyFilter(lambda x: (x, state[:, np.newaxis] * matrix / action), barriers, settings)
+        safe = SafetyFilter(lambda x: (x + state * drift, state[:, np.newaxis] * matrix / action), barriers, settings)
         return safe.decide(start * state, wish * action)
 
 
@@ -193,4 +193,4 @@ def test_each_barrier_and_each_entry_in_a_unit_of_its_own(
 
 def test_the_planar_scenes_hold_every_kind_of_verdict() -> None:
     found = {Planar(2 + seed % 2, seed).decide().status for seed in range(100)}
-    assert found >= {Status.passed, Status.corrected, Status.violated}
+    assert found == {Status.passed, Status.corrected, Status.relaxed, Status.violated}
