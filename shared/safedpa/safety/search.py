@@ -35,6 +35,10 @@ LEFT: Final = 0.9
 """Share that is gone of the way on which the room would be used up: to end on the kept side."""
 
 
+NEAR: Final = 0.01
+"""Share of the way that is not worth a try."""
+
+
 DOUBTFUL: Final = 0.02
 """A solution that far from the wish, kept by more than this share of its scale, may lie where an actuator saturates and
 nothing is lost by coming nearer."""
@@ -105,35 +109,48 @@ def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
         return best, status
     room, wanted = conditions.tightest(best), within(wish, program.sides)
     if room > NEEDLESS:
-        nearer = towards(conditions, wanted, best)
-        again, _ = _posed(conditions, program, wish, nearer, AGAIN)
-        return _better(conditions, program, wish, nearer, again), status
-    if room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
-        return towards(conditions, _furthest_back(program, wanted, best.action), best), status
-    return best, status
+        end = list(wanted)
+    elif room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
+        end = _furthest_back(program, wanted, best.action)
+    else:
+        return best, status
+    nearer = towards(conditions, end, best)
+    again, _ = _posed(conditions, program, wish, nearer, AGAIN)
+    return _better(conditions, program, wish, nearer, again), status
 
 
 def towards(conditions: _Posed, end: Plain, kept: Outcome) -> Outcome:
     """The furthest action found on the way from a kept one to ``end`` (actions,) that is still kept.
 
-    The least residual is taken to fall along a straight line, anew between the last action kept and the last not kept.
+    Each residual is taken to change along a straight line, anew between the last action kept and the last not kept.
     """
     last = conditions.outcome(end)
     if last.kept:
         return last
     safe, low, high = kept, 0.0, 1.0
-    room, beyond = conditions.tightest(kept), min(conditions.tightest(last), -SAME)
     for _ in range(TRIES):
-        if room <= DOUBTFUL:
+        allowed = (high - low) * _allowed(safe, last)
+        if allowed <= NEAR:
             break
-        share = low + (high - low) * room * LEFT / (room - beyond)
+        share = low + LEFT * allowed
         between = [kept.action[index] + share * (end[index] - kept.action[index]) for index in range(len(end))]
         tried = conditions.outcome(between)
         if tried.kept:
-            safe, low, room = tried, share, conditions.tightest(tried)
+            safe, low = tried, share
         else:
-            high, beyond = share, min(conditions.tightest(tried), -SAME)
+            last, high = tried, share
     return safe
+
+
+def _allowed(kept: Outcome, broken: Outcome) -> float:
+    """Share of the way between two outcomes on which no residual that is straight on it falls below 0."""
+    share = 1.0
+    for row in range(len(kept.residual)):
+        here, there = kept.residual[row], broken.residual[row]
+        if there < 0.0:
+            room = here / (here - there) if here > 0.0 else 0.0
+            share = room if room < share else share
+    return share
 
 
 def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float]:
