@@ -314,7 +314,7 @@ def test_a_backup_that_breaks_the_condition_is_no_place_to_go_from(monkeypatch: 
     program_says(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "Found among the least unsafe actions."
+    assert verdict.reason == "Found from a corner of the actions' range."
     assert verdict.action[0] <= 0.2
 
 

@@ -12,7 +12,7 @@ from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.safety.batch_barriers import ManyScenes
 from safedpa.safety.batch_nearest import nearest_kept_by_many
 from safedpa.safety.conditions import NO_INFLUENCE, ROUNDING
-from safedpa.safety.search import NEEDLESS, OVERSHOOT, SAME, SERVED_WELL
+from safedpa.safety.search import DOUBTFUL, FAR, NEEDLESS, OVERSHOOT, SAME, SERVED_WELL
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.tangent import MARK
 
@@ -148,7 +148,8 @@ class ManyConditions:
 def search_by_many(conditions: ManyConditions, wish: Values, start: ManyOutcomes) -> tuple[ManyOutcomes, Flags]:
     """The best outcomes found, as ``search`` finds them, and where they are certain.
 
-    Not certain are those whose program needed slack on the way: the filter of one robot has to answer these.
+    Not certain are those whose program needed slack on the way, or whose best is needlessly far from the wish: the
+    filter of one robot has to answer these.
     """
     settings, robots = conditions.settings, len(wish)
     width, last = settings.high - settings.low, np.full((robots, 4, 2), np.nan)
@@ -170,14 +171,24 @@ def search_by_many(conditions: ManyConditions, wish: Values, start: ManyOutcomes
         best.put(going[better], found.only(better))
         tightest = own.tightest(found)
         same = (np.abs(found.action - before.action[going]) <= SAME * width).all(axis=1)
-        done[going] = (own.kept(found) & (tightest <= NEEDLESS)) | (fresh[going] & same)
+        kept = own.kept(found)
+        astray = own.kept(best.only(going)) & ~kept
+        done[going] = (kept & (tightest <= NEEDLESS)) | astray | (fresh[going] & same)
         least, now = missing[going], np.maximum(0.0, -tightest)
         fresh[going] = ~((now > 0.0) & (now < SERVED_WELL * least))
         missing[going] = now
         anew = np.flatnonzero(certain & ~done & fresh)
         if len(anew) and index < settings.relinearisations:
             _draw(conditions, A, anew, about, last)
-    return best, certain
+    return best, certain & ~_needlessly_far(conditions, wish, best)
+
+
+def _needlessly_far(conditions: ManyConditions, wish: Values, best: ManyOutcomes) -> Flags:
+    """Where the way from the best to the wish is still to be gone."""
+    settings, room = conditions.settings, conditions.tightest(best)
+    weights = settings.weight_vector / settings.weight_vector.max()
+    far = (((best.action - wish) / (settings.high - settings.low)) ** 2) @ weights > FAR * FAR
+    return np.asarray(conditions.kept(best) & ((room > NEEDLESS) | ((room > DOUBTFUL) & far)))
 
 
 def _draw(conditions: ManyConditions, A: Values, which: Indices, about: ManyOutcomes, last: Values) -> None:
