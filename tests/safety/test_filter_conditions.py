@@ -8,7 +8,7 @@ import pytest
 from safedpa.errors import InputError
 from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction, car_barriers
 from safedpa.safety.car_stack import stacked
-from safedpa.safety.conditions import Conditions, Outcome
+from safedpa.safety.conditions import ROUNDING, Conditions, Outcome
 from safedpa.safety.tangent import Tangent
 
 
@@ -137,28 +137,33 @@ def several(h: Callable[[np.ndarray], list[float]], epsilon: list[float], eta: f
 
 def test_a_barriers_scale_is_what_it_is_its_margin_or_what_actions_change_in_it() -> None:
     posed = several(lambda x: [10.0 - x[0], -3.0 + 0.1 * x[0], 0.0, 1e-6], [0.1, 0.0, 0.25, 0.0])
-    assert posed.size == [10.0, 3.0, 0.25, 1e-6]
-    assert [posed.scale(row) for row in range(4)] == [10.0, 3.0, 0.25, 1e-6]
+    assert posed.sizes == [10.0, 3.0, 0.25, 1e-6]
+    assert posed.scales == [10.0, 3.0, 0.25, 1e-6]
     steep = several(lambda x: [1.0 - x[0], 2.0 + 3.0 * x[0]], [0.0, 0.0])
-    assert steep.reach == [0.0, 0.0]
     steep.linearised(steep.outcome((0.0,))).all(2)
-    np.testing.assert_allclose(steep.reach, [8.0, 24.0])
-    np.testing.assert_allclose([steep.scale(row) for row in range(2)], [8.0, 24.0])
+    np.testing.assert_allclose(steep.scales, [8.0, 24.0])
+    assert steep.sizes == [1.0, 2.0]
 
 
 def test_a_reach_once_known_is_not_forgotten() -> None:
     """h = 1 - x^2 / 2: steep where x is large, flat where it is 0."""
     posed = several(lambda x: [1.0 - x[0] ** 2 / 2.0], [0.0])
     posed.linearised(posed.outcome((3.0,))).all(1)
-    assert posed.reach[0] == pytest.approx(24.0)
+    assert posed.scales[0] == pytest.approx(24.0)
     posed.linearised(posed.outcome((0.5,))).all(1)
-    assert posed.reach[0] == pytest.approx(24.0)
+    assert posed.scales[0] == pytest.approx(24.0)
+
+
+def test_rounding_errors_are_far_below_what_matters() -> None:
+    assert 1e-12 <= ROUNDING <= 1e-10
 
 
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
-@pytest.mark.parametrize(("missed", "kept"), [(0.9e-12, True), (1.2e-12, False), (0.0, True), (-1.0, True)])
+@pytest.mark.parametrize(
+    ("missed", "kept"), [(0.9 * ROUNDING, True), (1.1 * ROUNDING, False), (0.0, True), (-1.0, True)]
+)
 def test_a_condition_may_be_missed_by_rounding_errors_of_its_own_scale(missed: float, kept: bool, unit: float) -> None:
-    """h now is 8, half of it may be used up: 4, but for 1e-12 of 8."""
+    """h now is 8, half of it may be used up: 4, but for the rounding of 8."""
     posed = several(lambda x: [unit * (8.0 - x[0])], [0.0])
     outcome = posed.outcome((4.0 + 8.0 * missed,))
     assert outcome.kept is kept
@@ -166,9 +171,9 @@ def test_a_condition_may_be_missed_by_rounding_errors_of_its_own_scale(missed: f
 
 
 def test_no_action_is_kept_that_leads_below_zero() -> None:
-    """With h = 0 now the condition h >= 0 may not be missed at all, though h's reach would allow for rounding."""
+    """With h = 0 now the condition h >= 0 may not be missed at all, though h's scale would allow for rounding."""
     posed = several(lambda x: [-1e-14 * x[0], 1.0], [0.0, 0.0])
-    posed.reach[:] = [1.0, 1.0]
+    posed.scales[:] = [1.0, 1.0]
     below, on = posed.outcome((1.0,)), posed.outcome((0.0,))
     assert (below.broken, below.kept) == ([], False)
     assert (on.broken, on.kept) == ([], True)
@@ -184,24 +189,31 @@ def test_violation_is_the_largest_slack_of_what_is_broken() -> None:
     assert several(lambda x: [5.0 - x[0]], [0.0]).outcome((3.0,)).violation == 0.5
 
 
-def test_tightest_and_height_are_shares_of_each_barriers_scale() -> None:
+def test_tightest_is_a_share_of_each_barriers_scale() -> None:
     posed = several(lambda x: [100.0 - x[0], 2.0 - x[0]], [0.0, 0.0])
     outcome = posed.outcome((2.0,))
     assert posed.tightest(outcome) == -1.0 / 2.0
-    assert posed.height(outcome) == 0.0
     assert posed.tightest(posed.outcome((-2.0,))) == pytest.approx(0.52)
-    assert posed.height(posed.outcome((-2.0,))) == pytest.approx(1.02)
-    posed.reach[1] = 20.0
+    posed.scales[1] = 20.0
     assert posed.tightest(outcome) == -1.0 / 20.0
-    assert posed.height(outcome) == 0.0
-    assert posed.height(posed.outcome((4.0,))) == -2.0 / 20.0
 
 
-def test_of_a_barrier_without_a_scale_the_sign_counts() -> None:
-    posed = several(lambda x: [0.0], [0.0])
-    assert [posed.share(value, 0) for value in (-3.0, 0.0, 1e-300)] == [-1.0, 0.0, 1.0]
-    posed.reach[0] = 0.5
-    assert [posed.share(value, 0) for value in (-3.0, 0.0, 0.25)] == [-6.0, 0.0, 0.5]
+@pytest.mark.parametrize("turned", [False, True])
+def test_tightest_does_not_depend_on_the_order(turned: bool) -> None:
+    def h(x: np.ndarray) -> list[float]:
+        three = [1000.0 - x[0], 2.0 - x[0], 4.0 - x[0]]
+        return three[::-1] if turned else three
+
+    posed = several(h, [0.0] * 3)
+    assert posed.tightest(posed.outcome((1.5,))) == pytest.approx(-0.25)
+    assert posed.tightest(posed.outcome((0.0,))) == pytest.approx(0.5)
+
+
+def test_of_a_barrier_without_a_scale_what_is_missing_is_infinitely_much() -> None:
+    posed = several(lambda x: [-abs(x[0])], [0.0])
+    assert posed.tightest(posed.outcome((0.0,))) == 0.0
+    assert posed.tightest(posed.outcome((1.0,))) < -1e200
+    assert posed.outcome((0.0,)).kept
 
 
 def test_binding_names_come_tightest_first_as_shares_of_their_scales() -> None:
@@ -230,6 +242,7 @@ def test_as_many_margins_and_values_as_barriers() -> None:
 
 
 def test_an_outcome_with_nothing_broken_may_still_be_unsafe() -> None:
-    assert Outcome((0.0,), [0.0], [1.0], [1.0], [], False).kept
-    assert not Outcome((0.0,), [0.0], [-1.0], [1.0], [], True).kept
-    assert not Outcome((0.0,), [0.0], [1.0], [-1.0], [0], False).kept
+    assert Outcome((0.0,), [0.0], [1.0], [1.0], []).kept
+    assert Outcome((0.0,), [0.0], [0.0], [0.0], []).kept
+    assert not Outcome((0.0,), [0.0], [2.0, -1e-300], [1.0, 1.0], []).kept
+    assert not Outcome((0.0,), [0.0], [1.0], [-1.0], [0]).kept
