@@ -362,7 +362,7 @@ def test_the_way_to_a_wish_beyond_the_bounds_ends_at_the_bound() -> None:
 
 @pytest.mark.parametrize(("proposed", "again"), [(1.0, True), (0.89, False)])
 def test_what_is_doubtful_and_far_from_the_wish_is_brought_nearer(proposed: float, again: bool) -> None:
-    """Kept by 0.03, between doubtful and needless: looked at again where that is more than a tenth of the range away."""
+    """Kept by 0.03, between doubtful and needless: looked at again where it is more than a tenth of the range away."""
     line: Any = Line(0.0, proposed)
     line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
     line.outcome = lambda action: outcome(

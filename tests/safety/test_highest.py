@@ -17,7 +17,7 @@ Values = NDArray[np.float64]
 def reference(slopes: Values, heights: Values, levels: Values) -> float | None:
     """The largest attainable t; None where the levels cannot be held."""
     free = np.isnan(levels)
-    rows, actions = slopes.shape
+    actions = slopes.shape[1]
     A = np.hstack([-slopes, np.where(free, 1.0, 0.0)[:, np.newaxis]])
     b = heights - np.where(free, 0.0, levels)
     bounds = [*[(0.0, 1.0)] * actions, (None, None)]

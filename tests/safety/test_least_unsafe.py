@@ -142,7 +142,7 @@ def test_where_no_action_moves_anything_the_wish_is_left() -> None:
 
 
 def test_of_what_is_known_the_best_is_never_lost() -> None:
-    """Programs that give up: among what is known and the corners the highest is taken, then what is nearest the wish."""
+    """Programs that give up: of what is known and the corners the highest is taken, then what is nearest the wish."""
 
     class Mute:
         def solve(self, *_: Any) -> None:

@@ -4,8 +4,9 @@
     then     of the rows that this leaves free, the next least one, until all their conditions hold,
     last     the least change of the wish,
 
-each within ``TOLERANCE`` of what the actions can change in h_i, and never below 0 where 0 can be attained. The programs are linear, tangent at the
-best action known, and are posed anew about their solution; what counts is the model's own prediction for it.
+each within ``TOLERANCE`` of what the actions can change in h_i, and never below 0 where 0 can be attained. The programs
+are linear, tangent at the best action known, and are posed anew about their solution; what counts is the model's own
+prediction for it.
 """
 
 from __future__ import annotations
@@ -188,7 +189,7 @@ class _Lift:
 
 
 def _lowered(height: float, given: Values) -> Values:
-    """(rows,) the least that is as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
+    """(rows,) the least as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
     if -_TRUE < height <= 0.0:
         return np.full(len(given), height)
     return height - given if height < 0.0 else np.maximum(0.0, height - given)
