@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.remembered import Remembered
 
 __all__ = ["AbstractBarrier", "AbstractStack", "Barriers", "RememberingStack"]
@@ -25,6 +26,11 @@ class AbstractBarrier(ABC):
     """Which margin applies: ``obstacle``, ``field``, ``speed`` or a name of the user's own."""
     names: tuple[str, ...]
     """(m,) what each of them is called in verdicts."""
+    reads: tuple[str, ...] = ()
+    """Names of the entries of the state that h is written for, from the first on; empty: not known.
+
+    A filter refuses a model whose states are others.
+    """
 
     @abstractmethod
     def values(self, state: Values) -> Values:
@@ -71,12 +77,12 @@ class AbstractStack(Sequence[AbstractBarrier]):
 
     def heights(self, state: Sequence[float]) -> list[float]:
         """``values`` for plain numbers: h (m,) at ``state`` (states,)."""
-        h: list[float] = _plain("h", self.values(np.array(state)), (len(self.names),))
+        h: list[float] = _plain("h", self.values(_unwritten(state)), (len(self.names),))
         return h
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:
         """``gradient`` for plain numbers: its rows of these indices."""
-        table = _plain("gradient of h", self.gradient(np.array(state)), (len(self.names), len(state)))
+        table = _plain("gradient of h", self.gradient(_unwritten(state)), (len(self.names), len(state)))
         return [table[row] for row in rows]
 
     def steepest(self, state: Sequence[float]) -> Sequence[float] | None:
@@ -105,10 +111,10 @@ class Barriers(AbstractStack):
     """The parts one by one: the reference, and what serves barriers of any kind."""
 
     def values(self, state: Values) -> Values:  # noqa: D102
-        return np.concatenate([part.values(state) for part in self.parts])
+        return np.concatenate([numbers_returned("h", part.values(state)) for part in self.parts])
 
     def gradient(self, state: Values) -> Values:  # noqa: D102
-        return np.concatenate([part.evaluate(state)[1] for part in self.parts])
+        return np.concatenate([numbers_returned("gradient of h", part.evaluate(state)[1]) for part in self.parts])
 
 
 @final
@@ -144,6 +150,13 @@ class RememberingStack(AbstractStack):
         if known is None:
             known = self._plain[states] = Remembered(self._stack.plain(states))
         return known
+
+
+def _unwritten(state: Sequence[float]) -> Values:
+    """What every part may read and none may write into: the next one would see it."""
+    array = np.array(state)
+    array.setflags(write=False)
+    return array
 
 
 def _plain(what: str, array: Values, shape: tuple[int, ...]) -> Any:

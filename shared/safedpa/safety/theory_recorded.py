@@ -19,8 +19,10 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.networks import frame_of
 from safedpa.safety.margin import split_conformal_margin
+from safedpa.safety.scene import is_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.theory_gradient import largest_gradients
+from safedpa.systems import CAR
 
 __all__ = ["RecordedBound", "Transitions", "own_errors", "recorded_bound"]
 
@@ -59,7 +61,7 @@ def recorded_bound(
     P is the largest gradient for any of the recorded footprints. Raises InputError when too few transitions are used
     for the coverage.
     """
-    if model.system.name != "car":
+    if not is_of(model.system, CAR):
         return RecordedBound({}, {})
     errors = np.abs(own_errors(model, found))
     scaling = used & (np.arange(len(used)) // _BLOCK % 10 == 0)
