@@ -111,9 +111,13 @@ class Barriers(AbstractStack):
     """The parts one by one: the reference, and what serves barriers of any kind."""
 
     def values(self, state: Values) -> Values:  # noqa: D102
+        if len(self.parts) == 1:
+            return numbers_returned("h", self.parts[0].values(state))
         return np.concatenate([numbers_returned("h", part.values(state)) for part in self.parts])
 
     def gradient(self, state: Values) -> Values:  # noqa: D102
+        if len(self.parts) == 1:
+            return numbers_returned("gradient of h", self.parts[0].evaluate(state)[1])
         return np.concatenate([numbers_returned("gradient of h", part.evaluate(state)[1]) for part in self.parts])
 
 

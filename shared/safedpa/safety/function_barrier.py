@@ -62,6 +62,8 @@ class FunctionBarrier(AbstractBarrier):
             up, down = state.copy(), state.copy()
             up[index] += nudge
             down[index] -= nudge
+            up.setflags(write=False)
+            down.setflags(write=False)
             gradient[:, index] = (self.values(up) - self.values(down)) / (up[index] - down[index])
         return gradient
 
