@@ -82,7 +82,7 @@ def recorded_bound(
 
 def own_errors(model: PhysicsModel, found: Transitions) -> Values:
     """Measured minus predicted increment (n, states) in the robot's own frame, SI units."""
-    frame = frame_of(model.system.name)
+    frame = frame_of(CAR.name)
     expected = model.step(found.state, found.action, found.latent)
     measured = frame.own_increment(found.state, found.following)
     return np.asarray(measured - frame.own_increment(found.state, expected))
