@@ -32,6 +32,7 @@ from safedpa.safety.compatibility import (
 )
 from safedpa.safety.decision import Backup, Decision, Request, Tools
 from safedpa.safety.finite_clock import FiniteClock
+from safedpa.safety.highest import HighestProgram
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
@@ -93,9 +94,8 @@ class SafetyFilter:
         self.tools = Tools(
             settings=settings,
             prediction=prediction,
-            program=QuadraticProgram(
-                low, high, settings.weight_vector, settings.slack_quadratic, settings.slack_linear
-            ),
+            program=QuadraticProgram(low, high, settings.weight_vector),
+            highest=HighestProgram(len(low)),
             stacks=Stacks(states),
             margins=Margins(settings.epsilon),
             backup=backup,
