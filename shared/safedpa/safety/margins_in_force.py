@@ -32,7 +32,7 @@ class Margins:
 
         Raises DecisionError unless ``asked`` is a table by kinds that exist, and all are finite and none negative.
         """
-        if not isinstance(asked, Mapping):
+        if type(asked) is not dict and not isinstance(asked, Mapping):
             raise DecisionError(f"margin epsilon is no table by kind of barrier, but {type(asked).__name__}")
         if self._known is None or barriers is not self._barriers or asked != self._asked:
             self._known = None
