@@ -384,7 +384,12 @@ def test_many_threads_never_get_each_others_barriers() -> None:
     for thread in threads:
         thread.join()
     assert any(item.known for found in verdicts.values() for item in found)
-    assert {item.status for item in verdicts[True]} <= {Status.relaxed, Status.corrected, Status.violated, Status.fallback}
+    assert {item.status for item in verdicts[True]} <= {
+        Status.relaxed,
+        Status.corrected,
+        Status.violated,
+        Status.fallback,
+    }
     for near, found in verdicts.items():
         assert {item.h_now < 1.0 for item in found if item.known} <= {near}
 

@@ -359,7 +359,8 @@ def test_the_command_refuses_a_stranger(
     assert safedpa.run(["up", "--headless", "--model", str(files[name]), "--effects", str(OWN), "--json"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert f"a {name} (x, y" in said
+    assert f"a {name} with " in said
+    assert "(states x, y, " in said
 
 
 def test_a_base_cannot_borrow_a_shipped_name(tmp_path: Path) -> None:

@@ -165,8 +165,9 @@ def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> N
     states = systems()[robot].state_names
     if (system.name, system.state_names, system.action_names) != (robot, states, _DRIVEN[robot]):
         raise InputError(
-            f"--model {name}: a {system.name} ({', '.join(system.state_names)}) with {', '.join(system.action_names)}, "
-            f"wanted a {robot} ({', '.join(states)}) with {', '.join(_DRIVEN[robot])}"
+            f"--model {name}: a {system.name} with {', '.join(system.action_names)} (states "
+            f"{', '.join(system.state_names)}), wanted a {robot} with {', '.join(_DRIVEN[robot])} (states "
+            f"{', '.join(states)})"
         )
     try:
         scene_of(model, settings_named(settings))
