@@ -9,11 +9,14 @@ from safedpa.safety.car_barriers import car_barriers
 from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.field_barrier import FieldBarrier
 from safedpa.safety.function_barrier import FunctionBarrier
+from safedpa.safety.higher_order_barrier import HigherOrderBarrier
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.margin import OnlineMargin, smallest_sample, split_conformal_margin
 from safedpa.safety.obstacle_barrier import Footprint, ObstacleBarrier
+from safedpa.safety.pending_actions import PendingActions
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram, Solution
+from safedpa.safety.rollout_barrier import RolloutBarrier
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.settings import FilterSettings, load_settings, parse_settings, save_settings, write_settings
 from safedpa.safety.speed_barrier import SpeedBarrier
@@ -32,12 +35,15 @@ __all__ = [
     "Footprint",
     "FunctionBarrier",
     "GymnasiumSafetyFilter",
+    "HigherOrderBarrier",
     "MarginCalibration",
     "ObstacleBarrier",
     "OnlineMargin",
+    "PendingActions",
     "Plausible",
     "Prediction",
     "QuadraticProgram",
+    "RolloutBarrier",
     "SafetyFilter",
     "Solution",
     "SpeedBarrier",

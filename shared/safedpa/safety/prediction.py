@@ -50,6 +50,11 @@ class Prediction:
                 prediction._learned = model.base if model.base.is_latent(model.latent_names) else None
         return prediction
 
+    @property
+    def of_this_project(self) -> bool:
+        """Whether it came from ``of_model``."""
+        return self._model is not None
+
     def affine_motion(self, state: tuple[float, ...], latent: tuple[float, ...] | None) -> AffineMotion | None:
         """All of ``following`` and ``slopes_of_one`` at this state; None: ask those.
 

@@ -1,0 +1,79 @@
+"""Slopes of a function of the state by central differences, with steps that have no unit.
+
+The step of an entry x_j follows what that entry itself moves, and, where it does not move, what the function answers
+to. So the slopes of a function are the same whether x_j is told in metres, in micrometres, or as a place on the earth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["central_slopes"]
+
+Values = NDArray[np.float64]
+
+_EPSILON: Final = float(np.finfo(np.float64).eps)
+_SEEN: Final = 1e-10
+"""Share of the function's size by which it must answer: a millionth of that is rounding."""
+_WANTED: Final = 1e-5
+"""Share by which it answers to a step that was searched for: rounding and curvature cost as much."""
+_SMALLEST: Final = 1e-18
+"""First step of an entry that neither moves nor is there; it grows from here, so it is no unit."""
+_GROWTH: Final = 1e3
+_FURTHEST: Final = 1e9
+"""Steps grow to so many times the largest number of the state."""
+
+
+def central_slopes(function: Callable[[Values], Values], state: Values, moved: Values, size: Values) -> Values:
+    """d(function_i)/d(x_j) (m, states) at ``state`` (states,).
+
+    ``moved`` (states,) >= 0 is how far each entry moves by itself; ``size`` (m,) > 0 how large each value is. The step
+    is moved (eps max(1, |x| / moved))^(1/3), where the errors of curvature and of rounding balance; an entry to whose
+    step no value answers gets a larger one, a thousand times each, up to 1e9 times the largest number of the state:
+    beyond that the slope is 0.
+    """
+    slopes = np.zeros((len(size), len(state)))
+    furthest = _FURTHEST * max(float(np.max(np.abs(state))), float(np.max(moved)), _SMALLEST)
+    for index in range(len(state)):
+        step = _first_step(abs(float(state[index])), float(moved[index]))
+        while step <= max(furthest, step if step <= _SMALLEST else 0.0):
+            found = _difference(function, state, index, step)
+            if found is None:
+                break
+            up, down, width = found
+            answer = float(np.max(np.abs(up - down) / size))
+            if answer >= _SEEN:
+                slopes[:, index] = (up - down) / width
+                if answer > 100.0 * _WANTED and (finer := _difference(function, state, index, step * _WANTED / answer)):
+                    slopes[:, index] = (finer[0] - finer[1]) / finer[2]
+                break
+            step *= _GROWTH
+    return slopes
+
+
+def _first_step(value: float, moved: float) -> float:
+    if moved > 0.0:
+        return moved * float(np.cbrt(_EPSILON * max(1.0, value / moved)))
+    return max(_SMALLEST, _EPSILON * value)
+
+
+def _difference(
+    function: Callable[[Values], Values], state: Values, index: int, step: float
+) -> tuple[Values, Values, float] | None:
+    """The values on both sides and how far they lie apart; None where the function has no finite answer."""
+    up, down = state.copy(), state.copy()
+    up[index] += step
+    down[index] -= step
+    width = float(up[index] - down[index])
+    try:
+        with np.errstate(all="ignore"):
+            above, below = function(up), function(down)
+    except (ArithmeticError, ValueError):
+        return None
+    if not (np.isfinite(above).all() and np.isfinite(below).all()):
+        return None
+    return above, below, width if width > 0.0 else 1.0
