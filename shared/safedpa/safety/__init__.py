@@ -6,6 +6,8 @@ from safedpa.safety.barrier import AbstractBarrier, Barriers
 from safedpa.safety.braking import Braking
 from safedpa.safety.calibration import MarginCalibration, calibrate_margin, one_step_errors
 from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.check_filter import check_filter
+from safedpa.safety.check_report import FilterIssue, FilterReport
 from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.field_barrier import FieldBarrier
 from safedpa.safety.function_barrier import FunctionBarrier
@@ -31,6 +33,8 @@ __all__ = [
     "Braking",
     "CorridorBarrier",
     "FieldBarrier",
+    "FilterIssue",
+    "FilterReport",
     "FilterSettings",
     "Footprint",
     "FunctionBarrier",
@@ -51,6 +55,7 @@ __all__ = [
     "Verdict",
     "calibrate_margin",
     "car_barriers",
+    "check_filter",
     "load_settings",
     "one_step_errors",
     "parse_settings",

@@ -32,8 +32,8 @@ def prediction_of(model: Model) -> Prediction:
         memory = model.initial_memory(middle)
         if any(part is not None and np.size(part) for part in memory or ()):
             raise InputError(
-                f"model: got one of '{model.system.name}' whose actuators remember, wanted one whose next state follows "
-                "from state and action alone; take the delay out of it and put it into the state with PendingActions"
+                f"model: got one of '{model.system.name}' whose actuators remember, wanted one whose next state "
+                "follows from state and action alone; take the delay out of it and put it into the state with PendingActions"
             )
         return Prediction.of_model(model)
     if not callable(model):

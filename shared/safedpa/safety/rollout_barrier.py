@@ -97,15 +97,22 @@ class RolloutBarrier(AbstractBarrier):
         """H (m,) and where it is taken on the path, which begins with ``origin`` where one is given."""
         return least_along(self._h.values, self._whole(state, origin, self.horizon), always=int(origin is not None))
 
+    def fall_beyond(self, state: Values) -> Values:
+        """(m,) >= 0 by how much h falls below H in another horizon's ticks: 0 where the backup ends at rest."""
+        path = self.path(state)
+        known = least_along(self._h.values, path).values
+        if len(path) <= self.horizon:
+            return np.zeros(len(known))
+        further = np.array([self._h.values(each) for each in self.loop.path(path[-1], self.horizon)])
+        return np.asarray(np.maximum(known - further.min(axis=0), 0.0))
+
     def evaluate_from(self, origin: Values | None, state: Values) -> tuple[Values, Values]:
         """H (m,) and its gradient (m, states), with the chord from ``origin`` where one is given."""
         path = self._whole(state, origin, self.horizon)
         found = least_along(self._h.values, path, always=int(origin is not None))
         moved = np.ptp(np.array(path), axis=0)
         at = fixed(state)
-        return found.values, central_slopes(
-            lambda near: self._h_at(found.places, near, origin), at, moved, found.size
-        )
+        return found.values, central_slopes(lambda near: self._h_at(found.places, near, origin), at, moved, found.size)
 
     def _whole(self, state: Values, origin: Values | None, ticks: int) -> list[Values]:
         path = self.loop.path(state, ticks)

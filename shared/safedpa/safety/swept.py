@@ -2,7 +2,8 @@
 
 Between two ticks the state is taken to move along the straight chord y(t) = (1 - t) a + t b; with an acceleration c
 the true path leaves it by c period^2 / 8 at most, which belongs into the margin. On a chord h is looked at where it
-might still be less than the least value found: with slopes up to L (half as much again as the steepest seen) it is at least
+might still be less than the least value found: with slopes up to L, half as much again as the steepest seen, it is at
+least
 
     (h(t1) + h(t2) - L (t2 - t1)) / 2
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Final, TypeAlias, final
 
@@ -41,7 +43,7 @@ _GOLDEN: Final = 0.3819660112501051
 @final
 @dataclass(frozen=True)
 class Least:
-    """h (m,) at its least and where that is, one place for each value; ``size`` (m,) > 0: largest |h| along the path."""
+    """h (m,) at its least and where that is, one place for each value; ``size`` (m,) > 0: largest |h| on the path."""
 
     values: Values
     places: tuple[Place, ...]
@@ -73,7 +75,7 @@ def least_along(h: Callable[[Values], Values], path: Sequence[Values], always: i
     return Least(values, tuple(places), np.where(size > 0.0, size, 1.0))
 
 
-def _open_chords(table: Values, moving: Values, values: Values, always: int) -> list[int]:
+def _open_chords(table: Values, moving: NDArray[np.bool_], values: Values, always: int) -> list[int]:
     """Chords on which h might be less than at every tick, judged by how steep it is there and on both neighbours."""
     if len(moving) <= _FEW:
         return np.flatnonzero(moving).tolist()
@@ -100,12 +102,16 @@ def _look_between(
     for row, at in enumerate(rows.argmin(axis=0).tolist()):
         if 0 < at < len(shares) - 1 and _worth_polishing(rows[:, row], at, float(values[row])):
             share, low = _polished(
-                lambda share, row=row: float(h(chord_point(path, (k, share)))[row]),
+                partial(_height, h, path, k, row),
                 (float(shares[at - 1]), float(shares[at]), float(shares[at + 1])),
                 float(rows[at, row]),
             )
             if low < values[row]:
                 values[row], places[row] = low, (k, share)
+
+
+def _height(h: Callable[[Values], Values], path: Sequence[Values], k: int, row: int, share: float) -> float:
+    return float(h(chord_point(path, (k, share)))[row])
 
 
 def _open_middles(shares: Values, rows: Values, values: Values) -> Values:
