@@ -33,7 +33,7 @@ def prediction_of(model: Model) -> Prediction:
         if any(part is not None and np.size(part) for part in memory or ()):
             raise InputError(
                 f"model: got one of '{model.system.name}' whose actuators remember, wanted one whose next state "
-                "follows from state and action alone; take the delay out of it and put it into the state with PendingActions"
+                "follows from state and action alone; put a delay into the state (PendingActions), not the model"
             )
         return Prediction.of_model(model)
     if not callable(model):
@@ -98,6 +98,24 @@ class ClosedLoop:
         if not np.isfinite(np.array(path)).all():
             raise InputError(f"model or backup: got NaN or infinity on the way from {path[0].tolist()}")
         return path
+
+    def sensitivities(self, path: list[Values]) -> list[Values] | None:
+        """d(path[k])/d(path[0]) (states, states) for every k, exact: by the recorded equations of the model.
+
+        None where it has none, and for a backup that is a function, whose own slopes nobody knows.
+        """
+        if not self.constant:
+            return None
+        count, found = len(path[0]), [np.eye(len(path[0]))]
+        try:
+            for state in path[:-1]:
+                slopes = self.prediction.sensitivity_of_one(state.tolist(), self._held.tolist(), self.latent)
+                if slopes is None:
+                    return None
+                found.append(np.array(slopes)[:, :count] @ found[-1])
+        except (ValueError, ArithmeticError):  # numbers that Python's math refuses
+            return None
+        return found
 
     @property
     def constant(self) -> bool:

@@ -24,6 +24,8 @@ _WANTED: Final = 1e-5
 _SMALLEST: Final = 1e-18
 """First step of an entry that neither moves nor is there; it grows from here, so it is no unit."""
 _GROWTH: Final = 1e3
+_STILL: Final = 1e-13
+"""Share of the largest number there is by which an entry moves at least: less is rounding of something else."""
 _FURTHEST: Final = 1e9
 """Steps grow to so many times the largest number of the state."""
 
@@ -32,15 +34,17 @@ def central_slopes(function: Callable[[Values], Values], state: Values, moved: V
     """d(function_i)/d(x_j) (m, states) at ``state`` (states,).
 
     ``moved`` (states,) >= 0 is how far each entry moves by itself; ``size`` (m,) > 0 how large each value is. The step
-    is moved (eps max(1, |x| / moved))^(1/3), where the errors of curvature and of rounding balance; an entry to whose
-    step no value answers gets a larger one, a thousand times each, up to 1e9 times the largest number of the state:
-    beyond that the slope is 0.
+    is moved (eps max(1, |x| / moved))^(1/3), where the errors of curvature and of rounding balance. An entry to whose
+    step no value answers gets a larger one, a thousand times each, until it is as far as the entry moves; one that does
+    not move, until it is 1e9 times the largest number there is. Beyond that the slope is 0.
     """
     slopes = np.zeros((len(size), len(state)))
-    furthest = _FURTHEST * max(float(np.max(np.abs(state))), float(np.max(moved)), _SMALLEST)
+    largest = max(float(np.max(np.abs(state))), float(np.max(moved)), _SMALLEST)
     for index in range(len(state)):
-        step = _first_step(abs(float(state[index])), float(moved[index]))
-        while step <= max(furthest, step if step <= _SMALLEST else 0.0):
+        far = float(moved[index])
+        moves = far > _STILL * largest
+        step = _first_step(abs(float(state[index])), far if moves else 0.0)
+        while step <= (far if moves else _FURTHEST * largest):
             found = _difference(function, state, index, step)
             if found is None:
                 break

@@ -43,8 +43,9 @@ class RolloutBarrier(AbstractBarrier):
     ``h(x) -> float or (m,)`` with ``names``, or another barrier, whose names and kind are taken. ``horizon``: ticks of
     the model, 1 or more; those that lie beyond the backup's rest cost nothing. ``latent``: the model's, for all ticks.
 
-    The minimum is exact, not softened; the gradient is that of the place where it is taken, by central differences of
-    the whole way to there, whose steps have no unit. Where two places are equally low it belongs to the earlier one:
+    The minimum is exact, not softened; the gradient is that of the place where it is taken: by the recorded equations
+    where the model has them, the backup is constant and h knows its own gradient; else by central differences of the
+    whole way to there, whose steps have no unit. Where two places are equally low it belongs to the earlier one:
     the filter evaluates H itself at every action that it hands out, so a kink costs it nearness to the wish, no safety.
 
     Raises InputError for a horizon below 1, a model whose actuators remember, and at evaluation for a wrong shape.
@@ -69,6 +70,7 @@ class RolloutBarrier(AbstractBarrier):
         self.names, self.kind, self.horizon = own.names, own.kind, int(horizon)
         self.loop = ClosedLoop(model, backup, latent)
         self._h = own
+        self._knows_gradient = not isinstance(own, FunctionBarrier)
 
     def values(self, state: Values) -> Values:  # noqa: D102
         return self.least(state, None).values
@@ -110,9 +112,24 @@ class RolloutBarrier(AbstractBarrier):
         """H (m,) and its gradient (m, states), with the chord from ``origin`` where one is given."""
         path = self._whole(state, origin, self.horizon)
         found = least_along(self._h.values, path, always=int(origin is not None))
+        exact = self._chained(path[int(origin is not None) :], found.places, path, origin is not None)
+        if exact is not None:
+            return found.values, exact
         moved = np.ptp(np.array(path), axis=0)
         at = fixed(state)
         return found.values, central_slopes(lambda near: self._h_at(found.places, near, origin), at, moved, found.size)
+
+    def _chained(self, path: list[Values], places: Sequence[Place], whole: list[Values], swept: bool) -> Values | None:
+        """The gradient (m, states) by the chain rule, of h that knows its own and a model that knows its slopes."""
+        slopes = self.loop.sensitivities(path) if self._knows_gradient else None
+        if slopes is None:
+            return None
+        before = [np.zeros_like(slopes[0]), *slopes] if swept else slopes
+        rows = []
+        for row, (k, share) in enumerate(places):
+            moved = before[k] if share == 0.0 else (1.0 - share) * before[k] + share * before[k + 1]
+            rows.append(self._h.evaluate(chord_point(whole, (k, share)))[1][row] @ moved)
+        return np.array(rows)
 
     def _whole(self, state: Values, origin: Values | None, ticks: int) -> list[Values]:
         path = self.loop.path(state, ticks)

@@ -84,8 +84,8 @@ def _open_chords(table: Values, moving: NDArray[np.bool_], values: Values, alway
     np.maximum(steepest[1:], change[:-1], out=steepest[1:])
     np.maximum(steepest[:-1], change[1:], out=steepest[:-1])
     lower = (0.5 * (table[:-1] + table[1:]) - 0.5 * _STEEPER * steepest < values).any(axis=1)
-    lower[:always] = True
-    return np.flatnonzero(lower & moving).tolist()
+    first = np.arange(len(moving)) < always
+    return np.flatnonzero((lower | first) & moving).tolist()
 
 
 def _look_between(
