@@ -147,7 +147,10 @@ def _rows_of_parts(checked: Checked) -> list[tuple[AbstractBarrier, range]]:
 
 
 def _deepest_dip(checked: Checked, state: Values, row: int) -> tuple[float, float]:
-    """By how much h_row falls below both ends of a tick at the most, and the lower end, while h is chased."""
+    """By how much h_row falls below both ends of a tick at the most, and the lower end, while h is chased.
+
+    Only where it falls below epsilon / eta: above, nothing is near.
+    """
     low, high = checked.bounds
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     worst = (0.0, 0.0)
@@ -165,7 +168,7 @@ def _deepest_dip(checked: Checked, state: Values, row: int) -> tuple[float, floa
         ends = min(checked.h(state)[row], checked.h(following)[row])
         shares = np.arange(1, _BETWEEN) / _BETWEEN
         between = min(checked.h(state + share * (following - state))[row] for share in shares)
-        if ends >= 0.0 and ends - between > worst[0]:
+        if 0.0 <= ends and between < checked.threshold[row] and ends - between > worst[0]:
             worst = float(ends - between), float(ends)
         state = following
     return worst

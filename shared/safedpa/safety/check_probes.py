@@ -95,25 +95,31 @@ class Probe:
 def probed(checked: Checked, states: Sequence[Values], ticks: int, seed: int) -> list[Probe]:
     """The states given, and states to which the filter lets itself be pushed from there by extreme wishes.
 
-    Each wish is an extreme action, held for some ticks; a drive ends where the filter finds no action that keeps every
-    condition. Raises whatever barriers and model raise.
+    Each wish is an extreme action, held for some ticks, in the first drives to their end; a drive ends where the filter
+    finds no action that keeps every condition. Raises whatever barriers and model raise.
     """
     random = np.random.default_rng(seed)
     found = [_probe(checked, state, kept=True) for state in states[:_MOST_STATES]]
     starts = [probe.state for probe in found if probe.inside] or [probe.state for probe in found]
+    corners = checked.corners()[:-1]
     for at in range(_MOST_DRIVES):
-        for state, kept in _driven(checked, starts[at % len(starts)], ticks, random):
+        pushed = corners[at] if at < min(len(corners), _MOST_DRIVES // 2) else None
+        for state, kept in _driven(checked, starts[at % len(starts)], ticks, random, pushed):
             found.append(_probe(checked, state, kept=kept))
     return found
 
 
-def _driven(checked: Checked, state: Values, ticks: int, random: np.random.Generator) -> list[tuple[Values, bool]]:
+def _driven(
+    checked: Checked, state: Values, ticks: int, random: np.random.Generator, pushed: Values | None
+) -> list[tuple[Values, bool]]:
     """Some states of one drive, and whether the filter kept every condition there; the last one always."""
     corners, wish, held = checked.corners()[:-1], np.zeros(0), 0
     scene: Sequence[AbstractBarrier] = checked.barriers
     visited: list[tuple[Values, bool]] = []
     for tick in range(ticks):
-        if held == 0:
+        if pushed is not None:
+            wish = pushed
+        elif held == 0:
             wish, held = corners[int(random.integers(len(corners)))], int(random.integers(3, 25))
         held -= 1
         verdict = checked.safe.decide(state, wish, checked.latent, barriers=scene)

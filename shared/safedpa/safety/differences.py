@@ -17,6 +17,7 @@ __all__ = ["central_slopes"]
 Values = NDArray[np.float64]
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
+_ROUNDING: Final = 16.0 * _EPSILON
 _SEEN: Final = 1e-10
 """Share of the function's size by which it must answer: a millionth of that is rounding."""
 _WANTED: Final = 1e-5
@@ -36,24 +37,26 @@ def central_slopes(function: Callable[[Values], Values], state: Values, moved: V
     ``moved`` (states,) >= 0 is how far each entry moves by itself; ``size`` (m,) > 0 how large each value is. The step
     is moved (eps max(1, |x| / moved))^(1/3), where the errors of curvature and of rounding balance. An entry to whose
     step no value answers gets a larger one, a thousand times each, until it is as far as the entry moves; one that does
-    not move, until it is 1e9 times the largest number there is. Beyond that the slope is 0.
+    not move, until it is 1e9 times the largest number there is. What a larger step says is believed where it is no
+    further from the last one than that one's rounding: there it is the finer of the two, else it is curvature.
     """
     slopes = np.zeros((len(size), len(state)))
-    largest = max(float(np.max(np.abs(state))), float(np.max(moved)), _SMALLEST)
+    largest = max(float(np.max(np.abs(state))), float(np.max(moved)))
+    furthest = _FURTHEST * largest if largest > 0.0 else 1.0 / _SMALLEST
     for index in range(len(state)):
-        far = float(moved[index])
-        moves = far > _STILL * largest
-        step = _first_step(abs(float(state[index])), far if moves else 0.0)
-        while step <= (far if moves else _FURTHEST * largest):
-            found = _difference(function, state, index, step)
+        far = float(moved[index]) if moved[index] > _STILL * largest else 0.0
+        step, doubt = _first_step(abs(float(state[index])), far), np.full(len(size), np.inf)
+        while step <= (far or furthest):
+            found = _difference(function, state, index, step, size)
             if found is None:
                 break
-            up, down, width = found
-            answer = float(np.max(np.abs(up - down) / size))
+            slope, answer, rounding = found
+            if answer > 100.0 * _WANTED and not far:
+                finer = _difference(function, state, index, step * _WANTED / answer, size)
+                slope, _, rounding = finer or found
+            better = np.abs(slope - slopes[:, index]) <= doubt + rounding
+            slopes[better, index], doubt[better] = slope[better], rounding[better]
             if answer >= _SEEN:
-                slopes[:, index] = (up - down) / width
-                if answer > 100.0 * _WANTED and (finer := _difference(function, state, index, step * _WANTED / answer)):
-                    slopes[:, index] = (finer[0] - finer[1]) / finer[2]
                 break
             step *= _GROWTH
     return slopes
@@ -66,18 +69,21 @@ def _first_step(value: float, moved: float) -> float:
 
 
 def _difference(
-    function: Callable[[Values], Values], state: Values, index: int, step: float
-) -> tuple[Values, Values, float] | None:
-    """The values on both sides and how far they lie apart; None where the function has no finite answer."""
+    function: Callable[[Values], Values], state: Values, index: int, step: float, size: Values
+) -> tuple[Values, float, Values] | None:
+    """Slopes (m,), the largest share of its size by which a value answers, and the slopes' rounding (m,).
+
+    None where the function has no finite answer.
+    """
     up, down = state.copy(), state.copy()
     up[index] += step
     down[index] -= step
-    width = float(up[index] - down[index])
+    width = float(up[index] - down[index]) or step
     try:
         with np.errstate(all="ignore"):
-            above, below = function(up), function(down)
+            change = function(up) - function(down)
     except (ArithmeticError, ValueError):
         return None
-    if not (np.isfinite(above).all() and np.isfinite(below).all()):
+    if not np.isfinite(change).all():
         return None
-    return above, below, width if width > 0.0 else 1.0
+    return change / width, float(np.max(np.abs(change) / size)), _ROUNDING * size / width

@@ -33,6 +33,8 @@ _NARROWEST: Final = 1.0 / 16.0
 """Share of a chord that is looked at no closer, but for the polishing."""
 _FIRST: Final = (0.29, 0.62)
 """Places on a chord that are looked at first: not symmetrical, since what lies in the middle would look level."""
+_BESIDE: Final = 1e-5
+"""Share of an interval, beside an end of a chord that is lower than its samples, at which h is looked at once more."""
 _FEW: Final = 4
 """Chords of a path so short tell too little of how steep h is: all of them are looked at."""
 _POLISHED: Final = 1e-9
@@ -99,15 +101,31 @@ def _look_between(
         rows = np.concatenate((rows, [h(chord_point(path, (k, share))) for share in middles.tolist()]))
         order = np.argsort(shares)
         shares, rows = shares[order], rows[order]
-    for row, at in enumerate(rows.argmin(axis=0).tolist()):
-        if 0 < at < len(shares) - 1 and _worth_polishing(rows[:, row], at, float(values[row])):
-            share, low = _polished(
-                partial(_height, h, path, k, row),
-                (float(shares[at - 1]), float(shares[at]), float(shares[at + 1])),
-                float(rows[at, row]),
-            )
+    for row in range(rows.shape[1]):
+        curve = partial(_height, h, path, k, row)
+        bracket = _bracket(shares, rows[:, row], curve, float(values[row]))
+        if bracket is not None:
+            share, low = _polished(curve, *bracket)
             if low < values[row]:
                 values[row], places[row] = low, (k, share)
+
+
+def _bracket(
+    shares: Values, column: Values, curve: Callable[[float], float], least: float
+) -> tuple[tuple[float, float, float], float] | None:
+    """A place between two higher ones, and the value there, if less than ``least`` may lie around it; else None."""
+    at = int(column.argmin())
+    steps = np.abs(np.diff(column[max(at - 1, 0) : at + 2]))
+    if not column[at] - _STEEPER * steps.max() < least:
+        return None
+    if 0 < at < len(shares) - 1:
+        return (float(shares[at - 1]), float(shares[at]), float(shares[at + 1])), float(column[at])
+    end, neighbour = float(shares[at]), float(shares[1 if at == 0 else at - 1])
+    beside = end + _BESIDE * (neighbour - end)  # is the end a valley's foot, or does a valley begin there?
+    value = curve(beside)
+    if value >= column[at]:
+        return None
+    return (min(end, neighbour), beside, max(end, neighbour)), value
 
 
 def _height(h: Callable[[Values], Values], path: Sequence[Values], k: int, row: int, share: float) -> float:
@@ -123,12 +141,6 @@ def _open_middles(shares: Values, rows: Values, values: Values) -> Values:
     open_ = (bound < floor).any(axis=1) & (widths > _NARROWEST)
     middles: Values = 0.5 * (shares[1:] + shares[:-1])[open_]
     return middles
-
-
-def _worth_polishing(column: Values, at: int, least: float) -> bool:
-    """Whether the neighbourhood of a lowest sample may hold less than the least value."""
-    steps = max(column[at - 1] - column[at], column[at + 1] - column[at])
-    return bool(column[at] - _STEEPER * steps < least)
 
 
 def _polished(
@@ -153,6 +165,8 @@ def _polished(
         p, q = (-p, q) if q > 0.0 else (p, -q)
         if q != 0.0 and abs(p) < abs(0.5 * q * last) and q * (low - best) < p < q * (high - best):
             last, step = step, p / q
+            if min(best + step - low, high - best - step) < 2.0 * _POLISHED:
+                step = float(np.copysign(_POLISHED, middle - best))
         else:
             last = (high if best < middle else low) - best
             step = _GOLDEN * last
