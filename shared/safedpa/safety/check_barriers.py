@@ -168,7 +168,7 @@ def _deepest_dip(checked: Checked, state: Values, row: int) -> tuple[float, floa
         ends = min(checked.h(state)[row], checked.h(following)[row])
         shares = np.arange(1, _BETWEEN) / _BETWEEN
         between = min(checked.h(state + share * (following - state))[row] for share in shares)
-        if 0.0 <= ends and between < checked.threshold[row] and ends - between > worst[0]:
+        if ends >= 0.0 and between < checked.threshold[row] and ends - between > worst[0]:
             worst = float(ends - between), float(ends)
         state = following
     return worst
