@@ -44,7 +44,7 @@ def furthest(seed: int, knows: bool) -> tuple[float, set[Status]]:
     plain = FunctionBarrier(room)
     known = SafetyFilter(late.prediction, [late.barrier(plain)], SETTINGS)
     blind = SafetyFilter(affine, [plain], SETTINGS)
-    for _ in range(80):
+    for _ in range(110):
         wish = [1.0] if random.random() < 0.7 else random.uniform(-1.0, 1.0, 1)
         verdict = known.decide(xi, wish) if knows else blind.decide(x, wish)
         said.add(verdict.status)
@@ -55,11 +55,11 @@ def furthest(seed: int, knows: bool) -> tuple[float, set[Status]]:
 
 
 def test_a_delay_that_is_known_costs_nothing() -> None:
-    """200 runs: none beyond the wall, none relaxed; without knowing of it most end up beyond."""
+    """200 runs: none beyond the wall, none relaxed; without knowing of it many end up beyond."""
     found = [furthest(seed, True) for seed in range(200)]
     assert max(far for far, _ in found) < 1.0
     assert set.union(*(said for _, said in found)) == {Status.passed, Status.corrected}
-    assert sum(furthest(seed, False)[0] > 1.0 for seed in range(10)) >= 5
+    assert sum(furthest(seed, False)[0] > 1.0 for seed in range(20)) >= 4
 
 
 def test_the_state_holds_what_is_pending_oldest_first() -> None:

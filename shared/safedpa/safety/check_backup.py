@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.check_probes import Checked, Probe
+from safedpa.safety.check_probes import ROUNDING, Checked, Probe
 from safedpa.safety.check_report import FilterIssue, gathered, shown
 from safedpa.safety.rollout_barrier import RolloutBarrier
 
@@ -15,16 +15,12 @@ __all__ = ["backup_issues", "horizon_issues"]
 
 Values: TypeAlias = NDArray[np.float64]
 
-_ROUNDING: Final = 1e-9
-_FALL: Final = 0.01
-"""Share of epsilon that h may lose in one tick beyond the horizon, where a backup comes to rest ever more slowly."""
-
 
 def backup_issues(checked: Checked, probes: list[Probe], *, stands: bool) -> list[FilterIssue]:
     """A backup of a wrong shape or out of bounds, another one than a rollout's, or one under which conditions break."""
     actions = [checked.backup(probe.state) for probe in probes]
     low, high = checked.bounds
-    slack = _ROUNDING * (high - low)
+    slack = ROUNDING * (high - low)
     for probe, action in zip(probes, actions, strict=True):
         if action.shape != low.shape or not np.isfinite(action).all():
             said = f"got {action} at {shown(probe.state)}, wanted ({len(low)},) finite numbers"
@@ -47,7 +43,7 @@ def _foreign(checked: Checked, probes: list[Probe], actions: list[Values]) -> li
         if isinstance(part, RolloutBarrier):
             for probe, action in zip(probes, actions, strict=True):
                 own = part.backup(probe.state)
-                if own.shape != action.shape or (np.abs(own - action) > _ROUNDING * width).any():
+                if own.shape != action.shape or (np.abs(own - action) > ROUNDING * width).any():
                     said = (
                         f"got {shown(action)} from the filter's backup and {shown(own)} from the barrier's at "
                         f"{shown(probe.state)}, wanted the same; give the filter backup=barrier.backup"
@@ -63,8 +59,7 @@ def _breaking(checked: Checked, probes: list[Probe], actions: list[Values]) -> l
     inside = [(probe, action) for probe, action in zip(probes, actions, strict=True) if probe.inside]
     for probe, action in inside:
         residual = checked.residual(probe.state, action)
-        allowed = _ROUNDING * np.maximum(np.abs(probe.h), checked.epsilon) + _FALL * checked.epsilon
-        for row in np.flatnonzero(residual < -allowed).tolist():
+        for row in np.flatnonzero(residual < -checked.slight(probe.h)).tolist():
             if residual[row] < worst.get(row, (0.0, probe))[0]:
                 worst[row] = float(residual[row]), probe
     cases = {
@@ -89,9 +84,8 @@ def horizon_issues(checked: Checked, probes: list[Probe]) -> list[FilterIssue]:
             continue
         inside = [probe for probe in probes if (probe.h[rows] >= checked.threshold[rows]).all()]
         falls = [part.fall_beyond(probe.state) for probe in inside]
-        allowed = np.maximum(_FALL * checked.epsilon[rows], _ROUNDING * np.abs([p.h[rows] for p in probes]).max(axis=0))
         for probe, fall in zip(inside, falls, strict=True):
-            if (fall > allowed).any():
+            if (fall > checked.slight(probe.h)[rows]).any():
                 said = (
                     f"got an h that falls by {fall.max():.3g} after the horizon of {part.horizon} ticks from "
                     f"{shown(probe.state)}, wanted a backup that has come to rest by then; a longer horizon, or a "

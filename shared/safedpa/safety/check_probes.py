@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, TypeAlias, final
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,15 @@ from safedpa.safety.barrier import AbstractBarrier, AbstractStack
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.verdict import Status
 
-__all__ = ["Checked", "Probe", "probed"]
+__all__ = ["ROUNDING", "SLIGHT", "Checked", "Probe", "probed"]
 
 Values: TypeAlias = NDArray[np.float64]
 
 _MOST_STATES, _MOST_DRIVES, _MOST_CORNERS = 60, 12, 16
+ROUNDING: Final = 1e-9
+"""Share of |h| that is nothing."""
+SLIGHT: Final = 0.05
+"""Share of epsilon by which a condition may be missed without being told: epsilon is there for more than that."""
 _KEPT = (Status.passed, Status.corrected)
 
 
@@ -37,6 +41,10 @@ class Checked:
     def threshold(self) -> Values:
         """epsilon / eta (m,): where the condition begins to ask for no more than h itself."""
         return self.epsilon / self.safe.settings.eta
+
+    def slight(self, h: Values) -> Values:
+        """(m,) by how much a condition at h (m,) may be missed without being told."""
+        return SLIGHT * self.epsilon + ROUNDING * np.abs(h)
 
     @property
     def bounds(self) -> tuple[Values, Values]:
@@ -89,7 +97,7 @@ class Probe:
     inside: bool
     """Whether every h_i >= epsilon_i / eta."""
     kept: bool
-    """Whether the filter found an action that keeps every condition; true where it was not asked."""
+    """Whether the filter found an action that keeps every condition, or misses it slightly; true where not asked."""
 
 
 def probed(checked: Checked, states: Sequence[Values], ticks: int, seed: int) -> list[Probe]:
@@ -138,4 +146,5 @@ def _probe(checked: Checked, state: Values, *, kept: bool) -> Probe:
     residuals = np.array([checked.residual(state, action) for action in actions])
     moved = np.max([np.abs(checked.after(state, action) - state) for action in actions], axis=0)
     inside = bool((h >= checked.threshold).all())
-    return Probe(state, h, residuals, moved, np.ptp(residuals, axis=0), inside, kept)
+    missed = -(residuals / np.maximum(checked.slight(h), np.finfo(np.float64).tiny)).min(axis=1)
+    return Probe(state, h, residuals, moved, np.ptp(residuals, axis=0), inside, kept or bool(missed.min() < 1.0))

@@ -78,6 +78,9 @@ class HigherOrderBarrier(AbstractBarrier):
     def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
         return self._barrier.evaluate(state)
 
+    def along(self, state: Values, directions: Values) -> Values:  # noqa: D102
+        return self._barrier.along(state, directions)
+
     def _psi(self, state: Values) -> Values:
         known = np.array([np.asarray(derivative(state), dtype=np.float64) for derivative in self._derivatives])
         before = np.tensordot(self._inner, known[:-1], axes=1)

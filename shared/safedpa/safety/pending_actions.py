@@ -14,7 +14,7 @@ not be affine in the action: xi+ is.
 
 from __future__ import annotations
 
-from typing import TypeAlias, final
+from typing import Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,9 @@ from safedpa.safety.prediction import Prediction
 __all__ = ["PendingActions"]
 
 Values: TypeAlias = NDArray[np.float64]
+
+_SHARE: Final = 1e-3
+"""Of a direction, over which the way is differenced: the filter's directions are what an action's range moves."""
 
 
 @final
@@ -142,6 +145,14 @@ class _Pending(AbstractBarrier):
         size = np.where(far > 0.0, far, np.where(size > 0.0, size, 1.0))
         h, gradient = self._barrier.evaluate(way[-1])
         return h, gradient @ central_slopes(lambda near: self._late.reached(near, self._latent), state, moved, size)
+
+    def along(self, state: Values, directions: Values) -> Values:
+        reached = np.zeros((len(self._late.split(state)[0]), directions.shape[1]))
+        for index, direction in enumerate(directions.T):
+            ahead = self._late.reached(state + _SHARE * direction, self._latent)
+            behind = self._late.reached(state - _SHARE * direction, self._latent)
+            reached[:, index] = (ahead - behind) / (2.0 * _SHARE)
+        return self._barrier.along(self._late.reached(state, self._latent), reached)
 
     def since(self, state: Values) -> AbstractBarrier:
         inner = self._barrier.since(self._late.reached(state, self._latent))

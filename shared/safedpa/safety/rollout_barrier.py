@@ -17,7 +17,8 @@ Systems, IEEE Access 8, 2020.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias, final
+from dataclasses import dataclass
+from typing import Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,9 +30,12 @@ from safedpa.safety.differences import central_slopes
 from safedpa.safety.function_barrier import FunctionBarrier
 from safedpa.safety.swept import Least, Place, chord_point, least_along
 
-__all__ = ["RolloutBarrier"]
+__all__ = ["RolloutBarrier", "Taken"]
 
 Values: TypeAlias = NDArray[np.float64]
+
+_SHARE: Final = 1e-3
+"""Of a direction, over which H is differenced: the filter's directions are what an action's whole range moves."""
 
 
 @final
@@ -73,10 +77,15 @@ class RolloutBarrier(AbstractBarrier):
         self._knows_gradient = not isinstance(own, FunctionBarrier)
 
     def values(self, state: Values) -> Values:  # noqa: D102
-        return self.least(state, None).values
+        return self.taken(None, state).least.values
 
     def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
-        return self.evaluate_from(None, state)
+        taken = self.taken(None, state)
+        return taken.least.values, self.gradient_of(taken)
+
+    def along(self, state: Values, directions: Values) -> Values:
+        """As in every barrier; without recorded equations, differences along the directions."""
+        return self.along_of(self.taken(None, state), directions)
 
     def since(self, state: Values) -> AbstractBarrier:
         """The barrier for states that are reached within one tick from ``state``: the chord to them counts as well."""
@@ -95,10 +104,6 @@ class RolloutBarrier(AbstractBarrier):
         """The states from ``state`` (states,) on under the backup, up to the horizon or to rest."""
         return self.loop.path(state, self.horizon)
 
-    def least(self, state: Values, origin: Values | None) -> Least:
-        """H (m,) and where it is taken on the path, which begins with ``origin`` where one is given."""
-        return least_along(self._h.values, self._whole(state, origin, self.horizon), always=int(origin is not None))
-
     def fall_beyond(self, state: Values) -> Values:
         """(m,) >= 0 by how much h falls below H in another horizon's ticks: 0 where the backup ends at rest."""
         path = self.path(state)
@@ -108,55 +113,91 @@ class RolloutBarrier(AbstractBarrier):
         further = np.array([self._h.values(each) for each in self.loop.path(path[-1], self.horizon)])
         return np.asarray(np.maximum(known - further.min(axis=0), 0.0))
 
-    def evaluate_from(self, origin: Values | None, state: Values) -> tuple[Values, Values]:
-        """H (m,) and its gradient (m, states), with the chord from ``origin`` where one is given."""
-        path = self._whole(state, origin, self.horizon)
-        found = least_along(self._h.values, path, always=int(origin is not None))
-        exact = self._chained(path[int(origin is not None) :], found.places, path, origin is not None)
-        if exact is not None:
-            return found.values, exact
-        moved = np.ptp(np.array(path), axis=0)
-        at = fixed(state)
-        return found.values, central_slopes(lambda near: self._h_at(found.places, near, origin), at, moved, found.size)
+    def taken(self, origin: Values | None, state: Values) -> Taken:
+        """H at ``state`` (states,) and where on its path it is taken, which begins with ``origin`` if one is given."""
+        path = self._whole(origin, state, self.horizon)
+        return Taken(origin, fixed(state), path, least_along(self._h.values, path, always=int(origin is not None)))
 
-    def _chained(self, path: list[Values], places: Sequence[Place], whole: list[Values], swept: bool) -> Values | None:
-        """The gradient (m, states) by the chain rule, of h that knows its own and a model that knows its slopes."""
-        slopes = self.loop.sensitivities(path) if self._knows_gradient else None
+    def gradient_of(self, taken: Taken) -> Values:
+        """dH/dx (m, states)."""
+        exact = self._chained(taken)
+        if exact is not None:
+            return exact
+        moved = np.ptp(np.array(taken.path), axis=0)
+        return central_slopes(lambda near: self._h_near(taken, near), taken.state, moved, taken.least.size)
+
+    def along_of(self, taken: Taken, directions: Values) -> Values:
+        """dH/du (m, n) at the state + ``directions`` (states, n) u, u = 0."""
+        exact = self._chained(taken)
+        if exact is not None:
+            return np.asarray(exact @ directions)
+        slopes = np.zeros((len(self.names), directions.shape[1]))
+        for index, direction in enumerate(directions.T):
+            if direction.any():
+                ahead = self._h_near(taken, taken.state + _SHARE * direction)
+                slopes[:, index] = (ahead - self._h_near(taken, taken.state - _SHARE * direction)) / (2.0 * _SHARE)
+        return slopes
+
+    def _chained(self, taken: Taken) -> Values | None:
+        """The gradient by the chain rule, of h that knows its own and a model that knows its slopes."""
+        first = int(taken.origin is not None)
+        slopes = self.loop.sensitivities(taken.path[first:]) if self._knows_gradient else None
         if slopes is None:
             return None
-        before = [np.zeros_like(slopes[0]), *slopes] if swept else slopes
+        moved = [*([np.zeros_like(slopes[0])] * first), *slopes]
         rows = []
-        for row, (k, share) in enumerate(places):
-            moved = before[k] if share == 0.0 else (1.0 - share) * before[k] + share * before[k + 1]
-            rows.append(self._h.evaluate(chord_point(whole, (k, share)))[1][row] @ moved)
+        for row, (k, share) in enumerate(taken.least.places):
+            change = moved[k] if share == 0.0 else (1.0 - share) * moved[k] + share * moved[k + 1]
+            rows.append(self._h.evaluate(chord_point(taken.path, (k, share)))[1][row] @ change)
         return np.array(rows)
 
-    def _whole(self, state: Values, origin: Values | None, ticks: int) -> list[Values]:
+    def _whole(self, origin: Values | None, state: Values, ticks: int) -> list[Values]:
         path = self.loop.path(state, ticks)
         return path if origin is None else [origin, *path]
 
-    def _h_at(self, places: Sequence[Place], state: Values, origin: Values | None) -> Values:
-        """h_i (m,) at its own place of the path from ``state``."""
-        last = max(k + (share > 0.0) for k, share in places) - (origin is not None)
-        path = self._whole(state, origin, max(last, 0))
+    def _h_near(self, taken: Taken, state: Values) -> Values:
+        """h_i (m,) at the same place of the path from another state."""
+        places = taken.least.places
+        last = max(k + (share > 0.0) for k, share in places) - (taken.origin is not None)
+        path = self._whole(taken.origin, state, max(last, 0))
         known: dict[Place, Values] = {}
         for place in places:
             if place not in known:
-                k, share = place
-                known[place] = self._h.values(path[-1] if k + 1 >= len(path) else chord_point(path, (k, share)))
+                known[place] = self._h.values(path[-1] if place[0] + 1 >= len(path) else chord_point(path, place))
         return np.array([known[place][row] for row, place in enumerate(places)])
 
 
 @final
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """H at a state: the path that it was looked for on, and where it is taken."""
+
+    origin: Values | None
+    state: Values
+    path: list[Values]
+    least: Least
+
+
+@final
 class _Since(AbstractBarrier):
-    """A rollout barrier for states that one tick from ``origin`` leads to."""
+    """A rollout barrier for states that one tick from ``origin`` leads to; remembers them, for one decision."""
 
     def __init__(self, whole: RolloutBarrier, origin: Values) -> None:
         self.names, self.kind = whole.names, whole.kind
         self._whole, self._origin = whole, origin
+        self._known: dict[bytes, Taken] = {}
 
     def values(self, state: Values) -> Values:
-        return self._whole.least(state, self._origin).values
+        return self._taken(state).least.values.copy()
 
     def evaluate(self, state: Values) -> tuple[Values, Values]:
-        return self._whole.evaluate_from(self._origin, state)
+        return self.values(state), self._whole.gradient_of(self._taken(state))
+
+    def along(self, state: Values, directions: Values) -> Values:
+        return self._whole.along_of(self._taken(state), directions)
+
+    def _taken(self, state: Values) -> Taken:
+        key = state.tobytes()
+        if key not in self._known:
+            self._known[key] = self._whole.taken(self._origin, state)
+        return self._known[key]
