@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +31,8 @@ from safedpa.safety import (
 from safedpa.safety.point_scene import PointScene
 from safedpa.safety.shipped import settings_named
 
-PAGE = (Path(__file__).parents[2] / "docs" / "safety.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE, EXAMPLES = (DOCS / "safety.md").read_text(encoding="utf-8"), DOCS / "examples"
 PERIOD = 0.05
 STATES = ([0.5, 0.8], [0.0, 0.0])
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), eta=0.1, epsilon=0.002)
@@ -118,6 +120,12 @@ def test_rollouts_higher_orders_and_delays_that_fit_are_fine() -> None:
     late = PendingActions(affine, 3, (0.0,))
     safe = SafetyFilter(late.prediction, [late.barrier(FunctionBarrier(room))], SETTINGS)
     assert not check_filter(safe, late.state([0.0, 0.0]))
+
+
+def test_the_example_among_discs_runs_and_hits_nothing() -> None:
+    said = runpy.run_path(str(EXAMPLES / "stopping_among_discs.py"))["main"]()
+    assert said.startswith("Nothing amiss")
+    assert float(re.findall(r"least room (\S+) cm", said)[0]) >= 0.0
 
 
 def test_a_wrong_unit() -> None:
