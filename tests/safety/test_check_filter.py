@@ -211,6 +211,8 @@ def test_a_margin_of_zero() -> None:
     found = report(settings=replace(SETTINGS, epsilon={"obstacle": 0.01}), kind="wall")
     assert found.subjects == {"margin"}
     assert "epsilon = { wall = ... }" in found[0].sentence
+    given = SafetyFilter(affine, [FunctionBarrier(room, kind="wall")], replace(SETTINGS, epsilon={"obstacle": 0.01}))
+    assert not check_filter(given, STATES, epsilon={"wall": 0.002}), "as in decide, the call's margins come first"
 
 
 def test_a_gradient_that_its_own_h_contradicts() -> None:

@@ -27,7 +27,6 @@ from safedpa.safety import (
 from safedpa.safety.barrier import RememberingStack
 from safedpa.safety.braking import Braking
 from safedpa.safety.stopping_barrier import STEP_SECONDS, STEPS, Motion, StoppingBarrier, stopping_action
-from safedpa.safety.swept import least_along
 
 PERIOD = 0.05
 A = np.eye(4) + PERIOD * np.eye(4, k=2)
@@ -180,21 +179,6 @@ def test_what_is_thinner_than_a_tick_is_not_jumped_over() -> None:
     assert sum(least < 0.0 for least in looked) == 0
 
 
-def test_a_dip_between_two_states_is_found_wherever_it_lies() -> None:
-    for place in np.linspace(0.02, 0.98, 49):
-        for radius in (0.02, 0.1, 1.0):
-            found = least_along(
-                lambda x, at=(place, radius): np.array([np.hypot(x[0] - at[0], 0.3 * at[1]) - at[1]]),
-                [np.array([0.0]), np.array([1.0])],
-            )
-            assert found.values[0] == pytest.approx(-0.7 * radius, abs=1e-9)
-            assert found.places[0] == (0, pytest.approx(place, abs=1e-4))
-    two = least_along(
-        lambda x: np.array([min(abs(x[0] - 0.25), abs(x[0] - 0.75)) - 0.05]), [np.array([0.0]), np.array([1.0])]
-    )
-    assert two.values[0] == pytest.approx(-0.05, abs=1e-7)
-
-
 @hypothesis_settings(max_examples=15, deadline=None, derandomize=True, database=None)
 @given(st.integers(0, 10**6), st.integers(-6, 6), st.integers(-6, 6), st.integers(-6, 6), st.integers(-6, 6))
 def test_another_unit_changes_nothing_but_the_unit(seed: int, place: int, speed: int, push: int, height: int) -> None:
@@ -213,6 +197,31 @@ def test_another_unit_changes_nothing_but_the_unit(seed: int, place: int, speed:
     other, slopes = told.since(unit * origin).evaluate(unit * x)
     np.testing.assert_allclose(other / height_unit, h, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(slopes * unit / height_unit, gradient, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("place", "push", "height"), [(1e-6, 1e6, 1.0), (1e6, 1e-6, 1e-6), (1.0, 1.0, 1e6)])
+def test_the_filter_decides_alike_in_any_unit(place: float, push: float, height: float) -> None:
+    settings = FilterSettings(
+        action_low=(-push, -push), action_high=(push, push), eta=0.2, epsilon=0.002 * height, backup_action=(0.0, 0.0)
+    )
+    told = RolloutBarrier(
+        lambda y: (place * affine(y / place)[0], place * B / push),
+        lambda y: push * brake(y / place),
+        lambda y: height * room(y / place),
+        40,
+        NAMES,
+    )
+    safe = SafetyFilter(told.loop.prediction, [told], settings, backup=told.backup)
+    plain = SafetyFilter(affine, [rollout()], SETTINGS, backup=brake)
+    random, x, seen = np.random.default_rng(4), np.zeros(4), set()
+    for _ in range(50):
+        wish = np.clip(3.0 * (DISCS[0, :2] - x[:2]) + random.normal(size=2), -1.0, 1.0)
+        one, other = plain.decide(x, wish), safe.decide(place * x, push * wish)
+        seen.add(one.status)
+        assert other.status is one.status
+        np.testing.assert_allclose(other.action / push, one.action, atol=1e-6)
+        x = A @ x + B @ one.action
+    assert seen == {Status.passed, Status.corrected}
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])

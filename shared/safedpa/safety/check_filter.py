@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -38,15 +38,16 @@ def check_filter(
     *,
     barriers: Sequence[AbstractBarrier] | None = None,
     latent: ArrayLike | None = None,
+    epsilon: Mapping[str, float] | None = None,
     stands: bool = True,
     ticks: int = 60,
     seed: int = 0,
 ) -> FilterReport:
     """What is amiss with a filter at ``states`` (k, states) or (states,), and where it can be pushed from there.
 
-    ``barriers`` and ``latent`` as in ``decide``. ``stands``: whether the backup is meant to keep every condition, as
-    braking is; false for a robot that has no stand. From the states that keep h >= epsilon / eta the filter is driven
-    for ``ticks`` ticks, twelve times, by extreme wishes from ``seed``. Looked for:
+    ``barriers``, ``latent`` and ``epsilon`` as in ``decide``. ``stands``: whether the backup is meant to keep every
+    condition, as braking is; false for a robot that has no stand. From the states that keep h >= epsilon / eta the
+    filter is driven for ``ticks`` ticks, twelve times, by extreme wishes from ``seed``. Looked for:
 
     - a margin of zero; an epsilon that is no match for h (another unit, or actions that reach less than it);
     - states inside h >= epsilon / eta at which no action keeps every condition, and whether that is because the
@@ -66,8 +67,8 @@ def check_filter(
     if not stack.names:
         raise InputError("barriers: got none, wanted at least one to check")
     free = None if latent is None else np.asarray(latent, dtype=np.float64)
-    epsilon = stack.of_each(safe.settings.epsilon, safe.settings.epsilon.get("default", 0.0))
-    checked = Checked(safe, stack, np.array(epsilon), free)
+    margins = {**safe.settings.epsilon, **(epsilon or {})}
+    checked = Checked(safe, stack, margins, free)
     try:
         probes = probed(checked, list(rows), ticks, seed)
         issues = [issue for check in _CHECKS for issue in check(checked, probes)]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any, Final, TypeAlias, final
 
@@ -33,9 +34,14 @@ class Checked:
 
     safe: SafetyFilter
     barriers: AbstractStack
-    epsilon: Values
-    """(m,)."""
+    margins: Mapping[str, float]
+    """By kind of barrier."""
     latent: Values | None
+
+    @cached_property
+    def epsilon(self) -> Values:
+        """(m,)."""
+        return np.array(self.barriers.of_each(self.margins, self.margins.get("default", 0.0)))
 
     @property
     def threshold(self) -> Values:
@@ -130,7 +136,7 @@ def _driven(
         elif held == 0:
             wish, held = corners[int(random.integers(len(corners)))], int(random.integers(3, 25))
         held -= 1
-        verdict = checked.safe.decide(state, wish, checked.latent, barriers=scene)
+        verdict = checked.safe.decide(state, wish, checked.latent, barriers=scene, epsilon=checked.margins)
         kept = verdict.status in _KEPT
         if tick % 8 == 7 or not kept:
             visited.append((state, kept))
