@@ -46,6 +46,43 @@ def test_an_extremum_has_no_slope_though_it_is_curved() -> None:
     np.testing.assert_allclose(found, [[0.0]], atol=1e-9)
 
 
+@pytest.mark.parametrize("moved", [0.0, 1.0])
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_a_step_so_large_that_only_curvature_answers_is_not_believed(moved: float, unit: float) -> None:
+    found = central_slopes(
+        lambda x: np.array([1.0 + (x[0] / unit) ** 3]), np.zeros(1), np.array([unit * moved]), np.ones(1)
+    )
+    np.testing.assert_allclose(found * unit, [[0.0]], atol=1e-7)
+
+
+def test_one_value_that_answers_is_enough_for_all() -> None:
+    """What is small beside its own size does not make the step grow for the others."""
+    steps = []
+
+    def function(x: np.ndarray) -> np.ndarray:
+        steps.append(abs(float(x[0])))
+        return np.array([x[0], 1e9 + 0.0 * x[0]])
+
+    found = central_slopes(function, np.zeros(1), np.ones(1), np.array([1.0, 1e9]))
+    np.testing.assert_allclose(found, [[1.0], [0.0]], atol=1e-9)
+    assert len(steps) == 2
+    assert steps[0] == pytest.approx(np.finfo(float).eps ** (1.0 / 3.0))
+
+
+def test_steps_end_where_the_entry_has_moved_to() -> None:
+    steps = []
+
+    def function(x: np.ndarray) -> np.ndarray:
+        steps.append(abs(float(x[0])))
+        return np.array([1.0])
+
+    central_slopes(function, np.zeros(1), np.array([2.0]), np.ones(1))
+    assert 0.001 < max(steps) <= 2.0
+    steps.clear()
+    central_slopes(function, np.array([0.0, 3.0]), np.zeros(2), np.ones(1))
+    assert 3e6 < max(steps) <= 3.1e9
+
+
 def test_a_function_that_refuses_a_step_has_no_slope_there() -> None:
     def refusing(x: np.ndarray) -> np.ndarray:
         if x[0] != 2.0:

@@ -20,8 +20,6 @@ _EPSILON: Final = float(np.finfo(np.float64).eps)
 _ROUNDING: Final = 16.0 * _EPSILON
 _SEEN: Final = 1e-10
 """Share of the function's size by which it must answer: a millionth of that is rounding."""
-_WANTED: Final = 1e-5
-"""Share by which it answers to a step that was searched for: rounding and curvature cost as much."""
 _SMALLEST: Final = 1e-18
 """First step of an entry that neither moves nor is there; it grows from here, so it is no unit."""
 _GROWTH: Final = 1e3
@@ -51,9 +49,6 @@ def central_slopes(function: Callable[[Values], Values], state: Values, moved: V
             if found is None:
                 break
             slope, answer, rounding = found
-            if answer > 100.0 * _WANTED and not far:
-                finer = _difference(function, state, index, step * _WANTED / answer, size)
-                slope, _, rounding = finer or found
             better = np.abs(slope - slopes[:, index]) <= doubt + rounding
             slopes[better, index], doubt[better] = slope[better], rounding[better]
             if answer >= _SEEN:
