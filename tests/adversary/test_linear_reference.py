@@ -62,7 +62,7 @@ def test_a_break_is_told_in_scales_and_rounding_is_none():
 
 
 def by_quadprog(problem: LinearProblem) -> float | None:
-    """Weighted distance of the optimum; None where quadprog says that there is none."""
+    """Distance of the optimum; None where quadprog says that there is none."""
     judge, actions = LinearJudge(problem), len(problem.low)
     width = problem.high - problem.low
     slope = (problem.P @ problem.g) * width / judge.scale[:, None]
@@ -75,7 +75,7 @@ def by_quadprog(problem: LinearProblem) -> float | None:
         found = quadprog.solve_qp(hessian, hessian @ wish, rows.T.copy(), limits)[0]
     except ValueError:
         return None
-    return float(np.sqrt((problem.weights * (found - wish) ** 2).sum()))
+    return float(np.sqrt((problem.weights / problem.weights.max() * (found - wish) ** 2).sum()))
 
 
 @pytest.mark.parametrize("first", range(0, 1100, 275))

@@ -26,14 +26,15 @@ __all__ = ["command"]
 def command(**options: Any) -> None:
     """Attacks on the safety filter, judged by what shares no code with it.
 
-    Random programs in all units, small systems under hostile wishes, the car against a grid of actions, bad inputs.
+    Random programs in all units, small systems under hostile wishes, the car against a grid of actions, whole drives,
+    bad inputs, and other projects' filters on the same problems. Peers that are not installed are named as missing.
     Whatever is found is counted, beside what was asked; the exit code is 0 all the same.
     """
     from safedpa_services.progress import progress
     from safedpa_sim.experiments.adversary.campaign import adversary, attacks_named
     from safedpa_sim.experiments.adversary.report import adversary_markdown, write_adversary
 
-    attacks = attacks_named(options["only"])
+    attacks = attacks_named(options["only"], options["peers"])
     if options["listed"]:
         for attack in attacks:
             click.echo(f"{attack.name:12}{attack.sentence}")

@@ -13,6 +13,8 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa_sim.experiments.adversary.attack import AbstractAttack, Result
 from safedpa_sim.experiments.adversary.bad_inputs import BadInputs
 from safedpa_sim.experiments.adversary.car_grid import CarGrid
+from safedpa_sim.experiments.adversary.drives import Drives
+from safedpa_sim.experiments.adversary.peers import Peers
 from safedpa_sim.experiments.adversary.programs import Programs
 from safedpa_sim.experiments.adversary.scales import Scales
 from safedpa_sim.experiments.adversary.systems import Systems
@@ -23,14 +25,14 @@ __all__ = ["adversary", "all_attacks", "attacks_named", "digest_of_code"]
 Tell = Callable[[int, int], None]
 
 
-def all_attacks() -> list[AbstractAttack]:
-    """Every attack, the quick ones first."""
-    return [BadInputs(), Scales(), Systems(), CarGrid(), Programs()]
+def all_attacks(interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
+    """Every attack, the quick ones first; peers are looked for in these Pythons, and in this one."""
+    return [BadInputs(), Scales(), Systems(), CarGrid(), Drives(), Programs(), Peers(interpreters)]
 
 
-def attacks_named(names: Sequence[str]) -> list[AbstractAttack]:
+def attacks_named(names: Sequence[str], interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
     """Those of these names, or all; raises InputError for a name that there is not."""
-    attacks = {attack.name: attack for attack in all_attacks()}
+    attacks = {attack.name: attack for attack in all_attacks(interpreters)}
     for name in names:
         if name not in attacks:
             raise InputError(f"--only: got '{name}'; {did_you_mean(name, list(attacks))}")

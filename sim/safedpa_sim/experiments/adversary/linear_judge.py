@@ -48,7 +48,8 @@ class LinearJudge:
         size = np.maximum(np.abs(problem.state), np.abs(problem.f) + np.abs(problem.g) @ np.abs(self.width))
         rounding = _ROUNDED * (np.abs(problem.P) @ size + np.abs(problem.q))
         own = np.maximum(np.maximum(np.abs(self.now), problem.epsilon), np.abs(slope).sum(axis=1))
-        self.scale = np.maximum(own, 1e3 * rounding)
+        # a row in which nothing is larger than rounding has its terms for a scale
+        self.scale = np.where(own > 1e3 * rounding, own, rounding / _ROUNDED)
         self.scale[self.scale == 0.0] = 1.0
         self.rounding = rounding / self.scale
         offset = problem.heights(problem.after(problem.low))
@@ -75,8 +76,9 @@ class LinearJudge:
         return np.asarray((self.problem.heights(self.problem.after(action)) - self.required) / self.scale)
 
     def distance(self, action: Values) -> float:
-        """sqrt(sum weight_j ((a_j - wish_j) / range_j)^2)."""
-        return float(np.sqrt(np.sum(self.problem.weights * ((action - self.problem.wish) / self.width) ** 2)))
+        """sqrt(sum weight_j ((a_j - wish_j) / range_j)^2), the largest weight being 1."""
+        weights = self.problem.weights / self.problem.weights.max()
+        return float(np.sqrt(np.sum(weights * ((action - self.problem.wish) / self.width) ** 2)))
 
     def best_least_height(self) -> tuple[float, Values]:
         """The largest attainable least scaled h, and an action that attains it."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from safedpa_sim.experiments.adversary.linear_problem import LinearProblem
 
-__all__ = ["SHAPES", "random_problem"]
+__all__ = ["SHAPES", "random_problem", "shape_of"]
 
 Values = NDArray[np.float64]
 Random = np.random.Generator
@@ -24,13 +24,18 @@ _MOST_STATES: Final = 5
 def random_problem(seed: int, number: int) -> LinearProblem:
     """The problem of this number: two of three in mixed units, the others at scale 1."""
     random = np.random.default_rng([seed, 1, number])
-    shape = tuple(SHAPES)[number % len(SHAPES)]
+    shape = shape_of(number)
     problem = SHAPES[shape](random)
     rows, states, actions = len(problem.q), len(problem.f), len(problem.low)
     problem = replace(problem, shape=shape, gradient=bool(random.integers(2)))
     if random.integers(3) == 0:
         return problem
     return problem.scaled(_units(random, rows, 9.0), _units(random, states, 6.0), _units(random, actions, 6.0))
+
+
+def shape_of(number: int) -> str:
+    """The name of the shape of problem ``number``."""
+    return tuple(SHAPES)[number % len(SHAPES)]
 
 
 def _units(random: Random, count: int, most: float) -> Values:

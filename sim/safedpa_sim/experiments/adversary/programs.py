@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from safedpa_sim.experiments.adversary.attack import AbstractAttack, Result, Row
-from safedpa_sim.experiments.adversary.linear_shapes import random_problem
+from safedpa_sim.experiments.adversary.linear_shapes import random_problem, shape_of
 from safedpa_sim.experiments.adversary.linear_verdict import BROKEN, FAR, Judged, judged
 
 __all__ = ["Programs"]
@@ -103,7 +103,7 @@ def _worst(found: Sequence[tuple[int, int, Judged]]) -> list[dict[str, Any]]:
             if size is not None:
                 add(fault, size, seed, number)
     return [
-        {"fault": fault, "size": size, "seed": seed, "number": number, "count": len(cases)}
+        {"fault": fault, "size": size, "seed": seed, "number": number, "shape": shape_of(number), "count": len(cases)}
         for fault, cases in faults.items()
         for size, seed, number in sorted(cases, reverse=True)[:_KEPT_CASES]
     ]
