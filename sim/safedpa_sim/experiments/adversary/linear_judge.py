@@ -21,7 +21,7 @@ Values = NDArray[np.float64]
 
 _ROUNDED = 16.0 * float(np.finfo(np.float64).eps)
 """Share of the terms |P| |x| + |q| that their sum may have lost."""
-_UNMOVED = 1e-14
+_UNMOVED = 1e-12
 """Share of its scale by which the actions change a row that they do not change."""
 _KEPT = 1e-10
 """Share of its scale by which the reference's own answer may break a row before it is not used."""
@@ -57,11 +57,17 @@ class LinearJudge:
         self.required = required
         self._slope = slope / self.scale[:, None]
         self._offset = offset / self.scale
+        self._moved = np.abs(self._slope).sum(axis=1) > _UNMOVED
         self._limit = (required - offset) / self.scale
 
     def heights(self, action: Values) -> Values:
         """(rows,) predicted h in scales."""
         return np.asarray(self.problem.heights(self.problem.after(action)) / self.scale)
+
+    def movable(self, action: Values) -> Values:
+        """(movable rows,) predicted h in scales; all rows where the actions move none."""
+        heights = self.heights(action)
+        return heights[self._moved] if self._moved.any() else heights
 
     def lowest(self, action: Values) -> float:
         """Least predicted h in scales, with what rounding may have taken from it given back."""
@@ -81,8 +87,8 @@ class LinearJudge:
         return float(np.sqrt(np.sum(weights * ((action - self.problem.wish) / self.width) ** 2)))
 
     def best_least_height(self) -> tuple[float, Values]:
-        """The largest attainable least scaled h, and an action that attains it."""
-        return self._most(self._slope, self._offset, self.heights)
+        """The largest attainable least scaled h of the rows that actions move, and an action that attains it."""
+        return self._most(self._slope, self._offset, self.movable)
 
     def best_least_residual(self) -> tuple[float, Values]:
         """The largest attainable least scaled residual, and an action that attains it: below 0 nothing keeps all."""
@@ -98,7 +104,7 @@ class LinearJudge:
         stretch = self.width / np.sqrt(problem.weights)
         middle = (problem.wish - problem.low) / self.width
         eye = np.eye(len(middle))
-        moved = np.abs(self._slope).sum(axis=1) > _UNMOVED
+        moved = self._moved
         if (self._limit[~moved] > _KEPT).any():
             return None
         G = np.vstack([self._slope[moved], eye, -eye]) / np.sqrt(problem.weights)
@@ -117,6 +123,8 @@ class LinearJudge:
         from scipy.optimize import linprog
 
         assert callable(judged)
+        if judged == self.movable and self._moved.any():
+            slope, offset = slope[self._moved], offset[self._moved]
         rows, actions = slope.shape
         found = linprog(
             np.concatenate([np.zeros(actions), [-1.0]]),

@@ -76,10 +76,10 @@ def _least_unsafe(problem: LinearProblem, judge: LinearJudge, verdict: Verdict) 
     if problem.witness is not None:
         room = max(room, float(judge.residuals(problem.witness).min()))
     best, lifted = judge.best_least_height()
-    best = max(best, float(judge.heights(keeper).min()))
-    own = float(judge.heights(action).min())
-    safe = bool((judge.heights(lifted) >= 0.0).all()) or best >= 0.0
-    needless = status != "violated" and own < -BROKEN and safe
+    best = max(best, float(judge.movable(keeper).min()))
+    own = float(judge.movable(action).min())
+    safe = bool((judge.heights(lifted) >= 0.0).all() or (judge.heights(keeper) >= 0.0).all())
+    needless = status != "violated" and float(judge.heights(action).min()) < -BROKEN and safe
     return status != "violated" and room > BROKEN, max(0.0, best - own), needless
 
 
