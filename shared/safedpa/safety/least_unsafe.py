@@ -50,7 +50,10 @@ def least_unsafe(
 
 @final
 class _Lift:
-    """One search. The barriers' scales are those of the first tangent, throughout."""
+    """One search. What the actions can change in h is taken from all corners of their range, as far as these are few.
+
+    A tangent would say too much where an actuator saturates.
+    """
 
     def __init__(
         self,
@@ -62,9 +65,14 @@ class _Lift:
     ) -> None:
         self._conditions, self._program, self._highest, self._wish = conditions, program, highest, wish
         self._low, self._range = program.low, program.range
-        count = len(first.h_next)
-        conditions.linearised(first).all(count)
-        scales = np.array([conditions.scale(row) for row in range(count)])
+        self._known = [conditions.outcome(corner) for corner in self._corners()]
+        if self._known:
+            reached = np.array([one.h_next for one in self._known])
+            reach = reached.max(axis=0) - reached.min(axis=0)
+        else:
+            conditions.linearised(first).all(len(first.h_next))
+            reach = np.array(conditions.reach)
+        scales = np.maximum(conditions.size, reach)
         self._scales = np.where(scales > 0.0, scales, 1.0)
         self._required = np.array(conditions.required)
 
@@ -78,7 +86,7 @@ class _Lift:
                 break
         if exact:
             return best
-        corners = self._best(best, map(self._conditions.outcome, self._corners()))
+        corners = self._best(best, self._known)
         return best if corners is best else self._best(corners, [self._improved(corners)[0]])
 
     def _improved(self, about: Outcome) -> tuple[Outcome, bool]:
@@ -170,5 +178,7 @@ class _Lift:
 
 
 def _lowered(height: float) -> float:
-    """The least that is as good as ``height``: not below 0 where that is reached."""
+    """The least that is as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
+    if -_TRUE < height <= 0.0:
+        return height
     return height - TOLERANCE if height < 0.0 else max(0.0, height - TOLERANCE)

@@ -15,7 +15,7 @@ Plain = Sequence[float]
 _ROUNDING: Final = 1e-9
 """Share by which the reach of an action is taken too far, so that no rounding error leaves a row out."""
 
-MARK: Final = 1e-9
+MARK: Final = 1e-10
 """Share of a row's reach by which a solution shall exceed its condition: more than the rounding errors of the program's
 solution, so that it keeps the condition, not almost."""
 
