@@ -20,6 +20,9 @@ __all__ = ["command"]
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="draws problems, states, wishes")
 @click.option("--workers", type=int, default=2, show_default=True, help="processes")
 @click.option(
+    "--peers", multiple=True, metavar="PYTHON", help="another Python that has peers installed; may be repeated"
+)
+@click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="folder for adversary.json and adversary.md"
 )
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")

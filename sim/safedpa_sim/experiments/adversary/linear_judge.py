@@ -69,6 +69,10 @@ class LinearJudge:
         heights = self.heights(action)
         return heights[self._moved] if self._moved.any() else heights
 
+    def keeps_movable(self, action: Values, tolerance: float) -> bool:
+        """Whether all conditions that actions can do something about are kept."""
+        return bool(((self.residuals(action) + self.rounding)[self._moved] >= -tolerance).all())
+
     def lowest(self, action: Values) -> float:
         """Least predicted h in scales, with what rounding may have taken from it given back."""
         return float((self.heights(action) + self.rounding).min())

@@ -41,7 +41,8 @@ class Judged:
     missed: bool
     """Relaxed or fallback, though an action keeps every condition with room."""
     shortfall: float | None
-    """Relaxed, violated or fallback: how much least scaled h was left, against the best attainable."""
+    """Relaxed, violated or fallback: least scaled h left, against the best attainable, of the rows that the
+    actions move; 0 where the conditions of all these are kept."""
     needless: bool
     """Relaxed or fallback predicts h < 0, where an action with all h >= 0 exists."""
     reason: str = ""
@@ -80,6 +81,8 @@ def _least_unsafe(problem: LinearProblem, judge: LinearJudge, verdict: Verdict) 
     own = float(judge.movable(action).min())
     safe = bool((judge.heights(lifted) >= 0.0).all() or (judge.heights(keeper) >= 0.0).all())
     needless = status != "violated" and float(judge.heights(action).min()) < -BROKEN and safe
+    if judge.keeps_movable(action, BROKEN):
+        best = own
     return status != "violated" and room > BROKEN, max(0.0, best - own), needless
 
 
