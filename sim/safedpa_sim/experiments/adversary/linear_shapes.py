@@ -214,6 +214,26 @@ def _crowded(random: Random) -> LinearProblem:
     )
 
 
+def _wide(random: Random) -> LinearProblem:
+    """Five to eight actions and up to forty rows: more corners than anybody tries one by one."""
+    actions, rows, states = int(random.integers(5, 9)), int(random.integers(1, 41)), int(random.integers(2, 9))
+    state, P = random.normal(size=states), random.normal(size=(rows, states))
+    now, middle = random.exponential(0.5, rows), random.uniform(-1.0, 1.0, actions)
+    return replace(
+        _with_actions(random, actions),
+        state=state,
+        f=state + random.normal(0.0, 0.1, states),
+        g=random.normal(0.0, 0.2, (states, actions)),
+        P=P,
+        q=now - P @ state,
+        low=middle - 1.0,
+        high=middle + random.uniform(0.5, 2.0, actions),
+        wish=middle + random.uniform(-1.5, 2.5, actions),
+        eta=float(random.uniform(0.05, 1.0)),
+        epsilon=random.choice([0.0, 0.01], rows),
+    )
+
+
 SHAPES: Final[dict[str, Callable[[Random], LinearProblem]]] = {
     "plain": _plain,
     "tight": _tight,
@@ -226,5 +246,6 @@ SHAPES: Final[dict[str, Callable[[Random], LinearProblem]]] = {
     "whole": _whole,
     "costly": _costly,
     "crowded": _crowded,
+    "wide": _wide,
 }
 """By name; problem n has the (n modulo their number)-th."""
