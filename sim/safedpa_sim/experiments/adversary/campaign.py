@@ -12,6 +12,7 @@ import safedpa
 from safedpa.errors import InputError, did_you_mean
 from safedpa_sim.experiments.adversary.attack import AbstractAttack, Result
 from safedpa_sim.experiments.adversary.bad_inputs import BadInputs
+from safedpa_sim.experiments.adversary.bends import Bends
 from safedpa_sim.experiments.adversary.car_grid import CarGrid
 from safedpa_sim.experiments.adversary.drives import Drives
 from safedpa_sim.experiments.adversary.peers import Peers
@@ -27,7 +28,7 @@ Tell = Callable[[int, int], None]
 
 def all_attacks(interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
     """Every attack, the quick ones first; peers are looked for in these Pythons, and in this one."""
-    return [BadInputs(), Scales(), Systems(), CarGrid(), Drives(), Programs(), Peers(interpreters)]
+    return [BadInputs(), Scales(), Systems(), Bends(), CarGrid(), Drives(), Programs(), Peers(interpreters)]
 
 
 def attacks_named(names: Sequence[str], interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
