@@ -118,7 +118,7 @@ class LinearJudge:
         if found is None:
             return None
         action = np.clip(problem.wish + stretch * found, problem.low, problem.high)
-        if self.residuals(action).min() < -_KEPT:
+        if self.broken(action) > _KEPT:
             return None
         return Nearest(action, self.distance(action))
 
@@ -160,4 +160,5 @@ def _least_distance(G: Values, b: Values) -> Values | None:
     residual = E @ y - goal
     if norm < 1e-9 or residual[-1] >= 0.0:
         return None
-    return np.asarray(-residual[:-1] / residual[-1])
+    active = y > 0.0  # on these rows with equality, once more: the residual of least squares has lost digits
+    return np.asarray(np.linalg.lstsq(G[active], b[active], rcond=None)[0])
