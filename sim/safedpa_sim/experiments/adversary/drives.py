@@ -24,7 +24,7 @@ __all__ = ["KINDS", "Driven", "Drives"]
 
 _PERIOD: Final = 0.05
 _LOADS: Final = ("none", "box", "chair", "large_chair")
-_FULL: Final = (12, 20.0)
+_FULL: Final = (50, 20.0)
 """Drives of each kind and load, and seconds of each."""
 _SMALL: Final = (1, 3.0)
 
@@ -57,7 +57,7 @@ class Drives(AbstractAttack):
             (kind, load, 1000 * seed + number, seconds)
             for kind in KINDS
             for load in (_LOADS if kind != "point" else ("none",))
-            for number in range(count if kind != "point" else 2 * count)
+            for number in range(count)
         ]
 
     def work(self, piece: Any) -> Driven:  # noqa: D102
