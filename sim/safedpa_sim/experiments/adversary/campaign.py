@@ -15,6 +15,7 @@ from safedpa_sim.experiments.adversary.bad_inputs import BadInputs
 from safedpa_sim.experiments.adversary.bends import Bends
 from safedpa_sim.experiments.adversary.car_grid import CarGrid
 from safedpa_sim.experiments.adversary.drives import Drives
+from safedpa_sim.experiments.adversary.mirrors import Mirrors
 from safedpa_sim.experiments.adversary.peers import Peers
 from safedpa_sim.experiments.adversary.programs import Programs
 from safedpa_sim.experiments.adversary.scales import Scales
@@ -28,7 +29,8 @@ Tell = Callable[[int, int], None]
 
 def all_attacks(interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
     """Every attack, the quick ones first; peers are looked for in these Pythons, and in this one."""
-    return [BadInputs(), Scales(), Systems(), Bends(), CarGrid(), Drives(), Programs(), Peers(interpreters)]
+    own = (BadInputs(), Scales(), Systems(), Bends(), Mirrors(), CarGrid(), Drives(), Programs())
+    return [*own, Peers(interpreters)]
 
 
 def attacks_named(names: Sequence[str], interpreters: Sequence[str] = ()) -> list[AbstractAttack]:

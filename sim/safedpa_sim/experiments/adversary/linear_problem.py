@@ -49,9 +49,9 @@ class LinearProblem:
         """x+ (states,) under an action (actions,)."""
         return np.asarray(self.f + self.g @ action)
 
-    def filter(self) -> SafetyFilter:
-        """The library's filter for this problem: one barrier a row, each with a margin of its own."""
-        settings = FilterSettings(
+    def settings(self) -> FilterSettings:
+        """The filter's settings for this problem: one margin a row, the middle of the box as the backup."""
+        return FilterSettings(
             action_low=tuple(self.low.tolist()),
             action_high=tuple(self.high.tolist()),
             weights=tuple(self.weights.tolist()),
@@ -59,9 +59,14 @@ class LinearProblem:
             eta=self.eta,
             epsilon={f"row {index}": margin for index, margin in enumerate(self.epsilon.tolist())},
         )
-        return SafetyFilter(
-            lambda _: (self.f, self.g), [self._barrier(index) for index in range(len(self.q))], settings
-        )
+
+    def barriers(self) -> list[FunctionBarrier]:
+        """One barrier a row."""
+        return [self._barrier(index) for index in range(len(self.q))]
+
+    def filter(self) -> SafetyFilter:
+        """The library's filter for this problem."""
+        return SafetyFilter(lambda _: (self.f, self.g), self.barriers(), self.settings())
 
     def decide(self) -> Verdict:
         """What the library's filter says."""
