@@ -77,7 +77,7 @@ def test_what_is_found_does_not_change_the_exit_code(monkeypatch, capsys):
 def test_progress_is_told_piece_by_piece():
     told = []
     adversary(attacks_named(["car"]), 0, small=True, tell=lambda done, everything: told.append((done, everything)))
-    assert told == [(1, 2), (2, 2)]
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_a_page_says_which_figures_held():

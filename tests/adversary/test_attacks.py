@@ -11,7 +11,7 @@ import pytest
 from safedpa.safety import SafetyFilter, Status, Verdict
 from safedpa_sim.experiments.adversary.attack import AbstractAttack, Result, Row, WholeAttack
 from safedpa_sim.experiments.adversary.bad_inputs import BadInputs
-from safedpa_sim.experiments.adversary.car_grid import CarGrid
+from safedpa_sim.experiments.adversary.car_grid import CarGrid, odd_question
 from safedpa_sim.experiments.adversary.programs import Programs
 from safedpa_sim.experiments.adversary.scales import Scales, Units, drive
 from safedpa_sim.experiments.adversary.systems import Systems
@@ -147,16 +147,26 @@ def test_the_car_grid_notices_what_it_is_for(plant):
 
     plant(stops)
     found = measured(CarGrid())
-    assert found["relaxed, though the grid keeps all"].measured > 50
-    assert found["corrected 0.1 of a range beyond the grid"].measured > 20.0
-    assert found["corrected 0.1 of a range beyond the grid"].held is False
+    assert found["car: relaxed, though the grid keeps all"].measured > 50
+    assert found["car: corrected 0.1 of a range beyond the grid"].measured > 20.0
+    assert found["car: corrected 0.1 of a range beyond the grid"].held is False
 
 
 def test_the_car_grid_notices_broken_conditions(plant):
     plant(passes_everything)
     found = measured(CarGrid())
-    assert found["largest break of a condition, in scales"].measured > 0.01
-    assert found["passed or corrected, predicted h < 0"].measured > 0
+    assert found["car: largest break of a condition, in scales"].measured > 0.01
+    assert found["car: passed or corrected, predicted h < 0"].measured > 0
+
+
+def test_odd_scenes_are_what_they_say():
+    sizes = [len(odd_question(1, number).obstacles) for number in range(5)]
+    assert sizes[3] == 60
+    assert sizes[1] % 3 == 0
+    assert odd_question(1, 2).obstacles[0, 2] == 1000.0
+    body = odd_question(1, 0)
+    assert np.array_equal(body.obstacles[-1, :2], body.state[:2])
+    assert (odd_question(1, 4).obstacles[:, 2] == 0.0).all()
 
 
 def test_the_systems_crash_behind_a_filter_that_passes_everything(plant):

@@ -11,7 +11,7 @@ from safedpa_sim.experiments.adversary import drives
 from safedpa_sim.experiments.adversary.drives import KINDS, Driven, Drives
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "point"])
+@pytest.mark.parametrize("kind", ["forward", "any direction", "killed"])
 def test_a_drive_repeats_and_is_safe_behind_the_filter(kind):
     once, again = (KINDS[kind](kind, "box", 4, 4.0) for _ in range(2))
     assert once == again
@@ -34,6 +34,12 @@ def test_without_the_filter_the_same_policies_hit_something(monkeypatch):
 def test_a_point_robot_is_driven_at_its_hazards():
     pytest.importorskip("mujoco")
     driven = KINDS["point"]("point", "none", 3, 4.0)
+    assert driven.collisions == 0
+    assert driven.statuses["corrected"] > 0
+
+
+def test_a_pendulum_is_pushed_out_of_its_corridor():
+    driven = KINDS["pendulum"]("pendulum", "none", 3, 8.0)
     assert driven.collisions == 0
     assert driven.statuses["corrected"] > 0
 

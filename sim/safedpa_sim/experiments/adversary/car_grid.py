@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -15,10 +15,8 @@ from safedpa.safety.shipped import settings_named
 from safedpa_sim.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_sim.experiments.adversary.car_judge import FIELD, FOOTPRINT, CarJudge, CarQuestion
 
-__all__ = ["CarGrid", "car_question"]
+__all__ = ["CarGrid", "car_question", "odd_question"]
 
-_FULL: Final = 12_000
-_SMALL: Final = 120
 _PIECE: Final = 100
 _FAR: Final = 0.1
 """Weighted ranges beyond the grid's nearest."""
@@ -49,19 +47,50 @@ class CarGrid(AbstractAttack):
     sentence = "the car in random states among obstacles, against a grid of 27 x 35 actions"
 
     def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
-        count = _SMALL if small else _FULL
-        return [(seed, first, min(first + _PIECE, count)) for first in range(0, count, _PIECE)]
+        return [
+            (kind, seed, first, min(first + _PIECE, count))
+            for kind, (_, _, full, few) in _KINDS.items()
+            for count in (few if small else full,)
+            for first in range(0, count, _PIECE)
+        ]
 
-    def work(self, piece: Any) -> list[_Answer]:  # noqa: D102
-        seed, first, last = piece
-        model, settings = load_model("car"), settings_named("car")
+    def work(self, piece: Any) -> tuple[str, list[_Answer]]:  # noqa: D102
+        kind, seed, first, last = piece
+        name, drawn, _, _ = _KINDS[kind]
+        model, settings = load_model(name), settings_named("car")
         safe = SafetyFilter.for_model(model, settings)
-        return [_answered(safe, model, settings, seed, number) for number in range(first, last)]
+        return kind, [_answered(safe, model, settings, drawn(seed, n), n) for n in range(first, last)]
 
     def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
-        items = [item for answer in answers for item in answer]
-        rows = [Row(f"answers {status}", count) for status, count in sorted(Counter(i.status for i in items).items())]
-        return Result([*rows, *_rows(items)], _worst(items))
+        rows: list[Row] = []
+        worst: list[dict[str, Any]] = []
+        for kind in _KINDS:
+            items = [item for own, found in answers if own == kind for item in found]
+            said = sorted(Counter(item.status for item in items).items())
+            rows += [Row(f"{kind}: answers {status}", count) for status, count in said]
+            rows += _rows(kind, items)
+            worst += [{"kind": kind, **case} for case in _worst(items)]
+        return Result(rows, worst)
+
+
+def odd_question(seed: int, number: int) -> CarQuestion:
+    """Scenes that nobody asked for: an obstacle on the body, all of them twice, one as large as a hill, sixty."""
+    question, random = car_question(seed, 8 * number), np.random.default_rng([seed, 11, number])
+    state, obstacles = question.state, question.obstacles
+    what = number % 5
+    if what == 0:
+        obstacles = np.vstack([obstacles, [*state[:2], 0.1]])
+    elif what == 1:
+        obstacles = np.vstack([obstacles, obstacles, obstacles])
+    elif what == 2:
+        bearing = random.uniform(-np.pi, np.pi)
+        away = 1000.0 + random.uniform(0.4, 1.0)
+        obstacles = np.array([[state[0] + away * np.cos(bearing), state[1] + away * np.sin(bearing), 1000.0]])
+    elif what == 3:
+        obstacles = np.column_stack([random.uniform(-4.0, 4.0, (60, 2)), random.uniform(0.0, 0.2, 60)])
+    else:
+        obstacles, state = obstacles * (1.0, 1.0, 0.0), state * (1.0, 1.0, 1.0, 0.0)
+    return CarQuestion(state, question.wish, obstacles)
 
 
 def car_question(seed: int, number: int) -> CarQuestion:
@@ -80,8 +109,9 @@ def car_question(seed: int, number: int) -> CarQuestion:
             return question
 
 
-def _answered(safe: SafetyFilter, model: PhysicsModel, settings: FilterSettings, seed: int, number: int) -> _Answer:
-    question = car_question(seed, number)
+def _answered(
+    safe: SafetyFilter, model: PhysicsModel, settings: FilterSettings, question: CarQuestion, number: int
+) -> _Answer:
     barriers = car_barriers(settings, FOOTPRINT, question.obstacles, FIELD)
     verdict = safe.decide(question.state, question.wish, model.latent, barriers=barriers)
     judge, status = CarJudge(model, settings, question), verdict.status.value
@@ -104,7 +134,7 @@ def _answered(safe: SafetyFilter, model: PhysicsModel, settings: FilterSettings,
     )
 
 
-def _rows(items: Sequence[_Answer]) -> list[Row]:
+def _rows(kind: str, items: Sequence[_Answer]) -> list[Row]:
     kept = [item.broken for item in items if item.broken is not None]
     excess = [item.excess for item in items if item.excess is not None]
     rest = [item for item in items if item.broken is None]
@@ -112,14 +142,21 @@ def _rows(items: Sequence[_Answer]) -> list[Row]:
     relaxed = sum(item.status in ("relaxed", "fallback") for item in items)
     far = 100.0 * sum(value > _FAR for value in excess) / max(1, len(excess))
     return [
-        Row("largest break of a condition, in scales", max(kept, default=0.0), len(kept), most=1e-9),
-        Row("passed or corrected, predicted h < 0", sum(item.below for item in items), len(kept), most=0),
-        Row("h < 0 now, and not told (or told wrongly)", sum(item.untold for item in items), len(items), most=0),
-        Row("relaxed, though the grid keeps all", sum(item.missed for item in items), relaxed, most=0),
-        Row("corrected 0.1 of a range beyond the grid", far, len(excess), most=_MOST_FAR, unit="%"),
-        Row("largest excess, in ranges", max(excess, default=0.0), len(excess)),
-        Row("relaxed or violated: 1 % of scale below the grid", sum(v > _CLOSE for v in short), len(short), most=0),
-        Row("largest shortfall, in scales", max(short, default=0.0), len(short)),
+        Row(f"{kind}: largest break of a condition, in scales", max(kept, default=0.0), len(kept), most=1e-9),
+        Row(f"{kind}: passed or corrected, predicted h < 0", sum(item.below for item in items), len(kept), most=0),
+        Row(
+            f"{kind}: h < 0 now, and not told (or told wrongly)", sum(item.untold for item in items), len(items), most=0
+        ),
+        Row(f"{kind}: relaxed, though the grid keeps all", sum(item.missed for item in items), relaxed, most=0),
+        Row(f"{kind}: corrected 0.1 of a range beyond the grid", far, len(excess), most=_MOST_FAR, unit="%"),
+        Row(f"{kind}: largest excess, in ranges", max(excess, default=0.0), len(excess)),
+        Row(
+            f"{kind}: relaxed or violated: 1 % of scale below the grid",
+            sum(v > _CLOSE for v in short),
+            len(short),
+            most=0,
+        ),
+        Row(f"{kind}: largest shortfall, in scales", max(short, default=0.0), len(short)),
     ]
 
 
@@ -136,3 +173,11 @@ def _worst(items: Sequence[_Answer]) -> list[dict[str, Any]]:
         for fault, cases in faults.items()
         for size, number in sorted(cases, reverse=True)[:3]
     ]
+
+
+_KINDS: Final[dict[str, tuple[str, Callable[[int, int], CarQuestion], int, int]]] = {
+    "car": ("car", car_question, 12_000, 120),
+    "car with networks": ("car_learned", car_question, 2_000, 60),
+    "odd scenes": ("car", odd_question, 2_000, 60),
+}
+"""By name: model, how a question is drawn, and how many of them."""

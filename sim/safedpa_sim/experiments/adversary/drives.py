@@ -16,13 +16,24 @@ from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.experiments.adversary.attack import AbstractAttack, Result, Row
-from safedpa_sim.experiments.adversary.hostile import HostileNode, Wisher, at_nearest, rocking, thrusting
+from safedpa_sim.experiments.adversary.hostile import (
+    HostileNode,
+    Wisher,
+    at_nearest,
+    falling,
+    rocking,
+    thrusting,
+)
 from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.pendulum_robot import PendulumRobot
+from safedpa_sim.robots.pendulum_task import task_named
+from safedpa_sim.robots.pendulum_world import wind_towards
 from safedpa_sim.robots.scene import Scene
 
 __all__ = ["KINDS", "Driven", "Drives"]
 
 _PERIOD: Final = 0.05
+_OF_THE_CAR: Final = ("forward", "any direction", "killed")
 _LOADS: Final = ("none", "box", "chair", "large_chair")
 _FULL: Final = (50, 20.0)
 """Drives of each kind and load, and seconds of each."""
@@ -46,17 +57,17 @@ class Driven:
 
 @final
 class Drives(AbstractAttack):
-    """Collisions under a hostile policy: every load forwards and in any direction, processes killed, a point robot."""
+    """Collisions under a hostile policy: every load forwards and in any direction, processes killed; other robots."""
 
     name = "drives"
-    sentence = "whole drives of car and point robot with a policy that wants to hit something"
+    sentence = "whole drives of car, pendulum and point robot with a policy that wants to hit something"
 
     def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
         count, seconds = _SMALL if small else _FULL
         return [
             (kind, load, 1000 * seed + number, seconds)
             for kind in KINDS
-            for load in (_LOADS if kind != "point" else ("none",))
+            for load in (_LOADS if kind in _OF_THE_CAR else ("none",))
             for number in range(count)
         ]
 
@@ -123,6 +134,14 @@ def _point(kind: str, load: str, seed: int, seconds: float) -> Driven:
     return _driven(kind, load, seed, robot, drive(robot, _nodes("point", thrusting, seed), ticks))
 
 
+def _pendulum(kind: str, load: str, seed: int, seconds: float) -> Driven:
+    random = np.random.default_rng([seed, 10])
+    wind = wind_towards(float(random.uniform(0.0, 4.0)), float(random.uniform(0.0, 360.0)))
+    robot = PendulumRobot(task_named("balance"), wind, seed)
+    ticks = round(0.25 * seconds / robot.period)  # its ticks are short: a quarter of the time are as many
+    return _driven(kind, load, seed, robot, drive(robot, _nodes("pendulum", falling, seed), ticks))
+
+
 def _nodes(name: str, wisher: Wisher, seed: int) -> list[AbstractNode]:
     model = load_model(name)
     return [
@@ -145,6 +164,7 @@ KINDS: Final[Mapping[str, Callable[[str, str, int, float], Driven]]] = {
     "forward": _car(at_nearest),
     "any direction": _car(rocking),
     "killed": _car(at_nearest, killed=True),
+    "pendulum": _pendulum,
     "point": _point,
 }
 """By name: ``run(kind, load, seed, seconds)``."""

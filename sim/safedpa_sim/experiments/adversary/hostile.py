@@ -12,7 +12,7 @@ import numpy as np
 
 from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
 
-__all__ = ["HostileNode", "Wisher", "at_nearest", "rocking", "thrusting"]
+__all__ = ["HostileNode", "Wisher", "at_nearest", "falling", "rocking", "thrusting"]
 
 Wisher = Callable[[StateMessage, np.random.Generator], tuple[float, ...]]
 
@@ -20,6 +20,7 @@ _SPEED: Final = (-0.6, 2.0)
 _STEER: Final = 0.34
 _THRUST: Final = 0.05
 _TURN: Final = 4.0
+_TORQUE: Final = 10.0
 _LEG: Final = 1.0
 """s between two changes of mind."""
 
@@ -74,6 +75,13 @@ def thrusting(state: StateMessage, random: np.random.Generator) -> tuple[float, 
     ahead = math.cos(bearing) >= 0.0
     turn = math.sin(bearing) if ahead else -math.sin(bearing)
     return (_THRUST if ahead else -_THRUST), float(np.clip(_TURN * turn, -_TURN, _TURN)) * random.choice((1.0, 0.2))
+
+
+def falling(state: StateMessage, random: np.random.Generator) -> tuple[float, ...]:
+    """A pendulum with full torque out of its corridor, or now and then the other way with all of its swing."""
+    low, high = state.corridor[:2]
+    outwards = 1.0 if state.values[0] > 0.5 * (low + high) else -1.0
+    return (_TORQUE * outwards * float(random.choice((1.0, 1.0, -1.0))),)
 
 
 def _places(state: StateMessage) -> list[tuple[float, ...]]:
