@@ -20,6 +20,7 @@ MODULES = (
     "safedpa.safety.remembered",
     "safedpa.safety.search",
     "safedpa.safety.solution",
+    "safedpa.safety.towed_reach",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
 

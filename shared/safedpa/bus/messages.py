@@ -88,6 +88,10 @@ class StateMessage(Message):
     corridor: Vector = ()
     """(2,) the angles between which the first entry of the state must stay, whose rate is the second; in rad, turns
     counted. Empty of a robot without one."""
+    towed: Vector = ()
+    """(3,) of what hangs on a hitch at the footprint's rear end: the net ways driven backwards after which it begins to
+    leave the footprint, and after which it may stand at any angle, and how far it reaches from the hitch, in m. Empty
+    of a robot that tows nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

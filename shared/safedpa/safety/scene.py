@@ -8,6 +8,7 @@ from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
 from safedpa.safety.car_barriers import car_barriers
 from safedpa.safety.car_stack import stacked
 from safedpa.safety.corridor_barrier import CorridorBarrier
+from safedpa.safety.reversed_way import ReversedWay
 from safedpa.safety.settings import FilterSettings
 
 __all__ = ["SceneBarriers"]
@@ -18,10 +19,13 @@ which the other robots of the fleet would get no action."""
 
 
 class SceneBarriers:
-    """Builds barriers from state messages, and keeps them while the scene stays as it is."""
+    """Builds barriers from state messages, and keeps them while the scene stays as it is.
 
-    def __init__(self, settings: FilterSettings) -> None:
-        self._settings = settings
+    Of a robot that tows something they are others with every state: ``way`` tells how far it was driven backwards.
+    """
+
+    def __init__(self, settings: FilterSettings, way: ReversedWay | None = None) -> None:
+        self._settings, self.way = settings, way or ReversedWay()
         self._scene: tuple[object, ...] = ()
         self._barriers: AbstractStack = Barriers(())
 
@@ -30,7 +34,9 @@ class SceneBarriers:
 
         A robot with a corridor has that one barrier; every other one is a car and has to say what is around it.
         """
-        scene = (state.obstacles, state.field, state.footprint, state.corridor)
+        self.way.follow(state)
+        towing = (self.way.way, state.values) if state.towed else ()
+        scene = (state.obstacles, state.field, state.footprint, state.corridor, state.towed, towing)
         if scene != self._scene:
             try:
                 self._barriers = self._built(state)
@@ -45,9 +51,10 @@ class SceneBarriers:
                 raise InputError(
                     f"obstacles: got {len(state.obstacles)}, wanted at most {_MOST_OBSTACLES}; send the nearest"
                 )
-            found = car_barriers(self._settings, state.footprint, state.obstacles, state.field)
+            towed = self.way.reach(state, self._settings.braking)
+            found = car_barriers(self._settings, state.footprint, state.obstacles, state.field, towed)
             return RememberingStack(stacked(found))
-        if state.obstacles or state.field or state.footprint:
+        if state.obstacles or state.field or state.footprint or state.towed:
             raise InputError("corridor: got one of a robot that drives between obstacles; wanted the one or the other")
         if len(state.values) != 2:  # a car must not get rid of its obstacles by naming a corridor
             raise InputError(
