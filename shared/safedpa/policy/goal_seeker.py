@@ -35,6 +35,8 @@ class GoalSeekerSettings:
     slowest_target: float = -0.6
     fastest_target: float = 2.0
     """Limits of the robot's speed command, within which a load may be made up for."""
+    lookahead: float = 1.2
+    """m; a goal farther away is steered for as if it were so near: turned towards at once, then straight ahead."""
     approach_gain: float = 1.5
     """1/s; target speed per metre to the goal."""
     slowest_share: float = 0.35
@@ -113,7 +115,8 @@ class GoalSeeker:
 
     def _pursue(self, distance: float, bearing: float) -> tuple[float, float]:
         settings = self.settings
-        steer = math.atan(2.0 * settings.wheelbase * math.sin(bearing) / max(distance, 0.05))
+        ahead = min(max(distance, 0.05), settings.lookahead)
+        steer = math.atan(2.0 * settings.wheelbase * math.sin(bearing) / ahead)
         if abs(bearing) > math.pi / 2:
             steer = math.copysign(settings.steer_limit, bearing)
         speed = min(settings.cruise_speed, settings.approach_gain * distance)
