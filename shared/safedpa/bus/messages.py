@@ -174,6 +174,10 @@ class VerdictMessage(ComputedMessage):
     """Fingerprint of the model in force; empty: not told."""
     ordered: str = ""
     """Why the robot was ordered to stop; empty: it may drive."""
+    stands: Number = 0.0
+    """s for which the robot has not moved though something is wished; 0: it moves, nothing is wished, or not told."""
+    standstill: str = ""
+    """Why it stands, once it has for more than 5 s; empty before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -93,7 +93,7 @@ class Standstill:
         """Why it stands, in words; empty while it has not stood for longer than 5 s."""
         if self.seconds <= TOLD_SECONDS:
             return ""
-        if self.failed > 0.0 or self._driven > _DRIVEN * self._wished and status in ("passed", "disabled"):
+        if self.failed > 0.0 or (self._driven > _DRIVEN * self._wished and status in ("passed", "disabled")):
             return "dead band: the model says that such an action moves it, and it does not move"
         held = " and ".join(active) if active else "what it has to keep"
         if status in ("fallback", "stopped"):

@@ -68,6 +68,5 @@ class TowedReach:
 
     def _after(self, x: float, y: float, speed: float) -> float:
         way = self.way - self._moved(x, y)
-        if way < 0.0:
-            way = 0.0
+        way = max(way, 0.0)
         return way if speed >= 0.0 else way - self._braking.distance(speed)

@@ -112,9 +112,7 @@ def run_reversing_drive(reversing: ReversingDrive) -> ReversingOutcome:
         statuses[tick.verdict.status] += 1
         least = min(least, tick.verdict.h_now)
         back -= min(tick.state.values[3], 0.0) * _PERIOD
-    return ReversingOutcome(
-        reversing.load, reversing.seed, style, len(robot.collisions), back, least, dict(statuses)
-    )
+    return ReversingOutcome(reversing.load, reversing.seed, style, len(robot.collisions), back, least, dict(statuses))
 
 
 def _towards_nearest(state: StateMessage) -> float:
