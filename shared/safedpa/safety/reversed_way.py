@@ -15,14 +15,15 @@ __all__ = ["ReversedWay"]
 _LONGEST_GAP = 0.5
 """s without a state, after which nobody knows how the robot moved meanwhile."""
 _MOST = 1.0
-"""m that are remembered: driven forwards as far, a load is drawn into line whatever was before."""
+"""m; no load needs a longer way backwards to stand at any angle."""
 
 
 @dataclass
 class ReversedWay:
-    """w [m], from one state to the next: w+ = clip(w - e'(p+ - p), 0, 1 m), e the heading and p the position before.
+    """w [m], from one state to the next: w+ = clip(w - e'(p+ - p), 0, end), e the heading and p the position before.
 
-    At the start, and wherever the robot was not watched, w is unknown and taken to be the most.
+    ``end`` is the way after which what is towed may stand at any angle: there is no more to remember. At the start, and
+    wherever the robot was not watched, w is unknown and taken to be the most.
     """
 
     way: float = _MOST
@@ -44,7 +45,8 @@ class ReversedWay:
         else:
             past_x, past_y, past_yaw = self._pose
             self.way -= cos(past_yaw) * (x - past_x) + sin(past_yaw) * (y - past_y)
-            self.way = min(max(self.way, 0.0), _MOST)
+        most = state.towed[1] if len(state.towed) == 3 else _MOST
+        self.way = min(max(self.way, 0.0), most)
         self._epoch, self._tick, self._pose, self._towed = state.epoch, state.tick, (x, y, yaw), state.towed
 
     def reach(self, state: StateMessage, braking: Braking) -> TowedReach | None:

@@ -16,9 +16,13 @@ from dataclasses import dataclass, field
 from math import hypot
 from typing import Final
 
+from safedpa.bus import VerdictMessage
 from safedpa.systems import System
 
-__all__ = ["DEAD_BAND_SECONDS", "TOLD_SECONDS", "Standstill", "places_of"]
+__all__ = ["DEAD_BAND_SECONDS", "TOLD_SECONDS", "Stand", "Standstill", "note_standstill", "places_of"]
+
+Stand = dict[str, float | str]
+"""``from`` [s, by the robot's clock], ``seconds``, ``reason``."""
 
 TOLD_SECONDS: Final = 5.0
 """s; a longer stand is told in the verdict."""
@@ -114,3 +118,15 @@ class Standstill:
         self._begun, self.seconds, self.failed = here, 0.0, 0.0
         self._wished = self._driven = 0.0
         self._pushed.clear()
+
+
+def note_standstill(found: list[Stand], verdict: VerdictMessage) -> None:
+    """Adds a stand that a verdict tells of to those found, or lengthens the last one; the newest reason counts."""
+    if not verdict.standstill:
+        return
+    begun = round(verdict.robot_time - verdict.stands, 6)
+    told: Stand = {"from": begun, "seconds": round(verdict.stands, 6), "reason": verdict.standstill}
+    if found and abs(float(found[-1]["from"]) - begun) < 1e-3:
+        found[-1] = told
+    else:
+        found.append(told)

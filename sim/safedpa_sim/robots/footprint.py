@@ -9,8 +9,9 @@ from safedpa_sim.robots.loads import Load
 
 __all__ = ["footprint", "towed_reach"]
 
-_BEGINS = 0.25
-"""Of the reach: a shorter way backwards does not bring a load out of the footprint; measured, docs/robot.md."""
+_BEGINS, _ENDS = 0.2, 0.8
+"""Of the reach: pushed back by less, a load does not leave the footprint; by more, it may stand anywhere around the
+hitch. Measured with random programmes of forwards and backwards: docs/robot.md."""
 
 
 def footprint(load: Load | None, parameters: CarParameters = CAR_PARAMETERS) -> tuple[float, float, float]:
@@ -39,10 +40,10 @@ def towed_reach(load: Load | None) -> tuple[float, ...]:
     """(begin, end, reach) [m] as a state message tells them; empty without a load.
 
     The farthest corner is ``reach`` = hypot(drawbar + side, side / 2) from the hitch, rounded up to 1 cm: a disc of
-    that radius holds the load at any angle. Pushed back by its own reach, it has left the place where it was; so there
-    (``end``) the whole disc is claimed.
+    that radius holds the load at any angle. The whole of it is claimed after ``end``, nearly its own reach: pushed back
+    by so much, it has left the place where it was.
     """
     if load is None:
         return ()
     reach = ceil(100 * hypot(load.drawbar + load.side, load.side / 2)) / 100
-    return _BEGINS * reach, reach, reach
+    return _BEGINS * reach, _ENDS * reach, reach
