@@ -108,6 +108,18 @@ class _Lift:
         return np.asarray(np.abs(np.array(rows)) @ self._range)
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
+        """The least unsafe of what is known and found.
+
+        Where another barrier is the least whatever is done, the others need no more than their conditions; but where
+        these cannot all be kept either, the least of them is raised as if there were no other.
+        """
+        best = self._searched(known)
+        if np.isfinite(self._decided) and self._missing(best) > _TRUE:
+            self._decided = np.inf
+            best = self._searched([best, *known])
+        return best
+
+    def _searched(self, known: Sequence[Outcome]) -> Outcome:
         best = self._best(known[0], known[1:])
         for _ in range(_ROUNDS):
             if best.kept and self._safe:
@@ -227,8 +239,8 @@ class _Lift:
         return np.asarray(np.array(one.h_next) / self._scales)
 
     def _missing(self, one: Outcome) -> float:
-        """Sum over the rows of what their conditions miss, each as a share of its scale."""
-        return float(np.maximum(0.0, -np.array(one.residual) / self._scales).sum())
+        """Sum over the rows moved of what their conditions miss, each as a share of its scale."""
+        return float(np.maximum(0.0, -np.array(one.residual) / self._scales)[self._moved].sum())
 
     def _between(self, one: Outcome, other: Outcome, share: float) -> Action:
         return tuple([a + share * (b - a) for a, b in zip(one.action, other.action, strict=True)])
