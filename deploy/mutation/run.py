@@ -44,6 +44,7 @@ MODULES = {
     "tangent": ("test_tangent.py", "test_filter_conditions.py", *VERDICTS),
     "chain_rule": ("test_chain_rule.py",),
     "least_unsafe": ("test_least_unsafe.py", "test_filter_verdicts.py", PROMISES),
+    "lattice": ("test_lattice.py",),
     "highest": ("test_highest.py", "test_least_unsafe.py", PROMISES),
     "inputs": VERDICTS,
     "quadratic_program": ("test_quadratic_program.py", "test_nearest.py", *VERDICTS),

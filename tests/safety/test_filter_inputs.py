@@ -304,7 +304,7 @@ def test_search_that_finds_nothing_goes_from_the_backup_towards_the_wish(monkeyp
     program_says(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "Between the backup action and the wish."
+    assert verdict.reason == "Found from another start than the wish."
     assert 0.15 < verdict.action[0] <= 0.2
 
 
@@ -314,7 +314,7 @@ def test_a_backup_that_breaks_the_condition_is_no_place_to_go_from(monkeypatch: 
     program_says(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "Found from a corner of the actions' range."
+    assert verdict.reason == "Found from another start than the wish."
     assert verdict.action[0] <= 0.2
 
 
@@ -329,7 +329,7 @@ def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(decision_module, "search", first_fails)
     verdict = scalar_filter().decide(np.zeros(1), [1.0])
-    assert verdict.reason == "Found from the backup action."
+    assert verdict.reason == "Found from another start than the wish."
     assert verdict.action[0] == pytest.approx(0.2)
     assert calls[0] == 1.0
     assert 0.15 < calls[1] <= 0.2  # towards the wish as far as is kept: tangents there are those of the nearest action

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from safedpa.safety import Barriers, FunctionBarrier, Prediction, QuadraticProgram
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
+from safedpa.safety.lattice import lattice
 from safedpa.safety.least_unsafe import TOLERANCE, least_unsafe
 
 Values = NDArray[np.float64]
@@ -30,10 +31,12 @@ class Case:
         eta: float = 1.0,
         epsilon: float = 0.0,
         limit: float = 1.0,
+        affine: bool = True,
         program: Any = None,
         highest: Any = None,
     ) -> None:
         self.h, self.wish, actions = h, tuple(wish), len(wish)
+        self.affine = affine
         self.asked: list[tuple[float, ...]] = []
         start = (9.0,) * actions
 
@@ -66,7 +69,8 @@ class Case:
 
     def run(self, *known: Sequence[float]) -> Outcome:
         begun = [self.conditions.outcome(tuple(action)) for action in known or [self.wish]]
-        return least_unsafe(self.conditions, self.program, self.highest, self.wish, begun)
+        spread = [self.conditions.outcome(action) for action in lattice(self.conditions._sides, affine=self.affine)]
+        return least_unsafe(self.conditions, self.program, self.highest, self.wish, begun, spread)
 
 
 def test_the_highest_is_taken_though_the_wish_is_far() -> None:
