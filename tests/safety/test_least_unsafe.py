@@ -127,6 +127,16 @@ def test_the_next_ones_are_raised_to_their_conditions_and_no_higher() -> None:
         assert kept.action == pytest.approx((1.0, 0.8), abs=0.02)
 
 
+def test_a_condition_below_the_least_of_all_lowers_it_no_further() -> None:
+    """h_1 asks for -3 of its 4 only, -0.75; but the least of all is -2 of 3, and is not given away for the wish."""
+    found = Case(lambda a: [a[0] - 3.0, 2.0 * a[1] - 2.0], [-3.0, -3.0], [-1.0, -1.0], eta=0.0).run()
+    assert found.action == pytest.approx((1.0, -1.0 / 3.0), abs=0.02)
+    both = Case(
+        lambda a: [a[0] - 3.0, -a[0] + 3.0 * a[1] - 2.0, a[1] + 9.0], [-3.0, -7.0, 9.5], [-1.0, -1.0], eta=0.0
+    ).run()
+    assert both.action == pytest.approx((1.0, 0.5), abs=0.02)
+
+
 def test_of_three_the_third_follows_the_second() -> None:
     heights = [5.0, 3.0, 1.5]
     found = Case(lambda a: [a[row] - heights[row] for row in range(3)], [-h for h in heights], [-1.0] * 3).run()
