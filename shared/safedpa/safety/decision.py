@@ -39,6 +39,9 @@ _BINDING: Final = 0.02
 """A condition within this share of its scale of its limit is reported as active."""
 
 
+_NAMED: Final = 3
+"""Barriers that a sentence names at most."""
+
 _STARTS: Final = 3
 """Actions that keep all conditions from which a nearer one is looked for."""
 
@@ -165,12 +168,13 @@ class Decision:
         found, solver = search(conditions, program, wish, asked, rounds)
         if found.kept:
             return self._verdict(Status.corrected, found, "", solver)
-        known = [conditions.outcome(self._backup_action()), *self._spread(conditions)]
-        other, solver = self._from_elsewhere(conditions, wish, asked, known)
+        backup = conditions.outcome(self._backup_action())
+        spread = self._spread(conditions)
+        other, solver = self._from_elsewhere(conditions, wish, asked, [backup, *spread])
         if other.kept:
             return self._verdict(Status.corrected, other, "Found from another start than the wish.", solver)
-        best = self._least_unsafe(conditions, [asked, found, other], known)
-        return self._verdict(Status.relaxed, best, self._worst(conditions, best), solver)
+        best, said = self._least_unsafe(conditions, backup, [asked, found, other, *spread])
+        return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
 
     def _from_elsewhere(
         self, conditions: Conditions, wish: Action, asked: Outcome, known: Sequence[Outcome]
@@ -190,25 +194,29 @@ class Decision:
         return best, status
 
     def _violated(self, conditions: Conditions, asked: Outcome) -> Verdict:
-        known = [asked, conditions.outcome(self._backup_action())]
-        best = self._least_unsafe(conditions, known, self._spread(conditions))
+        backup = conditions.outcome(self._backup_action())
+        best, said = self._least_unsafe(conditions, backup, [asked, *self._spread(conditions)])
         names, h_now = conditions.barriers.names, conditions.h_now
         below = ", ".join([names[row] for row in range(len(names)) if h_now[row] < 0.0])
-        return self._verdict(Status.violated, best, f"Below 0: {below}.", "solved")
+        return self._verdict(Status.violated, best, f"Below 0: {below}.{said}", "solved")
 
     def _spread(self, conditions: Conditions) -> list[Outcome]:
         tools = self._tools
         return [conditions.outcome(one) for one in lattice(tools.program.sides, affine=tools.prediction.affine)]
 
-    def _least_unsafe(self, conditions: Conditions, known: Sequence[Outcome], spread: Sequence[Outcome]) -> Outcome:
+    def _least_unsafe(self, conditions: Conditions, backup: Outcome, known: list[Outcome]) -> tuple[Outcome, str]:
+        """The least unsafe outcome, and what is to be said of barriers that no action moves."""
         assert self._wish is not None
         tools = self._tools
-        return least_unsafe(conditions, tools.program, tools.highest, self._wish, known, spread)
+        best, stuck = least_unsafe(conditions, tools.program, tools.highest, self._wish, backup, known)
+        if not stuck:
+            return best, ""
+        return best, f" No action moves {', '.join(stuck[:_NAMED])} within one step: the backup is taken for the wish."
 
     def _worst(self, conditions: Conditions, best: Outcome) -> str:
         """Which conditions cannot be kept, in words."""
         names = conditions.binding(best, 0.0)
-        return f"Not kept: {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}."
+        return f"Not kept: {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}."
 
     def _backup_action(self) -> Action:
         """The user's backup within the bounds; the resting action where there is none or it fails."""
@@ -227,6 +235,8 @@ class Decision:
         return within(action, self._tools.program.sides)
 
     def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
+        if not outcome.usable:
+            return self._answer(status, outcome.action, reason, solver)
         active = () if self._conditions is None else self._conditions.binding(outcome, _BINDING)
         return self._answer(status, outcome.action, reason, solver, outcome.violation, active, outcome.least)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Protocol
 
+from safedpa.errors import InputError
 from safedpa.safety.conditions import Outcome, Plain
 from safedpa.safety.program_rows import Side, within
 from safedpa.safety.solution import Solution
@@ -39,10 +40,6 @@ LEFT: Final = 0.9
 """Share that is gone of the way on which the room would be used up: to end on the kept side."""
 
 
-NEAR: Final = 0.01
-"""Share of the way that is not worth a try."""
-
-
 DOUBTFUL: Final = 0.02
 """A solution that far from the wish, kept by more than this share of its scale, may lie where an actuator saturates and
 nothing is lost by coming nearer."""
@@ -52,8 +49,8 @@ FAR: Final = 0.1
 """Weighted share of the actions' ranges."""
 
 
-HALVES: Final = 3
-"""Halvings of a long step from an action that was not kept to one that is."""
+NEAR: Final = 0.01
+"""Share of the way that is not worth a try."""
 
 
 AGAIN: Final = 1
@@ -118,15 +115,14 @@ def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
     room = conditions.tightest(best)
     if room > NEEDLESS:
         nearer = towards(conditions, conditions.outcome(within(wish, program.sides)), best)
-    elif room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
+        again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
+        return _better(conditions, program, wish, nearer, again), status
+    if room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
         back = _furthest_back(program, within(wish, program.sides), best.action)
-        nearer = towards(conditions, conditions.outcome(back), best)
-    elif before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
-        return _halfway(conditions, before, best), status
-    else:
-        return best, status
-    again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
-    return _better(conditions, program, wish, nearer, again), status
+        return towards(conditions, conditions.outcome(back), best), status
+    if before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
+        return towards(conditions, before, best), status
+    return best, status
 
 
 def towards(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
@@ -153,6 +149,8 @@ def towards(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
 
 def _allowed(kept: Outcome, broken: Outcome) -> float:
     """Share of the way between two outcomes on which no residual that is straight on it falls below 0."""
+    if not broken.usable:
+        return 0.5
     share = 1.0
     for row in range(len(kept.residual)):
         here, there = kept.residual[row], broken.residual[row]
@@ -160,20 +158,6 @@ def _allowed(kept: Outcome, broken: Outcome) -> float:
             room = here / (here - there) if here > 0.0 else 0.0
             share = room if room < share else share
     return share
-
-
-def _halfway(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
-    """As ``towards``, by halving: for a step so long that several conditions may have changed on its way."""
-    end, safe, low, high = last.action, kept, 0.0, 1.0
-    for _ in range(HALVES):
-        share = 0.5 * (low + high)
-        between = [kept.action[index] + share * (end[index] - kept.action[index]) for index in range(len(end))]
-        tried = conditions.outcome(between)
-        if tried.kept:
-            safe, low = tried, share
-        else:
-            high = share
-    return safe
 
 
 def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float]:
@@ -194,10 +178,12 @@ def _posed(
     conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int
 ) -> tuple[Outcome, Outcome, str]:
     """The program, posed anew about its solution: the best one, the one before the last, and the solver's word."""
-    tangent = conditions.linearised(start)
-    best, before, about, status = start, start, start, ""
+    best, before, about, status = start, start, start, "not run"
+    tangent = _tangent(conditions, start)
     fresh, missing, overshoot = True, _missing(conditions.tightest(start)), 0.0
     for index in range(rounds):
+        if tangent is None:
+            break
         A, b = tangent.at(about.residual, about.action, overshoot)
         solution = program.solve(A, b, wish)
         status = solution.status
@@ -217,8 +203,16 @@ def _posed(
         fresh = not 0.0 < missing < SERVED_WELL * last
         overshoot = overshot(index + 1, last, missing)
         if fresh and index + 1 < rounds:
-            tangent = conditions.linearised(about)
+            tangent = _tangent(conditions, about)
     return best, before, status
+
+
+def _tangent(conditions: _Posed, about: Outcome) -> _Drawn | None:
+    """None where the model or a barrier has no numbers there, or no slopes."""
+    try:
+        return conditions.linearised(about) if about.usable else None
+    except InputError:
+        return None
 
 
 def overshot(solutions: int, last: float, missing: float) -> float:
