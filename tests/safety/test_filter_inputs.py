@@ -1,6 +1,7 @@
 """Bad numbers, missing inputs, failing functions and solvers: always a verdict, never open."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -128,26 +129,26 @@ def test_a_stale_state_does_not_reach_the_backup(car: PhysicsModel) -> None:
     safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
     np.testing.assert_array_equal(safe.decide(GOOD, WISH, stale=["state"]).action, [0.0, 0.1])
     np.testing.assert_array_equal(safe.decide(None, WISH).action, [0.0, 0.1])
-    assert seen == [None, None]
+    assert seen == [None, None, None]  # the first when the filter was made
     safe.decide(GOOD, None)
-    np.testing.assert_array_equal(seen[2], GOOD)
+    np.testing.assert_array_equal(seen[3], GOOD)
 
 
 @pytest.mark.parametrize(
     "result", [RuntimeError("no"), np.array([math.nan, 0.0]), np.array([0.0]), "nonsense", None], ids=str
 )
 def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, result: Any) -> None:
-    def backup(_: Any) -> Any:
+    def backup(state: Any) -> Any:
         if isinstance(result, Exception):
             raise result
-        return result
+        return np.zeros(2) if state is None else result
 
     safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
     assert_brakes(safe.decide(GOOD, None), "wish is missing")
 
 
 def test_a_backup_beyond_the_actuator_is_clipped(car: PhysicsModel) -> None:
-    safe = SafetyFilter.for_model(car, CAR, [], backup=lambda _: np.array([-9.0, 9.0]))
+    safe = SafetyFilter.for_model(car, CAR, backup=lambda _: np.array([-9.0, 9.0]))
     np.testing.assert_array_equal(safe.decide(GOOD, None).action, [-0.6, 0.34])
 
 
@@ -155,7 +156,7 @@ def test_resting_action_from_the_settings(car: PhysicsModel) -> None:
     resting = FilterSettings(backup_action=(-0.2, 0.05))
     np.testing.assert_array_equal(SafetyFilter.for_model(car, resting).decide(None, None).action, [-0.2, 0.05])
     away = FilterSettings(action_low=(0.5,), action_high=(1.0,))
-    safe = SafetyFilter(lambda x: (x, np.eye(1)), [], away)
+    safe = SafetyFilter(lambda x: (x, np.eye(1)), None, away)
     np.testing.assert_array_equal(safe.decide(None, None).action, [0.5])
 
 
@@ -345,7 +346,7 @@ def test_whatever_comes_in_a_verdict_goes_out(state: Any, wish: Any, latent: Any
     safe = SafetyFilter(
         lambda x, z: (x, np.eye(len(x))[:, :2]),
         [FunctionBarrier(lambda x: 3.0 - x[0])],
-        CAR,
+        replace(CAR, system=""),
         state_range=Plausible(np.full(4, -9.0), np.full(4, 9.0), ("a", "b", "c", "d")),
     )
     verdict = safe.decide(state, wish, latent, memory=memory)

@@ -13,10 +13,11 @@ from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
-from safedpa.safety.inputs import Plausible, Unusable, checked_input
+from safedpa.safety.inputs import Plausible, Unusable, checked_input, checked_names
 from safedpa.safety.lattice import lattice
 from safedpa.safety.least_unsafe import least_unsafe
 from safedpa.safety.margins_in_force import Margins
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
@@ -86,9 +87,10 @@ class Decision:
     def __init__(self, tools: Tools, request: Request) -> None:
         self._tools, self._request = tools, request
         self._start = tools.clock()
-        self._problems = [f"{name} is stale" for name in request.stale]
+        stale = checked_names(request.stale)
+        self._problems = ["stale is no list of names"] if stale is None else [f"{name} is stale" for name in stale]
         self._state = self._checked("state", request.state, tools.state_range)
-        if "state" in request.stale:
+        if stale is None or "state" in stale:
             self._state = None
         self._wish = self._checked("wish", request.wish, tools.wish_range)
         wanted = tools.latent_range
@@ -147,7 +149,7 @@ class Decision:
         request, settings = self._request, self._tools.settings
         if self._state is None or (self._needs_latent and self._latent is None):
             raise DecisionError("state or latent unusable")
-        barriers = self._tools.stacks.of(request.barriers)
+        barriers = self._tools.stacks.of(request.barriers, len(self._state))
         if not barriers.names:
             raise DecisionError("there is no barrier to keep")
         epsilon, self._margin = self._tools.margins.of(barriers, request.epsilon)
@@ -224,7 +226,7 @@ class Decision:
             return self._tools.resting_action
         try:
             state = None if self._state is None else np.array(self._state)
-            action = np.array(self._tools.backup(state), dtype=np.float64)
+            action = numbers_returned("backup", self._tools.backup(state))
         except Exception:  # noqa: BLE001 - the last resort must not depend on a user's function
             return self._tools.resting_action
         if action.shape != (len(self._tools.resting_action),) or not np.isfinite(action).all():
