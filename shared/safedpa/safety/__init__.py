@@ -6,14 +6,19 @@ from safedpa.safety.barrier import AbstractBarrier, Barriers
 from safedpa.safety.braking import Braking
 from safedpa.safety.calibration import MarginCalibration, calibrate_margin, one_step_errors
 from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.check_filter import check_filter
+from safedpa.safety.check_report import FilterIssue, FilterReport
 from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.field_barrier import FieldBarrier
 from safedpa.safety.function_barrier import FunctionBarrier
+from safedpa.safety.higher_order_barrier import HigherOrderBarrier
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.margin import OnlineMargin, smallest_sample, split_conformal_margin
 from safedpa.safety.obstacle_barrier import Footprint, ObstacleBarrier
+from safedpa.safety.pending_actions import PendingActions
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram, Solution
+from safedpa.safety.rollout_barrier import RolloutBarrier
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.settings import FilterSettings, load_settings, parse_settings, save_settings, write_settings
 from safedpa.safety.speed_barrier import SpeedBarrier
@@ -28,16 +33,21 @@ __all__ = [
     "Braking",
     "CorridorBarrier",
     "FieldBarrier",
+    "FilterIssue",
+    "FilterReport",
     "FilterSettings",
     "Footprint",
     "FunctionBarrier",
     "GymnasiumSafetyFilter",
+    "HigherOrderBarrier",
     "MarginCalibration",
     "ObstacleBarrier",
     "OnlineMargin",
+    "PendingActions",
     "Plausible",
     "Prediction",
     "QuadraticProgram",
+    "RolloutBarrier",
     "SafetyFilter",
     "Solution",
     "SpeedBarrier",
@@ -45,6 +55,7 @@ __all__ = [
     "Verdict",
     "calibrate_margin",
     "car_barriers",
+    "check_filter",
     "load_settings",
     "one_step_errors",
     "parse_settings",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from itertools import chain
+from operator import is_
 from typing import Any, final, overload
 
 import numpy as np
@@ -34,6 +35,13 @@ class AbstractBarrier(ABC):
     @abstractmethod
     def evaluate(self, state: Values) -> tuple[Values, Values]:
         """h (m,) and its gradient d(h_i)/d(x_j) (m, states) at ``state`` (states,)."""
+
+    def since(self, state: Values) -> AbstractBarrier:
+        """The barrier for states that one tick leads to from ``state``, with the same names.
+
+        One that knows what lies between the two overrides it.
+        """
+        return self
 
     def along(self, state: Values, directions: Values) -> Values:
         """d(h_i)/d(u_j) (m, n) at ``state`` + ``directions`` (states, n) u, u = 0."""
@@ -101,6 +109,10 @@ class AbstractStack(Sequence[AbstractBarrier]):
         """What has ``heights``, ``slopes``, ``along`` and ``steepest`` of so many states, by the shortest way."""
         return self
 
+    def since(self, state: Sequence[float]) -> AbstractStack:
+        """The stack for states that one tick leads to from ``state``: itself where no part looks between the two."""
+        return self
+
     @property
     def one_by_one(self) -> Barriers:
         """The reference for these parts."""
@@ -123,6 +135,10 @@ class Barriers(AbstractStack):
 
     def gradient(self, state: Values) -> Values:  # noqa: D102
         return np.concatenate([part.evaluate(state)[1] for part in self.parts])
+
+    def since(self, state: Sequence[float]) -> AbstractStack:  # noqa: D102
+        parts = [part.since(np.array(state)) for part in self.parts]
+        return self if all(map(is_, parts, self.parts)) else Barriers(parts)
 
     def along(  # noqa: D102
         self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
@@ -165,6 +181,10 @@ class RememberingStack(AbstractStack):
 
     def steepest(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
         return self._stack.steepest(state)
+
+    def since(self, state: Sequence[float]) -> AbstractStack:  # noqa: D102
+        found = self._stack.since(state)
+        return self if found is self._stack else found
 
     def plain(self, states: int) -> Remembered:  # noqa: D102
         known = self._plain.get(states)

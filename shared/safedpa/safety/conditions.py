@@ -88,7 +88,7 @@ class Conditions:
         sides: Sequence[Side],
     ) -> None:
         self.barriers, self._prediction = barriers, prediction
-        plain = barriers.plain(len(state))
+        plain = barriers.since(state).plain(len(state))
         self._plain: Any = plain
         self._state, self._latent, self._memory = state, latent, memory
         self._sides = sides

@@ -50,6 +50,21 @@ class Prediction:
                 prediction._learned = model.base if model.base.is_latent(model.latent_names) else None
         return prediction
 
+    @property
+    def of_this_project(self) -> bool:
+        """Whether it came from ``of_model``."""
+        return self._model is not None
+
+    def sensitivity_of_one(
+        self, state: Sequence[float], around: Sequence[float], latent: tuple[float, ...] | None
+    ) -> list[list[float]] | None:
+        """Slopes of the next state in state and action (states, states + actions), by recorded equations, or None.
+
+        Raises ValueError or ArithmeticError for numbers that Python's math refuses.
+        """
+        recorded = None if self._physics is None else self._physics.straight_sensitivity
+        return None if recorded is None else recorded(state, around, self._fixed if latent is None else latent, 0.0)[1]
+
     def affine_motion(self, state: tuple[float, ...], latent: tuple[float, ...] | None) -> AffineMotion | None:
         """All of ``following`` and ``slopes_of_one`` at this state; None: ask those.
 

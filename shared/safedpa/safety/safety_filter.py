@@ -98,6 +98,11 @@ class SafetyFilter:
             latent_range=_latent_range(model),
         )
 
+    @property
+    def barriers(self) -> tuple[AbstractBarrier, ...]:
+        """The barriers that ``decide`` keeps where it is given none."""
+        return self._barriers
+
     def decide(
         self,
         state: Any,
