@@ -75,9 +75,12 @@ def test_a_load_that_is_pushed_about_stays_within_what_is_claimed_for_it(load: s
 
 
 def test_without_the_growth_a_pushed_load_leaves_what_is_claimed() -> None:
-    claimed = Claimed("box")
-    claimed.reach = claimed.radius
-    assert max(claimed.drive(action) for action in programme("backwards", 4003, 240)) > 0.05
+    worst = -1.0
+    for seed in range(4):
+        claimed = Claimed("box")
+        claimed.reach = claimed.radius
+        worst = max(worst, *(claimed.drive(action) for action in programme("backwards", 4000 + seed, 240)))
+    assert worst > 0.05
 
 
 def test_the_reach_is_that_of_the_farthest_corner() -> None:
