@@ -38,6 +38,7 @@ class FieldBarrier(AbstractBarrier):
     """
 
     kind = "field"
+    reads = ("x", "y", "yaw", "speed")
     names = tuple(
         f"{wall} wall, {end} end" for end in ("front", "rear") for wall in ("left", "right", "lower", "upper")
     )
