@@ -17,6 +17,7 @@ from safedpa.safety.reversed_way import ReversedWay
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.shipped import settings_named
 from safedpa.safety.towed_reach import TowedReach
+from safedpa.systems import CAR
 
 SETTINGS = settings_named("car")
 BRAKING = SETTINGS.braking
@@ -134,7 +135,7 @@ def test_who_was_not_watched_may_have_been_reversed(later: StateMessage) -> None
 
 def test_the_barriers_of_a_robot_that_tows_follow_its_way() -> None:
     room = []
-    tells = SceneBarriers(SETTINGS)
+    tells = SceneBarriers(SETTINGS, CAR)
     places = [*np.arange(0.0, 1.0, 0.1), *np.arange(0.9, 0.2, -0.1)]
     for tick, x in enumerate(places):
         found = tells.of(message(tick, float(x), obstacles=((x - 0.08, 1.0, 0.2),)))
@@ -146,7 +147,7 @@ def test_the_barriers_of_a_robot_that_tows_follow_its_way() -> None:
 
 @pytest.mark.parametrize("wrong", [(0.1, 0.5), (0.5, 0.1, 0.4), (-0.1, 0.5, 0.4), (0.1, 1.5, 0.4)])
 def test_lengths_that_are_none_are_no_scene(wrong: tuple[float, ...]) -> None:
-    found = SceneBarriers(FilterSettings()).of(message(0, 0.0, towed=wrong))
+    found = SceneBarriers(FilterSettings(), CAR).of(message(0, 0.0, towed=wrong))
     assert isinstance(found, str)
     assert "towed" in found
     with pytest.raises(InputError, match="towed"):
