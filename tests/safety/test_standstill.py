@@ -26,7 +26,8 @@ def test_who_stands_while_something_is_wished_is_counted_and_told_after_five_sec
     assert stood(4.9, 0.005, 0.0).reason("corrected", ("obstacle 0",), False) == ""
     later = stood(6.0, 0.005, 0.0)
     assert later.seconds == pytest.approx(6.0)
-    assert later.reason("corrected", ("obstacle 0", "left wall"), False).startswith("boxed in: obstacle 0 and left wall")
+    told = later.reason("corrected", ("obstacle 0", "left wall"), False)
+    assert told.startswith("boxed in: obstacle 0 and left wall")
     assert later.reason("relaxed", ("obstacle 0",), False).startswith("margin: obstacle 0")
     assert later.reason("corrected", ("obstacle 0",), True).startswith("margin")
     assert later.reason("fallback", (), False).startswith("no decision")
