@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from safedpa_services.command_line.options import folder_option, given_model, loaded_runs, run_options
+from safedpa_services.command_line.options import (
+    folder_option,
+    force_option,
+    given_model,
+    inputs_of,
+    loaded_runs,
+    run_options,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from safedpa.diagnosis.comparison import Comparison
@@ -26,14 +33,16 @@ NAME = 20
 @click.argument("model")
 @run_options
 @folder_option("compare.html and compare.json")
+@force_option
 def command(
     model: str,
     runs: tuple[str, ...],
     columns: str | None,
     horizon: float,
-    out: Path,
+    out: Path | None,
     effects: Path | None,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Hold MODEL against recorded RUNs: how large its error is, and where.
 
@@ -41,19 +50,20 @@ def command(
     compare.html (readable offline) with compare.json beside it.
     """
     from safedpa.diagnosis.comparison import compare_model
-    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.output import results_folder
     from safedpa.diagnosis.page import write_comparison
     from safedpa.diagnosis.summary import as_json as document_of
     from safedpa_services.progress import progress
 
     loaded = given_model(model, effects)
-    writable(out, create=True)
+    names = ("compare.html", "compare.json")
+    folder = results_folder(out, "compare", model, names, inputs_of(model, runs, columns, effects), force)
     recorded = loaded_runs(loaded, runs, columns)
     with progress("comparing") as tell:
         tell(0, 2)
         comparison = compare_model(loaded, recorded, horizon)
         tell(1, 2)
-        page, _ = write_comparison(comparison, out, Path(model).stem)
+        page, _ = write_comparison(comparison, folder, Path(model).stem)
     if as_json:
         click.echo(json.dumps(document_of(comparison), allow_nan=False))
     else:

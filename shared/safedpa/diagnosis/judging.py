@@ -14,8 +14,8 @@ from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, likeness
 
 __all__ = [
-    "MOST_MISSING", "SAME", "SIMPLER", "Stage", "farthest", "inside", "judged", "likely", "passes", "preferred",
-    "with_reason",
+    "ALIKE", "FALL", "LIKELY", "LITTLE_FALL", "MOST_MISSING", "SAME", "SIMPLER", "SURE", "VERY_SURE", "Stage",
+    "farthest", "inside", "judged", "likely", "passes", "preferred", "with_reason",
 ]  # fmt: skip
 
 SURE = 3.0

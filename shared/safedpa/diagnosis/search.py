@@ -6,11 +6,13 @@ Surveys 4, 2010); forward and backward steps as in Miller, Subset Selection in R
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from safedpa.diagnosis.elsewhere import Passing, passing_elsewhere
+from safedpa.diagnosis.evidence import Evidence
 from safedpa.diagnosis.final_numbers import with_final_numbers
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.found import Judged, Search
@@ -37,6 +39,8 @@ _FAR = 0.5
 """Share of a free number."""
 
 Tell = Callable[[int, int], None]
+Beside = Callable[[], Iterable[Evidence]]
+"""Makes the same recordings at other horizons; asked only where one horizon leaves a question open."""
 
 
 def searched(
@@ -45,6 +49,7 @@ def searched(
     shooting: Shooting,
     heldout: Heldout,
     tell: Tell = lambda _done, _all: None,
+    beside: Beside = lambda: (),
 ) -> Search:
     """Free parameters refitted, then additions until nothing passes, second thoughts, and the final numbers."""
     search = begun(model, shooting, heldout)
@@ -53,7 +58,7 @@ def searched(
         rest = [item for item in library if item.name not in {own.name for own in search.current.fit.model.effects}]
         trials = tried_in_turn(search.current, rest, search.shooting, before, _later(tell, stage, len(library)))
         before = {trial.effects[0]: trial for trial in trials}
-        if not addition(search, stage, trials, rest, heldout):
+        if not addition(search, stage, trials, rest, heldout, beside):
             break
     exchange(search, library, heldout)
     removals(search, library, heldout)
@@ -94,7 +99,12 @@ def _far(before: Floats, after: Floats) -> bool:
 
 
 def addition(
-    search: Search, number: int, trials: list[Trial], rest: Sequence[AbstractEffect], heldout: Heldout
+    search: Search,
+    number: int,
+    trials: list[Trial],
+    rest: Sequence[AbstractEffect],
+    heldout: Heldout,
+    beside: Beside = lambda: (),
 ) -> bool:
     """Judges the trials of a stage; adds the best that passes and says whether there was one."""
     null, shooting = search.current, search.shooting
@@ -111,10 +121,13 @@ def addition(
     stage = replace(stage, doubted=doubted)
     if not passed and best is not None and best.effects not in doubted and likely(best, stage, search.error):
         passed = certain(best, search)
+    elsewhere = None if passed else passing_elsewhere(search, stage, rest, beside)
+    if elsewhere is not None:
+        best, passed = elsewhere.trial, True
     if passed and best is not None:
         search.patch = _place_instead(null, best, shooting)
         passed = search.patch is None
-    search.candidates += [judged(search, stage, trial, best, passed) for trial in stage.trials]
+    search.candidates += [_with(elsewhere, judged(search, stage, trial, best, passed)) for trial in stage.trials]
     if not passed or best is None:
         return False
     for name in best.effects:
@@ -122,6 +135,13 @@ def addition(
         search.rivals[name] = [other for other in singles if other not in best.effects][:12]
     accept(search, best, heldout)
     return True
+
+
+def _with(elsewhere: Passing | None, item: Judged) -> Judged:
+    """The verdict on a trial, with what another horizon says about it."""
+    if elsewhere is None or item.trial is not elsewhere.trial:
+        return item
+    return replace(item, reason=f"{item.reason}; {elsewhere.reason}")
 
 
 def _stage(search: Search, number: int, trials: list[Trial], heldout: Heldout, at_most: int = 6) -> Stage:

@@ -19,20 +19,22 @@ __all__ = ["stages_of"]
 _Step = tuple[Fit, HeldoutError]
 
 
-def stages_of(search: Search, heldout: Heldout) -> tuple[list[Stage], list[PhysicsModel]]:
+def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> tuple[list[Stage], list[PhysicsModel]]:
     """The given model refitted, then one stage per accepted effect, each refitted on the same windows.
 
-    Effects stand in the order in which they were accepted. Where one helps only beside a later one, they are put in
-    the order in which the error falls most, and ``search.added`` with them.
+    ``heldout`` has the search's own horizon, which gives the order; the errors are those of ``shown``. Effects stand
+    in the order in which they were accepted. Where one helps only beside a later one, they are put in the order in
+    which the error falls most, and ``search.added`` with them.
     """
     first = (search.first.fit, error_with(search.first.fit, search.shooting, heldout))
     steps = [first, *(_step(search, search.added[: count + 1], heldout) for count in range(len(search.added)))]
     if any(later[1].value > earlier[1].value for earlier, later in pairwise(steps)) and len(search.added) > 2:
         search.added, steps = _by_fall(search, first, heldout)
     names = heldout.windows.system.state_names
+    errors = [error if shown is heldout else error_with(fitted, search.shooting, shown) for fitted, error in steps]
     found = []
-    for number, (_, error) in enumerate(steps):
-        before = steps[number - 1][1] if number else None
+    for number, error in enumerate(errors):
+        before = errors[number - 1] if number else None
         per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
         found.append(Stage(tuple(search.added[:number]), error.value, per_state, _improved(before, error)))
     return found, [item.model for item, _ in steps]
