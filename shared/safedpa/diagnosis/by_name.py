@@ -37,7 +37,7 @@ class Names:
     _trials: list[Trial] | None = None
 
     def of_formula(self, formula: Trial) -> bool:
-        """Whether a candidate says what a formula, fitted like an effect, says."""
+        """Whether a candidate says what a formula, or a place, fitted like an effect, says."""
         shooting = self.search.shooting
         same = [
             trial
@@ -45,7 +45,7 @@ class Names:
             if block_gain(trial, formula, shooting) < SIMPLER
             or (likeness(trial, formula) > ALIKE and block_gain(trial, formula, shooting) < SURE)
         ]
-        return self._told(same, "no formula says more")
+        return self._told(same, "no formula and no place says more")
 
     def of_function(self, left: Floats, scale: Floats) -> bool:
         """Whether a candidate takes as much off unseen blocks as a function of one variable.

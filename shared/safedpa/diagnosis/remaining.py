@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from safedpa.diagnosis.by_name import Names
     from safedpa.diagnosis.search import Search
 
-__all__ = ["formula_instead", "remaining"]
+__all__ = ["formula_instead", "peak_of", "remaining"]
 
 _SHARE = 0.03
 """Of the squares of the residual, noise included."""
@@ -57,7 +57,8 @@ def remaining(trial: Trial, shooting: Shooting, patch: Patch | None, names: Name
     """
     place = patch or best_patch(trial, shooting)
     if place is not None and place.share > _PLACE_SHARE and _certain(place, shooting):
-        return _of_place(place, trial, shooting)
+        named = names is not None and names.of_formula(place.trial)
+        return None if named else _of_place(place, trial, shooting)
     if len(shooting.windows) < _FEWEST:
         return None
     dependences = dependences_of(trial, shooting)
@@ -209,7 +210,7 @@ def _of_dependence(
     close = tuple(dict.fromkeys(item.variable for item in sure if item.share > 0.7 * best.share))
     first, second = _axes(close, best.state, dependences.found)
     profile = profile_of(dependences, first, best.state, None, shooting)
-    peak = _peak(profile)
+    peak = peak_of(profile)
     if peak is None:
         return None
     if names is not None and names.of_function(dependences.unseen[best.variable, best.state], dependences.scale):
@@ -228,7 +229,7 @@ def _of_dependence(
     )
 
 
-def _peak(profile: Profile) -> int | None:
+def peak_of(profile: Profile) -> int | None:
     """The knot with the largest value that is more than two of its own deviations, and about which there are rows."""
     values, errors = np.array(profile.values), np.array(profile.errors)
     sure = (np.abs(values) > _HEADLINE * errors) & (np.array(profile.rows) >= _FEWEST_ROWS)
