@@ -21,7 +21,9 @@ MOST_ROWS = 40_000
 """Of longer logs evenly spread pieces are used."""
 _FEWEST_WINDOWS = 10
 _FEWEST_SECONDS = 5.0
-_SEVERE = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "steer_inconsistent")
+_SEVERE = (
+    "swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "steer_inconsistent", "time_offset",
+)  # fmt: skip
 """Findings with which no verdict about physics is possible."""
 
 
