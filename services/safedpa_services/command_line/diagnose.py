@@ -39,6 +39,8 @@ COVERAGE = 0.99
 """Share of steps that the margin beside the diagnosed model covers."""
 ROWS = 60_000
 """Rows, evenly spread, from which the margin is taken: an actuator's memory is followed along all of them."""
+WORSE = 3
+"""States that got worse in a run that are printed; all stand in the report."""
 FINDINGS = 6
 """Findings about the data that are printed; all stand in the report."""
 
@@ -51,6 +53,7 @@ FINDINGS = 6
 @effects_option
 @as_json_option
 @folder_option("report.json, report.html, diagnosis.rrd, model.toml and margin.toml")
+@click.option("--check", is_flag=True, help="Only say what these runs could show, in seconds; writes nothing.")
 @force_option
 @fleet_options
 def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
@@ -59,9 +62,14 @@ def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
     Fits every effect of the library, alone and in pairs, and adds those that predict data which the fit did not see.
     Says as well when nothing is missing, when the data cannot tell effects apart, and when no effect explains the rest.
 
+    With --check: says in seconds which effects these runs could show and from which size on, and searches nothing.
+
     With --fleet FOLDER, or runs of many robots and --by: one diagnosis a robot, and which effect is missing in which
     robots. Writes fleet.html, fleet.json and a folder for each robot; what was done before is not done again.
     """
+    if options["check"]:
+        _checked(model, runs, options)
+        return 0
     if wants_fleet(options["fleet"], options["by"]):
         return diagnosed_fleet(model, runs, **options)
     unused = [name for name in ("jobs", "ray") if options[name] is not None] + ["anew"] * options["anew"]
@@ -71,6 +79,23 @@ def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
         raise InputError("runs: got none; wanted recordings of a robot, or --fleet FOLDER")
     _diagnosed(model, runs, options)
     return 0
+
+
+def _checked(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
+    """What the runs could show."""
+    from safedpa.diagnosis.check import as_document, check_lines, checked
+    from safedpa_services.progress import progress
+
+    if not runs:
+        raise InputError("--check: got no runs; wanted recordings of a robot")
+    loaded = given_model(model, options["effects"])
+    recorded = loaded_runs(loaded, runs, options["columns"])
+    with progress("checking"):
+        found = checked(loaded, recorded)
+    if options["as_json"]:
+        click.echo(json.dumps(as_document(found), allow_nan=False))
+    else:
+        click.echo("\n".join(check_lines(found)))
 
 
 def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
@@ -178,6 +203,9 @@ def story_lines(report: Report) -> list[tuple[str, str]]:
         lines.append((f"Worst at {place}: {worst['ratio']:.1f} times the average error.", ""))
     lines += [(f"  {line}", "green") for line in _found(report)]
     lines += _bars(report)
+    for lost in report.worse[:WORSE]:
+        text = f"  {lost.state} got worse in {lost.run}: {lost.before:.3g} to {lost.after:.3g}, though the mean fell"
+        lines.append((text, "yellow"))
     lines += [
         (f"  Cannot be told apart: {name} and {', '.join(others)}.", "yellow") for name, others in _groups(report)
     ]

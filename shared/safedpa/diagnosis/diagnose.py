@@ -70,20 +70,20 @@ def diagnose(
     usable.quality.extend(_too_bad(search))
     found = _rest_of(search, judge, Names(search, library, evidence.heldout))
     sizes = with_manoeuvres(_sizes(search, library), search.current, library) if judge.enough else ()
-    stages, models = stages_of(search, evidence.heldout, shown)
+    told = stages_of(search, evidence.heldout, shown)
     return Report(
         robot=model.system.name,
         horizon=horizon,
         verdict=_verdict(search, found, judge, sizes),
         added=tuple(search.added),
-        stages=tuple(stages),
+        stages=tuple(told.stages),
         candidates=_candidates(search, evidence.heldout, shown),
         where=_where(model, usable.runs, horizon),
         unexplained=found.unexplained,
         next_experiment=experiment_for(search),
         data_quality=tuple(usable.quality),
         parameters=values_of(search.current, search.shooting),
-        models=tuple(models),
+        models=tuple(told.models),
         closest=closest_effects(
             found.likely,
             search,
@@ -92,6 +92,7 @@ def diagnose(
             np.maximum(search.current.fit.scale, 1e-9),
         ),
         detectable=tuple(sizes),
+        worse=told.worse,
         evidence=(usable.seconds, *asked),
     )
 

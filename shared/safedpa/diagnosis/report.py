@@ -11,7 +11,7 @@ from safedpa.dynamics import PhysicsModel
 
 __all__ = [
     "Candidate", "Close", "Decision", "Detectable", "Experiment", "Report", "Stage", "Unexplained", "Value", "Verdict",
-    "as_document",
+    "Worse", "as_document",
 ]  # fmt: skip
 
 Verdict = Literal["nothing_missing", "effect_missing", "unexplained", "undecided"]
@@ -36,6 +36,17 @@ class Stage:
     per_state: dict[str, float]
     runs_improved: str
     """In how many runs the error fell against the stage before: ``9/9``; empty for the first."""
+
+
+@dataclass(frozen=True)
+class Worse:
+    """A state that a stage predicts worse in one run than the given model does, whatever the mean says."""
+
+    stage: int
+    run: str
+    state: str
+    before: float
+    after: float
 
 
 @dataclass(frozen=True)
@@ -125,6 +136,8 @@ class Report:
     """Where the data are not sure: the effects that come closest, the best first; "likely, not proven"."""
     detectable: tuple[Detectable, ...] = ()
     """For each number of each effect that the model lacks the smallest change that these logs would have shown."""
+    worse: tuple[Worse, ...] = ()
+    """States that the last stage predicts worse in a run than the given model, the worst first."""
     evidence: tuple[float, ...] = ()
     """s; the horizons at which was decided, the search's own first: they follow from the data."""
 
@@ -134,7 +147,7 @@ def as_document(report: Report) -> dict[str, Any]:
     plain: dict[str, Any] = {"format": 1}
     for name in (
         "robot", "horizon", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
-        "data_quality", "parameters", "closest", "detectable", "evidence",
+        "data_quality", "parameters", "closest", "detectable", "worse", "evidence",
     ):  # fmt: skip
         plain[name] = _plain(getattr(report, name))
     return plain

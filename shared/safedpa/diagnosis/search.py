@@ -20,8 +20,8 @@ from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.judging import MOST_MISSING, Stage, farthest, inside, judged, likely, preferred
 from safedpa.diagnosis.pairs import pairs_of
 from safedpa.diagnosis.patch import Patch, best_patch
-from safedpa.diagnosis.revision import bounded, exchange, removals, united
-from safedpa.diagnosis.second_opinion import agrees, certain, clear
+from safedpa.diagnosis.revision import bounded, exchange, removals, unhelpful, united
+from safedpa.diagnosis.second_opinion import CLEAR_FALL, agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
 from safedpa.diagnosis.windows import Floats
@@ -64,6 +64,7 @@ def searched(
     removals(search, library, heldout)
     if united(search, library, heldout):
         removals(search, library, heldout)  # what took the place of two may do what a third did
+    unhelpful(search, library, heldout)
     if search.first_error.value > MOST_MISSING:
         bounded(search, library, heldout)
     if library:
@@ -114,7 +115,9 @@ def addition(
         pairs = pairs_of(null, trials, rest, shooting)
         two = _stage(search, number, pairs, heldout, at_most=len(pairs))
         good = [t for t in pairs if inside(t, search) and two.passes(t, search.error)]
-        chosen, refused = _agreed(search, two, sorted(good, key=lambda trial: trial.loss))
+        good = farthest(sorted(good, key=lambda trial: trial.loss), two, search.error)
+        chosen, refused = _agreed(search, two, good)
+        chosen = _far_better(search, two, chosen) or chosen
         best, passed, doubted = chosen or best, chosen is not None, doubted | refused
         every = sorted([*trials, *pairs], key=lambda trial: trial.loss)
         stage = Stage(number, every, stage.gains | two.gains, stage.errors | two.errors)
@@ -163,6 +166,23 @@ def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool, frozenset[t
     passing = farthest(passing, stage, search.error)
     chosen, doubted = _agreed(search, stage, passing)
     return chosen or best, chosen is not None, doubted
+
+
+def _far_better(search: Search, stage: Stage, chosen: Trial | None) -> Trial | None:
+    """A pair that blocks find likely only, but that takes far more off the held-out error than the chosen one, and of
+    which the filter is certain."""
+    error = search.error if chosen is None else stage.errors[chosen.effects]
+    enough = error.value - CLEAR_FALL * search.error.value
+    open_ones = [
+        trial
+        for trial in stage.trials
+        if trial is not chosen
+        and inside(trial, search)
+        and likely(trial, stage, search.error)
+        and stage.errors[trial.effects].value < enough
+    ]
+    best = min(open_ones, key=lambda trial: stage.errors[trial.effects].value, default=None)
+    return best if best is not None and certain(best, search) else None
 
 
 def _agreed(search: Search, stage: Stage, passing: Sequence[Trial]) -> tuple[Trial | None, frozenset[tuple[str, ...]]]:

@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from safedpa.diagnosis.fitting import Fit, fit
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.report import Stage
+from safedpa.diagnosis.report import Stage, Worse
 from safedpa.diagnosis.search import Search
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import effect
 
-__all__ = ["stages_of"]
+__all__ = ["Told", "stages_of"]
+
+_WORSE, _NOTHING = 0.05, 0.01
+"""Share by which, and size from which, an error that grew is told."""
 
 _Step = tuple[Fit, HeldoutError]
 
 
-def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> tuple[list[Stage], list[PhysicsModel]]:
+@dataclass(frozen=True)
+class Told:
+    """The stages, their models, and states that the last stage predicts worse in a run than the first does."""
+
+    stages: list[Stage]
+    models: list[PhysicsModel]
+    worse: tuple[Worse, ...]
+
+
+def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> Told:
     """The given model refitted, then one stage per accepted effect, each refitted on the same windows.
 
     ``heldout`` has the search's own horizon, which gives the order; the errors are those of ``shown``. Effects stand
@@ -37,7 +50,22 @@ def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> tuple[list[St
         before = errors[number - 1] if number else None
         per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
         found.append(Stage(tuple(search.added[:number]), error.value, per_state, _improved(before, error)))
-    return found, [item.model for item, _ in steps]
+    return Told(found, [item.model for item, _ in steps], _worse(errors, shown))
+
+
+def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[Worse, ...]:
+    """What the mean over states and runs hides."""
+    if len(errors) < 2:
+        return ()
+    before, after = errors[0].by_run_and_state, errors[-1].by_run_and_state
+    with np.errstate(invalid="ignore"):
+        rows, states = np.nonzero((after > (1.0 + _WORSE) * before) & (after > before + _NOTHING))
+    names, runs = shown.windows.system.state_names, shown.windows.names
+    found = [
+        Worse(len(errors) - 1, runs[row], names[state], float(before[row, state]), float(after[row, state]))
+        for row, state in zip(rows.tolist(), states.tolist(), strict=True)
+    ]
+    return tuple(sorted(found, key=lambda item: item.before - item.after))
 
 
 def _by_fall(search: Search, first: _Step, heldout: Heldout) -> tuple[list[str], list[_Step]]:

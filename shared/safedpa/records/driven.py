@@ -21,13 +21,15 @@ _LATEST = 0.5
 _FEWEST = 100
 _AGAINST = 0.5
 """Partial correlation from which it certainly goes against the command."""
+_CLEAR = 0.3
+"""Partial correlation from which a delay shows anything."""
 
 
 def drive_findings(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
     """Actions that slow down what they should drive: d(state)/dt on action, state and constant; nothing is cut.
 
-    The action is correlated with what the rest leaves, at the delay up to half a second at which that is clearest.
-    Drags, gains, lags and loads change the size, and never the sign.
+    The action is correlated with what the rest leaves, at delays of up to half a second. Drags, gains, lags and loads
+    change the size, and never the sign.
     """
     found = []
     for index, variable in enumerate(system.action):
@@ -43,7 +45,7 @@ def drive_findings(rows: Rows, stretches: list[Stretch], system: System) -> list
 
 
 def _partial(rows: Rows, stretches: list[Stretch], action: Vector, system: System, driven: str) -> float:
-    """Partial correlation of the slope of a state with an earlier action, that of the clearest delay."""
+    """Partial correlation of the slope of a state with an earlier action, of the sign that shows first."""
     at = system.state_names.index(driven)
     slopes = np.full(len(rows.t), np.nan)
     for part in stretches:
@@ -55,7 +57,9 @@ def _partial(rows: Rows, stretches: list[Stretch], action: Vector, system: Syste
     period = float(np.median(steps)) if len(steps) else 1.0
     most = max(0, round(_LATEST / max(period, 1e-6)))
     values = [_beside(slopes, action, beside, shift) for shift in range(0, most + 1, max(1, most // 10))]
-    return max(values, key=abs)
+    # what comes late by half a swing goes against anything: the first delay at which anything shows has the sign
+    first = next((value for value in values if abs(value) > _CLEAR), 0.0)
+    return min(values) if first < 0.0 else max(first, 0.0)
 
 
 def _beside(slopes: Vector, action: Vector, beside: NDArray[np.float64], shift: int) -> float:

@@ -28,8 +28,8 @@ _DEAD = 3.0
 _DEAD_SHARE = 0.15
 _EXPLAINS = 0.3
 """Share of what moves elsewhere that a command has to explain, before its silence says anything."""
-_AS_MUCH = 0.5
-"""Of the usual changes that go on without it."""
+_AS_MUCH, _FAR = 0.5, 4.0
+"""Of the usual changes, and times what a regression leaves elsewhere, by which the robot has to go on otherwise."""
 _WINDOW = 0.3
 """s over which slopes are taken."""
 
@@ -61,14 +61,22 @@ def frozen_rows(rows: Rows, stretches: list[Stretch], system: System, measured: 
 
 
 def dead_rows(rows: Rows, stretches: list[Stretch], system: System) -> Found:
-    """Rows in which a command stays the same for long while what it drives elsewhere goes on changing."""
+    """Rows in which a command is 0 for long, or the same to the end, while what it drives elsewhere goes on changing.
+
+    In between, commands may well be held: that is a manoeuvre.
+    """
     bad = np.zeros(len(rows.t), dtype=bool)
     found = []
     whole = sum(float(rows.t[part.stop - 1] - rows.t[part.start]) for part in stretches)
     motion = _motion(rows, stretches, system)
     for index, variable in enumerate(system.action):
         spans = _still(rows.t, rows.actions[:, index], stretches, max(_DEAD, _DEAD_SHARE * whole))
-        spans = [span for span in spans if _goes_on(motion, rows, index, span)]
+        spans = [
+            span
+            for span in spans
+            if (rows.actions[span.start, index] == 0.0 or span.stop >= stretches[-1].stop)
+            and _goes_on(motion, rows, system, index, span)
+        ]
         if not spans:
             continue
         for span in spans:
@@ -127,30 +135,45 @@ def _motion(rows: Rows, stretches: list[Stretch], system: System) -> NDArray[np.
     return found
 
 
-def _goes_on(motion: NDArray[np.float64], rows: Rows, action: int, span: slice) -> bool:
-    """Whether some slope that a command explains elsewhere changes as much while the command stays the same."""
+def _goes_on(motion: NDArray[np.float64], rows: Rows, system: System, action: int, span: slice) -> bool:
+    """Whether some slope that the command explains elsewhere is far from what the command asks for in a span.
+
+    Slopes are regressed on states, actions and their products, without the span; there what is left is compared.
+    """
     outside = np.ones(len(rows.t), dtype=bool)
     outside[span] = False
-    inside = ~outside
-    beside = np.concatenate([rows.states, np.delete(rows.actions, action, axis=1), np.ones((len(rows.t), 1))], axis=1)
-    command = rows.actions[:, action, None]
-    own = np.concatenate([command, command * rows.states, command * np.abs(rows.states)], axis=1)
+    states, actions = rows.states - np.nanmean(rows.states, axis=0), rows.actions
+    products = [
+        actions[:, index, None] * part for index in range(actions.shape[1]) for part in (states, np.abs(states))
+    ]
+    every = np.hstack([states, np.ones((len(rows.t), 1)), actions, *products])
+    still = np.hstack([states, np.ones((len(rows.t), 1)), np.delete(actions, action, axis=1)])
     for slopes in motion.T:
-        good = np.isfinite(slopes) & np.isfinite(beside).all(axis=1)
-        there = good & outside
-        if there.sum() < 10 * own.shape[1] or (good & inside).sum() < _ROWS:
+        good = np.isfinite(slopes) & np.isfinite(every).all(axis=1)
+        there, here = good & outside, good & ~outside
+        if there.sum() < 10 * every.shape[1] or here.sum() < _ROWS:
             continue
-        without, with_it = (_left(part[there], slopes[there]) for part in (beside, np.hstack([beside, own])))
         spread = float(np.var(slopes[there]))
-        if spread > 0 and without - with_it > _EXPLAINS * spread:
-            usual, now = float(np.std(slopes[there])), float(np.std(slopes[good & inside]))
-            if now > _AS_MUCH * usual:
-                return True
+        without, usual = (_left(part, slopes, there, there) for part in (still, every))
+        now = min(_left(every, slopes, there, here), float(np.var(slopes[here])))
+        if without - usual > _EXPLAINS * spread and now > max(_AS_MUCH * spread, _FAR * usual):
+            return True
     return False
 
 
-def _left(columns: NDArray[np.float64], wanted: Vector) -> float:
-    """Variance that a linear regression leaves."""
-    size = np.linalg.norm(columns, axis=0) + 1e-12
-    solution = np.linalg.lstsq(columns / size, wanted, rcond=1e-9)[0]
-    return float(np.var(wanted - (columns / size) @ solution))
+def _shaping(rows: Rows, system: System) -> NDArray[np.float64]:
+    """What motion depends on beside commands: speeds as they are, angles by sine and cosine, places not."""
+    found = []
+    for variable, values in zip(system.state, rows.states.T, strict=True):
+        if variable.angle:
+            found += [np.sin(values), np.cos(values)]
+        elif variable.unit != "m":
+            found.append(values)
+    return np.column_stack(found) if found else np.zeros((len(rows.t), 0))
+
+
+def _left(columns: NDArray[np.float64], wanted: Vector, fitted: Mask, judged: Mask) -> float:
+    """Mean square that a linear regression over some rows leaves in others."""
+    size = np.linalg.norm(columns[fitted], axis=0) + 1e-12
+    solution = np.linalg.lstsq(columns[fitted] / size, wanted[fitted], rcond=1e-9)[0]
+    return float(np.mean((wanted[judged] - (columns[judged] / size) @ solution) ** 2))

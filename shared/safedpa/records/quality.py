@@ -5,6 +5,7 @@ Cut means: rows with defects end one stretch, the next begins behind them. Nothi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,12 +27,15 @@ from safedpa.records.values import constant_findings, not_a_number, out_of_bound
 from safedpa.records.wrong_units import other_units
 from safedpa.systems import System
 
-__all__ = ["SHORTEST_STRETCH", "judged"]
+__all__ = ["SHORTEST_STRETCH", "judged", "judged_whole"]
 
 SHORTEST_STRETCH = 5
 """Rows; a shorter one says nothing about dynamics."""
 
 Mask = NDArray[np.bool_]
+
+_WRONG = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "yaw_offset", "angle_zero")
+"""Findings with which columns are not what they seem."""
 
 
 def judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[Stretch], list[Finding]]:
@@ -58,8 +62,6 @@ def judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[S
     if stretches:
         mask, found = frozen_rows(rows, stretches, system, measured)
         bad, findings = _cut(bad, findings, "frozen", mask, found, mapping)
-        mask, found = dead_rows(rows, stretches, system)
-        bad, findings = _cut(bad, findings, "dead_command", mask, found, mapping)
         stretches = _long_enough(bad, breaks)
     findings += _said(rows, stretches, system, measured)
     return rows, stretches, [*findings, *_cut_finding(rows.t, stretches)]
@@ -93,7 +95,29 @@ def _said(rows: Rows, stretches: list[Stretch], system: System, measured: list[b
     disagree = consistency_findings(rows, stretches, system, measured)
     if disagree or not stretches:
         return [*found, *disagree]  # with wrong columns nothing can be said about signs and times
-    return [*found, *late_findings(rows, stretches, system, measured), *drive_findings(rows, stretches, system)]
+    return [*found, *late_findings(rows, stretches, system, measured)]
+
+
+def judged_whole(
+    rows: Rows, stretches: list[Stretch], mapping: ColumnMap, system: System, before: Sequence[Finding]
+) -> tuple[list[Stretch], list[Finding]]:
+    """What needs every state, derived ones as well: commands that are dead, or drive the other way.
+
+    With wrong columns (``before``) nothing can be said about either.
+    """
+    if not stretches or {item.kind for item in before} & set(_WRONG):
+        return stretches, []
+    mask, found = dead_rows(rows, stretches, system)
+    bad, findings = _cut(np.zeros(len(rows.t), dtype=bool), [], "dead_command", mask, found, mapping)
+    if bad.any():
+        parts = [_stretches(bad[part.start : part.stop], np.zeros(len(part), dtype=bool)) for part in stretches]
+        moved = [
+            Stretch(part.start + own.start, part.start + own.stop)
+            for part, inner in zip(stretches, parts, strict=True)
+            for own in inner
+        ]
+        stretches = [stretch for stretch in moved if len(stretch) >= SHORTEST_STRETCH]
+    return stretches, [*findings, *(drive_findings(rows, stretches, system) if stretches else [])]
 
 
 def _long_enough(bad: Mask, breaks: Mask) -> list[Stretch]:
