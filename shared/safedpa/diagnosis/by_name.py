@@ -91,7 +91,7 @@ class Names:
                 error = error_with(trial.fit, self.search.shooting, self.heldout)
                 reason = f"gain on unseen blocks {gain:.1f} standard errors; likely, not proven: {why}"
                 last = max((item.stage for item in self.search.candidates), default=0)
-                self.found.append(Judged(last, trial, gain, error, "suspected", reason, ()))
+                self.found.append(Judged(last, trial, gain, error, "suspected", reason, (), self.search.error.value))
         return bool(same)
 
 

@@ -27,20 +27,18 @@ _MOST = 3
 
 def likely_effects(search: Search) -> list[Judged]:
     """Candidates of the last stage that would take much off the error, though blocks are not sure; the best first."""
-    before = search.error.value
     last = max((item.stage for item in search.candidates), default=0)
     found = [
         item
         for item in search.candidates
         if item.stage == last
         and item.decision != "accepted"
-        and item.error is not None
         and item.gain > _FAVOURED
-        and item.error.value < (1.0 - _WORTH) * before
+        and (item.fall or 0.0) > _WORTH
         and not set(item.trial.effects) & set(search.added)
-        and (before > MOST_MISSING or bool(item.trial.fit.free.all()))
+        and (search.error.value > MOST_MISSING or bool(item.trial.fit.free.all()))
     ]
-    return sorted(found, key=lambda item: item.error.value if item.error is not None else before)
+    return sorted(found, key=lambda item: -(item.fall or 0.0))
 
 
 def nearest_effects(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> list[Judged]:
@@ -49,10 +47,11 @@ def nearest_effects(search: Search, library: Sequence[AbstractEffect], heldout: 
         return []
     trials = tried_in_turn(search.current, library, search.shooting, {})[: 2 * _MOST]
     found = [(trial, error_with(trial.fit, search.shooting, heldout)) for trial in trials]
+    before, why = search.error.value, "too little data"
     return [
-        Judged(0, trial, block_gain(search.current, trial, search.shooting), error, "suspected", "too little data", ())
+        Judged(0, trial, block_gain(search.current, trial, search.shooting), error, "suspected", why, (), before)
         for trial, error in sorted(found, key=lambda item: item[1].value)
-        if error.value < (1.0 - _WORTH) * search.error.value
+        if error.value < (1.0 - _WORTH) * before
     ]
 
 
@@ -75,8 +74,7 @@ def closest_effects(
             for size in sizes
             if size.effect in names and size.smallest is not None
         }
-        fall = None if item.error is None or not search.error.value > 0 else 1.0 - item.error.value / search.error.value
         drive = telling_manoeuvre(search.current.fit.model, item.trial.fit.model, noise)
         parameters = {path: value for path, value in own.items() if path.split(".")[0] in names}
-        found.append(Close(item.trial.name, parameters, fall, item.gain, smallest, drive, item.reason))
+        found.append(Close(item.trial.name, parameters, item.fall, item.gain, smallest, drive, item.reason))
     return tuple(found)

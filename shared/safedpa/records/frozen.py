@@ -25,7 +25,7 @@ _MOVES = 0.1
 """Of its own range by which another channel has to move meanwhile."""
 _DEAD = 3.0
 """s in which a command may stay the same, at least, and this share of the run:"""
-_DEAD_SHARE = 0.15
+_DEAD_SHARE = 0.25
 _EXPLAINS = 0.3
 """Share of what moves elsewhere that a command has to explain, before its silence says anything."""
 _AS_MUCH, _FAR = 0.5, 4.0
