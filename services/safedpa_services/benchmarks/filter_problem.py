@@ -14,6 +14,7 @@ from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.safety import FilterSettings, SafetyFilter, Status
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.shipped import settings_named
+from safedpa.systems import CAR
 
 __all__ = ["FilterProblem", "car_message", "problem_with", "wedged"]
 
@@ -27,6 +28,8 @@ _TICKS: Final = 30
 """Of each drive."""
 _WISH: Final = (2.0, 0.0)
 """Straight on at full speed."""
+_PENALTY: Final = 1e4
+"""Price of a metre of slack, for peers that have slack."""
 _EPSILON: Final = 0.01
 """m; margin of every obstacle in the comparison."""
 
@@ -46,7 +49,7 @@ class FilterProblem:
 
     def barriers(self) -> Any:
         """As the service builds them for a scene: obstacles, four walls far away, two limits of speed."""
-        found = SceneBarriers(self.settings).of(car_message(0, self.obstacles, (0.0, 0.0, 0.0, 0.0)))
+        found = SceneBarriers(self.settings, CAR).of(car_message(0, self.obstacles, (0.0, 0.0, 0.0, 0.0)))
         assert not isinstance(found, str), found
         return found
 
@@ -72,7 +75,7 @@ class FilterProblem:
             "eta": settings.eta,
             "epsilon": _EPSILON,
             "period": 0.05,
-            "penalty": settings.slack_linear,
+            "penalty": _PENALTY,
             "calls": calls,
             "seconds": seconds,
             "backend": backend,

@@ -1,4 +1,11 @@
-"""The barrier conditions at one state: kept or broken by an action, and linearised about one; in plain numbers."""
+"""The barrier conditions at one state: kept or broken by an action, and linearised about one; in plain numbers.
+
+Nothing in here has a scale of its own. What is small beside what is told by each barrier's
+
+    scale_i = max(|h_i(x)|, epsilon_i, what the actions can change in h_i(x+))
+
+so that no verdict depends on the unit in which h, a state or an action is expressed.
+"""
 
 from __future__ import annotations
 
@@ -11,120 +18,55 @@ from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
+from safedpa.safety.tangent import Tangent
 
-__all__ = ["NO_INFLUENCE", "Conditions", "Outcome", "Plain", "Tangent", "smallest"]
+__all__ = ["NO_INFLUENCE", "ROUNDING", "Conditions", "Outcome", "Plain"]
 
 Plain = Sequence[float]
 
 NO_INFLUENCE: Final = 1e-9
-"""A column of g this small, relative to the size of the state, is rounding error: the actuator is saturated."""
+"""A column of g that over the action's whole range moves no entry of the state by more than this share of the entry, or
+of its motion, is rounding error: the actuator is saturated."""
 
-_ROUNDING: Final = 1e-9
-"""Share by which the reach of an action is taken too far, so that no rounding error leaves a row out."""
+_TINY: Final = 1e-300
+"""Scale of a barrier that has none: h = 0, no margin, and no action that moves it."""
+
+ROUNDING: Final = 1e-10
+"""Share of a barrier's scale by which its condition may be missed: rounding errors of h and of the model."""
 
 
 @final
 class Outcome:
     """What the model predicts for one action (actions,)."""
 
-    def __init__(self, action: Plain, next_state: Plain, h_next: list[float], residual: list[float]) -> None:
+    def __init__(
+        self,
+        action: Plain,
+        next_state: Plain,
+        h_next: list[float],
+        residual: list[float],
+        broken: list[int],
+    ) -> None:
         self.action, self.next_state, self.h_next = action, next_state, h_next
         self.residual = residual
-        """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i): negative where a condition is broken."""
-        tightest = residual[0]
-        for value in residual:
-            tightest = value if value < tightest else tightest
-        self.tightest: float = tightest
-        """Smallest residual."""
-        self.violation: float = -tightest if tightest < 0.0 else 0.0
-        """The slack that this action needs: max(0, -min residual)."""
+        """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i)."""
+        self.broken = broken
+        """Rows whose condition is broken by more than rounding."""
+        self.least: float = min(h_next)
+        """Smallest h_i(x+)."""
+        self.usable: bool = self.least > -inf
+        """False where model or barrier have no finite numbers for this action: then all its h are -infinity."""
+        self.kept: bool = not broken and self.least >= 0.0
+        """Whether every condition holds, and every h_i(x+) >= 0."""
 
     @property
-    def least(self) -> float:
-        """Smallest h_i(x+)."""
-        return smallest(self.h_next)
-
-    def binding(self, names: tuple[str, ...], limit: float) -> tuple[str, ...]:
-        """Of ``names`` (m,) those whose residual is ``limit`` at most, the tightest first."""
-        if self.tightest > limit:
-            return ()
-        found = [(value, index) for index, value in enumerate(self.residual) if value <= limit]
-        found.sort()
-        return tuple([names[index] for _, index in found])
-
-
-@final
-class Tangent:
-    """A a >= b tangent at one outcome: h(x+) is taken as h + p'(x - x+) and x as x+ + g (a - about).
-
-    x+ is the predicted state under ``about.action``, g (states, actions), ``widths`` (actions,) the actions' ranges.
-    ``barriers`` have ``slopes`` and ``steepest``. A row's slopes are computed when it is asked for, and only if some
-    action might break it.
-    """
-
-    def __init__(self, barriers: Any, g: list[list[float]], about: Outcome, widths: list[float]) -> None:
-        self._barriers, self._g, self._state = barriers, g, about.next_state
-        self._rows: dict[int, list[float]] = {}
-        self._reach = inf
-        """By more than this no action within its range changes a row: sum_kj |p_k| |g_kj| width_j at the most."""
-        steepest = barriers.steepest(about.next_state)
-        if steepest is not None:
-            self._reach = self._furthest(steepest, widths) * (1.0 + _ROUNDING) + _ROUNDING
-
-    def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
-        """A (rows, actions) and b (rows,) of the rows that actions might break, with the true residual at ``about``."""
-        residual, action, rows, reach = about.residual, about.action, self._rows, self._reach
-        near: list[int] = []
-        missing: list[int] = []
-        for index in range(len(residual)):
-            if not residual[index] >= reach:
-                near.append(index)
-                if index not in rows:
-                    missing.append(index)
-        if missing:
-            self._add(missing)
-        slopes: list[list[float]] = []
-        limits: list[float] = []
-        for index in near:
-            row = rows[index]
-            total = -residual[index]
-            for column in range(len(row)):
-                value: float = action[column]
-                total += row[column] * value
-            slopes.append(row)
-            limits.append(total)
-        return slopes, limits
-
-    def _furthest(self, steepest: Plain, widths: list[float]) -> float:
-        g, reach = self._g, 0.0
-        if len(steepest) != len(g):
-            raise ValueError(f"the model has slopes of {len(g)} states, the barriers of {len(steepest)}")
-        for index in range(len(g)):
-            slope: float = steepest[index]
-            row = g[index]
-            for column in range(len(row)):
-                reach += slope * abs(row[column]) * widths[column]
-        return reach
-
-    def _add(self, missing: list[int]) -> None:
-        g, states = self._g, len(self._g)
-        found: Sequence[Plain] = self._barriers.slopes(self._state, missing)
-        for place in range(len(missing)):
-            p = found[place]
-            if len(p) != states:
-                raise ValueError(f"h has slopes of {len(p)} states, the model of {states}")
-            row = [0.0] * len(g[0])
-            total = 0.0
-            for state in range(states):
-                slope: float = p[state]
-                entries = g[state]
-                for column in range(len(row)):
-                    share = slope * entries[column]
-                    row[column] += share
-                    total += share
-            self._rows[missing[place]] = row
-            if total - total != 0.0:
-                _refuse_infinite("gradient of h", list(p))
+    def violation(self) -> float:
+        """The slack that this action needs, the largest of all rows, in the unit of that row's h."""
+        worst = 0.0
+        for row in self.broken:
+            missing = -self.residual[row]
+            worst = missing if missing > worst else worst
+        return worst
 
 
 @final
@@ -148,7 +90,7 @@ class Conditions:
         sides: Sequence[Side],
     ) -> None:
         self.barriers, self._prediction = barriers, prediction
-        plain = barriers.plain(len(state))
+        plain = barriers.since(state).plain(len(state))
         self._plain: Any = plain
         self._state, self._latent, self._memory = state, latent, memory
         self._sides = sides
@@ -161,30 +103,70 @@ class Conditions:
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
         required: list[float] = []
+        scales: list[float] = []
         for index in range(len(h_now)):
             margin: float = epsilon[index]
-            required.append(share * h_now[index] + margin)
+            height = h_now[index]
+            required.append(share * height + margin)
+            if height < 0.0:
+                height = -height
+            scales.append(height if height > margin else margin if margin > _TINY else _TINY)
         self.required = required
+        self.sizes = scales.copy()
+        """(m,) max(|h_i(x)|, epsilon_i)."""
+        self.scales = scales
+        """(m,) in the unit of each h; of what the actions can change as far as tangents were drawn."""
+        self.least_now: float = min(h_now)
+        """Smallest h_i at the state."""
         self._last_g: list[list[float]] | None = None
 
     def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
-        following = self._following(action)
-        h_next: list[float] = self._plain.heights(following)
-        _finite("h at the predicted state", h_next)
-        required = self.required
+        following, required = self._following(action), self.required
+        h_next: list[float] = self._plain.heights(following) if _is_finite(following) else []
+        if not h_next or not _is_finite(h_next):
+            nothing = [-inf] * len(required)
+            return Outcome(action, following, nothing, nothing, list(range(len(required))))
         if len(h_next) != len(required):
             raise ValueError(f"{len(h_next)} values of h, wanted {len(required)}")
         residual: list[float] = []
+        broken: list[int] = []
         for index in range(len(required)):
-            residual.append(h_next[index] - required[index])
-        return Outcome(action, following, h_next, residual)
+            rest = h_next[index] - required[index]
+            residual.append(rest)
+            if rest < 0.0 and rest < -ROUNDING * self.scales[index]:
+                broken.append(index)
+        return Outcome(action, following, h_next, residual, broken)
 
     def linearised(self, about: Outcome) -> Tangent:
         """The conditions tangent at ``about``."""
         if self._last_g is None or not self._prediction.affine:
             self._last_g = self._slopes(about)
-        return Tangent(self._plain, self._last_g, about, self._widths)
+        return Tangent(self._plain, self._last_g, about.next_state, self._widths, self.scales)
+
+    def tightest(self, found: Outcome) -> float:
+        """Least residual, each as a share of its barrier's scale."""
+        residual, scales = found.residual, self.scales
+        least = residual[0] / scales[0]
+        for row in range(1, len(residual)):
+            value = residual[row]
+            if value < least * scales[row]:
+                least = value / scales[row]
+        return least
+
+    def binding(self, found: Outcome, limit: float) -> tuple[str, ...]:
+        """Names of the barriers whose residual is ``limit`` of their scale at most, the tightest first."""
+        near: list[tuple[float, int]] = []
+        scales = self.scales
+        for row in range(len(found.residual)):
+            value = found.residual[row]
+            if value <= limit * scales[row]:
+                near.append((value / scales[row], row))
+        if not near:
+            return ()
+        near.sort()
+        names = self.barriers.names
+        return tuple([names[row] for _, row in near])
 
     def _slopes(self, about: Outcome) -> list[list[float]]:
         """g (states, actions) about an action."""
@@ -195,7 +177,7 @@ class Conditions:
             g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
             _finite("g of the model", row)
-        return self._unsaturated(g, about)
+        return g if self._prediction.affine else self._unsaturated(g, about)
 
     def _following(self, action: Plain) -> list[float]:
         found: list[float]
@@ -203,7 +185,6 @@ class Conditions:
             found = self._motion.after(action)
         else:
             found = self._prediction.following(self._state, action, self._latent, self._memory)
-        _finite("predicted state", found)
         return found
 
     def _unsaturated(self, g: list[list[float]], about: Outcome) -> list[list[float]]:
@@ -212,17 +193,25 @@ class Conditions:
         A tangent of zero would say that this action does not matter, though its other values do: the chord leads to the
         bound that is further away, unless an earlier tangent knows the slope.
         """
-        largest = 0.0
-        for value in about.next_state:
-            size = abs(value)
-            largest = size if size > largest else largest
-        noise = NO_INFLUENCE * (1.0 + largest)
         for index in range(len(about.action)):
-            if _silent(g, index, noise):
+            if self._silent(g, index, about.next_state):
                 last = self._last_g
                 column = self._chord(about, index) if last is None else [row[index] for row in last]
+                if not _is_finite(column):
+                    continue
                 g = [[*row[:index], slope, *row[index + 1 :]] for row, slope in zip(g, column, strict=True)]
         return g
+
+    def _silent(self, g: list[list[float]], column: int, reached: Plain) -> bool:
+        width = self._widths[column]
+        for row in range(len(g)):
+            entry: float = reached[row]
+            motion = abs(entry - self._state[row])
+            size = abs(entry)
+            noise = NO_INFLUENCE * (motion if motion > size else size)
+            if not abs(g[row][column]) * width <= noise:
+                return False
+        return True
 
     def _chord(self, about: Outcome, index: int) -> list[float]:
         value, (low, high, _) = about.action[index], self._sides[index]
@@ -232,30 +221,14 @@ class Conditions:
         return [(there - here) / (end - value) for there, here in reached]
 
 
-def smallest(numbers: list[float]) -> float:
-    """Of one number at least."""
-    least = numbers[0]
-    for value in numbers:
-        least = value if value < least else least
-    return least
-
-
-def _silent(g: list[list[float]], column: int, noise: float) -> bool:
-    for row in g:  # noqa: SIM110 - no generator for every column
-        if not -noise <= row[column] <= noise:
-            return False
-    return True
-
-
 def _finite(what: str, numbers: list[float]) -> None:
+    if not _is_finite(numbers):
+        raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
+
+
+def _is_finite(numbers: list[float]) -> bool:
     total = 0.0
     for value in numbers:
         total += value
-    if total - total != 0.0:
-        _refuse_infinite(what, numbers)
-
-
-def _refuse_infinite(what: str, numbers: list[float]) -> None:
-    """Finite numbers have an infinite sum where they are as large as a float can be."""
-    if not all(map(isfinite, numbers)):
-        raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
+    # finite numbers have an infinite sum where they are as large as a float can be
+    return total - total == 0.0 or all(map(isfinite, numbers))

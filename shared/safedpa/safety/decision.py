@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
-from safedpa.safety.conditions import Conditions, Outcome, smallest
-from safedpa.safety.inputs import Plausible, Unusable, checked_input
+from safedpa.safety.conditions import Conditions, Outcome
+from safedpa.safety.highest import HighestProgram
+from safedpa.safety.inputs import Plausible, Unusable, checked_input, checked_names
+from safedpa.safety.lattice import lattice
+from safedpa.safety.least_unsafe import least_unsafe
 from safedpa.safety.margins_in_force import Margins
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
-from safedpa.safety.search import DecisionError
+from safedpa.safety.search import DecisionError, towards
 from safedpa.safety.search import search as _search
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict
@@ -32,8 +36,15 @@ Backup = Callable[[Values | None], Any]
 search: Callable[..., tuple[Outcome, str]] = _search
 """Looked up at every call, compiled or not: tests put others in its place."""
 
-_BINDING: Final = 10.0
-"""A condition within this many slack tolerances of its limit is reported as active."""
+_BINDING: Final = 0.02
+"""A condition within this share of its scale of its limit is reported as active."""
+
+
+_NAMED: Final = 3
+"""Barriers that a sentence names at most."""
+
+_STARTS: Final = 3
+"""Actions that keep all conditions from which a nearer one is looked for."""
 
 
 @final
@@ -44,6 +55,7 @@ class Tools:
     settings: FilterSettings
     prediction: Prediction
     program: QuadraticProgram
+    highest: HighestProgram
     stacks: Stacks
     margins: Margins
     backup: Backup | None
@@ -75,9 +87,10 @@ class Decision:
     def __init__(self, tools: Tools, request: Request) -> None:
         self._tools, self._request = tools, request
         self._start = tools.clock()
-        self._problems = [f"{name} is stale" for name in request.stale]
+        stale = checked_names(request.stale)
+        self._problems = ["stale is no list of names"] if stale is None else [f"{name} is stale" for name in stale]
         self._state = self._checked("state", request.state, tools.state_range)
-        if "state" in request.stale:
+        if stale is None or "state" in stale:
             self._state = None
         self._wish = self._checked("wish", request.wish, tools.wish_range)
         wanted = tools.latent_range
@@ -98,7 +111,9 @@ class Decision:
         asked = conditions.outcome(self._wish if unclipped else clipped)  # bit for bit, -0.0 as well
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
-        if asked.violation <= self._tools.settings.slack_tolerance:
+        if conditions.least_now < 0.0:
+            return self._violated(conditions, asked)
+        if asked.kept:
             if unclipped:
                 return self._verdict(Status.passed, asked, "", "not needed")
             return self._verdict(Status.corrected, asked, "The wish lay outside the actuator limits.", "not needed")
@@ -134,7 +149,7 @@ class Decision:
         request, settings = self._request, self._tools.settings
         if self._state is None or (self._needs_latent and self._latent is None):
             raise DecisionError("state or latent unusable")
-        barriers = self._tools.stacks.of(request.barriers)
+        barriers = self._tools.stacks.of(request.barriers, len(self._state))
         if not barriers.names:
             raise DecisionError("there is no barrier to keep")
         epsilon, self._margin = self._tools.margins.of(barriers, request.epsilon)
@@ -151,20 +166,59 @@ class Decision:
         return self._conditions
 
     def _corrected(self, conditions: Conditions, wish: Action, asked: Outcome) -> Verdict:
-        settings, program = self._tools.settings, self._tools.program
-        rounds, tolerance = settings.relinearisations + 1, settings.slack_tolerance
-        found, solver = search(conditions, program, wish, asked, rounds, tolerance)
-        if found.violation <= tolerance:
+        program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
+        found, solver = search(conditions, program, wish, asked, rounds)
+        if found.kept:
             return self._verdict(Status.corrected, found, "", solver)
-        braking = conditions.outcome(self._backup_action())
-        if braking.violation <= tolerance:
-            other, solver = search(conditions, program, wish, braking, rounds, tolerance)
-            if other.violation <= tolerance:
-                return self._verdict(Status.corrected, other, "Found from the backup action.", solver)
-            return self._verdict(Status.corrected, braking, "The backup action keeps every condition.", solver)
-        if found.least > braking.least:
-            return self._verdict(Status.relaxed, found, "The least violating action, better than the backup.", solver)
-        return self._verdict(Status.relaxed, braking, "The backup action, at least as good as the QP's.", solver)
+        backup = conditions.outcome(self._backup_action())
+        spread = self._spread(conditions)
+        other, solver = self._from_elsewhere(conditions, wish, asked, [backup, *spread])
+        if other.kept:
+            return self._verdict(Status.corrected, other, "Found from another start than the wish.", solver)
+        best, said = self._least_unsafe(conditions, backup, [asked, found, other, *spread])
+        return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
+
+    def _from_elsewhere(
+        self, conditions: Conditions, wish: Action, asked: Outcome, known: Sequence[Outcome]
+    ) -> tuple[Outcome, str]:
+        """The best outcome found from the kept ones of ``known`` that are nearest to the wish, or the least broken."""
+        program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
+        kept = sorted([one for one in known if one.kept], key=lambda one: program.distance(one.action, wish))
+        if not kept:
+            return search(conditions, program, wish, max(known, key=conditions.tightest), rounds)
+        best, status = kept[0], "not needed"
+        for start in kept[:_STARTS]:
+            nearer = towards(conditions, asked, start)
+            found, solver = search(conditions, program, wish, nearer, rounds)
+            for one in (nearer, found):
+                if one.kept and program.distance(one.action, wish) < program.distance(best.action, wish):
+                    best, status = one, solver
+        return best, status
+
+    def _violated(self, conditions: Conditions, asked: Outcome) -> Verdict:
+        backup = conditions.outcome(self._backup_action())
+        best, said = self._least_unsafe(conditions, backup, [asked, *self._spread(conditions)])
+        names, h_now = conditions.barriers.names, conditions.h_now
+        below = ", ".join([names[row] for row in range(len(names)) if h_now[row] < 0.0])
+        return self._verdict(Status.violated, best, f"Below 0: {below}.{said}", "solved")
+
+    def _spread(self, conditions: Conditions) -> list[Outcome]:
+        tools = self._tools
+        return [conditions.outcome(one) for one in lattice(tools.program.sides, affine=tools.prediction.affine)]
+
+    def _least_unsafe(self, conditions: Conditions, backup: Outcome, known: list[Outcome]) -> tuple[Outcome, str]:
+        """The least unsafe outcome, and what is to be said of barriers that no action moves."""
+        assert self._wish is not None
+        tools = self._tools
+        best, stuck = least_unsafe(conditions, tools.program, tools.highest, self._wish, backup, known)
+        if not stuck:
+            return best, ""
+        return best, f" No action moves {', '.join(stuck[:_NAMED])} within one step: the backup is taken for the wish."
+
+    def _worst(self, conditions: Conditions, best: Outcome) -> str:
+        """Which conditions cannot be kept, in words."""
+        names = conditions.binding(best, 0.0)
+        return f"Not kept: {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}."
 
     def _backup_action(self) -> Action:
         """The user's backup within the bounds; the resting action where there is none or it fails."""
@@ -172,7 +226,7 @@ class Decision:
             return self._tools.resting_action
         try:
             state = None if self._state is None else np.array(self._state)
-            action = np.array(self._tools.backup(state), dtype=np.float64)
+            action = numbers_returned("backup", self._tools.backup(state))
         except Exception:  # noqa: BLE001 - the last resort must not depend on a user's function
             return self._tools.resting_action
         if action.shape != (len(self._tools.resting_action),) or not np.isfinite(action).all():
@@ -183,8 +237,9 @@ class Decision:
         return within(action, self._tools.program.sides)
 
     def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
-        limit = _BINDING * self._tools.settings.slack_tolerance
-        active = () if self._conditions is None else outcome.binding(self._conditions.barriers.names, limit)
+        if not outcome.usable:
+            return self._answer(status, outcome.action, reason, solver)
+        active = () if self._conditions is None else self._conditions.binding(outcome, _BINDING)
         return self._answer(status, outcome.action, reason, solver, outcome.violation, active, outcome.least)
 
     def _answer(
@@ -207,7 +262,7 @@ class Decision:
                 "reason": reason,
                 "slack": slack,
                 "active": active,
-                "h_now": 0.0 if conditions is None else smallest(conditions.h_now),
+                "h_now": 0.0 if conditions is None else conditions.least_now,
                 "h_next": 0.0 if h_next is None else h_next,
                 "margin": self._margin,
                 "solver": solver,

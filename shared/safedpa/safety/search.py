@@ -5,30 +5,56 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Protocol
 
+from safedpa.errors import InputError
 from safedpa.safety.conditions import Outcome, Plain
-from safedpa.safety.program_rows import Side
+from safedpa.safety.program_rows import Side, within
 from safedpa.safety.solution import Solution
 
-__all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "TIE", "DecisionError", "search"]
-
-_BOUND_TOLERANCE: Final = 1e-6
-"""Share of an action's range by which a solution may miss its bounds before it is not believed."""
-
+__all__ = ["DOUBTFUL", "FAR", "NEEDLESS", "SAME", "SERVED_WELL", "DecisionError", "overshot", "search", "towards"]
 
 SAME: Final = 1e-8
 """Share of an action's range within which a solution is the last one over again; the solver's accuracy is 1e-9."""
 
 
 SERVED_WELL: Final = 0.1
-"""Slopes that brought the violation below this share of the last one are used once more."""
+"""Slopes that brought what is missing below this share of the last are used once more."""
 
 
-NEEDLESS: Final = 100.0
-"""A solution whose every condition is kept by more than this many tolerances (1 cm) was led astray by its slopes."""
+MOST_LEFT: Final = 0.75
+"""Share of what was missing that a solution is taken to leave at most."""
 
 
-TIE: Final = 1e-9
-"""Unit of h: by less than this no violation is smaller than another; where an actuator saturates they are the same."""
+NEEDLESS: Final = 0.05
+"""A solution whose every condition is kept by more than this share of its scale was led astray by its slopes."""
+
+
+OVERSHOOT: Final = 0.25
+"""Share of what the last solution misses that the next program asks for on top; each one after it once more as much."""
+
+
+TRIES: Final = 4
+"""Actions that are tried on the way to the wish."""
+
+
+LEFT: Final = 0.9
+"""Share that is gone of the way on which the room would be used up: to end on the kept side."""
+
+
+DOUBTFUL: Final = 0.02
+"""A solution that far from the wish, kept by more than this share of its scale, may lie where an actuator saturates and
+nothing is lost by coming nearer."""
+
+
+FAR: Final = 0.1
+"""Weighted share of the actions' ranges."""
+
+
+NEAR: Final = 0.01
+"""Share of the way that is not worth a try."""
+
+
+AGAIN: Final = 1
+"""How often the program is posed from there."""
 
 
 class DecisionError(Exception):
@@ -42,7 +68,7 @@ class DecisionError(Exception):
 class _Drawn(Protocol):
     """What the search needs of a ``Tangent``."""
 
-    def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
+    def at(self, residual: Plain, action: Plain, overshoot: float) -> tuple[list[list[float]], list[float]]:
         """A and b of A a >= b."""
 
 
@@ -54,6 +80,9 @@ class _Posed(Protocol):
 
     def linearised(self, about: Outcome) -> _Drawn:
         """The conditions tangent there."""
+
+    def tightest(self, found: Outcome) -> float:
+        """Its least residual, as a share of the barrier's scale."""
 
 
 class _Program(Protocol):
@@ -70,32 +99,134 @@ class _Program(Protocol):
         """Between two actions."""
 
 
-def search(
-    conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int, tolerance: float
-) -> tuple[Outcome, str]:
+def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int) -> tuple[Outcome, str]:
     """The best outcome found and the solver's word.
 
-    Best: keeps all conditions within ``tolerance``, and nearest to the wish; if none does, the least broken one. Begins
-    with the tangent at ``start`` and poses the program at most ``rounds`` times, anew about its last solution: with the
-    true residual there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions
-    are kept and none of them needlessly far, or when slopes drawn at a solution lead to it again, as they always would.
-    Raises DecisionError when the solver did not solve, or its solution is not finite or misses the bounds.
+    Best: keeps all conditions, and nearest to the wish; if none does, the least broken one. Begins with the tangent at
+    ``start`` and poses the program at most ``rounds`` times, anew about its last solution: with the true residual
+    there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions are kept and
+    none of them needlessly far, when slopes drawn at a solution lead to it again, as they always would, or when the
+    solver gives up. Where all are still kept needlessly far, the way from there to the wish is gone as far as they
+    allow, and the program posed once more: the nearest action has a condition that binds.
     """
-    tangent = conditions.linearised(start)
-    about, status = _posed(conditions, program, tangent, start, wish)
-    best, before, fresh = about, start, True
-    for _ in range(rounds - 1):
-        if about.violation <= tolerance and about.tightest <= NEEDLESS * tolerance:
+    best, before, status = _posed(conditions, program, wish, start, rounds)
+    if not best.kept:
+        return best, status
+    room = conditions.tightest(best)
+    if room > NEEDLESS:
+        nearer = towards(conditions, conditions.outcome(within(wish, program.sides)), best)
+        again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
+        return _better(conditions, program, wish, nearer, again), status
+    if room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
+        back = _furthest_back(program, within(wish, program.sides), best.action)
+        return towards(conditions, conditions.outcome(back), best), status
+    if before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
+        return towards(conditions, before, best), status
+    return best, status
+
+
+def towards(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
+    """The furthest action found on the way from a kept one to the ``last`` that is still kept.
+
+    Each residual is taken to change along a straight line, anew between the last action kept and the last not kept.
+    """
+    if last.kept:
+        return last
+    end, safe, low, high = last.action, kept, 0.0, 1.0
+    for _ in range(TRIES):
+        allowed = (high - low) * _allowed(safe, last)
+        if allowed <= NEAR:
+            break
+        share = low + LEFT * allowed
+        between = [kept.action[index] + share * (end[index] - kept.action[index]) for index in range(len(end))]
+        tried = conditions.outcome(between)
+        if tried.kept:
+            safe, low = tried, share
+        else:
+            last, high = tried, share
+    return safe
+
+
+def _allowed(kept: Outcome, broken: Outcome) -> float:
+    """Share of the way between two outcomes on which no residual that is straight on it falls below 0."""
+    if not broken.usable:
+        return 0.5
+    share = 1.0
+    for row in range(len(kept.residual)):
+        here, there = kept.residual[row], broken.residual[row]
+        if there < 0.0:
+            room = here / (here - there) if here > 0.0 else 0.0
+            share = room if room < share else share
+    return share
+
+
+def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float]:
+    """``found`` with the entry that costs most as it is wanted."""
+    most, entry = -1.0, 0
+    for index in range(len(found)):
+        other = list(found)
+        other[index] = wanted[index]
+        cost = program.distance(other, found)
+        if cost > most:
+            most, entry = cost, index
+    back = list(found)
+    back[entry] = wanted[entry]
+    return back
+
+
+def _posed(
+    conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int
+) -> tuple[Outcome, Outcome, str]:
+    """The program, posed anew about its solution: the best one, the one before the last, and the solver's word."""
+    best, before, about, status = start, start, start, "not run"
+    tangent = _tangent(conditions, start)
+    fresh, missing, overshoot = True, _missing(conditions.tightest(start)), 0.0
+    for index in range(rounds):
+        if tangent is None:
+            break
+        A, b = tangent.at(about.residual, about.action, overshoot)
+        solution = program.solve(A, b, wish)
+        status = solution.status
+        action = _believed(solution, program)
+        if action is None:
+            break
+        before, about = about, conditions.outcome(action)
+        best = about if index == 0 else _better(conditions, program, wish, best, about)
+        tightest = conditions.tightest(about)
+        if about.kept and tightest <= NEEDLESS:
+            break
+        if best.kept and not about.kept:  # the slopes there led astray: what was kept is as good a place to go on from
             break
         if fresh and _same(program, about, before):
             break
-        fresh = not tolerance < about.violation < SERVED_WELL * before.violation
-        if fresh:
-            tangent = conditions.linearised(about)
-        before = about
-        about, status = _posed(conditions, program, tangent, about, wish)
-        best = _better(program, wish, best, about, tolerance)
-    return best, status
+        last, missing = missing, _missing(tightest)
+        fresh = not 0.0 < missing < SERVED_WELL * last
+        overshoot = overshot(index + 1, last, missing)
+        if fresh and index + 1 < rounds:
+            tangent = _tangent(conditions, about)
+    return best, before, status
+
+
+def _tangent(conditions: _Posed, about: Outcome) -> _Drawn | None:
+    """None where the model or a barrier has no numbers there, or no slopes."""
+    try:
+        return conditions.linearised(about) if about.usable else None
+    except InputError:
+        return None
+
+
+def overshot(solutions: int, last: float, missing: float) -> float:
+    """The share of what is missing to ask for on top: more with every solution, and where the last brought little.
+
+    Slopes that left the share r of what was missing will leave it again: r / (1 - r) on top makes up for that.
+    """
+    more = OVERSHOOT * solutions
+    left = min(missing / last, MOST_LEFT) if last > 0.0 else 0.0
+    return max(more, 1.25 * left / (1.0 - left))
+
+
+def _missing(tightest: float) -> float:
+    return -tightest if tightest < 0.0 else 0.0
 
 
 def _same(program: _Program, one: Outcome, other: Outcome) -> bool:
@@ -107,30 +238,22 @@ def _same(program: _Program, one: Outcome, other: Outcome) -> bool:
     return True
 
 
-def _better(program: _Program, wish: Plain, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
-    if one.violation <= tolerance and other.violation <= tolerance:
+def _better(conditions: _Posed, program: _Program, wish: Plain, one: Outcome, other: Outcome) -> Outcome:
+    if one.kept and other.kept:
         return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
-    return other if other.violation < one.violation - TIE else one
+    if one.kept or other.kept:
+        return one if one.kept else other
+    return other if conditions.tightest(other) > conditions.tightest(one) else one
 
 
-def _posed(conditions: _Posed, program: _Program, tangent: _Drawn, about: Outcome, wish: Plain) -> tuple[Outcome, str]:
-    A, b = tangent.at(about)
-    solution = program.solve(A, b, wish)
+def _believed(solution: Solution, program: _Program) -> tuple[float, ...] | None:
+    """The solution within the actuators' bounds; None where the solver gave up or it is no number.
+
+    How far it missed the bounds does not matter: what counts is what the model predicts for the action itself.
+    """
     if not solution.solved:
-        raise DecisionError(f"the QP was not solved: {solution.status}", solution.status)
-    return conditions.outcome(_believed(solution.action, program, solution.status)), solution.status
-
-
-def _believed(action: Plain, program: _Program, status: str) -> tuple[float, ...]:
-    sides = program.sides
-    believed: list[float] = []
-    for index in range(len(sides)):
-        low, high, width = sides[index]
-        value: float = action[index]
+        return None
+    for value in solution.action:
         if value - value != 0.0:
-            raise DecisionError("the QP's solution holds NaN or infinity", status)
-        kept = low if value < low else high if value > high else value
-        if abs(value - kept) > _BOUND_TOLERANCE * width:
-            raise DecisionError("the QP's solution misses the actuator bounds", status)
-        believed.append(kept)
-    return tuple(believed)
+            return None
+    return within(solution.action, program.sides)
