@@ -27,8 +27,10 @@ _ROUNDING: Final = 1e-9
 class Outcome:
     """What the model predicts for one action (actions,)."""
 
-    def __init__(self, action: Plain, next_state: Plain, h_next: list[float], residual: list[float]) -> None:
-        self.action, self.next_state, self.h_next = action, next_state, h_next
+    def __init__(
+        self, action: Plain, next_state: Plain, h_next: list[float], residual: list[float], pending: float = inf
+    ) -> None:
+        self.action, self.next_state, self.h_next, self._pending = action, next_state, h_next, pending
         self.residual = residual
         """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i): negative where a condition is broken."""
         tightest = residual[0]
@@ -41,8 +43,9 @@ class Outcome:
 
     @property
     def least(self) -> float:
-        """Smallest h_i(x+)."""
-        return smallest(self.h_next)
+        """Smallest h_i(x+), and on the way to where the action begins to act."""
+        least = smallest(self.h_next)
+        return self._pending if self._pending < least else least
 
     def binding(self, names: tuple[str, ...], limit: float) -> tuple[str, ...]:
         """Of ``names`` (m,) those whose residual is ``limit`` at most, the tightest first."""
@@ -153,10 +156,18 @@ class Conditions:
         self._state, self._latent, self._memory = state, latent, memory
         self._sides = sides
         self._widths: list[float] = [width for _, _, width in sides]
-        self._motion: AffineMotion | None = prediction.affine_motion(state, latent) if prediction.affine else None
         h_now: list[float] = plain.heights(state)
         self.h_now = h_now
         _finite("h at the state", h_now)
+        self._begin = begin = prediction.begin(state, latent, memory)
+        self._pending = inf
+        """Smallest h on the way to where an action begins to act, which no action can change."""
+        if begin is not None:
+            for passed in begin.path:
+                self._pending = min(self._pending, smallest(plain.heights(passed)))
+            self._state, h_now = begin.state, plain.heights(begin.state)
+            _finite("h where the action begins to act", h_now)
+        self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
         share = 1.0 - eta
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
@@ -178,7 +189,7 @@ class Conditions:
         residual: list[float] = []
         for index in range(len(required)):
             residual.append(h_next[index] - required[index])
-        return Outcome(action, following, h_next, residual)
+        return Outcome(action, following, h_next, residual, self._pending)
 
     def linearised(self, about: Outcome) -> Tangent:
         """The conditions tangent at ``about``."""
@@ -191,6 +202,8 @@ class Conditions:
         g: list[list[float]]
         if self._motion is not None:
             g = self._motion.slopes()
+        elif self._begin is not None:
+            g = self._prediction.slopes_after(self._begin, about.action, self._latent)[-1]
         else:
             g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
@@ -201,6 +214,8 @@ class Conditions:
         found: list[float]
         if self._motion is not None:
             found = self._motion.after(action)
+        elif self._begin is not None:
+            found = self._prediction.after(self._begin, action, self._latent)[-1]
         else:
             found = self._prediction.following(self._state, action, self._latent, self._memory)
         _finite("predicted state", found)

@@ -14,6 +14,7 @@ from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.held_model import HeldModel
+from safedpa.safety.on_its_way import Pending
 from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
@@ -81,6 +82,8 @@ class FilteredRobot:
     """Why the robot was to stop at the last decision."""
     memory: Any = None
     """What the actuators remember, as the model has it."""
+    pending: Any = ()
+    """What is on its way; empty where an action acts at once."""
     expected_memory: Any = None
     """The same one period later, if the robot does what it is told."""
 
@@ -131,10 +134,15 @@ class FilteredRobot:
             return  # the filter refuses such a state for its own reasons; nothing to learn here
         told, expected = self.decision, self.expected_memory
         obeyed = told is not None and state.tick == told.state.tick + 1 and state.applied_by == "filter"
+        model = self.held.model
+        follows = self.memory is not None and state.tick == self.tick + 1
         if obeyed and expected is not None:
             self.memory = expected
+        elif follows and self.memory:
+            self.memory = model.felt(state.applied, self.memory, period=state.period)[1]
         else:
-            self.memory = self.held.model.initial_memory(np.array(state.applied))
+            self.memory = model.initial_memory(np.array(state.applied))
+        self.pending = Pending(self.memory, state.applied) if self.memory else ()
 
     def predicted(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> tuple[Rows, Any]:
         """The next states (steps, states) that the model expects under the action held; actuators' memory after one.
@@ -161,7 +169,7 @@ class FilteredRobot:
             state.values,
             decided.verdict.action if decided.verdict.status is Status.stopped else decided.verdict.wish,
             latent,
-            memory=self.memory,
+            memory=self.pending,
             barriers=barriers,
             epsilon=self.margin.epsilon,
         )

@@ -1,0 +1,189 @@
+"""What is on its way to the actuators: where the robot will be when an action that is chosen now begins to act.
+
+An action that is sent now is felt late: what was sent before arrives first, actuators follow slowly, and the state
+itself is older than the moment at which the action is put in force. Until then nobody can change what happens. So a
+barrier condition is judged at the state where this action begins to act,
+
+    h(x[n+1]) >= (1 - eta) h(x[n]) + epsilon,     x[n] = state after n periods if the last command stays,
+                                                  x[n+1] = state one period later if this action is sent from now on,
+
+with n the dead time of the slowest channel in whole periods. The action that keeps the last plan going leads to the
+x[n] of the next tick, so what one decision promises is where the next one begins. With a pure delay of all channels
+x[n] does not depend on the action at all; of a quicker channel the action is held meanwhile.
+
+Method: Smith, Closer control of loops with dead time, Chemical Engineering Progress 53, 1957 (predict past the dead
+time, then control); for barriers Jankovic, Control barrier functions for constrained control of linear systems with
+input delay, ACC 2018.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from safedpa.dynamics import PhysicsModel
+
+__all__ = ["NOTHING_FELT", "Actuators", "Begin", "Pending"]
+
+Plain = tuple[float, ...]
+
+NOTHING_FELT: Final = 1e-9
+"""Share of an action's range; what is felt of it within a period is less while it is only on its way."""
+_AT_ONCE: Final = 0.25
+"""Periods; an actuator with less dead time acts at once: three quarters of the action are felt in its own period."""
+_LONGEST: Final = 64
+"""Periods after which an actuator counts as settled, whatever it is."""
+_SETTLED: Final = 0.99
+"""Share of the action's range that is felt once an actuator counts as settled."""
+_SAME_LATENT: Final = 3
+"""Decimals of the latent to which dead times are remembered: a thousandth of a second, where it is one."""
+_NUDGE: Final = 1e-3
+"""Share of an action's range by which it is changed to see what follows: small against the range, large against
+rounding."""
+
+
+class Pending(NamedTuple):
+    """What is on its way when a state was measured; may be given as a filter's ``memory``."""
+
+    memory: Any
+    """What the actuators remember, as the model has it; None: they have settled at ``held``."""
+    held: Plain
+    """(actions,) the command in force."""
+    seconds: float = 0.0
+    """For which ``held`` stays in force after the state was measured: the state's age, and the time to act."""
+
+
+class Reach(NamedTuple):
+    """When an action acts, in whole periods from the moment at which it is put in force."""
+
+    first: int
+    """Periods in which nothing of it is felt on any channel."""
+    last: int
+    """Dead time of the slowest channel: the mean delay of its step response."""
+
+
+class Begin(NamedTuple):
+    """Where an action begins to act."""
+
+    state: Plain
+    """(states,) if the last command stays until then."""
+    path: tuple[Plain, ...]
+    """States between the measured one and the first that the action changes, which nobody can change any more."""
+    near: Plain
+    """(states,) the last of them: from here on the action is felt."""
+    memory: Any
+    """What the actuators remember when the action is put in force; None: they have settled at the action."""
+    waits: int
+    """Periods from there to ``near``, in which the action is only on its way."""
+    steps: int
+    """Periods from ``near`` to the end of the period over which the action is judged, 1 or more."""
+
+
+@final
+class Actuators:
+    """When the actions of one model act, and where the robot is then.
+
+    Without actuators that remember, and with nothing pending, that is the measured state itself.
+    """
+
+    def __init__(self, model: PhysicsModel) -> None:
+        self._model = model
+        self._low, self._high = model.system.action_low.tolist(), model.system.action_high.tolist()
+        self.remember = bool(model.initial_memory(np.array(self._low)))
+        """Whether the model has actuators with a memory at all."""
+        self._known: dict[Plain, Reach] = {}
+
+    def reach(self, latent: Plain | None) -> Reach:
+        """First and last periods at the latent (latents,), from the model's response to a step of each action."""
+        if not self.remember:
+            return Reach(0, 0)
+        key = () if latent is None else tuple([round(value, _SAME_LATENT) for value in latent])
+        known = self._known.get(key)
+        if known is None:
+            if len(self._known) >= _LONGEST:
+                self._known.clear()
+            known = self._known[key] = self._responded(latent)
+        return known
+
+    def begin(self, state: Plain, latent: Plain | None, pending: Any) -> Begin:
+        """Where an action begins to act that is chosen at ``state`` (states,); ``pending`` as a filter's ``memory``."""
+        known = pending if isinstance(pending, Pending) else Pending(pending, ())
+        memory, now = known.memory, np.array(state)
+        free = None if latent is None else np.array(latent)
+        if memory is None and known.held:
+            memory = self._model.initial_memory(np.array(known.held), free)
+        held, path = np.array(known.held), []
+        left = known.seconds if known.held else 0.0
+        while left > 0.0:
+            span = min(left, self._model.period)
+            now, memory = self._model.advance(now, held, memory, free, period=span)
+            path.append(tuple(now.tolist()))
+            left -= span
+        if memory is None:  # nothing is known of what was sent: as if this action had always been in force
+            return Begin(state, (), state, None, 0, 1)
+        first, last = self.reach(latent)
+        if not known.held:  # nothing of it is felt in the first periods, and beyond them it would have to be known
+            held, last = np.array(self._low), first
+        at_first, near = memory, tuple(now.tolist())
+        for step in range(last):
+            now, memory = self._model.advance(now, held, memory, free)
+            if step < first:
+                near = tuple(now.tolist())
+                path.append(near)
+        return Begin(tuple(now.tolist()), tuple(path), near, at_first, first, last - first + 1)
+
+    def after(self, begin: Begin, action: Sequence[float], latent: Plain | None) -> list[list[float]]:
+        """States (begin.steps, states) from ``begin.near`` on with the action (actions,) in force."""
+        free, command = None if latent is None else np.array(latent), np.array(action)
+        memory = self._model.initial_memory(command, free) if begin.memory is None else begin.memory
+        now, rows = np.array(begin.near), []
+        for _ in range(begin.waits):
+            memory = self._model.felt(action, memory, latent, period=self._model.period)[1]
+        for _ in range(begin.steps):
+            now, memory = self._model.advance(now, command, memory, free)
+            rows.append(now.tolist())
+        return rows
+
+    def slopes(self, begin: Begin, around: Sequence[float], latent: Plain | None) -> list[list[list[float]]]:
+        """d(after)/d(action) (begin.steps, states, actions) by differences, within the range of the actions."""
+        rows: list[list[list[float]]] = []
+        columns = []
+        for index in range(len(around)):
+            nudge = _NUDGE * (self._high[index] - self._low[index])
+            value = float(around[index])
+            above, below = min(value + nudge, self._high[index]), max(value - nudge, self._low[index])
+            ends = [[*around[:index], end, *around[index + 1 :]] for end in (above, below)]
+            higher, lower = (self.after(begin, end, latent) for end in ends)
+            columns.append(
+                [
+                    [(one - other) / (above - below) for one, other in zip(here, there, strict=True)]
+                    for here, there in zip(higher, lower, strict=True)
+                ]
+            )
+        for step in range(begin.steps):
+            rows.append([list(entries) for entries in zip(*(column[step] for column in columns), strict=True)])
+        return rows
+
+    def _responded(self, latent: Plain | None) -> Reach:
+        """From the share of a step of every action, low to high, that is felt in the mean over each period."""
+        model, period = self._model, self._model.period
+        free = None if latent is None else np.array(latent)
+        calm, risen = (model.initial_memory(np.array(end), free) for end in (self._low, self._high))
+        rest = model.felt(self._low, calm, latent, period=period)[0]
+        whole = [b - a for a, b in zip(rest, model.felt(self._high, risen, latent, period=period)[0], strict=True)]
+        acting = [index for index, size in enumerate(whole) if size != 0.0]
+        dead, first, memory = [0.0] * len(whole), _LONGEST, calm
+        for step in range(_LONGEST):
+            felt, memory = model.felt(self._high, memory, latent, period=period)
+            shares = [(felt[index] - rest[index]) / whole[index] for index in acting]
+            if step < first and any(abs(share) > NOTHING_FELT for share in shares):
+                first = step
+            for index, share in zip(acting, shares, strict=True):
+                dead[index] += 1.0 - share
+            if all(share >= _SETTLED for share in shares):
+                break
+        last = max((ceil(dead[index] - _AT_ONCE) for index in acting), default=0)
+        return Reach(min(first, last), max(last, 0))
