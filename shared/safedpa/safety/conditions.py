@@ -9,6 +9,7 @@ from typing import Any, Final, final
 from safedpa.errors import InputError
 from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
+from safedpa.safety.on_its_way import Along
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
 
@@ -53,7 +54,7 @@ class Outcome:
             return ()
         found = [(value, index) for index, value in enumerate(self.residual) if value <= limit]
         found.sort()
-        return tuple([names[index] for _, index in found])
+        return tuple(dict.fromkeys([names[index % len(names)] for _, index in found]))
 
 
 @final
@@ -165,6 +166,9 @@ class Conditions:
         if begin is not None:
             for passed in begin.path:
                 self._pending = min(self._pending, smallest(plain.heights(passed)))
+            if begin.rows > 1:
+                self._plain = plain = Along(plain, begin.rows, len(state))
+                epsilon = [*epsilon] * begin.rows
             self._state, h_now = begin.state, plain.heights(begin.state)
             _finite("h where the action begins to act", h_now)
         self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
@@ -203,7 +207,7 @@ class Conditions:
         if self._motion is not None:
             g = self._motion.slopes()
         elif self._begin is not None:
-            g = self._prediction.slopes_after(self._begin, about.action, self._latent)[-1]
+            g = self._prediction.slopes_after(self._begin, about.action, self._latent)
         else:
             g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
@@ -215,7 +219,7 @@ class Conditions:
         if self._motion is not None:
             found = self._motion.after(action)
         elif self._begin is not None:
-            found = self._prediction.after(self._begin, action, self._latent)[-1]
+            found = self._prediction.after(self._begin, action, self._latent)
         else:
             found = self._prediction.following(self._state, action, self._latent, self._memory)
         _finite("predicted state", found)

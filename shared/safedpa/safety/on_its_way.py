@@ -66,10 +66,11 @@ class Reach(NamedTuple):
 
 
 class Begin(NamedTuple):
-    """Where an action begins to act."""
+    """Where an action begins to act, and over what it is judged."""
 
     state: Plain
-    """(states,) if the last command stays until then."""
+    """(rows * states,) what is judged if the last command stays: after each period in which the quicker channels act
+    alone, and last where the slowest begins to act."""
     path: tuple[Plain, ...]
     """States between the measured one and the first that the action changes, which nobody can change any more."""
     near: Plain
@@ -78,8 +79,51 @@ class Begin(NamedTuple):
     """What the actuators remember when the action is put in force; None: they have settled at the action."""
     waits: int
     """Periods from there to ``near``, in which the action is only on its way."""
-    steps: int
+    rows: int
     """Periods from ``near`` to the end of the period over which the action is judged, 1 or more."""
+
+
+@final
+class Along:
+    """Barriers over plain numbers at several states in a row, as if they were one: ``heights``, ``slopes``, ``steepest``.
+
+    Of a state of ``rows * states`` numbers; h has ``rows`` times as many entries.
+    """
+
+    def __init__(self, barriers: Any, rows: int, states: int) -> None:
+        self._barriers, self._rows, self._states = barriers, rows, states
+        self._count = 0
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows * m,)."""
+        found: list[float] = []
+        for here in self._parts(state):
+            found.extend(self._barriers.heights(here))
+        self._count = len(found) // self._rows
+        return found
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[list[float]]:
+        """d(h_i)/d(x_j) of the rows asked for; after ``heights``."""
+        parts, count, states = self._parts(state), self._count, self._states
+        found: list[list[float]] = []
+        for row in rows:
+            part, barrier = divmod(row, count)
+            slope = list(self._barriers.slopes(parts[part], [barrier])[0])
+            found.append([0.0] * (part * states) + slope + [0.0] * ((self._rows - 1 - part) * states))
+        return found
+
+    def steepest(self, state: Sequence[float]) -> list[float] | None:
+        """(rows * states,) what no slope exceeds; None where that is not known."""
+        found: list[float] = []
+        for here in self._parts(state):
+            steepest = self._barriers.steepest(here)
+            if steepest is None:
+                return None
+            found.extend(steepest)
+        return found
+
+    def _parts(self, state: Sequence[float]) -> list[Plain]:
+        return [tuple(state[at : at + self._states]) for at in range(0, self._rows * self._states, self._states)]
 
 
 @final
@@ -127,45 +171,40 @@ class Actuators:
         first, last = self.reach(latent)
         if not known.held:  # nothing of it is felt in the first periods, and beyond them it would have to be known
             held, last = np.array(self._low), first
-        at_first, near = memory, tuple(now.tolist())
+        at_first, near, base = memory, tuple(now.tolist()), []
         for step in range(last):
             now, memory = self._model.advance(now, held, memory, free)
             if step < first:
                 near = tuple(now.tolist())
                 path.append(near)
-        return Begin(tuple(now.tolist()), tuple(path), near, at_first, first, last - first + 1)
+            else:
+                base.extend(now.tolist())
+        base.extend(now.tolist())
+        return Begin(tuple(base), tuple(path), near, at_first, first, last - first + 1)
 
-    def after(self, begin: Begin, action: Sequence[float], latent: Plain | None) -> list[list[float]]:
-        """States (begin.steps, states) from ``begin.near`` on with the action (actions,) in force."""
+    def after(self, begin: Begin, action: Sequence[float], latent: Plain | None) -> list[float]:
+        """(rows * states,) after each period from ``begin.near`` on with the action (actions,) in force."""
         free, command = None if latent is None else np.array(latent), np.array(action)
         memory = self._model.initial_memory(command, free) if begin.memory is None else begin.memory
-        now, rows = np.array(begin.near), []
+        now, found = np.array(begin.near), list[float]()
         for _ in range(begin.waits):
             memory = self._model.felt(action, memory, latent, period=self._model.period)[1]
-        for _ in range(begin.steps):
+        for _ in range(begin.rows):
             now, memory = self._model.advance(now, command, memory, free)
-            rows.append(now.tolist())
-        return rows
+            found.extend(now.tolist())
+        return found
 
-    def slopes(self, begin: Begin, around: Sequence[float], latent: Plain | None) -> list[list[list[float]]]:
-        """d(after)/d(action) (begin.steps, states, actions) by differences, within the range of the actions."""
-        rows: list[list[list[float]]] = []
-        columns = []
-        for index in range(len(around)):
+    def slopes(self, begin: Begin, around: Sequence[float], latent: Plain | None) -> list[list[float]]:
+        """d(after)/d(action) (rows * states, actions) by differences within the range of the actions."""
+        columns: list[list[float]] = []
+        for index, value in enumerate(around):
             nudge = _NUDGE * (self._high[index] - self._low[index])
-            value = float(around[index])
             above, below = min(value + nudge, self._high[index]), max(value - nudge, self._low[index])
-            ends = [[*around[:index], end, *around[index + 1 :]] for end in (above, below)]
-            higher, lower = (self.after(begin, end, latent) for end in ends)
-            columns.append(
-                [
-                    [(one - other) / (above - below) for one, other in zip(here, there, strict=True)]
-                    for here, there in zip(higher, lower, strict=True)
-                ]
+            higher, lower = (
+                self.after(begin, [*around[:index], end, *around[index + 1 :]], latent) for end in (above, below)
             )
-        for step in range(begin.steps):
-            rows.append([list(entries) for entries in zip(*(column[step] for column in columns), strict=True)])
-        return rows
+            columns.append([(one - other) / (above - below) for one, other in zip(higher, lower, strict=True)])
+        return [list(entries) for entries in zip(*columns, strict=True)]
 
     def _responded(self, latent: Plain | None) -> Reach:
         """From the share of a step of every action, low to high, that is felt in the mean over each period."""

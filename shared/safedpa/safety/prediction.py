@@ -57,15 +57,15 @@ class Prediction:
         """Where an action that is chosen at ``state`` begins to act; None: there and then."""
         return None if self._actuators is None or not memory else self._actuators.begin(state, latent, memory)
 
-    def after(self, begin: Begin, action: Sequence[float], latent: tuple[float, ...] | None) -> list[list[float]]:
-        """States (begin.steps, states) from ``begin.near`` on under ``action``; the last is the one to be judged."""
+    def after(self, begin: Begin, action: Sequence[float], latent: tuple[float, ...] | None) -> list[float]:
+        """(begin.rows * states,) what is judged of ``action``: the state after each period from ``begin.near`` on."""
         assert self._actuators is not None
         return self._actuators.after(begin, action, latent)
 
     def slopes_after(
         self, begin: Begin, around: Sequence[float], latent: tuple[float, ...] | None
-    ) -> list[list[list[float]]]:
-        """d(after)/d(action) (begin.steps, states, actions) about the action ``around``."""
+    ) -> list[list[float]]:
+        """d(after)/d(action) (begin.rows * states, actions) about the action ``around``."""
         assert self._actuators is not None
         return self._actuators.slopes(begin, around, latent)
 
