@@ -85,7 +85,7 @@ class Begin(NamedTuple):
 
 @final
 class Along:
-    """Barriers over plain numbers at several states in a row, as if they were one: ``heights``, ``slopes``, ``steepest``.
+    """Barriers over plain numbers at several states in a row, as if they were one: ``heights``, ``along``, ``steepest``.
 
     Of a state of ``rows * states`` numbers; h has ``rows`` times as many entries.
     """
@@ -102,14 +102,16 @@ class Along:
         self._count = len(found) // self._rows
         return found
 
-    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[list[float]]:
-        """d(h_i)/d(x_j) of the rows asked for; after ``heights``."""
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """What each action changes in h, of the rows asked for; after ``heights``. ``g`` (rows * states, actions)."""
         parts, count, states = self._parts(state), self._count, self._states
         found: list[list[float]] = []
         for row in rows:
             part, barrier = divmod(row, count)
-            slope = list(self._barriers.slopes(parts[part], [barrier])[0])
-            found.append([0.0] * (part * states) + slope + [0.0] * ((self._rows - 1 - part) * states))
+            own = g[part * states : (part + 1) * states]
+            found.extend(self._barriers.along(parts[part], own, widths, [barrier]))
         return found
 
     def steepest(self, state: Sequence[float]) -> list[float] | None:
