@@ -271,6 +271,8 @@ class TakeoverMessage(Message):
     """``ready`` (loaded and checked), ``taken`` (in use from the stamp's tick on) or ``refused``."""
     reason: str = ""
     """Why it was refused."""
+    foretold: str = ""
+    """With ``ready``: what the change will do, such as to the filter's margin; empty: nothing to be told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.held_model import HeldModel
+from safedpa.safety.margin_change import PhasedMargin
 from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
@@ -47,6 +49,15 @@ def _late(state: StateMessage, known: LatentMessage) -> bool:
     return (state.tick - known.tick) * state.period > _LATENT_PATIENCE + 0.5 * state.period
 
 
+def _same_scene(one: StateMessage, other: StateMessage) -> bool:
+    return (one.obstacles, one.field, one.footprint, one.corridor) == (
+        other.obstacles,
+        other.field,
+        other.footprint,
+        other.corridor,
+    )
+
+
 def _walked(step: StraightStep, state: StateMessage, verdict: Verdict, latent: Values, steps: int) -> Rows:
     """The next states by the model's straight line; empty where it refuses a number, or one is not finite.
 
@@ -71,6 +82,8 @@ class FilteredRobot:
     scene: SceneBarriers | PointScene
     margin: WatchedMargin
     tick: int = -1
+    changed_at: int = -1
+    """First tick from which another model is to be used; -1: of none."""
     prepared: tuple[int, int] = (0, -1)
     """Epoch and tick of the state that the fields below belong to."""
     barriers: AbstractStack | str = NO_BARRIERS
@@ -85,17 +98,21 @@ class FilteredRobot:
     """The same one period later, if the robot does what it is told."""
 
     @classmethod
-    def begun(cls, held: HeldModel, settings: FilterSettings) -> FilteredRobot:
-        """For a robot that was not filtered before, or not with this model."""
+    def begun(
+        cls, held: HeldModel, settings: FilterSettings, before: Mapping[str, float] | None = None
+    ) -> FilteredRobot:
+        """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now."""
+        phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
+        margin = WatchedMargin(held.calibration, phased)
         if held.model.system.name == POINT.name:
             scene = PointScene(held.model, settings)
             backed = SafetyFilter.for_model(held.model, settings, backup=scene.backup)
-            return cls(held, backed, scene, WatchedMargin(held.calibration))
+            return cls(held, backed, scene, margin)
         return cls(
             held,
             SafetyFilter.for_model(held.model, settings),
             SceneBarriers(settings),
-            WatchedMargin(held.calibration),
+            margin,
         )
 
     @property
@@ -103,12 +120,37 @@ class FilteredRobot:
         """Which entries of the state are a speed that braking takes away."""
         return tuple(index for index, name in enumerate(self.held.model.system.state_names) if name == "speed")
 
-    def watch_margin(self, state: StateMessage) -> None:
-        """Holds the last prediction against the measured state."""
+    def take_up(self, state: StateMessage) -> dict[str, float]:
+        """What a state tells before anything else is known; the errors by kind of the last prediction."""
+        self.remember_actuators(state)
+        self.barriers = self.scene.of(state)
+        errors = self.watch_margin(state)
+        self.prepared = (state.epoch, state.tick)
+        return errors
+
+    def watch_margin(self, state: StateMessage) -> dict[str, float]:
+        """Holds the last prediction against the measured state, and lets a new model's margin rise."""
         if state.tick != self.tick + 1 or state.applied_by != "filter":
             self.margin.expect(None)  # what was predicted is not what was done
         self.tick = state.tick
-        self.margin.observe(state.values, NO_BARRIERS if isinstance(self.barriers, str) else self.barriers)
+        barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
+        last = None if self.decision is None else self.decision.state
+        errors = self.margin.observe(state.values, barriers, same_scene=last is not None and _same_scene(last, state))
+        if barriers.names:
+            self.margin.rise(state.values, barriers, state.period)
+        return errors
+
+    def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
+        """``predicted``, kept for the next tick."""
+        predicted, self.expected_memory = self.predicted(state, verdict, latent)
+        barriers = None if isinstance(self.barriers, str) else self.barriers
+        self.margin.expect(predicted[0] if predicted else None, barriers)
+        return predicted
+
+    def may_wait(self, state: StateMessage) -> bool:
+        """Whether this model may decide although another one is in force: until a latent of that one comes."""
+        waited = state.tick - self.changed_at
+        return self.changed_at >= 0 and 0 <= waited and waited * state.period <= _LATENT_PATIENCE
 
     def usable_latent(self, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
         """The latent to use, and what is wrong with it."""
