@@ -287,10 +287,8 @@ def test_in_no_stretch_are_more_errors_missed_than_stated(seed: int) -> None:
     online, missed, kept = OnlineMargin(0.01, 1.0 - alpha, rate, window), [], [0.0]
     for _ in range(1500):
         largest = max(0.01, *kept[-window:])
-        if random.uniform() < 0.3:  # just beyond the margin, as far as the statement allows
-            error = min(1.001 * online.value, 4.0 * largest)
-        else:
-            error = random.uniform(0.0, 0.02)
+        beyond = min(1.001 * online.value, 4.0 * largest)  # the margin, as far as the statement allows
+        error = beyond if random.uniform() < 0.3 else random.uniform(0.0, 0.02)
         missed.append(error > online.value)
         online.update(error)
         kept.append(error)

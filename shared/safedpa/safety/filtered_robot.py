@@ -149,8 +149,7 @@ class FilteredRobot:
 
     def may_wait(self, state: StateMessage) -> bool:
         """Whether this model may decide although another one is in force: until a latent of that one comes."""
-        waited = state.tick - self.changed_at
-        return self.changed_at >= 0 and 0 <= waited and waited * state.period <= _LATENT_PATIENCE
+        return self.changed_at >= 0 and 0.0 <= (state.tick - self.changed_at) * state.period <= _LATENT_PATIENCE
 
     def usable_latent(self, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
         """The latent to use, and what is wrong with it."""

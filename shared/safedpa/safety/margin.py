@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left, insort
+from collections.abc import Sequence
 from math import ceil, inf, isfinite
 from typing import final
 
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from safedpa.errors import InputError
 
-__all__ = ["OnlineMargin", "smallest_sample", "split_conformal_margin"]
+__all__ = ["OnlineMargin", "margins_over_drives", "smallest_sample", "split_conformal_margin"]
 
 _ROUNDING = 1e-9
 """Keeps (n + 1) coverage from being rounded up when it is a whole number but for rounding errors."""
@@ -37,6 +38,35 @@ def split_conformal_margin(errors: ArrayLike, coverage: float) -> float:
         raise InputError(f"errors: got shape {ordered.shape} or NaN, wanted one axis of finite numbers")
     rank = _rank(len(ordered), coverage)
     return inf if rank > len(ordered) else float(ordered[rank - 1])
+
+
+def margins_over_drives(drives: Sequence[ArrayLike], coverage: float) -> tuple[float, float]:
+    """Two margins from the errors (steps,) of each of n drives: (for a step, for a whole drive).
+
+    Neighbouring steps are alike, and steps of one drive share its scene and its load: what is exchangeable is drives.
+    The second is the ceil((n + 1) coverage)-th smallest of the drives' largest errors: a fresh drive has no error above
+    it with that probability. The first is the smallest q with
+
+        1 / (n + 1) sum over drives of (share of the drive's errors <= q) >= coverage:
+
+    a step drawn at random from a fresh drive exceeds it with probability at most 1 - coverage. Either is infinite with
+    fewer than ``smallest_sample`` drives. Sources: Vovk et al., Algorithmic Learning in a Random World, 2005; Lee,
+    Barber, Willett, Distribution-free inference with hierarchical data, 2023. Raises InputError for a coverage outside
+    (0, 1), errors that are not finite, and a drive without one.
+    """
+    _check_coverage(coverage)
+    tables = [np.asarray(errors, dtype=np.float64) for errors in drives]
+    for table in tables:
+        if table.ndim != 1 or not len(table) or not np.isfinite(table).all():
+            raise InputError(f"errors of a drive: got shape {table.shape} or NaN, wanted one axis of finite numbers")
+    if not tables:
+        return inf, inf
+    largest = split_conformal_margin([float(table.max()) for table in tables], coverage)
+    every = np.concatenate(tables)
+    shares = np.concatenate([np.full(len(table), 1.0 / len(table)) for table in tables])
+    order = np.argsort(every, kind="stable")
+    reached = np.cumsum(shares[order]) >= (len(tables) + 1) * coverage - _ROUNDING
+    return (float(every[order[int(reached.argmax())]]) if reached.any() else inf), largest
 
 
 def smallest_sample(coverage: float) -> int:
