@@ -162,8 +162,8 @@ class VerdictMessage(ComputedMessage):
     predicted: Rows = ()
     """(steps, states) predicted under the action held, one period apart; more than the next one not with every tick."""
     coverage: Number = -1.0
-    """Share of the last 500 steps at most after which no barrier value lay below its prediction by more than the
-    margin, the least of all kinds of barrier; -1: no step was watched yet."""
+    """Share of the last 500 steps at most near a boundary after which the least barrier value of a kind lay not below
+    its prediction by more than the margin, the least of all kinds; -1: no such step was watched yet."""
     promised: Number = -1.0
     """Share that the margin was calibrated for; -1: not told."""
     model: str = ""

@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from safedpa.bus import LATENT, LatentMessage, Stale, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.filtered_robot import Decided, FilteredRobot
 from safedpa.safety.held_model import HeldModel, uncalibrated
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, resting_verdict
+from safedpa.safety.watched_margin import WatchedMargin
 
 __all__ = ["DrivenTick", "drive_errors"]
 
@@ -32,14 +34,18 @@ class DrivenTick(NamedTuple):
     latent: LatentMessage | None
 
 
-def drive_errors(model: PhysicsModel, settings: FilterSettings, ticks: Sequence[DrivenTick]) -> dict[str, Values]:
-    """By kind of barrier (steps,): h predicted, by the barriers of then, minus h measured, the worst of the kind.
+def drive_errors(
+    model: PhysicsModel, settings: FilterSettings, ticks: Sequence[DrivenTick], ceiling: Ceiling | None = None
+) -> dict[str, Values]:
+    """By kind of barrier (steps,): how much more h was hoped for than came, as ``WatchedMargin`` has it.
 
-    ``ticks`` of one start of one robot, in order. Steps whose action was not the filter's, whose latent is not known,
-    or whose state makes no scene are left out.
+    ``ceiling``: by default that of the settings. ``ticks`` of one start of one robot, in order. Steps whose action was
+    not the filter's, whose latent is not known, or whose state makes no scene are left out.
     """
     own = fingerprint(model)
     memory = FilteredRobot.begun(HeldModel(model, own, uncalibrated(settings, own)), settings)
+    memory.margin = WatchedMargin(memory.held.calibration, ceiling or Ceiling.of_settings(settings))
+    memory.margin.learns = False
     errors: dict[str, list[float]] = {}
     for index, tick in enumerate(ticks):
         for kind, error in memory.take_up(tick.state).items():

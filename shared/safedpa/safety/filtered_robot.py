@@ -14,6 +14,7 @@ from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
 from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
+from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.held_model import HeldModel
 from safedpa.safety.margin_change import PhasedMargin
 from safedpa.safety.point_scene import PointScene
@@ -103,7 +104,7 @@ class FilteredRobot:
     ) -> FilteredRobot:
         """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now."""
         phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
-        margin = WatchedMargin(held.calibration, phased)
+        margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased)
         if held.model.system.name == POINT.name:
             scene = PointScene(held.model, settings)
             backed = SafetyFilter.for_model(held.model, settings, backup=scene.backup)

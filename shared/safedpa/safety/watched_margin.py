@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import isfinite, isnan, nan
 from typing import final
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.car_stack import stacked
+from safedpa.safety.ceiling import NO_CEILING, Ceiling
 from safedpa.safety.margin import OnlineMargin
 from safedpa.safety.margin_change import PhasedMargin, least_by_kind
 
@@ -29,19 +30,26 @@ _WINDOW = 500
 class WatchedMargin:
     """epsilon by kind of barrier. After each period the prediction of h is held against the measurement:
 
-    error = max over the kind's barriers of h'(x predicted) - h(x measured), positive where the model hoped too much.
+    error = min(h', H) - min(h, H),   h' = the least h of the kind at x predicted, h = the least at x measured,
 
-    h' is h as the last decision had it: another function where h depends on the latent, which changed since.
+    positive where the model hoped too much. The barriers of h' are those of the last decision: other functions where
+    they depend on the latent, which changed since. H is the ``Ceiling``: a step in which both are above it says nothing
+    about the boundary and is no error at all. The least counts, since it is what has to stay above 0: a hazard that
+    comes nearer than predicted behind another one that is nearer still has done no harm.
     """
 
-    def __init__(self, calibration: MarginCalibration, phased: PhasedMargin | None = None) -> None:
+    def __init__(
+        self, calibration: MarginCalibration, ceiling: Ceiling = NO_CEILING, phased: PhasedMargin | None = None
+    ) -> None:
         self._margins = {
             kind: OnlineMargin(calibrated, calibration.coverage, _RATE, _WINDOW)
             for kind, calibrated in calibration.epsilon.items()
         }
         self.promised = calibration.coverage if calibration.date != "never" else -1.0
         """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""
-        self._phased = phased
+        self._ceiling, self._phased = ceiling, phased
+        self.learns = True
+        """Whether errors move the margins; False: they are told, no more."""
         self._expected: Sequence[float] | None = None
         self._then: Sequence[AbstractBarrier] | None = None
 
@@ -89,9 +97,8 @@ class WatchedMargin:
     ) -> dict[str, float]:
         """The errors by kind of the last prediction against the measured ``state`` (states,); call it once per period.
 
-        In the ``same_scene`` what was predicted is h by the barriers of then, and what is measured is h by those of
-        now: with a latent in h, its change over the period is part of the error. Where something else came into the
-        scene, which no model foresees, the barriers of now stand for both.
+        Unless it is the ``same_scene`` the barriers of now stand for those of then: what else came into the scene no
+        model foresees.
         """
         expected, self._expected = self._expected, None
         if expected is None or len(expected) != len(state):
@@ -102,13 +109,17 @@ class WatchedMargin:
         if then.names != stack.names:
             then = stack
         hoped, measured = then.heights(expected), stack.heights(_plain(state))
-        errors = [before - after for before, after in zip(hoped, measured, strict=True)]
-        worst = {kind: _largest([errors[row] for row in rows]) for kind, rows in stack.rows.items()}
-        for kind, error in worst.items():
+        errors: dict[str, float] = {}
+        for kind, rows in stack.rows.items():
             margin = self._margins.get(kind)
-            if margin is not None and isfinite(error):
+            top = self._ceiling.of(kind, margin.value if margin is not None and self.learns else 0.0)
+            before, after = _least(hoped, rows), _least(measured, rows)
+            if before >= top and after >= top:
+                continue
+            errors[kind] = error = min(before, top) - min(after, top)
+            if margin is not None and self.learns and isfinite(error):
                 margin.update(error)
-        return worst
+        return errors
 
 
 def _plain(state: Sequence[float] | Values) -> Sequence[float]:
@@ -116,6 +127,7 @@ def _plain(state: Sequence[float] | Values) -> Sequence[float]:
     return state.tolist() if isinstance(state, np.ndarray) else state
 
 
-def _largest(errors: list[float]) -> float:
+def _least(h: Sequence[float], rows: Iterable[int]) -> float:
     """NaN where one is: then the sum is none either."""
-    return max(errors) if isfinite(sum(errors)) or not any(map(isnan, errors)) else nan
+    values = [h[row] for row in rows]
+    return min(values) if not isnan(sum(values)) or not any(map(isnan, values)) else nan
