@@ -173,8 +173,8 @@ def calibrate_margin(
 def calibration_from_errors(
     errors: Mapping[str, Values], coverage: float, date: str, model_fingerprint: str
 ) -> MarginCalibration:
-    """Margins from errors by kind (n,), as ``one_step_errors`` has them; raises InputError when n is too small."""
-    count = len(next(iter(errors.values())))
+    """Margins from errors by kind (n,), as ``one_step_errors`` has them; raises InputError when some n is too small."""
+    count = min(map(len, errors.values()), default=0)
     if count < smallest_sample(coverage):
         raise InputError(
             f"transitions: got {count}, wanted at least {smallest_sample(coverage)} for a coverage of {coverage}; "
@@ -189,7 +189,8 @@ def calibration_from_drives(
 ) -> MarginCalibration:
     """Margins for a step and for a whole drive from the errors by kind (steps,) of each drive, see ``drive_errors``.
 
-    A kind without a barrier in some drive has error 0 there. Raises InputError when there are too few drives.
+    A drive in which nothing of a kind came near counts as one without an error. Raises InputError when there are too
+    few drives.
     """
     if len(drives) < smallest_sample(coverage):
         raise InputError(
@@ -197,7 +198,11 @@ def calibration_from_drives(
             "drive more or ask for less"
         )
     kinds = list(dict.fromkeys(kind for errors in drives for kind in errors))
-    found = {kind: margins_over_drives([errors.get(kind, (0.0,)) for errors in drives], coverage) for kind in kinds}
+    tables = {kind: [np.asarray(errors.get(kind, ())) for errors in drives] for kind in kinds}
+    found = {
+        kind: margins_over_drives([values if len(values) else (0.0,) for values in table], coverage)
+        for kind, table in tables.items()
+    }
     steps = sum(max((len(np.asarray(values)) for values in errors.values()), default=0) for errors in drives)
     return MarginCalibration(
         {kind: max(0.0, step) for kind, (step, _) in found.items()},

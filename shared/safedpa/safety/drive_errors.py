@@ -37,7 +37,7 @@ class DrivenTick(NamedTuple):
 def drive_errors(
     model: PhysicsModel, settings: FilterSettings, ticks: Sequence[DrivenTick], ceiling: Ceiling | None = None
 ) -> dict[str, Values]:
-    """By kind of barrier (steps,): how much more h was hoped for than came, as ``WatchedMargin`` has it.
+    """By kind of barrier (steps,): how much more h was hoped for than came, as ``WatchedMargin`` has it; maybe none.
 
     ``ceiling``: by default that of the settings. ``ticks`` of one start of one robot, in order. Steps whose action was
     not the filter's, whose latent is not known, or whose state makes no scene are left out.
@@ -48,9 +48,9 @@ def drive_errors(
     memory.margin.learns = False
     errors: dict[str, list[float]] = {}
     for index, tick in enumerate(ticks):
-        for kind, error in memory.take_up(tick.state).items():
-            if np.isfinite(error):
-                errors.setdefault(kind, []).append(error)
+        found = memory.take_up(tick.state)
+        for kind in () if isinstance(memory.barriers, str) else memory.barriers.rows:
+            errors.setdefault(kind, []).extend(error for error in (found.get(kind, np.nan),) if np.isfinite(error))
         following = ticks[index + 1].state if index + 1 < len(ticks) else None
         _go_on(memory, tick, following)
     return {kind: np.array(values) for kind, values in errors.items()}

@@ -16,6 +16,7 @@ from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.records import read_messages
 from safedpa.safety.calibration import MarginCalibration, calibration_from_drives, calibration_from_errors
+from safedpa.safety.ceiling import NO_CEILING
 from safedpa.safety.drive_errors import DrivenTick, drive_errors
 from safedpa.safety.margin import smallest_sample
 from safedpa.safety.settings import FilterSettings
@@ -76,19 +77,20 @@ def calibration_from_recordings(
     """The margins by kind, and what share of fresh data each covers; ``constants`` are added to its own.
 
     With enough drives (a drive is one start of one robot) every fifth drive is fresh, and the margins are over drives:
-    for a step, and for a whole drive. With fewer, every fifth block of 5 s is fresh, transitions are taken for
-    exchangeable, and nothing is said about drives. Raises InputError when the recordings hold too few transitions, or
-    latents of another model.
+    for a step near a boundary, and for a whole drive. With fewer, every fifth block of 5 s is fresh, transitions are
+    taken for exchangeable, all of them count, near a boundary or not, and nothing is said about drives. Raises
+    InputError when the recordings hold too few transitions, or latents of another model.
     """
-    walked = [
-        (ticks, drive_errors(model, settings, ticks))
-        for path in recordings
-        for ticks in _drives(path, fingerprint(model))
-    ]
+    drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
+    walked = [(ticks, drive_errors(model, settings, ticks)) for ticks in drives]
     along = [errors for _, errors in walked if errors]
     found = RecordedTransitions([ticks for ticks, errors in walked if errors])
     by_drives = len(along) - len(along) // _SHARE >= smallest_sample(coverage)
-    made, covered = (_over_drives if by_drives else _over_blocks)(along, coverage, date, fingerprint(model))
+    if by_drives:
+        made, covered = _over_drives(along, coverage, date, fingerprint(model))
+    else:
+        everywhere = [drive_errors(model, settings, ticks, NO_CEILING) for ticks, errors in walked if errors]
+        made, covered = _over_blocks(everywhere, coverage, date, fingerprint(model))
     fresh = (found.drive if by_drives else np.arange(len(found)) // _BLOCK) % _SHARE == _SHARE - 1
     bound = recorded_bound(model, settings, found, ~fresh, coverage)
     theorem = {kind: value for kind, value in bound.margins.items() if kind in made.epsilon}
@@ -141,7 +143,7 @@ def _whole(along: Sequence[Mapping[str, Values]], margins: Mapping[str, float]) 
     if not fresh:
         return {}
     return {
-        kind: float(np.mean([bool((errors.get(kind, np.zeros(1)) <= epsilon).all()) for errors in fresh]))
+        kind: float(np.mean([bool((errors.get(kind, np.zeros(0)) <= epsilon).all()) for errors in fresh]))
         for kind, epsilon in margins.items()
     }
 

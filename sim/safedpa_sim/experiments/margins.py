@@ -183,7 +183,7 @@ def _counted(results: Sequence[DriveResult], margin: MarginCalibration) -> dict[
     """By kind of barrier: the share of steps that each margin covered, and of drives in which it covered every step."""
     rows: dict[str, Any] = {}
     for kind in margin.epsilon:
-        errors = [item.errors[kind] for item in results if kind in item.errors]
+        errors = [item.errors.get(kind, np.zeros(0)) for item in results]
         rows[kind] = {
             name: _covered(errors, table[kind])
             for name, table in (("conformal", margin.epsilon), ("drive", margin.drive))
@@ -192,7 +192,8 @@ def _counted(results: Sequence[DriveResult], margin: MarginCalibration) -> dict[
 
 
 def _covered(errors: Sequence[Any], epsilon: float) -> dict[str, Any]:
-    shares = np.array([float((values <= epsilon).mean()) for values in errors])
+    """A drive in which nothing came near counts as covered, as in the calibration."""
+    shares = np.array([float((values <= epsilon).mean()) if len(values) else 1.0 for values in errors])
     whole = int((shares == 1.0).sum())
     return {
         "epsilon": epsilon,
@@ -201,6 +202,7 @@ def _covered(errors: Sequence[Any], epsilon: float) -> dict[str, Any]:
         "drives": whole / len(shares),
         "drives_95": list(clopper_pearson_interval(whole, len(shares))),
         "of": len(shares),
+        "near": int(sum(len(values) > 0 for values in errors)),
     }
 
 
