@@ -11,6 +11,7 @@ MODULES = (
     "safedpa.safety.affine_motion",
     "safedpa.safety.braking",
     "safedpa.safety.car_geometry",
+    "safedpa.safety.chain_rule",
     "safedpa.safety.conditions",
     "safedpa.safety.decision",
     "safedpa.safety.inputs",
@@ -20,6 +21,7 @@ MODULES = (
     "safedpa.safety.remembered",
     "safedpa.safety.search",
     "safedpa.safety.solution",
+    "safedpa.safety.tangent",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
 

@@ -27,6 +27,8 @@ _TICKS: Final = 30
 """Of each drive."""
 _WISH: Final = (2.0, 0.0)
 """Straight on at full speed."""
+_PENALTY: Final = 1e4
+"""Price of a metre of slack, for peers that have slack."""
 _EPSILON: Final = 0.01
 """m; margin of every obstacle in the comparison."""
 
@@ -72,7 +74,7 @@ class FilterProblem:
             "eta": settings.eta,
             "epsilon": _EPSILON,
             "period": 0.05,
-            "penalty": settings.slack_linear,
+            "penalty": _PENALTY,
             "calls": calls,
             "seconds": seconds,
             "backend": backend,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
+from safedpa.safety.chain_rule import chain_rule
 from safedpa.safety.remembered import Remembered
 
 __all__ = ["AbstractBarrier", "AbstractStack", "Barriers", "RememberingStack"]
@@ -33,6 +34,10 @@ class AbstractBarrier(ABC):
     @abstractmethod
     def evaluate(self, state: Values) -> tuple[Values, Values]:
         """h (m,) and its gradient d(h_i)/d(x_j) (m, states) at ``state`` (states,)."""
+
+    def along(self, state: Values, directions: Values) -> Values:
+        """d(h_i)/d(u_j) (m, n) at ``state`` + ``directions`` (states, n) u, u = 0."""
+        return np.asarray(self.evaluate(state)[1] @ directions)
 
 
 class AbstractStack(Sequence[AbstractBarrier]):
@@ -79,12 +84,21 @@ class AbstractStack(Sequence[AbstractBarrier]):
         table = _plain("gradient of h", self.gradient(np.array(state)), (len(self.names), len(state)))
         return [table[row] for row in rows]
 
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) (rows, actions) of the rows of these indices, where the state moves by g (states, actions) a.
+
+        ``widths`` (actions,) are the actions' ranges: over what a slope may be measured.
+        """
+        return chain_rule(self.slopes(state, rows), g)
+
     def steepest(self, state: Sequence[float]) -> Sequence[float] | None:
         """(states,) what no |d(h_i)/d(x_j)| at ``state`` exceeds, for any row i; None where that is not known."""
         return None
 
     def plain(self, states: int) -> Any:
-        """What has ``heights``, ``slopes`` and ``steepest`` of states with so many entries, by the shortest way."""
+        """What has ``heights``, ``slopes``, ``along`` and ``steepest`` of so many states, by the shortest way."""
         return self
 
     @property
@@ -109,6 +123,14 @@ class Barriers(AbstractStack):
 
     def gradient(self, state: Values) -> Values:  # noqa: D102
         return np.concatenate([part.evaluate(state)[1] for part in self.parts])
+
+    def along(  # noqa: D102
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        at, whole = np.array(state), np.array(g) * widths  # of the whole range: as large as any motion by an action
+        slopes = np.concatenate([part.along(at, whole) for part in self.parts]) / widths
+        table = _plain("gradient of h", slopes, (len(self.names), len(widths)))
+        return [table[row] for row in rows]
 
 
 @final
@@ -135,6 +157,11 @@ class RememberingStack(AbstractStack):
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:  # noqa: D102
         return self._stack.slopes(state, rows)
+
+    def along(  # noqa: D102
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        return self._stack.along(state, g, widths, rows)
 
     def steepest(self, state: Sequence[float]) -> Sequence[float] | None:  # noqa: D102
         return self._stack.steepest(state)

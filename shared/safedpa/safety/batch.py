@@ -2,8 +2,9 @@
 
 Every robot gets what ``SafetyFilter.decide`` would give it alone, to 1e-6: networks, barriers and the quadratic program
 run over arrays with the robots first. Whatever is out of the ordinary (an input that is not plausible, a program that
-needs slack, conditions that cannot all be kept) is left to the filter of one robot itself, so that the ladder of
-fallbacks exists once. The services keep one step per robot: there a robot's numbers must not depend on its neighbours.
+needs slack, conditions that cannot all be kept, an h below 0) is left to the filter of one robot itself, so that the
+ladder of fallbacks exists once. The services keep one step per robot: there its numbers must not depend on its
+neighbours.
 """
 
 from __future__ import annotations
@@ -136,17 +137,20 @@ class BatchFilter:
         """The verdicts of robots whose conditions can be kept; the others stay alone."""
         settings = self.settings
         h_now = scenes.values(state)
-        required = (1.0 - settings.eta) * h_now + self._epsilon(scenes, len(state), margins)
-        conditions = ManyConditions(settings, scenes, ManyPredictions(self.model, state, latent), required)
+        epsilon = self._epsilon(scenes, len(state), margins)
+        required, scale = (1.0 - settings.eta) * h_now + epsilon, np.maximum(np.abs(h_now), epsilon)
+        conditions = ManyConditions(settings, scenes, ManyPredictions(self.model, state, latent), required, scale)
         within = np.minimum(np.maximum(wish, settings.low), settings.high)
         outcome = conditions.outcome(np.where(within == wish, wish, within))
-        kept = outcome.violation <= settings.slack_tolerance
+        safe = (h_now >= 0.0).all(axis=1)
+        kept = safe & conditions.kept(outcome)
         status = np.where((within == wish).all(axis=1), STATUSES.index(Status.passed), STATUSES.index(Status.corrected))
         known = np.isfinite(h_now).all(axis=1) & np.isfinite(outcome.h_next).all(axis=1)
-        wrong = np.flatnonzero(known & ~kept)
+        wrong = np.flatnonzero(known & safe & ~kept)
         if len(wrong):
-            found, certain = search_by_many(conditions.only(wrong), wish[wrong], outcome.only(wrong))
-            good = certain & (found.violation <= settings.slack_tolerance)
+            own = conditions.only(wrong)
+            found, certain = search_by_many(own, wish[wrong], outcome.only(wrong))
+            good = certain & own.kept(found)
             outcome.put(wrong[good], found.only(good))
             kept[wrong[good]] = True
             status[wrong] = STATUSES.index(Status.corrected)
@@ -164,7 +168,6 @@ class BatchFilter:
         robots = which[answered]
         verdicts.action[robots] = outcome.action[answered]
         verdicts.status[robots] = status[answered]
-        verdicts.slack[robots] = outcome.violation[answered]
         verdicts.h_now[robots] = h_now.min(axis=1)[answered]
         verdicts.h_next[robots] = outcome.h_next.min(axis=1)[answered]
         verdicts.alone[robots] = False

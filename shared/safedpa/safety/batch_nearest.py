@@ -15,12 +15,10 @@ Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-def nearest_kept_by_many(
-    slopes: Values, limits: Values, prices: Values, wish: Values, weights: Values
-) -> tuple[Values, Flags]:
+def nearest_kept_by_many(slopes: Values, limits: Values, wish: Values, weights: Values) -> tuple[Values, Flags]:
     """The minimisers (robots, 2) for slopes (robots, rows, 2) . u >= limits (robots, rows), and where they are certain.
 
-    ``prices`` (rows,) are the largest multipliers, ``wish`` (robots, 2), ``weights`` (2,). A limit of -inf is none.
+    ``wish`` (robots, 2), ``weights`` (2,). A limit of -inf is none.
     """
     point, certain = wish.copy(), np.zeros(len(wish), dtype=bool)
     taken = np.zeros((len(wish), 0), dtype=np.intp)
@@ -34,7 +32,7 @@ def nearest_kept_by_many(
         left, newest = left[~kept], newest[~kept]
         if len(left) == 0:
             break
-        problem = _Problem(slopes[left], limits[left], prices, wish[left], weights)
+        problem = _Problem(slopes[left], limits[left], wish[left], weights)
         found, exists = problem.with_newest(taken[left], newest)
         point[left[exists]] = found[exists]
         taken = np.concatenate([taken, np.zeros((len(wish), 1), dtype=np.intp)], axis=1)
@@ -46,8 +44,8 @@ def nearest_kept_by_many(
 class _Problem:
     """The conditions of the robots that are not done yet."""
 
-    def __init__(self, slopes: Values, limits: Values, prices: Values, wish: Values, weights: Values) -> None:
-        self._slopes, self._limits, self._prices = slopes, limits, prices
+    def __init__(self, slopes: Values, limits: Values, wish: Values, weights: Values) -> None:
+        self._slopes, self._limits = slopes, limits
         self._wish, self._weights = wish, weights
         self._each = np.arange(len(wish))
 
@@ -67,7 +65,7 @@ class _Problem:
         along = a / self._weights
         size = np.einsum("ki,ki->k", a, along)
         share = (limit - np.einsum("ki,ki->k", a, self._wish)) / np.where(size == 0.0, np.nan, size)
-        good = (share >= 0.0) & (2.0 * share <= self._prices[row])
+        good = share >= 0.0
         return self._wish + np.where(good, share, 0.0)[:, np.newaxis] * along, good
 
     def _corner(self, one: Any, other: Any) -> tuple[Values, Flags]:
@@ -79,7 +77,7 @@ class _Problem:
         point = np.stack([(first * d - second * b) / safe, (a * second - c * first) / safe], axis=1)
         pull, push = (2.0 * self._weights * (point - self._wish)).T
         own, others = (pull * d - push * c) / safe, (a * push - b * pull) / safe
-        good = apart & (own >= 0.0) & (own <= self._prices[one]) & (others >= 0.0) & (others <= self._prices[other])
+        good = apart & (own >= 0.0) & (others >= 0.0)
         return point, good
 
     def _keeps(self, point: Values, taken: Any) -> Flags:

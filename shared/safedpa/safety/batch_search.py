@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 from typing import Any, final
 
 import numpy as np
@@ -12,9 +11,10 @@ from numpy.typing import NDArray
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.safety.batch_barriers import ManyScenes
 from safedpa.safety.batch_nearest import nearest_kept_by_many
-from safedpa.safety.conditions import NO_INFLUENCE
-from safedpa.safety.search import NEEDLESS, SAME, SERVED_WELL, TIE
+from safedpa.safety.conditions import NO_INFLUENCE, ROUNDING
+from safedpa.safety.search import NEEDLESS, OVERSHOOT, SAME, SERVED_WELL
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.tangent import MARK
 
 __all__ = ["ManyConditions", "ManyOutcomes", "ManyPredictions", "search_by_many"]
 
@@ -22,13 +22,15 @@ Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
+_TINY = 1e-300
+
 
 @final
 class ManyPredictions:
     """x[t+1] = f + g a at the states (robots, 4) of a moment: networks are asked once, physics for every action."""
 
     def __init__(self, model: AbstractDynamics, state: Values, latent: Values | None) -> None:
-        self._model, self._state, self._latent = model, state, latent
+        self._model, self.state, self._latent = model, state, latent
         self._affine: tuple[Values, Values] | None = None
         if isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase) and not model.effects:
             known = np.zeros((len(state), 0)) if latent is None else latent
@@ -38,7 +40,7 @@ class ManyPredictions:
     def only(self, which: Indices) -> ManyPredictions:
         """Those of the robots of these indices."""
         some = object.__new__(ManyPredictions)
-        some._model, some._state = self._model, self._state[which]
+        some._model, some.state = self._model, self.state[which]
         some._latent = None if self._latent is None else self._latent[which]
         some._affine = None if self._affine is None else (self._affine[0][which], self._affine[1][which])
         return some
@@ -47,13 +49,13 @@ class ManyPredictions:
         """(robots, 4) under ``action`` (robots, 2)."""
         if self._affine is not None:
             return np.asarray(self._affine[0] + (self._affine[1] @ action[:, :, np.newaxis])[..., 0])
-        return np.asarray(self._model.step(self._state, action, self._latent))
+        return np.asarray(self._model.step(self.state, action, self._latent))
 
     def slopes(self, around: Values) -> Values:
         """g (robots, 4, 2) about ``around`` (robots, 2)."""
         if self._affine is not None:
             return self._affine[1].copy()
-        return np.array(self._model.affine(self._state, self._latent, around=around)[1])
+        return np.array(self._model.affine(self.state, self._latent, around=around)[1])
 
 
 @final
@@ -65,16 +67,6 @@ class ManyOutcomes:
     next_state: Values
     h_next: Values
     residual: Values
-
-    @property
-    def tightest(self) -> Values:
-        """(robots,) smallest residual."""
-        return np.asarray(self.residual.min(axis=1))
-
-    @property
-    def violation(self) -> Values:
-        """(robots,) the slack that the action needs."""
-        return np.maximum(0.0, -self.tightest)
 
     def only(self, which: Indices | Flags) -> ManyOutcomes:
         """Those of the robots of these indices; a copy."""
@@ -99,12 +91,26 @@ class ManyConditions:
     predictions: ManyPredictions
     required: Values
     """(robots, rows)."""
+    scale: Values
+    """(robots, rows), grows with every tangent."""
 
     def only(self, which: Indices) -> ManyConditions:
         """Those of the robots of these indices."""
         return ManyConditions(
-            self.settings, self.scenes.only(which), self.predictions.only(which), self.required[which]
+            self.settings,
+            self.scenes.only(which),
+            self.predictions.only(which),
+            self.required[which],
+            self.scale[which],
         )
+
+    def tightest(self, found: ManyOutcomes) -> Values:
+        """(robots,) smallest residual, each as a share of its barrier's scale."""
+        return np.asarray((found.residual / np.maximum(self.scale, _TINY)).min(axis=1))
+
+    def kept(self, found: ManyOutcomes) -> Flags:
+        """(robots,) whether every condition holds, and every h is 0 or more."""
+        return np.asarray(((found.residual >= -ROUNDING * self.scale) & (found.h_next >= 0.0)).all(axis=1))
 
     def outcome(self, action: Values) -> ManyOutcomes:
         """What ``action`` (robots, 2) leads to."""
@@ -116,8 +122,9 @@ class ManyConditions:
         """A (robots, rows, 2) of the conditions tangent at ``about``; ``last`` (robots, 4, 2) are the slopes of the
         model that were used before, NaN where there are none, and become those that are used now."""
         g = self.predictions.slopes(about.action)
-        noise = NO_INFLUENCE * (1.0 + np.abs(about.next_state).max(axis=1))
-        silent = np.abs(g).max(axis=1) <= noise[:, np.newaxis]
+        reached, width = about.next_state, self.settings.high - self.settings.low
+        noise = NO_INFLUENCE * np.maximum(np.abs(reached), np.abs(reached - self.predictions.state))
+        silent = np.asarray((np.abs(g) * width <= noise[:, :, np.newaxis]).all(axis=1))
         for index in range(g.shape[2]):
             rows = np.flatnonzero(silent[:, index])
             if len(rows):
@@ -126,7 +133,9 @@ class ManyConditions:
                 fresh = rows[~known]
                 g[fresh, :, index] = self.only(fresh)._chords(about.only(fresh), index)
         last[:] = g
-        return np.asarray(self.scenes.gradient(about.next_state) @ g)
+        slopes = np.asarray(self.scenes.gradient(about.next_state) @ g)
+        np.maximum(self.scale, np.abs(slopes) @ width, out=self.scale)
+        return slopes
 
     def _chords(self, about: ManyOutcomes, index: int) -> Values:
         """(robots, 4) in place of a slope that vanishes: to the bound of the action that is further away."""
@@ -141,54 +150,72 @@ def search_by_many(conditions: ManyConditions, wish: Values, start: ManyOutcomes
 
     Not certain are those whose program needed slack on the way: the filter of one robot has to answer these.
     """
-    settings = conditions.settings
-    tolerance, width = settings.slack_tolerance, settings.high - settings.low
-    last = np.full((len(wish), 4, len(width)), np.nan)
+    settings, robots = conditions.settings, len(wish)
+    width, last = settings.high - settings.low, np.full((robots, 4, 2), np.nan)
     A = conditions.slopes(start, last)
-    about, certain = _posed(conditions, A, start, wish)
-    best, before = about.only(np.arange(len(wish))), start.only(np.arange(len(wish)))
-    fresh, done = np.ones(len(wish), dtype=bool), np.zeros(len(wish), dtype=bool)
-    for _ in range(settings.relinearisations):
-        done |= (about.violation <= tolerance) & (about.tightest <= NEEDLESS * tolerance)
-        done |= fresh & (np.abs(about.action - before.action) <= SAME * width).all(axis=1)
+    about, before = start.only(np.arange(robots)), start.only(np.arange(robots))
+    best, certain = start.only(np.arange(robots)), np.ones(robots, dtype=bool)
+    fresh, done = np.ones(robots, dtype=bool), np.zeros(robots, dtype=bool)
+    missing = np.maximum(0.0, -conditions.tightest(start))
+    for index in range(settings.relinearisations + 1):
         going = np.flatnonzero(certain & ~done)
         if len(going) == 0:
             break
-        here, there = about.only(going), before.only(going)
-        fresh[going] = ~((tolerance < here.violation) & (here.violation < SERVED_WELL * there.violation))
-        anew = going[fresh[going]]
-        if len(anew):
-            known = last[anew]
-            A[anew] = conditions.only(anew).slopes(about.only(anew), known)
-            last[anew] = known
-        before.put(going, here)
-        found, good = _posed(conditions.only(going), A[going], here, wish[going])
+        own = conditions.only(going)
+        before.put(going, about.only(going))
+        found, good = _posed(own, A[going], about.only(going), wish[going], OVERSHOOT * index)
         about.put(going, found)
         certain[going] = good
-        better = _better(settings, wish[going], best.only(going), found)
+        better = np.ones(len(going), dtype=bool) if index == 0 else _better(own, wish[going], best.only(going), found)
         best.put(going[better], found.only(better))
+        tightest = own.tightest(found)
+        same = (np.abs(found.action - before.action[going]) <= SAME * width).all(axis=1)
+        done[going] = (own.kept(found) & (tightest <= NEEDLESS)) | (fresh[going] & same)
+        least, now = missing[going], np.maximum(0.0, -tightest)
+        fresh[going] = ~((now > 0.0) & (now < SERVED_WELL * least))
+        missing[going] = now
+        anew = np.flatnonzero(certain & ~done & fresh)
+        if len(anew) and index < settings.relinearisations:
+            _draw(conditions, A, anew, about, last)
     return best, certain
 
 
-def _posed(conditions: ManyConditions, A: Values, about: ManyOutcomes, wish: Values) -> tuple[ManyOutcomes, Flags]:
+def _draw(conditions: ManyConditions, A: Values, which: Indices, about: ManyOutcomes, last: Values) -> None:
+    """New slopes for the robots of these indices."""
+    some, known = conditions.only(which), last[which]
+    A[which] = some.slopes(about.only(which), known)
+    last[which], conditions.scale[which] = known, some.scale
+
+
+def _posed(
+    conditions: ManyConditions, A: Values, about: ManyOutcomes, wish: Values, overshoot: float
+) -> tuple[ManyOutcomes, Flags]:
     """The outcomes of the programs' solutions without slack, and where these are certain."""
     settings = conditions.settings
     low, width = settings.low, settings.high - settings.low
-    limits = (A @ about.action[:, :, np.newaxis])[..., 0] - about.residual - A @ low
+    reach = np.abs(A) @ width
+    missing = np.minimum(about.residual, 0.0)
+    limits = (
+        (A @ about.action[:, :, np.newaxis])[..., 0] - about.residual - overshoot * missing + MARK * reach - A @ low
+    )
+    moved = reach > 0.0
+    safe = np.where(moved, reach, 1.0)
     box = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     robots = len(wish)
-    slopes = np.concatenate([A * width, np.broadcast_to(box, (robots, 4, 2))], axis=1)
-    limits = np.concatenate([limits, np.broadcast_to([0.0, -1.0, 0.0, -1.0], (robots, 4))], axis=1)
-    prices = np.concatenate([np.full(A.shape[1], settings.slack_linear), np.full(4, inf)])
+    slopes = np.concatenate([A * width / safe[..., np.newaxis], np.broadcast_to(box, (robots, 4, 2))], axis=1)
+    own = np.where(moved, limits / safe, -np.inf)  # a row that no action changes is none of the program's
+    limits = np.concatenate([own, np.broadcast_to([0.0, -1.0, 0.0, -1.0], (robots, 4))], axis=1)
     scaled = (wish - low) / width
-    point, certain = nearest_kept_by_many(slopes, limits, prices, scaled, settings.weight_vector)
+    point, certain = nearest_kept_by_many(slopes, limits, scaled, settings.weight_vector)
     action = np.clip(low + width * np.where(certain[:, np.newaxis], point, 0.0), low, settings.high)
     return conditions.outcome(action), certain
 
 
-def _better(settings: FilterSettings, wish: Values, one: ManyOutcomes, other: ManyOutcomes) -> Any:
+def _better(conditions: ManyConditions, wish: Values, one: ManyOutcomes, other: ManyOutcomes) -> Any:
     """Where the other is the better one."""
+    settings = conditions.settings
     width, weights = settings.high - settings.low, settings.weight_vector
     cost, costs = ((((found.action - wish) / width) ** 2) @ weights for found in (one, other))
-    both = np.maximum(one.violation, other.violation) <= settings.slack_tolerance
-    return np.where(both, costs < cost, other.violation < one.violation - TIE)
+    first, second = conditions.kept(one), conditions.kept(other)
+    tighter = conditions.tightest(other) > conditions.tightest(one)
+    return np.where(first & second, costs < cost, np.where(first | second, second, tighter))

@@ -12,6 +12,7 @@ from math import cos, hypot, sin, sqrt
 from typing import Final, final
 
 from safedpa.safety.braking import Braking
+from safedpa.safety.chain_rule import chain_rule
 from safedpa.safety.obstacle_barrier import SMALLEST_DISTANCE
 
 __all__ = ["CarGeometry", "Row"]
@@ -113,6 +114,12 @@ class CarGeometry:
             else:
                 found.append((0.0, 0.0, 0.0, -1.0 if row == count + walls else 1.0))
         return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
 
     def steepest(self, state: Sequence[float]) -> Row:
         """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""

@@ -1,9 +1,16 @@
-"""The barrier conditions at one state: kept or broken by an action, and linearised about one; in plain numbers."""
+"""The barrier conditions at one state: kept or broken by an action, and linearised about one; in plain numbers.
+
+Nothing in here has a scale of its own. What is small beside what is told by each barrier's
+
+    size_i = max(|h_i(x)|, epsilon_i),   reach_i = what the actions can change in h_i(x+),   scale_i = the larger one
+
+so that no verdict depends on the unit in which h, a state or an action is expressed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, isfinite
+from math import isfinite
 from typing import Any, Final, final
 
 from safedpa.errors import InputError
@@ -11,120 +18,54 @@ from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
+from safedpa.safety.tangent import Tangent
 
-__all__ = ["NO_INFLUENCE", "Conditions", "Outcome", "Plain", "Tangent", "smallest"]
+__all__ = ["NO_INFLUENCE", "ROUNDING", "Conditions", "Outcome", "Plain", "smallest"]
 
 Plain = Sequence[float]
 
 NO_INFLUENCE: Final = 1e-9
-"""A column of g this small, relative to the size of the state, is rounding error: the actuator is saturated."""
+"""A column of g that over the action's whole range moves no entry of the state by more than this share of the entry, or
+of its motion, is rounding error: the actuator is saturated."""
 
-_ROUNDING: Final = 1e-9
-"""Share by which the reach of an action is taken too far, so that no rounding error leaves a row out."""
+ROUNDING: Final = 1e-12
+"""Share of a barrier's scale by which its condition may be missed: rounding errors of h and of the model."""
 
 
 @final
 class Outcome:
     """What the model predicts for one action (actions,)."""
 
-    def __init__(self, action: Plain, next_state: Plain, h_next: list[float], residual: list[float]) -> None:
+    def __init__(
+        self,
+        action: Plain,
+        next_state: Plain,
+        h_next: list[float],
+        residual: list[float],
+        broken: list[int],
+        unsafe: bool,
+    ) -> None:
         self.action, self.next_state, self.h_next = action, next_state, h_next
         self.residual = residual
-        """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i): negative where a condition is broken."""
-        tightest = residual[0]
-        for value in residual:
-            tightest = value if value < tightest else tightest
-        self.tightest: float = tightest
-        """Smallest residual."""
-        self.violation: float = -tightest if tightest < 0.0 else 0.0
-        """The slack that this action needs: max(0, -min residual)."""
+        """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i)."""
+        self.broken = broken
+        """Rows whose condition is broken by more than rounding."""
+        self.kept: bool = not broken and not unsafe
+        """Whether every condition holds, and every h_i(x+) >= 0."""
+
+    @property
+    def violation(self) -> float:
+        """The slack that this action needs, the largest of all rows, in the unit of that row's h."""
+        worst = 0.0
+        for row in self.broken:
+            missing = -self.residual[row]
+            worst = missing if missing > worst else worst
+        return worst
 
     @property
     def least(self) -> float:
         """Smallest h_i(x+)."""
         return smallest(self.h_next)
-
-    def binding(self, names: tuple[str, ...], limit: float) -> tuple[str, ...]:
-        """Of ``names`` (m,) those whose residual is ``limit`` at most, the tightest first."""
-        if self.tightest > limit:
-            return ()
-        found = [(value, index) for index, value in enumerate(self.residual) if value <= limit]
-        found.sort()
-        return tuple([names[index] for _, index in found])
-
-
-@final
-class Tangent:
-    """A a >= b tangent at one outcome: h(x+) is taken as h + p'(x - x+) and x as x+ + g (a - about).
-
-    x+ is the predicted state under ``about.action``, g (states, actions), ``widths`` (actions,) the actions' ranges.
-    ``barriers`` have ``slopes`` and ``steepest``. A row's slopes are computed when it is asked for, and only if some
-    action might break it.
-    """
-
-    def __init__(self, barriers: Any, g: list[list[float]], about: Outcome, widths: list[float]) -> None:
-        self._barriers, self._g, self._state = barriers, g, about.next_state
-        self._rows: dict[int, list[float]] = {}
-        self._reach = inf
-        """By more than this no action within its range changes a row: sum_kj |p_k| |g_kj| width_j at the most."""
-        steepest = barriers.steepest(about.next_state)
-        if steepest is not None:
-            self._reach = self._furthest(steepest, widths) * (1.0 + _ROUNDING) + _ROUNDING
-
-    def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
-        """A (rows, actions) and b (rows,) of the rows that actions might break, with the true residual at ``about``."""
-        residual, action, rows, reach = about.residual, about.action, self._rows, self._reach
-        near: list[int] = []
-        missing: list[int] = []
-        for index in range(len(residual)):
-            if not residual[index] >= reach:
-                near.append(index)
-                if index not in rows:
-                    missing.append(index)
-        if missing:
-            self._add(missing)
-        slopes: list[list[float]] = []
-        limits: list[float] = []
-        for index in near:
-            row = rows[index]
-            total = -residual[index]
-            for column in range(len(row)):
-                value: float = action[column]
-                total += row[column] * value
-            slopes.append(row)
-            limits.append(total)
-        return slopes, limits
-
-    def _furthest(self, steepest: Plain, widths: list[float]) -> float:
-        g, reach = self._g, 0.0
-        if len(steepest) != len(g):
-            raise ValueError(f"the model has slopes of {len(g)} states, the barriers of {len(steepest)}")
-        for index in range(len(g)):
-            slope: float = steepest[index]
-            row = g[index]
-            for column in range(len(row)):
-                reach += slope * abs(row[column]) * widths[column]
-        return reach
-
-    def _add(self, missing: list[int]) -> None:
-        g, states = self._g, len(self._g)
-        found: Sequence[Plain] = self._barriers.slopes(self._state, missing)
-        for place in range(len(missing)):
-            p = found[place]
-            if len(p) != states:
-                raise ValueError(f"h has slopes of {len(p)} states, the model of {states}")
-            row = [0.0] * len(g[0])
-            total = 0.0
-            for state in range(states):
-                slope: float = p[state]
-                entries = g[state]
-                for column in range(len(row)):
-                    share = slope * entries[column]
-                    row[column] += share
-                    total += share
-            self._rows[missing[place]] = row
-            if total - total != 0.0:
-                _refuse_infinite("gradient of h", list(p))
 
 
 @final
@@ -161,11 +102,28 @@ class Conditions:
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
         required: list[float] = []
+        size: list[float] = []
+        least = h_now[0]
         for index in range(len(h_now)):
             margin: float = epsilon[index]
-            required.append(share * h_now[index] + margin)
+            height = h_now[index]
+            required.append(share * height + margin)
+            height = height if height >= 0.0 else -height
+            size.append(height if height > margin else margin)
+            least = h_now[index] if h_now[index] < least else least
         self.required = required
+        self.size = size
+        """(m,)."""
+        self.reach: list[float] = [0.0] * len(h_now)
+        """(m,) as far as tangents were drawn, else 0; grows with every tangent."""
+        self.least_now: float = least
+        """Smallest h_i at the state."""
         self._last_g: list[list[float]] | None = None
+
+    def scale(self, row: int) -> float:
+        """scale_i, as far as it is known."""
+        size, reach = self.size[row], self.reach[row]
+        return size if size > reach else reach
 
     def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
@@ -176,15 +134,57 @@ class Conditions:
         if len(h_next) != len(required):
             raise ValueError(f"{len(h_next)} values of h, wanted {len(required)}")
         residual: list[float] = []
+        broken: list[int] = []
+        unsafe = False
         for index in range(len(required)):
-            residual.append(h_next[index] - required[index])
-        return Outcome(action, following, h_next, residual)
+            height = h_next[index]
+            rest = height - required[index]
+            residual.append(rest)
+            if rest < 0.0 and rest < -ROUNDING * self.scale(index):
+                broken.append(index)
+            if height < 0.0:
+                unsafe = True
+        return Outcome(action, following, h_next, residual, broken, unsafe)
 
     def linearised(self, about: Outcome) -> Tangent:
         """The conditions tangent at ``about``."""
         if self._last_g is None or not self._prediction.affine:
             self._last_g = self._slopes(about)
-        return Tangent(self._plain, self._last_g, about, self._widths)
+        return Tangent(self._plain, self._last_g, about.next_state, self._widths, self.reach)
+
+    def tightest(self, found: Outcome) -> float:
+        """Least residual, each as a share of its barrier's scale."""
+        least = self.share(found.residual[0], 0)
+        for row in range(1, len(found.residual)):
+            value = self.share(found.residual[row], row)
+            least = value if value < least else least
+        return least
+
+    def height(self, found: Outcome) -> float:
+        """Least h_i(x+), each as a share of its barrier's scale."""
+        least = self.share(found.h_next[0], 0)
+        for row in range(1, len(found.h_next)):
+            value = self.share(found.h_next[row], row)
+            least = value if value < least else least
+        return least
+
+    def share(self, value: float, row: int) -> float:
+        """A number in the unit of h_i, as a share of scale_i; of a barrier without one its sign."""
+        scale = self.scale(row)
+        if scale > 0.0:
+            return value / scale
+        return 0.0 if value == 0.0 else 1.0 if value > 0.0 else -1.0
+
+    def binding(self, found: Outcome, limit: float) -> tuple[str, ...]:
+        """Names of the barriers whose residual is ``limit`` of their scale at most, the tightest first."""
+        near: list[tuple[float, int]] = []
+        for row in range(len(found.residual)):
+            value = found.residual[row]
+            if value <= limit * self.scale(row):
+                near.append((self.share(value, row), row))
+        near.sort()
+        names = self.barriers.names
+        return tuple([names[row] for _, row in near])
 
     def _slopes(self, about: Outcome) -> list[list[float]]:
         """g (states, actions) about an action."""
@@ -212,17 +212,23 @@ class Conditions:
         A tangent of zero would say that this action does not matter, though its other values do: the chord leads to the
         bound that is further away, unless an earlier tangent knows the slope.
         """
-        largest = 0.0
-        for value in about.next_state:
-            size = abs(value)
-            largest = size if size > largest else largest
-        noise = NO_INFLUENCE * (1.0 + largest)
         for index in range(len(about.action)):
-            if _silent(g, index, noise):
+            if self._silent(g, index, about.next_state):
                 last = self._last_g
                 column = self._chord(about, index) if last is None else [row[index] for row in last]
                 g = [[*row[:index], slope, *row[index + 1 :]] for row, slope in zip(g, column, strict=True)]
         return g
+
+    def _silent(self, g: list[list[float]], column: int, reached: Plain) -> bool:
+        width = self._widths[column]
+        for row in range(len(g)):
+            entry: float = reached[row]
+            motion = abs(entry - self._state[row])
+            size = abs(entry)
+            noise = NO_INFLUENCE * (motion if motion > size else size)
+            if not abs(g[row][column]) * width <= noise:
+                return False
+        return True
 
     def _chord(self, about: Outcome, index: int) -> list[float]:
         value, (low, high, _) = about.action[index], self._sides[index]
@@ -238,13 +244,6 @@ def smallest(numbers: list[float]) -> float:
     for value in numbers:
         least = value if value < least else least
     return least
-
-
-def _silent(g: list[list[float]], column: int, noise: float) -> bool:
-    for row in g:  # noqa: SIM110 - no generator for every column
-        if not -noise <= row[column] <= noise:
-            return False
-    return True
 
 
 def _finite(what: str, numbers: list[float]) -> None:

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
 from safedpa.safety.conditions import Conditions, Outcome, smallest
+from safedpa.safety.highest import HighestProgram
 from safedpa.safety.inputs import Plausible, Unusable, checked_input
+from safedpa.safety.least_unsafe import least_unsafe
 from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
-from safedpa.safety.search import DecisionError
+from safedpa.safety.search import DecisionError, towards
 from safedpa.safety.search import search as _search
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict
@@ -32,8 +34,8 @@ Backup = Callable[[Values | None], Any]
 search: Callable[..., tuple[Outcome, str]] = _search
 """Looked up at every call, compiled or not: tests put others in its place."""
 
-_BINDING: Final = 10.0
-"""A condition within this many slack tolerances of its limit is reported as active."""
+_BINDING: Final = 0.02
+"""A condition within this share of its scale of its limit is reported as active."""
 
 
 @final
@@ -44,6 +46,7 @@ class Tools:
     settings: FilterSettings
     prediction: Prediction
     program: QuadraticProgram
+    highest: HighestProgram
     stacks: Stacks
     margins: Margins
     backup: Backup | None
@@ -98,7 +101,9 @@ class Decision:
         asked = conditions.outcome(self._wish if unclipped else clipped)  # bit for bit, -0.0 as well
         if not self._tools.settings.enabled:
             return self._verdict(Status.disabled, asked, "", "not run")
-        if asked.violation <= self._tools.settings.slack_tolerance:
+        if conditions.least_now < 0.0:
+            return self._violated(conditions, asked)
+        if asked.kept:
             if unclipped:
                 return self._verdict(Status.passed, asked, "", "not needed")
             return self._verdict(Status.corrected, asked, "The wish lay outside the actuator limits.", "not needed")
@@ -151,20 +156,38 @@ class Decision:
         return self._conditions
 
     def _corrected(self, conditions: Conditions, wish: Action, asked: Outcome) -> Verdict:
-        settings, program = self._tools.settings, self._tools.program
-        rounds, tolerance = settings.relinearisations + 1, settings.slack_tolerance
-        found, solver = search(conditions, program, wish, asked, rounds, tolerance)
-        if found.violation <= tolerance:
+        program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
+        found, solver = search(conditions, program, wish, asked, rounds)
+        if found.kept:
             return self._verdict(Status.corrected, found, "", solver)
-        braking = conditions.outcome(self._backup_action())
-        if braking.violation <= tolerance:
-            other, solver = search(conditions, program, wish, braking, rounds, tolerance)
-            if other.violation <= tolerance:
-                return self._verdict(Status.corrected, other, "Found from the backup action.", solver)
-            return self._verdict(Status.corrected, braking, "The backup action keeps every condition.", solver)
-        if found.least > braking.least:
-            return self._verdict(Status.relaxed, found, "The least violating action, better than the backup.", solver)
-        return self._verdict(Status.relaxed, braking, "The backup action, at least as good as the QP's.", solver)
+        backup = conditions.outcome(self._backup_action())
+        start = towards(conditions, program, wish, backup) if backup.kept else backup
+        other, solver = search(conditions, program, wish, start, rounds)
+        if other.kept:
+            return self._verdict(Status.corrected, other, "Found from the backup action.", solver)
+        if start.kept:
+            return self._verdict(Status.corrected, start, "Between the backup action and the wish.", solver)
+        best = self._least_unsafe(conditions, [asked, found, other, backup])
+        if best.kept:
+            return self._verdict(Status.corrected, best, "Found among the least unsafe actions.", solver)
+        return self._verdict(Status.relaxed, best, self._worst(conditions, best), solver)
+
+    def _violated(self, conditions: Conditions, asked: Outcome) -> Verdict:
+        backup = conditions.outcome(self._backup_action())
+        best = self._least_unsafe(conditions, [asked, backup])
+        names, h_now = conditions.barriers.names, conditions.h_now
+        below = ", ".join([names[row] for row in range(len(names)) if h_now[row] < 0.0])
+        return self._verdict(Status.violated, best, f"Below 0: {below}.", "solved")
+
+    def _least_unsafe(self, conditions: Conditions, known: Sequence[Outcome]) -> Outcome:
+        assert self._wish is not None
+        tools = self._tools
+        return least_unsafe(conditions, tools.program, tools.highest, self._wish, known)
+
+    def _worst(self, conditions: Conditions, best: Outcome) -> str:
+        """Which conditions cannot be kept, in words."""
+        names = conditions.binding(best, 0.0)
+        return f"Not kept: {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}."
 
     def _backup_action(self) -> Action:
         """The user's backup within the bounds; the resting action where there is none or it fails."""
@@ -183,8 +206,7 @@ class Decision:
         return within(action, self._tools.program.sides)
 
     def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
-        limit = _BINDING * self._tools.settings.slack_tolerance
-        active = () if self._conditions is None else outcome.binding(self._conditions.barriers.names, limit)
+        active = () if self._conditions is None else self._conditions.binding(outcome, _BINDING)
         return self._answer(status, outcome.action, reason, solver, outcome.violation, active, outcome.least)
 
     def _answer(

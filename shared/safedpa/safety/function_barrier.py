@@ -17,6 +17,8 @@ Values = NDArray[np.float64]
 
 _NUDGE = 6e-6
 """Relative step of the central difference: the cube root of the rounding error balances both of its errors."""
+_SHARE = 1e-3
+"""Of what the actions' whole range moves, over which h is differenced: rounding errors of h are as often smaller."""
 
 
 @final
@@ -49,6 +51,17 @@ class FunctionBarrier(AbstractBarrier):
         if self._gradient is None:
             return h, self._differences(state)
         return h, self._shaped("gradient of h", self._gradient(state), (len(self.names), len(state)))
+
+    def along(self, state: Values, directions: Values) -> Values:
+        """As in every barrier; without a gradient differences along the directions, which know the state's scale."""
+        if self._gradient is not None:
+            return super().along(state, directions)
+        slopes = np.zeros((len(self.names), directions.shape[1]))
+        for index, direction in enumerate(directions.T):
+            if direction.any():
+                ahead, behind = self.values(state + _SHARE * direction), self.values(state - _SHARE * direction)
+                slopes[:, index] = (ahead - behind) / (2.0 * _SHARE)
+        return slopes
 
     def _differences(self, state: Values) -> Values:
         gradient = np.empty((len(self.names), len(state)))

@@ -11,13 +11,12 @@ is the optimum over all of them, so what is returned is the minimiser, whatever 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
 from typing import Final, final
 
 __all__ = ["KEPT", "MOST", "PARALLEL", "NearestKept", "Point", "Row", "nearest_kept"]
 
-Row = tuple[float, float, float, float]
-"""a_1, a_2, b, and the largest multiplier: the price of slack per unit, infinite where there is none."""
+Row = tuple[float, float, float]
+"""a_1, a_2, b."""
 
 KEPT: Final = 1e-12
 """A condition broken by less is kept: rounding errors of a corner are a thousand times smaller."""
@@ -29,16 +28,15 @@ MOST: Final = 8
 _UNIT_A: Final[list[float]] = [1.0, -1.0, 0.0, 0.0]
 _UNIT_B: Final[list[float]] = [0.0, 0.0, 1.0, -1.0]
 _UNIT_LIMIT: Final[list[float]] = [0.0, -1.0, 0.0, -1.0]
-_UNIT_PRICE: Final[list[float]] = [inf, inf, inf, inf]
 
 Point = tuple[float, float]
 
 
 def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | None:
-    """The minimiser; None where it needs slack, is not found in a few steps, or a number is not finite."""
+    """The minimiser; None where there is none, it is not found in a few steps, or a number is not finite."""
     problem = NearestKept(wish[0], wish[1], weights[0], weights[1], unit=False)
-    for a, b, limit, price in rows:
-        problem.add(a, b, limit, price)
+    for a, b, limit in rows:
+        problem.add(a, b, limit)
     return (problem.x, problem.y) if problem.solve() else None
 
 
@@ -46,7 +44,7 @@ def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | No
 class NearestKept:
     """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``).
 
-    ``unit``: it begins with 0 <= x <= 1 and 0 <= y <= 1, which no slack can relieve.
+    ``unit``: it begins with 0 <= x <= 1 and 0 <= y <= 1.
     """
 
     def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float, *, unit: bool) -> None:
@@ -55,17 +53,15 @@ class NearestKept:
         self._a: list[float] = _UNIT_A.copy() if unit else []
         self._b: list[float] = _UNIT_B.copy() if unit else []
         self._limit: list[float] = _UNIT_LIMIT.copy() if unit else []
-        self._price: list[float] = _UNIT_PRICE.copy() if unit else []
         self._sum = 0.0
         self._taken: list[int] = []
         self.x, self.y = wish_x, wish_y
 
-    def add(self, a: float, b: float, limit: float, price: float) -> None:
-        """The condition a x + b y >= limit, whose multiplier may be ``price`` at most."""
+    def add(self, a: float, b: float, limit: float) -> None:
+        """The condition a x + b y >= limit."""
         self._a.append(a)
         self._b.append(b)
         self._limit.append(limit)
-        self._price.append(price)
         self._sum += a + b + limit
 
     def solve(self) -> bool:
@@ -104,7 +100,7 @@ class NearestKept:
         if size == 0.0:
             return False
         share = (self._limit[row] - a * self._wish_x - b * self._wish_y) / size
-        if not 0.0 <= 2.0 * share <= self._price[row]:
+        if not share >= 0.0:
             return False
         self.x, self.y = self._wish_x + share * along, self._wish_y + share * across
         return True
@@ -118,9 +114,9 @@ class NearestKept:
             return False
         x, y = (first * d - second * b) / determinant, (a * second - c * first) / determinant
         pull, push = 2.0 * self._weight_x * (x - self._wish_x), 2.0 * self._weight_y * (y - self._wish_y)
-        if not 0.0 <= (pull * d - push * c) / determinant <= self._price[one]:
+        if not (pull * d - push * c) / determinant >= 0.0:
             return False
-        if not 0.0 <= (a * push - b * pull) / determinant <= self._price[other]:
+        if not (a * push - b * pull) / determinant >= 0.0:
             return False
         self.x, self.y = x, y
         return True

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from safedpa.safety.nearest import NearestKept
 
 __all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "within"]
 
-ScaledRow = tuple[list[float], float, int]
-"""Slopes (actions,), limit and index of a condition: slopes u >= limit."""
+ScaledRow = tuple[list[float], float, int, float]
+"""Slopes (actions,), limit, index and reach of a condition: slopes u >= limit, the slopes' sizes summing to 1.
+
+The reach is what the actions can change in the condition, in its own unit: by it slopes and limit are divided.
+"""
 
 Side = tuple[float, float, float]
 """Lowest value, highest value and range of an action."""
+
+_BEYOND: Final = 2.0
+"""No action within the bounds reaches a limit of more than 1; how far beyond it lies does not matter."""
 
 
 def breakable(
@@ -20,7 +27,8 @@ def breakable(
 ) -> tuple[bool, list[ScaledRow]]:
     """Whether all numbers of A a >= b are finite, and the rows that some action within the bounds breaks.
 
-    Raises ValueError when they are not as many as their limits, or a row has not one slope for each action.
+    Rows that no action changes are left out: whether they are kept is not for the program to say. Raises ValueError
+    when they are not as many as their limits, or a row has not one slope for each action.
     """
     rows: list[ScaledRow] = []
     count, actions = len(b), len(sides)
@@ -32,7 +40,7 @@ def breakable(
             raise ValueError(f"row {index} has {len(slopes)} slopes for {actions} actions")
         scaled: list[float] = []
         limit: float = b[index]
-        below = 0.0
+        below, reach = 0.0, 0.0
         for column in range(actions):
             low, _, width = sides[column]
             slope: float = slopes[column]
@@ -41,15 +49,24 @@ def breakable(
             scaled.append(steep)
             if steep < 0.0:
                 below += steep
-        if limit - limit != 0.0:  # not finite; A low is in it: a number of A that is none as well
+                reach -= steep
+            else:
+                reach += steep
+        if limit - limit != 0.0 or reach - reach != 0.0:  # not finite
             return False, rows
-        if below < limit:
-            rows.append((scaled, limit, index))
+        if below < limit and reach > 0.0:
+            inverse = 1.0 / reach
+            if inverse - inverse != 0.0:  # the smallest of numbers
+                continue
+            for column in range(actions):
+                scaled[column] *= inverse
+            limit *= inverse
+            rows.append((scaled, limit if limit < _BEYOND else _BEYOND, index, reach))
     return True, rows
 
 
 def closest(
-    rows: Sequence[ScaledRow], wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float], price: float
+    rows: Sequence[ScaledRow], wish: Sequence[float], sides: tuple[Side, ...], weights: Sequence[float]
 ) -> list[float] | None:
     """Of one or two actions: the minimiser without slack in closed form; None: ask the solver."""
     low, _, width = sides[0]
@@ -60,8 +77,8 @@ def closest(
         weight, aside = weights[1], (wish[1] - base) / reach
     problem = NearestKept((wish[0] - low) / width, aside, weights[0], weight, unit=True)
     for index in range(len(rows)):
-        slopes, limit, _ = rows[index]
-        problem.add(slopes[0], 0.0 if single else slopes[1], limit, price)
+        slopes, limit, _, _ = rows[index]
+        problem.add(slopes[0], 0.0 if single else slopes[1], limit)
     if not problem.solve():
         return None
     return [low + width * problem.x] if single else [low + width * problem.x, base + reach * problem.y]

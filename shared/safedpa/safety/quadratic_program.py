@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,36 +11,44 @@ from numpy.typing import NDArray
 from safedpa.safety.program_rows import ScaledRow, Side, apart, breakable, closest, within
 from safedpa.safety.solution import Solution
 
-__all__ = ["QuadraticProgram", "Solution"]
+__all__ = ["LINEAR", "QUADRATIC", "QuadraticProgram", "Solution"]
 
 Values = NDArray[np.float64]
+
+LINEAR: Final = 1e4
+"""rho1: price of slack, as a share of what the actions can change in its condition. A condition is given up only where
+a ten-thousandth of that would cost the whole range of an action."""
+QUADRATIC: Final = 1e5
+"""rho: price of the same slack squared: of two that must be given up, neither wholly."""
 
 _NO_CONDITION = -1.0
 """Right-hand side of padding rows 0 a + s >= -1, which always hold."""
 
-_ACCURACY = 1e-11
-"""Of residuals and duality gap; PIQP's own 1e-8 leaves 1e-4 in flat directions; one more iteration costs 3 us."""
+_ACCURACY: Final = (1e-11, 1e-8)
+"""Of residuals and duality gap; PIQP's own 1e-8 leaves 1e-4 in flat directions; one more iteration costs 3 us. Where it
+gives up, a second solver that is content with less is asked."""
 
 
 @final
 class QuadraticProgram:
-    """min (a - wish)' W (a - wish) + rho |s|^2 + rho1 sum s  s.t.  A a + s >= b,  low <= a <= high,  s >= 0.
+    """min (a - wish)' W (a - wish) + rho |s|^2 + rho1 sum s  s.t.  A a + r s >= b,  low <= a <= high,  s >= 0.
 
-    W = diag(weights / (high - low)^2). Always feasible: any a within its bounds with s = max(0, b - A a). Solved in the
-    variables u = (a - low) / (high - low) of [0, 1]; rows that no action within the bounds can break are left out
-    (exact: their slack is 0). Of one or two actions the solution without slack is found in closed form and taken where
-    it proves to be the optimum: the conditions' multipliers are at most rho1. Else PIQP solves it, the rows padded to a
-    power of two, so that each of its workspaces is built once.
+    W = diag(weights / (high - low)^2), the largest weight taken as 1; r (m,) is each row's reach sum_j |A_ij| (high_j -
+    low_j), so that neither the rows' units nor the actions' matter. Always feasible: any a in its bounds with enough
+    slack. Solved in the variables u = (a - low) / (high - low) of [0, 1]; rows that no action within the bounds can
+    break are left out (exact: their slack is 0), as are those that no action changes. Of one or two actions the
+    solution without slack is found in closed form and taken where it proves to be the optimum. Else PIQP solves it, the
+    rows padded to a power of two, so that each of its workspaces is built once.
     """
 
-    def __init__(self, low: Values, high: Values, weights: Values, quadratic: float, linear: float) -> None:
+    def __init__(self, low: Values, high: Values, weights: Values) -> None:
         self.low, self.high, self.range = low, high, high - low
-        self.weights, self.quadratic, self.linear = weights, quadratic, linear
+        self.weights = weights / weights.max()
         self.sides: tuple[Side, ...] = tuple(zip(low.tolist(), high.tolist(), self.range.tolist(), strict=True))
         """Lowest, highest and range of each action, as plain numbers."""
         self._lowest: tuple[float, ...] = tuple(low.tolist())
-        self._weights: tuple[float, ...] = tuple(weights.tolist())
-        self._workspaces: dict[int, _Workspace] = {}
+        self._weights: tuple[float, ...] = tuple(self.weights.tolist())
+        self._workspaces: dict[tuple[int, float], _Workspace] = {}
 
     def solve(self, A: Sequence[Sequence[float]], b: Sequence[float], wish: Sequence[float]) -> Solution:
         """The minimiser for conditions A (m, actions), b (m,) and a wish (actions,), all of them plain numbers."""
@@ -56,49 +64,54 @@ class QuadraticProgram:
 
     def _without_slack(self, rows: Sequence[ScaledRow], wish: Sequence[float]) -> list[float] | None:
         """The minimiser in closed form, if it needs no slack; None: ask the solver."""
-        return closest(rows, wish, self.sides, self._weights, self.linear)
+        return closest(rows, wish, self.sides, self._weights)
 
     def _with_slack(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution:
-        """The minimiser by PIQP."""
-        workspace, actions = self._workspace(len(rows)), len(self.sides)
+        """The minimiser by PIQP; by a second, less exacting one where the first gives up."""
+        actions = len(self.sides)
         wanted = (np.array(wish) - self.low) / self.range
-        left, right = np.array([slopes for slopes, _, _ in rows]), np.array([limit for _, limit, _ in rows])
-        solved, status, solution = workspace.solve(left, right, wanted)
+        left, right = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+        solved, status, solution = False, "not run", np.zeros(0)
+        for accuracy in _ACCURACY:
+            solved, status, solution = self._workspace(len(rows), accuracy).solve(left, right, wanted)
+            if solved:
+                break
         action: list[float] = (self.low + self.range * solution[:actions]).tolist()
         slack = [0.0] * count
-        for value, (_, _, index) in zip(solution[actions : actions + len(rows)].tolist(), rows, strict=True):
-            slack[index] = value
+        for value, (_, _, index, reach) in zip(solution[actions : actions + len(rows)].tolist(), rows, strict=True):
+            slack[index] = value * reach
         return Solution(action, slack, solved, status)
 
     def distance(self, action: Sequence[float], wish: Sequence[float]) -> float:
         """(action - wish)' W (action - wish)."""
         return apart(action, wish, self.sides, self._weights)
 
-    def _workspace(self, rows: int) -> _Workspace:
+    def _workspace(self, rows: int, accuracy: float) -> _Workspace:
         size = 1 << (rows - 1).bit_length()
-        if size not in self._workspaces:
-            self._workspaces[size] = _Workspace(size, self.weights, self.quadratic, self.linear)
-        return self._workspaces[size]
+        known = self._workspaces.get((size, accuracy))
+        if known is None:
+            known = self._workspaces[size, accuracy] = _Workspace(size, self.weights, accuracy)
+        return known
 
 
 @final
 class _Workspace:
     """PIQP for a fixed number of rows, in the scaled variables (u, s)."""
 
-    def __init__(self, rows: int, weights: Values, quadratic: float, linear: float) -> None:
+    def __init__(self, rows: int, weights: Values, accuracy: float) -> None:
         import piqp
 
         self._actions, self._pull = len(weights), -2.0 * weights
         self._solved = piqp.PIQP_SOLVED
         self._solver: Any = piqp.DenseSolver()
-        self._costs = np.concatenate([np.zeros(len(weights)), np.full(rows, linear)])
+        self._costs = np.concatenate([np.zeros(len(weights)), np.full(rows, LINEAR)])
         self._left = np.zeros((rows, len(weights) + rows), order="F")
         self._left[:, len(weights) :] = np.eye(rows)
         self._slopes = self._left[:, : len(weights)]
         self._right = np.full(rows, _NO_CONDITION)
         for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
-            setattr(self._solver.settings, name, _ACCURACY)
-        hessian = np.asfortranarray(np.diag(2.0 * np.concatenate([weights, np.full(rows, quadratic)])))
+            setattr(self._solver.settings, name, accuracy)
+        hessian = np.asfortranarray(np.diag(2.0 * np.concatenate([weights, np.full(rows, QUADRATIC)])))
         upper = np.concatenate([np.ones(len(weights)), np.full(rows, np.inf)])
         self._solver.setup(hessian, self._costs, None, None, self._left, self._right, None, np.zeros(len(upper)), upper)
 

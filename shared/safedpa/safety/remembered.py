@@ -13,7 +13,7 @@ _STATES: Final = 8
 
 @final
 class Remembered:
-    """Barriers over plain numbers (``heights``, ``slopes``, ``steepest`` as an ``AbstractStack`` has them), remembered.
+    """Barriers over plain numbers (``heights``, ``slopes``, ``along``, ``steepest`` of ``AbstractStack``), remembered.
 
     The lists that it hands out are shared: nobody may write into them.
     """
@@ -37,6 +37,10 @@ class Remembered:
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Any:
         """d(h_i)/d(x_j) of the rows asked for."""
         return self._barriers.slopes(state, rows)
+
+    def along(self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]) -> Any:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g a."""
+        return self._barriers.along(state, g, widths, rows)
 
     def steepest(self, state: Sequence[float]) -> Any:
         """(states,) what no slope exceeds; None where that is not known."""

@@ -23,6 +23,7 @@ from safedpa.dynamics import AbstractDynamics, PhysicsModel
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
 from safedpa.safety.decision import Backup, Decision, Request, Tools
+from safedpa.safety.highest import HighestProgram
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
@@ -63,9 +64,8 @@ class SafetyFilter:
         self.tools = Tools(
             settings=settings,
             prediction=affine if isinstance(affine, Prediction) else Prediction(affine, step),
-            program=QuadraticProgram(
-                low, high, settings.weight_vector, settings.slack_quadratic, settings.slack_linear
-            ),
+            program=QuadraticProgram(low, high, settings.weight_vector),
+            highest=HighestProgram(len(low)),
             stacks=Stacks(),
             margins=Margins(settings.epsilon),
             backup=backup,

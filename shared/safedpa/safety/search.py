@@ -6,29 +6,33 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from safedpa.safety.conditions import Outcome, Plain
-from safedpa.safety.program_rows import Side
+from safedpa.safety.program_rows import Side, within
 from safedpa.safety.solution import Solution
 
-__all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "TIE", "DecisionError", "search"]
-
-_BOUND_TOLERANCE: Final = 1e-6
-"""Share of an action's range by which a solution may miss its bounds before it is not believed."""
-
+__all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "DecisionError", "search", "towards"]
 
 SAME: Final = 1e-8
 """Share of an action's range within which a solution is the last one over again; the solver's accuracy is 1e-9."""
 
 
 SERVED_WELL: Final = 0.1
-"""Slopes that brought the violation below this share of the last one are used once more."""
+"""Slopes that brought what is missing below this share of the last are used once more."""
 
 
-NEEDLESS: Final = 100.0
-"""A solution whose every condition is kept by more than this many tolerances (1 cm) was led astray by its slopes."""
+NEEDLESS: Final = 0.02
+"""A solution whose every condition is kept by more than this share of its scale was led astray by its slopes."""
 
 
-TIE: Final = 1e-9
-"""Unit of h: by less than this no violation is smaller than another; where an actuator saturates they are the same."""
+OVERSHOOT: Final = 0.25
+"""Share of what the last solution misses that the next program asks for on top; each one after it once more as much."""
+
+
+HALVES: Final = 5
+"""Halvings of the way to the wish: to a thirtieth of it."""
+
+
+AGAIN: Final = 2
+"""How often the program is posed from there."""
 
 
 class DecisionError(Exception):
@@ -42,7 +46,7 @@ class DecisionError(Exception):
 class _Drawn(Protocol):
     """What the search needs of a ``Tangent``."""
 
-    def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
+    def at(self, residual: Plain, action: Plain, overshoot: float) -> tuple[list[list[float]], list[float]]:
         """A and b of A a >= b."""
 
 
@@ -54,6 +58,9 @@ class _Posed(Protocol):
 
     def linearised(self, about: Outcome) -> _Drawn:
         """The conditions tangent there."""
+
+    def tightest(self, found: Outcome) -> float:
+        """Its least residual, as a share of the barrier's scale."""
 
 
 class _Program(Protocol):
@@ -70,32 +77,66 @@ class _Program(Protocol):
         """Between two actions."""
 
 
-def search(
-    conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int, tolerance: float
-) -> tuple[Outcome, str]:
+def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int) -> tuple[Outcome, str]:
     """The best outcome found and the solver's word.
 
-    Best: keeps all conditions within ``tolerance``, and nearest to the wish; if none does, the least broken one. Begins
-    with the tangent at ``start`` and poses the program at most ``rounds`` times, anew about its last solution: with the
-    true residual there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions
-    are kept and none of them needlessly far, or when slopes drawn at a solution lead to it again, as they always would.
-    Raises DecisionError when the solver did not solve, or its solution is not finite or misses the bounds.
+    Best: keeps all conditions, and nearest to the wish; if none does, the least broken one. Begins with the tangent at
+    ``start`` and poses the program at most ``rounds`` times, anew about its last solution: with the true residual
+    there, and with new slopes unless the old ones served well (they cost most). Ends when all conditions are kept and
+    none of them needlessly far, when slopes drawn at a solution lead to it again, as they always would, or when the
+    solver gives up. Where all are still kept needlessly far, the way from there to the wish is gone as far as they
+    allow, and the program posed once more: the nearest action has a condition that binds.
     """
+    best, status = _posed(conditions, program, wish, start, rounds)
+    if not best.kept or conditions.tightest(best) <= NEEDLESS:
+        return best, status
+    nearer = towards(conditions, program, wish, best)
+    again, _ = _posed(conditions, program, wish, nearer, AGAIN)
+    return _better(conditions, program, wish, nearer, again), status
+
+
+def towards(conditions: _Posed, program: _Program, wish: Plain, kept: Outcome) -> Outcome:
+    """The furthest action found on the way from a kept one to the wish that is still kept."""
+    end, safe, low, high = within(wish, program.sides), kept, 0.0, 1.0
+    for _ in range(HALVES):
+        middle = 0.5 * (low + high)
+        between = [kept.action[index] + middle * (end[index] - kept.action[index]) for index in range(len(end))]
+        tried = conditions.outcome(between)
+        if tried.kept:
+            safe, low = tried, middle
+        else:
+            high = middle
+    return safe
+
+
+def _posed(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int) -> tuple[Outcome, str]:
+    """The program, posed anew about its solution."""
     tangent = conditions.linearised(start)
-    about, status = _posed(conditions, program, tangent, start, wish)
-    best, before, fresh = about, start, True
-    for _ in range(rounds - 1):
-        if about.violation <= tolerance and about.tightest <= NEEDLESS * tolerance:
+    best, before, about, status = start, start, start, ""
+    fresh, missing = True, _missing(conditions.tightest(start))
+    for index in range(rounds):
+        A, b = tangent.at(about.residual, about.action, OVERSHOOT * index)
+        solution = program.solve(A, b, wish)
+        status = solution.status
+        action = _believed(solution, program)
+        if action is None:
+            break
+        before, about = about, conditions.outcome(action)
+        best = about if index == 0 else _better(conditions, program, wish, best, about)
+        tightest = conditions.tightest(about)
+        if about.kept and tightest <= NEEDLESS:
             break
         if fresh and _same(program, about, before):
             break
-        fresh = not tolerance < about.violation < SERVED_WELL * before.violation
-        if fresh:
+        last, missing = missing, _missing(tightest)
+        fresh = not 0.0 < missing < SERVED_WELL * last
+        if fresh and index + 1 < rounds:
             tangent = conditions.linearised(about)
-        before = about
-        about, status = _posed(conditions, program, tangent, about, wish)
-        best = _better(program, wish, best, about, tolerance)
     return best, status
+
+
+def _missing(tightest: float) -> float:
+    return -tightest if tightest < 0.0 else 0.0
 
 
 def _same(program: _Program, one: Outcome, other: Outcome) -> bool:
@@ -107,30 +148,22 @@ def _same(program: _Program, one: Outcome, other: Outcome) -> bool:
     return True
 
 
-def _better(program: _Program, wish: Plain, one: Outcome, other: Outcome, tolerance: float) -> Outcome:
-    if one.violation <= tolerance and other.violation <= tolerance:
+def _better(conditions: _Posed, program: _Program, wish: Plain, one: Outcome, other: Outcome) -> Outcome:
+    if one.kept and other.kept:
         return other if program.distance(other.action, wish) < program.distance(one.action, wish) else one
-    return other if other.violation < one.violation - TIE else one
+    if one.kept or other.kept:
+        return one if one.kept else other
+    return other if conditions.tightest(other) > conditions.tightest(one) else one
 
 
-def _posed(conditions: _Posed, program: _Program, tangent: _Drawn, about: Outcome, wish: Plain) -> tuple[Outcome, str]:
-    A, b = tangent.at(about)
-    solution = program.solve(A, b, wish)
+def _believed(solution: Solution, program: _Program) -> tuple[float, ...] | None:
+    """The solution within the actuators' bounds; None where the solver gave up or it is no number.
+
+    How far it missed the bounds does not matter: what counts is what the model predicts for the action itself.
+    """
     if not solution.solved:
-        raise DecisionError(f"the QP was not solved: {solution.status}", solution.status)
-    return conditions.outcome(_believed(solution.action, program, solution.status)), solution.status
-
-
-def _believed(action: Plain, program: _Program, status: str) -> tuple[float, ...]:
-    sides = program.sides
-    believed: list[float] = []
-    for index in range(len(sides)):
-        low, high, width = sides[index]
-        value: float = action[index]
+        return None
+    for value in solution.action:
         if value - value != 0.0:
-            raise DecisionError("the QP's solution holds NaN or infinity", status)
-        kept = low if value < low else high if value > high else value
-        if abs(value - kept) > _BOUND_TOLERANCE * width:
-            raise DecisionError("the QP's solution misses the actuator bounds", status)
-        believed.append(kept)
-    return tuple(believed)
+            return None
+    return within(solution.action, program.sides)

@@ -45,12 +45,6 @@ class FilterSettings:
     """(actions,) > 0: cost of changing an action over its whole range; empty: all 1."""
     backup_action: tuple[float, ...] = ()
     """(actions,) what is done when nothing can be computed; empty: 0 within the bounds (the car brakes straight)."""
-    slack_tolerance: float = 1e-4
-    """Unit of h: a condition broken by no more than this counts as kept."""
-    slack_quadratic: float = 1e5
-    """rho: cost of slack squared. 1 cm of slack costs 10 changes of an action over its whole range, and more below."""
-    slack_linear: float = 1e4
-    """rho1: cost of slack. Exact while an action's whole range moves h by more than 2 / rho1 = 0.2 mm in one step."""
     relinearisations: int = 3
     """How often the program is posed anew about its solution where the model is not affine in the action."""
     plausible_wish: float = 10.0
@@ -130,10 +124,10 @@ class FilterSettings:
         return np.asarray(np.minimum(np.maximum(wanted, self.low), self.high))
 
 
+_GONE = ("slack_tolerance", "slack_quadratic", "slack_linear")
+"""Keys of former files: what they said in the unit of h is now told by each barrier's own scale."""
+
 _POSITIVE = (
-    "slack_tolerance",
-    "slack_quadratic",
-    "slack_linear",
     "plausible_wish",
     "braking_deceleration",
     "braking_gain",
@@ -163,6 +157,8 @@ def parse_settings(text: str) -> FilterSettings:
     if table.pop("format", FORMAT) != FORMAT:
         raise InputError(f"format: wanted {FORMAT}; this program reads no other")
     for key in table:
+        if key in _GONE:
+            raise InputError(f"{key}: no setting any more, tolerances follow from each barrier's scale; leave it out")
         if key not in known:
             raise InputError(f"{key}: unknown key; {did_you_mean(key, known)}")
     return FilterSettings(**table)

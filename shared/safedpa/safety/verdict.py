@@ -19,6 +19,7 @@ class Status(Enum):
     passed = "passed"
     corrected = "corrected"
     relaxed = "relaxed"
+    violated = "violated"
     fallback = "fallback"
     disabled = "disabled"
     stopped = "stopped"
@@ -32,7 +33,8 @@ class Status(Enum):
 _SENTENCES = {
     Status.passed: "The wish keeps every barrier condition and is handed on unchanged.",
     Status.corrected: "The wish was changed to the nearest action that keeps every barrier condition.",
-    Status.relaxed: "No action was found that keeps every barrier condition; the less unsafe one is taken.",
+    Status.relaxed: "No action was found that keeps every barrier condition; the least unsafe one is taken.",
+    Status.violated: "Unsafe now: some h is below 0; the action that raises the least h most is taken.",
     Status.fallback: "No decision could be computed; the backup action is taken.",
     Status.disabled: "The filter is switched off; the wish is handed on within the actuator limits.",
     Status.stopped: "The robot is to stop; no wish is handed on.",
@@ -50,7 +52,8 @@ class Verdict:
     reason: str
     """One sentence about this decision: which input, which barrier, which of two actions."""
     slack: float
-    """max_i max(0, (1 - eta) h_i(x) + epsilon_i - h_i(x+)) under ``action``, x+ by the model; 0 when all hold."""
+    """max_i max(0, (1 - eta) h_i(x) + epsilon_i - h_i(x+)) under ``action``, x+ by the model, in the units of the h_i;
+    0 when all hold but for rounding errors."""
     active: tuple[str, ...]
     """Names of the barriers whose condition binds or is broken, the tightest first."""
     h_now: float
@@ -86,7 +89,7 @@ class Verdict:
     @property
     def intervened(self) -> bool:
         """Whether the action may differ from the wish because of safety."""
-        return self.status in (Status.corrected, Status.relaxed, Status.fallback)
+        return self.status in (Status.corrected, Status.relaxed, Status.violated, Status.fallback)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists: for JSON and logs."""
