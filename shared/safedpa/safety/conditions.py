@@ -16,7 +16,7 @@ from typing import Any, Final, final
 from safedpa.errors import InputError
 from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
-from safedpa.safety.on_its_way import Along
+from safedpa.safety.on_its_way import Along, Pending
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
 from safedpa.safety.tangent import Tangent
@@ -92,7 +92,8 @@ class Conditions:
         self.barriers, self._prediction = barriers, prediction
         plain = barriers.plain(len(state))
         self._plain: Any = plain
-        self._state, self._latent, self._memory = state, latent, memory
+        self._state, self._latent = state, latent
+        self._memory = memory.memory if isinstance(memory, Pending) else memory
         self._sides = sides
         self._widths: list[float] = [width for _, _, width in sides]
         h_now: list[float] = plain.heights(state)

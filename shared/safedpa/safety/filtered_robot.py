@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any, NamedTuple
@@ -13,12 +14,14 @@ from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
 from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
+from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.held_model import HeldModel
-from safedpa.safety.on_its_way import Pending
+from safedpa.safety.margin_change import PhasedMargin
 from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.trail import Trail
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
 from safedpa.systems import POINT
@@ -48,6 +51,15 @@ def _late(state: StateMessage, known: LatentMessage) -> bool:
     return (state.tick - known.tick) * state.period > _LATENT_PATIENCE + 0.5 * state.period
 
 
+def _same_scene(one: StateMessage, other: StateMessage) -> bool:
+    return (one.obstacles, one.field, one.footprint, one.corridor) == (
+        other.obstacles,
+        other.field,
+        other.footprint,
+        other.corridor,
+    )
+
+
 def _walked(step: StraightStep, state: StateMessage, verdict: Verdict, latent: Values, steps: int) -> Rows:
     """The next states by the model's straight line; empty where it refuses a number, or one is not finite.
 
@@ -71,7 +83,10 @@ class FilteredRobot:
     filter: SafetyFilter
     scene: SceneBarriers | PointScene
     margin: WatchedMargin
+    trail: Trail
     tick: int = -1
+    changed_at: int = -1
+    """First tick from which another model is to be used; -1: of none."""
     prepared: tuple[int, int] = (0, -1)
     """Epoch and tick of the state that the fields below belong to."""
     barriers: AbstractStack | str = NO_BARRIERS
@@ -88,17 +103,22 @@ class FilteredRobot:
     """The same one period later, if the robot does what it is told."""
 
     @classmethod
-    def begun(cls, held: HeldModel, settings: FilterSettings) -> FilteredRobot:
-        """For a robot that was not filtered before, or not with this model."""
+    def begun(
+        cls, held: HeldModel, settings: FilterSettings, before: Mapping[str, float] | None = None
+    ) -> FilteredRobot:
+        """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now."""
+        phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
+        margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased, settings.eta)
         if held.model.system.name == POINT.name:
             scene = PointScene(held.model, settings)
             backed = SafetyFilter.for_model(held.model, settings, backup=scene.backup)
-            return cls(held, backed, scene, WatchedMargin(held.calibration))
+            return cls(held, backed, scene, margin, Trail(held.model))
         return cls(
             held,
             SafetyFilter.for_model(held.model, settings),
             SceneBarriers(settings),
-            WatchedMargin(held.calibration),
+            margin,
+            Trail(held.model),
         )
 
     @property
@@ -106,12 +126,40 @@ class FilteredRobot:
         """Which entries of the state are a speed that braking takes away."""
         return tuple(index for index, name in enumerate(self.held.model.system.state_names) if name == "speed")
 
-    def watch_margin(self, state: StateMessage) -> None:
-        """Holds the last prediction against the measured state."""
+    def take_up(self, state: StateMessage) -> dict[str, float]:
+        """What a state tells before anything else is known; the errors by kind of the last prediction."""
+        self.remember_actuators(state)
+        self.barriers = self.scene.of(state)
+        errors = self.watch_margin(state)
+        self.prepared = (state.epoch, state.tick)
+        return errors
+
+    def watch_margin(self, state: StateMessage) -> dict[str, float]:
+        """Holds the last prediction against the measured state, and lets a new model's margin rise."""
         if state.tick != self.tick + 1 or state.applied_by != "filter":
             self.margin.expect(None)  # what was predicted is not what was done
         self.tick = state.tick
-        self.margin.observe(state.values, NO_BARRIERS if isinstance(self.barriers, str) else self.barriers)
+        barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
+        last = None if self.decision is None else self.decision.state
+        same = last is not None and _same_scene(last, state)
+        late = self.trail.foretold(state.until_action) if self.pending and state.applied_by == "filter" else None
+        errors = self.margin.observe(state.values, barriers, same_scene=same, late=late)
+        if barriers.names:
+            self.margin.rise(state.values, barriers, state.period)
+        return errors
+
+    def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
+        """``predicted``, kept for the next tick."""
+        predicted, self.expected_memory = self.predicted(state, verdict, latent)
+        if self.pending:
+            self.trail.decided(None if latent is None else tuple(latent.tolist()))
+        barriers = None if isinstance(self.barriers, str) else self.barriers
+        self.margin.expect(predicted[0] if predicted else None, barriers)
+        return predicted
+
+    def may_wait(self, state: StateMessage) -> bool:
+        """Whether this model may decide although another one is in force: until a latent of that one comes."""
+        return self.changed_at >= 0 and 0.0 <= (state.tick - self.changed_at) * state.period <= _LATENT_PATIENCE
 
     def usable_latent(self, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
         """The latent to use, and what is wrong with it."""
@@ -132,17 +180,17 @@ class FilteredRobot:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
         if len(state.applied) != len(self.held.model.system.action):
             return  # the filter refuses such a state for its own reasons; nothing to learn here
-        told, expected = self.decision, self.expected_memory
-        obeyed = told is not None and state.tick == told.state.tick + 1 and state.applied_by == "filter"
-        model = self.held.model
-        follows = self.memory is not None and state.tick == self.tick + 1
-        if obeyed and expected is not None:
+        model, told, expected = self.held.model, self.decision, self.expected_memory
+        follows = told is not None and (state.epoch, state.tick) == (told.state.epoch, told.state.tick + 1)
+        if follows and expected is not None and state.applied_by == "filter":
             self.memory = expected
-        elif follows and self.memory:
+        elif follows and self.memory:  # the watchdog's action: what was sent before is still on its way
             self.memory = model.felt(state.applied, self.memory, period=state.period)[1]
         else:
             self.memory = model.initial_memory(np.array(state.applied))
-        self.pending = Pending(self.memory, state.applied) if self.memory else ()
+        self.trail.add(state.tick, state.values, state.applied, self.memory)
+        late = self.memory or state.until_action > 0.0
+        self.pending = self.trail.pending(state.until_action) if late else ()
 
     def predicted(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> tuple[Rows, Any]:
         """The next states (steps, states) that the model expects under the action held; actuators' memory after one.

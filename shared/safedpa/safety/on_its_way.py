@@ -26,7 +26,7 @@ import numpy as np
 
 from safedpa.dynamics import PhysicsModel
 
-__all__ = ["NOTHING_FELT", "Actuators", "Begin", "Pending"]
+__all__ = ["LONGEST", "NOTHING_FELT", "Actuators", "Along", "Begin", "Pending", "Reach"]
 
 Plain = tuple[float, ...]
 
@@ -34,7 +34,7 @@ NOTHING_FELT: Final = 1e-9
 """Share of an action's range; what is felt of it within a period is less while it is only on its way."""
 _AT_ONCE: Final = 0.25
 """Periods; an actuator with less dead time acts at once: three quarters of the action are felt in its own period."""
-_LONGEST: Final = 64
+LONGEST: Final = 64
 """Periods after which an actuator counts as settled, whatever it is."""
 _SETTLED: Final = 0.99
 """Share of the action's range that is felt once an actuator counts as settled."""
@@ -49,11 +49,13 @@ class Pending(NamedTuple):
     """What is on its way when a state was measured; may be given as a filter's ``memory``."""
 
     memory: Any
-    """What the actuators remember, as the model has it; None: they have settled at ``held``."""
+    """What the actuators remember when the state was measured, as the model has it; None: they have settled at
+    ``held``."""
     held: Plain
-    """(actions,) the command in force."""
-    seconds: float = 0.0
-    """For which ``held`` stays in force after the state was measured: the state's age, and the time to act."""
+    """(actions,) the last command."""
+    sent: tuple[tuple[Plain, float], ...] = ()
+    """Commands (actions,) that are in force from the moment of the state until an action that is chosen now is, and for
+    how long [s] each: the state's age, and the time from sense to act."""
 
 
 class Reach(NamedTuple):
@@ -149,28 +151,30 @@ class Actuators:
         key = () if latent is None else tuple([round(value, _SAME_LATENT) for value in latent])
         known = self._known.get(key)
         if known is None:
-            if len(self._known) >= _LONGEST:
+            if len(self._known) >= LONGEST:
                 self._known.clear()
             known = self._known[key] = self._responded(latent)
         return known
 
-    def begin(self, state: Plain, latent: Plain | None, pending: Any) -> Begin:
-        """Where an action begins to act that is chosen at ``state`` (states,); ``pending`` as a filter's ``memory``."""
+    def begin(self, state: Plain, latent: Plain | None, pending: Any) -> Begin | None:
+        """Where an action begins to act that is chosen at ``state`` (states,), ``pending`` as a filter's ``memory``.
+
+        None: there and then.
+        """
+        first, last = self.reach(latent)
+        if last == 0 and not (isinstance(pending, Pending) and pending.sent):
+            return None
         known = pending if isinstance(pending, Pending) else Pending(pending, ())
         memory, now = known.memory, np.array(state)
         free = None if latent is None else np.array(latent)
         if memory is None and known.held:
             memory = self._model.initial_memory(np.array(known.held), free)
-        held, path = np.array(known.held), []
-        left = known.seconds if known.held else 0.0
-        while left > 0.0:
-            span = min(left, self._model.period)
-            now, memory = self._model.advance(now, held, memory, free, period=span)
+        held, path = np.array(known.held), list[Plain]()
+        for command, seconds in known.sent:
+            now, memory = self._model.advance(now, np.array(command), memory, free, period=seconds)
             path.append(tuple(now.tolist()))
-            left -= span
         if memory is None:  # nothing is known of what was sent: as if this action had always been in force
             return Begin(state, (), state, None, 0, 1)
-        first, last = self.reach(latent)
         if not known.held:  # nothing of it is felt in the first periods, and beyond them it would have to be known
             held, last = np.array(self._low), first
         at_first, near, base = memory, tuple(now.tolist()), []
@@ -216,8 +220,8 @@ class Actuators:
         rest = model.felt(self._low, calm, latent, period=period)[0]
         whole = [b - a for a, b in zip(rest, model.felt(self._high, risen, latent, period=period)[0], strict=True)]
         acting = [index for index, size in enumerate(whole) if size != 0.0]
-        dead, first, memory = [0.0] * len(whole), _LONGEST, calm
-        for step in range(_LONGEST):
+        dead, first, memory = [0.0] * len(whole), LONGEST, calm
+        for step in range(LONGEST):
             felt, memory = model.felt(self._high, memory, latent, period=period)
             shares = [(felt[index] - rest[index]) / whole[index] for index in acting]
             if step < first and any(abs(share) > NOTHING_FELT for share in shares):
