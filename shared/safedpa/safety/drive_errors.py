@@ -44,9 +44,7 @@ def drive_errors(
     """
     own = fingerprint(model)
     memory = FilteredRobot.begun(HeldModel(model, own, uncalibrated(settings, own)), settings)
-    memory.margin = WatchedMargin(
-        memory.held.calibration, ceiling or Ceiling.of_settings(settings), eta=settings.eta
-    )
+    memory.margin = WatchedMargin(memory.held.calibration, ceiling or Ceiling.of_settings(settings), eta=settings.eta)
     memory.margin.learns = False
     errors: dict[str, list[float]] = {}
     for index, tick in enumerate(ticks):

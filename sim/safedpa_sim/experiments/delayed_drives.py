@@ -102,7 +102,8 @@ def margin_with_delay(
     """
     known, found = lateness.model(model), dict[str, list[Any]]()
     for index in range(drives):
-        robot, heard = lateness.robot(_CALIBRATION_SEED + index, _LOADS[index % len(_LOADS)]), dict[int, LatentMessage]()
+        heard: dict[int, LatentMessage] = {}
+        robot = lateness.robot(_CALIBRATION_SEED + index, _LOADS[index % len(_LOADS)])
         states = [tick.state for tick in _driven(known, None, robot, seconds, heard)]
         ticks = [DrivenTick(state, heard.get(state.tick)) for state in states]
         for kind, errors in drive_errors(known, settings_named("car"), ticks).items():
