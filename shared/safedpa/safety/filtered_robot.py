@@ -207,6 +207,11 @@ class FilteredRobot:
         model, steps = self.held.model, _PATH_STEPS if state.tick % _PATH_EVERY == 0 else 1
         if len(state.values) != len(model.system.state):
             return (), None
+        if self.pending and self.pending.sent:
+            known, action = None if latent is None else tuple(latent.tolist()), tuple(verdict.action.tolist())
+            ahead = self.trail.expected(action, known, self.pending, steps)
+            after = model.felt(action, self.memory, known, period=state.period)[1] if self.memory else self.memory
+            return (tuple(map(tuple, ahead)), after) if np.isfinite(ahead).all() else ((), None)
         step = model.straight(state.period)
         free = model.latent if latent is None else latent
         if step is not None and (rows := _walked(step, state, verdict, free, steps)):

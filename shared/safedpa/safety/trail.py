@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -79,6 +79,23 @@ class Trail:
         memory = self._model.felt(commands[0], oldest.memory, oldest.latent, period=rest)[1] if rest else oldest.memory
         spans = [period - rest] + [period] * (count - 1)
         return Pending(memory, commands[-1], tuple(zip(commands, spans, strict=True)))
+
+    def expected(self, action: Plain, latent: Plain | None, pending: Pending, steps: int) -> list[list[float]]:
+        """(steps, states) one period apart from the newest state on: what is pending stays in force, then the action."""
+        left = deque((*pending.sent, (action, inf)))
+        now, memory = np.array(self._entries[-1].values), pending.memory
+        free, rows = None if latent is None else np.array(latent), list[list[float]]()
+        for _ in range(steps):
+            wanted = self._model.period
+            while wanted > _ROUNDING:
+                command, seconds = left.popleft()
+                span = min(seconds, wanted)
+                now, memory = self._model.advance(now, np.array(command), memory, free, period=span)
+                wanted -= span
+                if seconds > span + _ROUNDING:
+                    left.appendleft((command, seconds - span))
+            rows.append(now.tolist())
+        return rows
 
     def foretold(self, until_action: float) -> Foretold | None:
         """The newest two states, predicted from before the dead time; None: there is none, or it is not yet over."""

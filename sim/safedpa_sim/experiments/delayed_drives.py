@@ -21,6 +21,7 @@ from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
 from safedpa.safety.drive_errors import DrivenTick, drive_errors
+from safedpa.safety.margin import smallest_sample
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.closed_loop import Tick, drive
@@ -98,7 +99,8 @@ def margin_with_delay(
 ) -> MarginCalibration:
     """The margin of a filter that knows the delay, from drives behind that filter with the margin of its settings.
 
-    Steps are taken for exchangeable. Raises InputError when there are too few near a boundary.
+    Steps are taken for exchangeable; a kind of barrier that too few of them came near keeps the settings' margin.
+    Raises InputError when that is so of every kind.
     """
     known, found = lateness.model(model), dict[str, list[Any]]()
     for index in range(drives):
@@ -109,7 +111,7 @@ def margin_with_delay(
         for kind, errors in drive_errors(known, settings_named("car"), ticks).items():
             found.setdefault(kind, []).append(errors)
     joined = {kind: np.concatenate(errors) for kind, errors in found.items()}
-    near = {kind: errors for kind, errors in joined.items() if len(errors)}
+    near = {kind: errors for kind, errors in joined.items() if len(errors) >= smallest_sample(_COVERAGE)}
     made = calibration_from_errors(near, _COVERAGE, "simulated", fingerprint(known))
     settings = settings_named("car")
     made.epsilon.update({kind: settings.epsilon[kind] for kind in joined if kind not in near})
