@@ -201,7 +201,7 @@ def test_a_known_delay_is_no_reason_to_relax(seconds: float) -> None:
 
 
 def test_braking_keeps_the_conditions_whatever_is_pending() -> None:
-    """Of random states and commands that may still accelerate: where h >= epsilon / eta when the action begins to act."""
+    """Commands may still accelerate; all that counts is h >= epsilon / eta where the action begins to act."""
     settings = FilterSettings()
     random = np.random.default_rng(3)
     kept = tried = 0

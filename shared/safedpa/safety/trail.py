@@ -81,7 +81,7 @@ class Trail:
         return Pending(memory, commands[-1], tuple(zip(commands, spans, strict=True)))
 
     def expected(self, action: Plain, latent: Plain | None, pending: Pending, steps: int) -> list[list[float]]:
-        """(steps, states) one period apart from the newest state on: what is pending stays in force, then the action."""
+        """(steps, states) one period apart from the newest state on: what is pending is in force, then the action."""
         left = deque((*pending.sent, (action, inf)))
         now, memory = np.array(self._entries[-1].values), pending.memory
         free, rows = None if latent is None else np.array(latent), list[list[float]]()
