@@ -12,9 +12,13 @@ hazard that is metres away may be misjudged by half a metre without any conseque
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, isfinite
 from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from safedpa.safety.settings import FilterSettings
 
@@ -45,13 +49,25 @@ class Ceiling:
         """H for a kind of barrier whose margin in force is ``epsilon``: never below epsilon / eta."""
         return max(self.by_kind.get(kind, inf), epsilon / self.eta)
 
-    def allows(self, epsilon: dict[str, float]) -> bool:
-        """Whether these margins may be calibrated with errors below the ceiling."""
-        return all(value <= self.eta * self.by_kind.get(kind, inf) for kind, value in epsilon.items())
+    def errors(self, kind: str, heights: NDArray[np.float64], epsilon: float = 0.0) -> NDArray[np.float64]:
+        """The errors (near,) of steps whose least h was predicted and measured as ``heights`` (steps, 2) say.
 
-    def raised(self) -> Ceiling:
-        """Twice as high."""
-        return Ceiling(self.eta, {kind: 2.0 * value for kind, value in self.by_kind.items()})
+        Steps in which both are above the ceiling are left out.
+        """
+        top = self.of(kind, epsilon)
+        near = heights[(heights < top).any(axis=1)]
+        return np.asarray(np.minimum(near[:, 0], top) - np.minimum(near[:, 1], top))
+
+    def fitting(self, kind: str, margin: Callable[[Ceiling], float]) -> tuple[float, Ceiling]:
+        """The margin of a kind, and the lowest of H, 2 H, 4 H, ... that is no less than it over eta.
+
+        ``margin`` is computed from the errors below a ceiling.
+        """
+        found, ceiling = margin(self), self
+        while isfinite(found) and found > self.eta * ceiling.by_kind.get(kind, inf):
+            ceiling = Ceiling(self.eta, {**ceiling.by_kind, kind: 2.0 * ceiling.by_kind[kind]})
+            found = margin(ceiling)
+        return found, ceiling
 
 
 NO_CEILING: Final = Ceiling(1.0)

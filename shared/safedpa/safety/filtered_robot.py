@@ -121,25 +121,23 @@ class FilteredRobot:
         """Which entries of the state are a speed that braking takes away."""
         return tuple(index for index, name in enumerate(self.held.model.system.state_names) if name == "speed")
 
-    def take_up(self, state: StateMessage) -> dict[str, float]:
-        """What a state tells before anything else is known; the errors by kind of the last prediction."""
+    def take_up(self, state: StateMessage) -> None:
+        """What a state tells before anything else is known."""
         self.remember_actuators(state)
         self.barriers = self.scene.of(state)
-        errors = self.watch_margin(state)
+        self.watch_margin(state)
         self.prepared = (state.epoch, state.tick)
-        return errors
 
-    def watch_margin(self, state: StateMessage) -> dict[str, float]:
+    def watch_margin(self, state: StateMessage) -> None:
         """Holds the last prediction against the measured state, and lets a new model's margin rise."""
         if state.tick != self.tick + 1 or state.applied_by != "filter":
             self.margin.expect(None)  # what was predicted is not what was done
         self.tick = state.tick
         barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
         last = None if self.decision is None else self.decision.state
-        errors = self.margin.observe(state.values, barriers, same_scene=last is not None and _same_scene(last, state))
+        self.margin.observe(state.values, barriers, same_scene=last is not None and _same_scene(last, state))
         if barriers.names:
             self.margin.rise(state.values, barriers, state.period)
-        return errors
 
     def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
         """``predicted``, kept for the next tick."""

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.barrier import AbstractBarrier, AbstractStack
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.car_stack import stacked
 from safedpa.safety.ceiling import NO_CEILING, Ceiling
@@ -49,7 +49,9 @@ class WatchedMargin:
         """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""
         self._ceiling, self._phased = ceiling, phased
         self.learns = True
-        """Whether errors move the margins; False: they are told, no more."""
+        """Whether errors move the margins."""
+        self.seen: dict[str, tuple[float, float]] = {}
+        """By kind, the least h as it was predicted for the last state that was observed, and as it was then."""
         self._expected: Sequence[float] | None = None
         self._then: Sequence[AbstractBarrier] | None = None
 
@@ -94,32 +96,35 @@ class WatchedMargin:
 
     def observe(
         self, state: Sequence[float] | Values, barriers: Sequence[AbstractBarrier], *, same_scene: bool = True
-    ) -> dict[str, float]:
-        """The errors by kind of the last prediction against the measured ``state`` (states,); call it once per period.
+    ) -> None:
+        """Holds the last prediction against the measured ``state`` (states,); call it once per period.
 
         Unless it is the ``same_scene`` the barriers of now stand for those of then: what else came into the scene no
         model foresees.
         """
+        self.seen = self._heights(_plain(state), stacked(barriers), same_scene=same_scene)
+        if not self.learns:
+            return
+        for kind, (before, after) in self.seen.items():
+            margin = self._margins.get(kind)
+            if margin is None:
+                continue
+            top = self._ceiling.of(kind, margin.value)
+            error = min(before, top) - min(after, top)
+            if isfinite(error) and not (before >= top and after >= top):
+                margin.update(error)
+
+    def _heights(
+        self, state: Sequence[float], stack: AbstractStack, *, same_scene: bool
+    ) -> dict[str, tuple[float, float]]:
         expected, self._expected = self._expected, None
-        if expected is None or len(expected) != len(state):
+        if expected is None or len(expected) != len(state) or not stack.names:
             return {}
-        stack, then = stacked(barriers), stacked(self._then if self._then is not None and same_scene else barriers)
-        if not stack.names:
-            return {}
+        then = stacked(self._then) if self._then is not None and same_scene else stack
         if then.names != stack.names:
             then = stack
-        hoped, measured = then.heights(expected), stack.heights(_plain(state))
-        errors: dict[str, float] = {}
-        for kind, rows in stack.rows.items():
-            margin = self._margins.get(kind)
-            top = self._ceiling.of(kind, margin.value if margin is not None and self.learns else 0.0)
-            before, after = _least(hoped, rows), _least(measured, rows)
-            if before >= top and after >= top:
-                continue
-            errors[kind] = error = min(before, top) - min(after, top)
-            if margin is not None and self.learns and isfinite(error):
-                margin.update(error)
-        return errors
+        hoped, measured = then.heights(expected), stack.heights(state)
+        return {kind: (_least(hoped, rows), _least(measured, rows)) for kind, rows in stack.rows.items()}
 
 
 def _plain(state: Sequence[float] | Values) -> Sequence[float]:

@@ -19,7 +19,7 @@ from safedpa.bus import LATENT, LatentMessage, Received, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.drive_errors import DrivenTick, drive_errors
+from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
 from safedpa_sim.closed_loop import Robot, drive
@@ -108,8 +108,8 @@ class DriveResult:
     """What became of a drive."""
 
     seed: int
-    errors: dict[str, Values]
-    """By kind of barrier (steps,)."""
+    heights: dict[str, Values]
+    """By kind of barrier (steps, 2): the least h as it was predicted, and as it was measured."""
     goals: int
     collisions: int
     ticks: int
@@ -140,7 +140,7 @@ def driven(order: DriveOrder) -> DriveResult:
         statuses[tick.verdict.status] += 1
         least = min(least, tick.verdict.h_now)
     along = [DrivenTick(state, latents.get(state.tick)) for state in states]
-    errors = drive_errors(model, settings, along)
+    heights = drive_heights(model, settings, along)
     return DriveResult(
-        order.seed, errors, robot.goals_reached, len(robot.collisions), len(states), dict(statuses), least
+        order.seed, heights, robot.goals_reached, len(robot.collisions), len(states), dict(statuses), least
     )

@@ -58,7 +58,7 @@ def _tell(result: dict[str, Any], out: Path) -> None:
                     kind,
                     f"{one['epsilon']:.4f}",
                     _share(one["steps"], one["steps_95"]),
-                    f"{_share(one['drives'], one['drives_95'])} of {one['of']}",
+                    f"{_share(one['drives'], one['drives_95'])} of {covered['drives']}",
                     f"{goals[0]:.2f} ({goals[1]:.2f} to {goals[2]:.2f})",
                 )
     Console(width=160).print(table)
