@@ -81,7 +81,7 @@ def test_what_is_no_order_is_refused(bad: list[str], tmp_path: Path) -> None:
 def test_every_shipped_robot_can_be_driven_and_its_errors_are_numbers(name: str) -> None:
     made = driven(DriveOrder(name, 1, None, seconds=0.6))
     assert made.heights.keys() >= ({"corridor"} if "pendulum" in name else {"obstacle"})
-    assert all(np.isfinite(values).all() and values.shape[1] == 2 for values in made.heights.values())
+    assert all(np.isfinite(values).all() and values.shape[1] == 4 for values in made.heights.values())
     assert made.ticks == round(0.6 / load_model(DRIVERS[name].model).period)
     again = driven(DriveOrder(name, 1, None, seconds=0.6))
     assert (again.goals, again.statuses, again.least_h) == (made.goals, made.statuses, made.least_h)

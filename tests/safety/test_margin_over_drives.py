@@ -12,7 +12,7 @@ from scipy.stats import binom
 
 from safedpa.errors import InputError
 from safedpa.safety import MarginCalibration, parse_settings, split_conformal_margin
-from safedpa.safety.ceiling import Ceiling
+from safedpa.safety.ceiling import Ceiling, Seen
 from safedpa.safety.drive_calibration import calibration_from_drives
 from safedpa.safety.margin import margins_over_drives
 
@@ -60,11 +60,11 @@ def test_fresh_drives_are_covered_as_often_as_stated_where_steps_taken_for_excha
 def heights(errors: object) -> np.ndarray:
     """Predicted and measured h with these errors, near the boundary."""
     wanted = np.asarray(errors, dtype=np.float64)
-    return np.column_stack([wanted, np.zeros(len(wanted))])
+    return np.array([Seen(error, 0.0) for error in wanted])
 
 
 def test_a_calibration_says_both_and_the_settings_choose() -> None:
-    drives = [{"a": heights([0.01 * k, 0.0]), "b": np.zeros((0, 2))} for k in range(100)]
+    drives = [{"a": heights([0.01 * k, 0.0]), "b": np.zeros((0, 4))} for k in range(100)]
     made = calibration_from_drives(drives, 0.99, "2026-11-22", "x", origin="a command")
     assert (made.drives, made.transitions, made.origin) == (100, 200, "a command")
     assert made.epsilon == {"a": pytest.approx(0.99), "b": 0.0}
@@ -83,11 +83,11 @@ def test_a_calibration_says_both_and_the_settings_choose() -> None:
 
 def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
     """At h of 5 nobody is near; an error that leads from there to 1 is one of a robot whose margin needs that room."""
-    drives = [{"a": np.array([[5.0, 5.0 - 0.04 * k]])} for k in range(100)]
+    drives = [{"a": np.array([Seen(5.0, 5.0 - 0.04 * k)])} for k in range(100)]
     far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
     assert far.drive == far.epsilon == {"a": 0.0}, "an error of 4 m that ends at 1 m is none"
     assert far.constants == {"ceiling.a": 0.5, "drive.ceiling.a": 0.5}
-    low = [{"a": np.array([[5.0, 1.0 - 0.01 * k]])} for k in range(100)]
+    low = [{"a": np.array([Seen(5.0, 1.0 - 0.01 * k)])} for k in range(100)]
     found = calibration_from_drives(low, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
     assert found.drive["a"] == pytest.approx(4.9), "0.4 is too much for a ceiling of 0.5, and so on up to all of it"
     assert found.constants["drive.ceiling.a"] == 64.0

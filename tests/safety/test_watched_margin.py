@@ -14,7 +14,7 @@ from safedpa.bus import LatentMessage, StateMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.safety import FilterSettings, FunctionBarrier, MarginCalibration
 from safedpa.safety.barrier import Barriers
-from safedpa.safety.ceiling import NO_CEILING, Ceiling
+from safedpa.safety.ceiling import NO_CEILING, Ceiling, Seen
 from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.filtered_robot import FilteredRobot
 from safedpa.safety.held_model import HeldModel, uncalibrated
@@ -87,9 +87,11 @@ def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
     assert ceiling.of("function", 0.3) == pytest.approx(1.5)
     assert ceiling.of("other", 0.3) == np.inf
     assert NO_CEILING.of("function", 0.3) == np.inf
-    heights = np.array([[0.6, 0.7], [0.6, 0.4], [0.3, 0.4]])
+    heights = np.array([Seen(0.6, 0.7), Seen(0.6, 0.4), Seen(0.3, 0.4)])
     assert ceiling.errors("function", heights).tolist() == pytest.approx([0.1, -0.1])
     assert NO_CEILING.errors("function", heights).tolist() == pytest.approx([-0.1, 0.2, -0.1])
+    late = Seen(0.3, 0.2, 0.4, 0.45)  # (1 - eta) times the error at the state at which the condition was posed
+    assert ceiling.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
 
 
 @given(

@@ -88,6 +88,10 @@ class StateMessage(Message):
     corridor: Vector = ()
     """(2,) the angles between which the first entry of the state must stay, whose rate is the second; in rad, turns
     counted. Empty of a robot without one."""
+    until_action: Number = 0.0
+    """s from the moment to which ``values`` belong until this tick's action is put in force, by the robot's own clock:
+    how old the measurement is, and the time from sense to act. The last command stays until then. 0: none, as in
+    lockstep, or not told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,19 +15,36 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["NO_CEILING", "Ceiling"]
+__all__ = ["NO_CEILING", "Ceiling", "Seen"]
 
 _LAYERS: Final = 10.0
 """The ceiling in units of epsilon / eta of the settings' own margin, which is chosen before any data are seen. The
 lowest that is allowed is 1; more leaves room for margins that turn out wider, and for a watch that sees errors before
 they matter."""
+
+
+_FAR: Final = 1e12
+"""Above every ceiling but none."""
+
+
+class Seen(NamedTuple):
+    """The least h of a kind of barrier, predicted and measured, of one step.
+
+    Past a dead time the condition is h(x+) >= (1 - eta) h(x) + epsilon with x predicted itself. Then the error of h at
+    x counts as well: (1 - eta) times, and with the other sign.
+    """
+
+    hoped: float
+    measured: float
+    hoped_before: float = _FAR
+    before: float = _FAR
 
 
 @final
@@ -49,14 +66,18 @@ class Ceiling:
         """H for a kind of barrier whose margin in force is ``epsilon``: never below epsilon / eta."""
         return max(self.by_kind.get(kind, inf), epsilon / self.eta)
 
-    def errors(self, kind: str, heights: NDArray[np.float64], epsilon: float = 0.0) -> NDArray[np.float64]:
-        """The errors (near,) of steps whose least h was predicted and measured as ``heights`` (steps, 2) say.
-
-        Steps in which both are above the ceiling are left out.
-        """
+    def error(self, kind: str, seen: Seen, epsilon: float) -> float | None:
+        """The error of one step; None where everything is above the ceiling."""
         top = self.of(kind, epsilon)
-        near = heights[(heights < top).any(axis=1)]
-        return np.asarray(np.minimum(near[:, 0], top) - np.minimum(near[:, 1], top))
+        if all(h >= top for h in seen):
+            return None
+        hoped, measured, hoped_before, before = (h if h < top else top for h in seen)
+        return hoped - measured - (1.0 - self.eta) * (hoped_before - before)
+
+    def errors(self, kind: str, heights: NDArray[np.float64], epsilon: float = 0.0) -> NDArray[np.float64]:
+        """``error`` of many steps, rows of ``heights`` (steps, 4); those that count (near,)."""
+        found = (self.error(kind, Seen(*row), epsilon) for row in heights.tolist())
+        return np.array([error for error in found if error is not None], dtype=np.float64)
 
     def fitting(self, kind: str, margin: Callable[[Ceiling], float]) -> tuple[float, Ceiling]:
         """The margin of a kind, and the lowest of H, 2 H, 4 H, ... that is no less than it over eta.

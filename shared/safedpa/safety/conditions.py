@@ -10,12 +10,13 @@ so that no verdict depends on the unit in which h, a state or an action is expre
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
+from math import inf, isfinite
 from typing import Any, Final, final
 
 from safedpa.errors import InputError
 from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
+from safedpa.safety.on_its_way import Along, Pending
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
 from safedpa.safety.tangent import Tangent
@@ -91,33 +92,43 @@ class Conditions:
         self.barriers, self._prediction = barriers, prediction
         plain = barriers.plain(len(state))
         self._plain: Any = plain
-        self._state, self._latent, self._memory = state, latent, memory
+        self._state, self._latent = state, latent
+        self._memory = memory.memory if isinstance(memory, Pending) else memory
         self._sides = sides
         self._widths: list[float] = [width for _, _, width in sides]
-        self._motion: AffineMotion | None = prediction.affine_motion(state, latent) if prediction.affine else None
         h_now: list[float] = plain.heights(state)
         self.h_now = h_now
         _finite("h at the state", h_now)
+        self.least_now: float = smallest(h_now)
+        """Smallest h_i at the state."""
+        self.least_pending: float = inf
+        """Smallest h_i on the way to where an action begins to act, which no action can change; infinity: at once."""
+        self._begin = begin = prediction.begin(state, latent, memory)
+        if begin is not None:
+            for passed in begin.path:
+                self.least_pending = min(self.least_pending, smallest(plain.heights(passed)))
+            if begin.rows > 1:
+                self._plain = plain = Along(plain, begin.rows, len(state))
+                epsilon = [*epsilon] * begin.rows
+            self._state, h_now = begin.state, plain.heights(begin.state)
+            _finite("h where the action begins to act", h_now)
+        self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
         share = 1.0 - eta
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
         required: list[float] = []
         size: list[float] = []
-        least = h_now[0]
         for index in range(len(h_now)):
             margin: float = epsilon[index]
             height = h_now[index]
             required.append(share * height + margin)
             height = height if height >= 0.0 else -height
             size.append(height if height > margin else margin)
-            least = h_now[index] if h_now[index] < least else least
         self.required = required
         self.size = size
         """(m,)."""
         self.reach: list[float] = [0.0] * len(h_now)
         """(m,) as far as tangents were drawn, else 0; grows with every tangent."""
-        self.least_now: float = least
-        """Smallest h_i at the state."""
         self._last_g: list[list[float]] | None = None
 
     def scale(self, row: int) -> float:
@@ -184,13 +195,15 @@ class Conditions:
                 near.append((self.share(value, row), row))
         near.sort()
         names = self.barriers.names
-        return tuple([names[row] for _, row in near])
+        return tuple(dict.fromkeys([names[row % len(names)] for _, row in near]))
 
     def _slopes(self, about: Outcome) -> list[list[float]]:
         """g (states, actions) about an action."""
         g: list[list[float]]
         if self._motion is not None:
             g = self._motion.slopes()
+        elif self._begin is not None:
+            g = self._prediction.slopes_after(self._begin, about.action, self._latent)
         else:
             g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
@@ -201,6 +214,8 @@ class Conditions:
         found: list[float]
         if self._motion is not None:
             found = self._motion.after(action)
+        elif self._begin is not None:
+            found = self._prediction.after(self._begin, action, self._latent)
         else:
             found = self._prediction.following(self._state, action, self._latent, self._memory)
         _finite("predicted state", found)

@@ -18,9 +18,9 @@ __all__ = ["calibration_from_drives", "covered_shares"]
 
 Values = NDArray[np.float64]
 Drives = Sequence[Mapping[str, Values]]
-"""Of each drive by kind (steps, 2): the least h as it was predicted, and as it was measured; see ``drive_heights``."""
+"""Of each drive by kind (steps, 4): the least h as it was predicted, and as it was measured; see ``drive_heights``."""
 
-_NOTHING = np.zeros((0, 2))
+_NOTHING = np.zeros((0, 4))
 
 
 def calibration_from_drives(

@@ -19,6 +19,7 @@ from safedpa.safety.filtered_robot import Decided, FilteredRobot
 from safedpa.safety.held_model import HeldModel, uncalibrated
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, resting_verdict
+from safedpa.safety.watched_margin import Seen
 
 __all__ = ["DrivenTick", "drive_heights"]
 
@@ -33,7 +34,7 @@ class DrivenTick(NamedTuple):
 
 
 def drive_heights(model: PhysicsModel, settings: FilterSettings, ticks: Sequence[DrivenTick]) -> dict[str, Values]:
-    """By kind of barrier (steps, 2): the least h that was predicted, by the barriers of then, and that was measured.
+    """By kind of barrier (steps, 4): the least h, predicted by the barriers of then and measured; see ``Seen``.
 
     ``ticks`` of one start of one robot, in order. Steps whose action was not the filter's, whose latent is not known,
     or whose state makes no scene are left out. ``Ceiling.errors`` makes errors of them.
@@ -41,15 +42,15 @@ def drive_heights(model: PhysicsModel, settings: FilterSettings, ticks: Sequence
     own = fingerprint(model)
     memory = FilteredRobot.begun(HeldModel(model, own, uncalibrated(settings, own)), settings)
     memory.margin.learns = False
-    found: dict[str, list[tuple[float, float]]] = {}
+    found: dict[str, list[Seen]] = {}
     for index, tick in enumerate(ticks):
         memory.take_up(tick.state)
-        for kind, pair in memory.margin.seen.items():
-            if np.isfinite(pair).all():
-                found.setdefault(kind, []).append(pair)
+        for kind, seen in memory.margin.seen.items():
+            if np.isfinite(seen).all():
+                found.setdefault(kind, []).append(seen)
         following = ticks[index + 1].state if index + 1 < len(ticks) else None
         _go_on(memory, tick, following)
-    return {kind: np.array(pairs) for kind, pairs in found.items()}
+    return {kind: np.array(rows) for kind, rows in found.items()}
 
 
 def _go_on(memory: FilteredRobot, tick: DrivenTick, following: StateMessage | None) -> None:

@@ -21,6 +21,7 @@ from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.trail import Trail
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
 from safedpa.systems import POINT
@@ -82,6 +83,7 @@ class FilteredRobot:
     filter: SafetyFilter
     scene: SceneBarriers | PointScene
     margin: WatchedMargin
+    trail: Trail
     tick: int = -1
     changed_at: int = -1
     """First tick from which another model is to be used; -1: of none."""
@@ -95,6 +97,8 @@ class FilteredRobot:
     """Why the robot was to stop at the last decision."""
     memory: Any = None
     """What the actuators remember, as the model has it."""
+    pending: Any = ()
+    """What is on its way; empty where an action acts at once."""
     expected_memory: Any = None
     """The same one period later, if the robot does what it is told."""
 
@@ -108,12 +112,13 @@ class FilteredRobot:
         if held.model.system.name == POINT.name:
             scene = PointScene(held.model, settings)
             backed = SafetyFilter.for_model(held.model, settings, backup=scene.backup)
-            return cls(held, backed, scene, margin)
+            return cls(held, backed, scene, margin, Trail(held.model))
         return cls(
             held,
             SafetyFilter.for_model(held.model, settings),
             SceneBarriers(settings),
             margin,
+            Trail(held.model),
         )
 
     @property
@@ -135,13 +140,17 @@ class FilteredRobot:
         self.tick = state.tick
         barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
         last = None if self.decision is None else self.decision.state
-        self.margin.observe(state.values, barriers, same_scene=last is not None and _same_scene(last, state))
+        same = last is not None and _same_scene(last, state)
+        late = self.trail.foretold(state.until_action) if self.pending and state.applied_by == "filter" else None
+        self.margin.observe(state.values, barriers, same_scene=same, late=late)
         if barriers.names:
             self.margin.rise(state.values, barriers, state.period)
 
     def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
         """``predicted``, kept for the next tick."""
         predicted, self.expected_memory = self.predicted(state, verdict, latent)
+        if self.pending:
+            self.trail.decided(None if latent is None else tuple(latent.tolist()))
         barriers = None if isinstance(self.barriers, str) else self.barriers
         self.margin.expect(predicted[0] if predicted else None, barriers)
         return predicted
@@ -169,12 +178,17 @@ class FilteredRobot:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
         if len(state.applied) != len(self.held.model.system.action):
             return  # the filter refuses such a state for its own reasons; nothing to learn here
-        told, expected = self.decision, self.expected_memory
-        obeyed = told is not None and state.tick == told.state.tick + 1 and state.applied_by == "filter"
-        if obeyed and expected is not None:
+        model, told, expected = self.held.model, self.decision, self.expected_memory
+        follows = told is not None and (state.epoch, state.tick) == (told.state.epoch, told.state.tick + 1)
+        if follows and expected is not None and state.applied_by == "filter":
             self.memory = expected
+        elif follows and self.memory:  # the watchdog's action: what was sent before is still on its way
+            self.memory = model.felt(state.applied, self.memory, period=state.period)[1]
         else:
-            self.memory = self.held.model.initial_memory(np.array(state.applied))
+            self.memory = model.initial_memory(np.array(state.applied))
+        self.trail.add(state.tick, state.values, state.applied, self.memory)
+        late = self.memory or state.until_action > 0.0
+        self.pending = self.trail.pending(state.until_action) if late else ()
 
     def predicted(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> tuple[Rows, Any]:
         """The next states (steps, states) that the model expects under the action held; actuators' memory after one.
@@ -201,7 +215,7 @@ class FilteredRobot:
             state.values,
             decided.verdict.action if decided.verdict.status is Status.stopped else decided.verdict.wish,
             latent,
-            memory=self.memory,
+            memory=self.pending,
             barriers=barriers,
             epsilon=self.margin.epsilon,
         )

@@ -126,7 +126,7 @@ class SafetyFilterNode(AbstractNode):
             stale.append(f"the {memory.barriers}")
         barriers = NO_BARRIERS if isinstance(memory.barriers, str) else memory.barriers
         known: dict[str, Any] = {
-            "memory": memory.memory,
+            "memory": memory.pending,
             "barriers": barriers,
             "epsilon": memory.margin.epsilon,
             "stale": stale,

@@ -89,12 +89,12 @@ def calibration_from_recordings(
     if by_drives := len(along) - len(along) // _SHARE >= smallest_sample(coverage):
         made = _over_drives(along, settings, coverage, date, fingerprint(model))
     else:
-        made = _over_blocks(along, coverage, date, fingerprint(model))
+        made = _over_blocks(along, settings.eta, coverage, date, fingerprint(model))
     fresh = (found.drive if by_drives else np.arange(len(found)) // _BLOCK) % _SHARE == _SHARE - 1
     bound = recorded_bound(model, settings, found, ~fresh, coverage)
     theorem = {kind: value for kind, value in bound.margins.items() if kind in made.epsilon}
     made = replace(made, theorem=theorem, constants={**made.constants, **bound.constants, **(constants or {})})
-    return replace(made, covered=_covered(made, along, Ceiling.of_settings(settings) if by_drives else None))
+    return replace(made, covered=_covered(made, along, Ceiling.of_settings(settings), by_drives=by_drives))
 
 
 def _over_drives(
@@ -104,30 +104,33 @@ def _over_drives(
     return calibration_from_drives(used, coverage, date, own, Ceiling.of_settings(settings))
 
 
-def _over_blocks(along: Sequence[Mapping[str, Values]], coverage: float, date: str, own: str) -> MarginCalibration:
-    used = {kind: values[~fresh] for kind, (values, fresh) in _all_errors(along).items()}
+def _over_blocks(
+    along: Sequence[Mapping[str, Values]], eta: float, coverage: float, date: str, own: str
+) -> MarginCalibration:
+    used = {kind: values[~fresh] for kind, (values, fresh) in _all_errors(along, eta).items()}
     return calibration_from_errors(used, coverage, date, own)
 
 
-def _all_errors(along: Sequence[Mapping[str, Values]]) -> dict[str, tuple[Values, NDArray[np.bool_]]]:
+def _all_errors(along: Sequence[Mapping[str, Values]], eta: float) -> dict[str, tuple[Values, NDArray[np.bool_]]]:
     """By kind the errors (steps,) of all drives, one after the other, and which of them are fresh."""
     kinds = dict.fromkeys(kind for heights in along for kind in heights)
+    ceiling = Ceiling(eta)
     joined = {kind: np.concatenate([heights[kind] for heights in along if kind in heights]) for kind in kinds}
     return {
-        kind: (pairs[:, 0] - pairs[:, 1], np.arange(len(pairs)) // _BLOCK % _SHARE == _SHARE - 1)
-        for kind, pairs in joined.items()
+        kind: (ceiling.errors(kind, rows), np.arange(len(rows)) // _BLOCK % _SHARE == _SHARE - 1)
+        for kind, rows in joined.items()
     }
 
 
 def _covered(
-    made: MarginCalibration, along: Sequence[Mapping[str, Values]], ceiling: Ceiling | None
+    made: MarginCalibration, along: Sequence[Mapping[str, Values]], ceiling: Ceiling, *, by_drives: bool
 ) -> dict[str, float]:
     """Share of the fresh steps that each margin covers, and of fresh drives that ``drive`` covers as a whole."""
     told: dict[str, float] = {}
-    blocks, fresh = _all_errors(along), along[_SHARE - 1 :: _SHARE]
+    blocks, fresh = _all_errors(along, ceiling.eta), along[_SHARE - 1 :: _SHARE]
     for name, table in (("conformal", made.epsilon), ("theorem", made.theorem), ("drive", made.drive)):
         for kind, epsilon in table.items():
-            if ceiling is not None:
+            if by_drives:
                 shares = covered_shares(fresh, kind, epsilon, ceiling)
                 told[f"{name}.{kind}"] = float((shares == 1.0).mean() if name == "drive" else shares.mean())
             elif (left := blocks[kind][0][blocks[kind][1]]).size:

@@ -109,7 +109,7 @@ class DriveResult:
 
     seed: int
     heights: dict[str, Values]
-    """By kind of barrier (steps, 2): the least h as it was predicted, and as it was measured."""
+    """By kind of barrier (steps, 4): the least h as it was predicted, and as it was measured."""
     goals: int
     collisions: int
     ticks: int

@@ -171,7 +171,7 @@ def _keep(path: Path, result: DriveResult) -> None:
         "steps": {kind: len(values) for kind, values in result.heights.items()},
     }
     whole = path.with_name(f"new-{path.name}")
-    heights = np.concatenate([*result.heights.values(), np.zeros((0, 2))])
+    heights = np.concatenate([*result.heights.values(), np.zeros((0, 4))])
     np.savez_compressed(whole, about=np.array(json.dumps(about)), heights=heights)
     whole.replace(path)
 
