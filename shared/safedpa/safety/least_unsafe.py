@@ -75,6 +75,8 @@ class _Lift:
         scales = np.maximum(conditions.size, reach)
         self._scales = np.where(scales > 0.0, scales, 1.0)
         self._required = np.array(conditions.required)
+        self._held = float((np.array(conditions.h_now) / self._scales).min())
+        """The least height now: what is given away for the next aim is not what the robot has, tick after tick."""
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
         best = self._best(known[0], known[1:])
@@ -134,7 +136,7 @@ class _Lift:
             u = found
             reached = heights + slopes @ u
             least = reached[free].min()
-            kept = _lowered(least)
+            kept = self._lowered(least)
             levels[free & (reached <= least + TOLERANCE)] = kept
             free = np.isnan(levels)
             if (reached >= wanted)[free].all():
@@ -150,11 +152,21 @@ class _Lift:
         """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the wish."""
         compared = [best, *others]
         heights = [float(self._height(one).min()) for one in compared]
-        level = _lowered(max(heights))
+        level = self._lowered(max(heights))
         good = [one for one, height in zip(compared, heights, strict=True) if height >= level]
         missing = [self._missing(one) for one in good]
         good = [one for one, short in zip(good, missing, strict=True) if short <= min(missing) + TOLERANCE]
         return min(good, key=lambda one: self._program.distance(one.action, self._wish))
+
+    def _lowered(self, height: float) -> float:
+        """The least that is as good as ``height``.
+
+        Not below 0 nor below what there is now where that is reached, or missed by rounding alone.
+        """
+        if -_TRUE < height <= 0.0:
+            return height
+        lower = height - TOLERANCE if height < 0.0 else max(0.0, height - TOLERANCE)
+        return max(lower, min(self._held, height))
 
     def _height(self, one: Outcome) -> Values:
         """(rows,) h_i(x+) / scale_i."""
@@ -175,10 +187,3 @@ class _Lift:
 
     def _action(self, u: Values) -> Action:
         return within((self._low + self._range * u).tolist(), self._program.sides)
-
-
-def _lowered(height: float) -> float:
-    """The least that is as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
-    if -_TRUE < height <= 0.0:
-        return height
-    return height - TOLERANCE if height < 0.0 else max(0.0, height - TOLERANCE)
