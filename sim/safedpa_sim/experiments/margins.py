@@ -168,6 +168,7 @@ def _keep(path: Path, result: DriveResult) -> None:
         "ticks": result.ticks,
         "statuses": result.statuses,
         "least_h": result.least_h,
+        "layer": result.layer,
         "steps": {kind: len(values) for kind, values in result.heights.items()},
     }
     whole = path.with_name(f"new-{path.name}")
@@ -219,4 +220,12 @@ def _driving(results: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
         "goals_a_minute": mean_interval(goals),
         "statuses": dict(sorted(statuses.items())),
         "least_h": min(item.least_h for item in results),
+        "layer": {
+            "stays": sum(item.layer["stays"] for item in results),
+            "longest_seconds": max(item.layer["longest"] * seconds / item.ticks for item in results),
+            "fall": max(item.layer["fall"] for item in results),
+            "errors": max(item.layer["errors"] for item in results),
+            "least_rise": min(item.layer["least_rise"] for item in results),
+            "depth": max(item.layer["depth"] for item in results),
+        },
     }
