@@ -65,6 +65,10 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
         fresh = row[f"fresh_{kind}"]
         assert fresh["drives"] == 2
         assert 0.0 <= fresh["covered"]["corridor"][kind]["steps"] <= 1.0
+    page = (tmp_path / "margins.md").read_text()
+    assert "safedpa experiment margins --robot pendulum --drives 4 --fresh 2" in page
+    assert f"| pendulum | corridor | drive | {margin.drive['corridor']:.4f} |" in page
+    assert page.count("| pendulum |") == 6, "both margins in three tables"
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
     again = CliRunner().invoke(command, asked)
     assert json.loads(again.output) == result, "nothing is driven twice, and the same comes out"
