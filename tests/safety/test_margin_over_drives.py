@@ -83,10 +83,16 @@ def test_a_calibration_says_both_and_the_settings_choose() -> None:
 
 def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
     """At h of 5 nobody is near; an error that leads from there to 1 is one of a robot whose margin needs that room."""
-    drives = [{"a": np.array([Seen(5.0, 5.0 - 0.04 * k)])} for k in range(100)]
+    drives = [{"a": np.array([Seen(5.0, 5.0 - 0.04 * k), Seen(0.3, 0.3)])} for k in range(100)]
     far = calibration_from_drives(drives, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
     assert far.drive == far.epsilon == {"a": 0.0}, "an error of 4 m that ends at 1 m is none"
     assert far.constants == {"ceiling.a": 0.5, "drive.ceiling.a": 0.5}
+    nobody = [{"a": np.array([Seen(0.9, 0.9 - 0.0001 * k)])} for k in range(100)]
+    seen = calibration_from_drives(nobody, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
+    assert seen.constants["ceiling.a"] == 1.0, "where nobody came near, farther steps have to say something"
+    assert seen.drive["a"] == pytest.approx(0.009)
+    with pytest.raises(InputError, match="transitions: got 0"):
+        calibration_from_drives([{"a": np.zeros((0, 4))}] * 100, 0.9, "", "x")
     low = [{"a": np.array([Seen(5.0, 1.0 - 0.01 * k)])} for k in range(100)]
     found = calibration_from_drives(low, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
     assert found.drive["a"] == pytest.approx(4.9), "0.4 is too much for a ceiling of 0.5, and so on up to all of it"

@@ -86,9 +86,13 @@ class Ceiling:
         """
         found, ceiling = margin(self), self
         while isfinite(found) and found > self.eta * ceiling.by_kind.get(kind, inf):
-            ceiling = Ceiling(self.eta, {**ceiling.by_kind, kind: 2.0 * ceiling.by_kind[kind]})
+            ceiling = ceiling.doubled(kind)
             found = margin(ceiling)
         return found, ceiling
+
+    def doubled(self, kind: str) -> Ceiling:
+        """Twice as high for one kind of barrier."""
+        return Ceiling(self.eta, {**self.by_kind, kind: 2.0 * self.by_kind.get(kind, inf)})
 
 
 NO_CEILING: Final = Ceiling(1.0)

@@ -21,6 +21,9 @@ Drives = Sequence[Mapping[str, Values]]
 """Of each drive by kind (steps, 4): the least h as it was predicted, and as it was measured; see ``drive_heights``."""
 
 _NOTHING = np.zeros((0, 4))
+_NEAR = 10
+"""Drives at least in which something has to have come near: from none a margin of 0 would follow."""
+_DOUBLINGS = 40
 
 
 def calibration_from_drives(
@@ -33,8 +36,9 @@ def calibration_from_drives(
 ) -> MarginCalibration:
     """Margins for a step near a boundary, and for a whole drive.
 
-    Errors count below the ``ceiling``, which is doubled where a margin is too wide for it. A drive in which nothing of
-    a kind came near counts as one without an error. Raises InputError when there are too few drives.
+    Errors count below the ``ceiling``, which is doubled where a margin is too wide for it, or too few drives came near.
+    A drive in which nothing of a kind came near counts as one without an error. Raises InputError when there are too
+    few drives, or no step in any.
     """
     if len(drives) < smallest_sample(coverage):
         raise InputError(
@@ -56,6 +60,11 @@ def calibration_from_drives(
 
 def _fitted(kind: str, along: Sequence[Values], coverage: float, ceiling: Ceiling, which: int) -> tuple[float, Ceiling]:
     """The margin of a step (0) or a whole drive (1), and the ceiling below which its errors were counted."""
+
+    for _ in range(_DOUBLINGS):
+        if sum(len(ceiling.errors(kind, heights)) > 0 for heights in along) >= min(_NEAR, len(along)):
+            break
+        ceiling = ceiling.doubled(kind)
 
     def margin(chosen: Ceiling) -> float:
         errors = [chosen.errors(kind, heights) for heights in along]
