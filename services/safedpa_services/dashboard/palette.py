@@ -37,10 +37,13 @@ SERIES: Final = (SKY, ORANGE, GREEN, PURPLE, VERMILLION, YELLOW, INK, BLUE)
 """Curves that stand side by side, in this order."""
 
 UNKNOWN_STATUS: Final = GREY
+RED: Final = 0xFF2D2DFF
+
 VERDICT_COLOURS: Final = {
     Status.passed.value: GREEN,
     Status.corrected.value: SKY,
     Status.relaxed.value: ORANGE,
+    Status.violated.value: RED,
     Status.fallback.value: VERMILLION,
     Status.disabled.value: PURPLE,
     Status.stopped.value: YELLOW,

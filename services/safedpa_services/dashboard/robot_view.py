@@ -151,7 +151,7 @@ class RobotView:
             return []
         self._status = verdict.status
         colour = VERDICT_COLOURS.get(verdict.status, UNKNOWN_STATUS)
-        level = "WARN" if verdict.status in ("relaxed", "fallback", "disabled") else "INFO"
+        level = "WARN" if verdict.status in ("relaxed", "violated", "fallback", "disabled") else "INFO"
         note = Note(f"{verdict.status}: {verdict.sentence}", colour, level)
         return [Entry(("verdict", "filter"), States(verdict.status)), Entry(("log",), note)]
 

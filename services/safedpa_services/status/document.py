@@ -73,7 +73,7 @@ def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
     }
     shares = robot.recent_verdicts.counts(now)
     total = shares.total() or 1
-    named = ("passed", "corrected", "relaxed", "fallback", "stopped", "disabled")
+    named = ("passed", "corrected", "relaxed", "violated", "fallback", "stopped", "disabled")
     return {**row, **{status: shares[status] / total for status in named}}
 
 

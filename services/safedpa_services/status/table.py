@@ -19,6 +19,7 @@ _COLOURS = {
     "passed": "green",
     "corrected": "yellow",
     "relaxed": "magenta",
+    "violated": "bold red",
     "fallback": "red",
     "stopped": "yellow",
     "disabled": "red",

@@ -16,8 +16,8 @@ from safedpa_services.supervisor.watch import Watch
 __all__ = ["view_of"]
 
 _SILENT_SECONDS = 1.0
-_COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "fallback": "red", "disabled": "red"}
-_COLOURS["stopped"] = "yellow"
+_COLOURS = {"passed": "green", "corrected": "yellow", "relaxed": "magenta", "violated": "bold red"}
+_COLOURS |= {"fallback": "red", "disabled": "red", "stopped": "yellow"}
 
 
 def view_of(

@@ -131,7 +131,7 @@ class PhysicsModel(AbstractDynamics):
     def felt(
         self, action: Sequence[float], memory: Any, latent: Sequence[float] | None = None, *, period: float
     ) -> tuple[list[float], Any]:
-        """What a robot's mechanics feel of an action (actions,) in the mean over a period, and the memory after it."""
+        """What one robot's mechanics feel of an action (actions,), the mean over a period, and the memory after it."""
         named = dict(zip(self.system.action_names, action, strict=True))
         values = self._fixed if latent is None else self._with_free(latent)
         after, remembered = self._felt(named, memory, values, period, FLOATS)

@@ -2,7 +2,7 @@
 
 Nothing in here has a scale of its own. What is small beside what is told by each barrier's
 
-    size_i = max(|h_i(x)|, epsilon_i),   reach_i = what the actions can change in h_i(x+),   scale_i = the larger one
+    scale_i = max(|h_i(x)|, epsilon_i, what the actions can change in h_i(x+))
 
 so that no verdict depends on the unit in which h, a state or an action is expressed.
 """
@@ -21,7 +21,7 @@ from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
 from safedpa.safety.tangent import Tangent
 
-__all__ = ["NO_INFLUENCE", "ROUNDING", "Conditions", "Outcome", "Plain", "smallest"]
+__all__ = ["NO_INFLUENCE", "ROUNDING", "Conditions", "Outcome", "Plain"]
 
 Plain = Sequence[float]
 
@@ -29,7 +29,10 @@ NO_INFLUENCE: Final = 1e-9
 """A column of g that over the action's whole range moves no entry of the state by more than this share of the entry, or
 of its motion, is rounding error: the actuator is saturated."""
 
-ROUNDING: Final = 1e-12
+_TINY: Final = 1e-300
+"""Scale of a barrier that has none: h = 0, no margin, and no action that moves it."""
+
+ROUNDING: Final = 1e-10
 """Share of a barrier's scale by which its condition may be missed: rounding errors of h and of the model."""
 
 
@@ -44,14 +47,15 @@ class Outcome:
         h_next: list[float],
         residual: list[float],
         broken: list[int],
-        unsafe: bool,
     ) -> None:
         self.action, self.next_state, self.h_next = action, next_state, h_next
         self.residual = residual
         """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i)."""
         self.broken = broken
         """Rows whose condition is broken by more than rounding."""
-        self.kept: bool = not broken and not unsafe
+        self.least: float = min(h_next)
+        """Smallest h_i(x+)."""
+        self.kept: bool = not broken and self.least >= 0.0
         """Whether every condition holds, and every h_i(x+) >= 0."""
 
     @property
@@ -62,11 +66,6 @@ class Outcome:
             missing = -self.residual[row]
             worst = missing if missing > worst else worst
         return worst
-
-    @property
-    def least(self) -> float:
-        """Smallest h_i(x+)."""
-        return smallest(self.h_next)
 
 
 @final
@@ -99,14 +98,16 @@ class Conditions:
         h_now: list[float] = plain.heights(state)
         self.h_now = h_now
         _finite("h at the state", h_now)
-        self.least_now: float = smallest(h_now)
+        self.least_now: float = min(h_now)
         """Smallest h_i at the state."""
         self.least_pending: float = inf
         """Smallest h_i on the way to where an action begins to act, which no action can change; infinity: at once."""
         self._begin = begin = prediction.begin(state, latent, memory)
         if begin is not None:
             for passed in begin.path:
-                self.least_pending = min(self.least_pending, smallest(plain.heights(passed)))
+                on_the_way: list[float] = plain.heights(passed)
+                _finite("h on the way to where the action acts", on_the_way)
+                self.least_pending = min(self.least_pending, *on_the_way)
             if begin.rows > 1:
                 self._plain = plain = Along(plain, begin.rows, len(state))
                 epsilon = [*epsilon] * begin.rows
@@ -117,24 +118,20 @@ class Conditions:
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
         required: list[float] = []
-        size: list[float] = []
+        scales: list[float] = []
         for index in range(len(h_now)):
             margin: float = epsilon[index]
             height = h_now[index]
             required.append(share * height + margin)
-            height = height if height >= 0.0 else -height
-            size.append(height if height > margin else margin)
+            if height < 0.0:
+                height = -height
+            scales.append(height if height > margin else margin if margin > _TINY else _TINY)
         self.required = required
-        self.size = size
-        """(m,)."""
-        self.reach: list[float] = [0.0] * len(h_now)
-        """(m,) as far as tangents were drawn, else 0; grows with every tangent."""
+        self.sizes = scales.copy()
+        """(m,) max(|h_i(x)|, epsilon_i)."""
+        self.scales = scales
+        """(m,) in the unit of each h; of what the actions can change as far as tangents were drawn."""
         self._last_g: list[list[float]] | None = None
-
-    def scale(self, row: int) -> float:
-        """scale_i, as far as it is known."""
-        size, reach = self.size[row], self.reach[row]
-        return size if size > reach else reach
 
     def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
@@ -146,53 +143,39 @@ class Conditions:
             raise ValueError(f"{len(h_next)} values of h, wanted {len(required)}")
         residual: list[float] = []
         broken: list[int] = []
-        unsafe = False
         for index in range(len(required)):
-            height = h_next[index]
-            rest = height - required[index]
+            rest = h_next[index] - required[index]
             residual.append(rest)
-            if rest < 0.0 and rest < -ROUNDING * self.scale(index):
+            if rest < 0.0 and rest < -ROUNDING * self.scales[index]:
                 broken.append(index)
-            if height < 0.0:
-                unsafe = True
-        return Outcome(action, following, h_next, residual, broken, unsafe)
+        return Outcome(action, following, h_next, residual, broken)
 
     def linearised(self, about: Outcome) -> Tangent:
         """The conditions tangent at ``about``."""
         if self._last_g is None or not self._prediction.affine:
             self._last_g = self._slopes(about)
-        return Tangent(self._plain, self._last_g, about.next_state, self._widths, self.reach)
+        return Tangent(self._plain, self._last_g, about.next_state, self._widths, self.scales)
 
     def tightest(self, found: Outcome) -> float:
         """Least residual, each as a share of its barrier's scale."""
-        least = self.share(found.residual[0], 0)
-        for row in range(1, len(found.residual)):
-            value = self.share(found.residual[row], row)
-            least = value if value < least else least
+        residual, scales = found.residual, self.scales
+        least = residual[0] / scales[0]
+        for row in range(1, len(residual)):
+            value = residual[row]
+            if value < least * scales[row]:
+                least = value / scales[row]
         return least
-
-    def height(self, found: Outcome) -> float:
-        """Least h_i(x+), each as a share of its barrier's scale."""
-        least = self.share(found.h_next[0], 0)
-        for row in range(1, len(found.h_next)):
-            value = self.share(found.h_next[row], row)
-            least = value if value < least else least
-        return least
-
-    def share(self, value: float, row: int) -> float:
-        """A number in the unit of h_i, as a share of scale_i; of a barrier without one its sign."""
-        scale = self.scale(row)
-        if scale > 0.0:
-            return value / scale
-        return 0.0 if value == 0.0 else 1.0 if value > 0.0 else -1.0
 
     def binding(self, found: Outcome, limit: float) -> tuple[str, ...]:
         """Names of the barriers whose residual is ``limit`` of their scale at most, the tightest first."""
         near: list[tuple[float, int]] = []
+        scales = self.scales
         for row in range(len(found.residual)):
             value = found.residual[row]
-            if value <= limit * self.scale(row):
-                near.append((self.share(value, row), row))
+            if value <= limit * scales[row]:
+                near.append((value / scales[row], row))
+        if not near:
+            return ()
         near.sort()
         names = self.barriers.names
         return tuple(dict.fromkeys([names[row % len(names)] for _, row in near]))
@@ -208,7 +191,7 @@ class Conditions:
             g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
             _finite("g of the model", row)
-        return self._unsaturated(g, about)
+        return g if self._prediction.affine else self._unsaturated(g, about)
 
     def _following(self, action: Plain) -> list[float]:
         found: list[float]
@@ -251,14 +234,6 @@ class Conditions:
         other = (*about.action[:index], end, *about.action[index + 1 :])
         reached = zip(self._following(other), about.next_state, strict=True)
         return [(there - here) / (end - value) for there, here in reached]
-
-
-def smallest(numbers: list[float]) -> float:
-    """Of one number at least."""
-    least = numbers[0]
-    for value in numbers:
-        least = value if value < least else least
-    return least
 
 
 def _finite(what: str, numbers: list[float]) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
-from safedpa.safety.conditions import Conditions, Outcome, smallest
+from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
 from safedpa.safety.inputs import Plausible, Unusable, checked_input
 from safedpa.safety.least_unsafe import least_unsafe
@@ -161,7 +161,7 @@ class Decision:
         if found.kept:
             return self._verdict(Status.corrected, found, "", solver)
         backup = conditions.outcome(self._backup_action())
-        start = towards(conditions, program, wish, backup) if backup.kept else backup
+        start = towards(conditions, self._within(wish), backup) if backup.kept else backup
         other, solver = search(conditions, program, wish, start, rounds)
         if other.kept:
             return self._verdict(Status.corrected, other, "Found from the backup action.", solver)
@@ -169,7 +169,10 @@ class Decision:
             return self._verdict(Status.corrected, start, "Between the backup action and the wish.", solver)
         best = self._least_unsafe(conditions, [asked, found, other, backup])
         if best.kept:
-            return self._verdict(Status.corrected, best, "Found among the least unsafe actions.", solver)
+            nearer = towards(conditions, self._within(wish), best)
+            found, solver = search(conditions, program, wish, nearer, rounds)
+            kept = found if found.kept else nearer
+            return self._verdict(Status.corrected, kept, "Found from a corner of the actions' range.", solver)
         return self._verdict(Status.relaxed, best, self._worst(conditions, best), solver)
 
     def _violated(self, conditions: Conditions, asked: Outcome) -> Verdict:
@@ -235,7 +238,7 @@ class Decision:
                 "reason": reason,
                 "slack": slack,
                 "active": active,
-                "h_now": 0.0 if conditions is None else smallest(conditions.h_now),
+                "h_now": 0.0 if conditions is None else conditions.least_now,
                 "h_next": 0.0 if h_next is None else h_next,
                 "margin": self._margin,
                 "solver": solver,

@@ -21,12 +21,12 @@ from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.trail import Trail
+from safedpa.safety.trail import LONGEST_AGE, Trail
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
 from safedpa.systems import POINT
 
-__all__ = ["NO_BARRIERS", "Decided", "FilteredRobot"]
+__all__ = ["NO_BARRIERS", "Decided", "FilteredRobot", "too_late"]
 
 Values = NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]
@@ -45,6 +45,13 @@ class Decided(NamedTuple):
     state: StateMessage
     latent: Values | None
     verdict: Verdict
+
+
+def too_late(state: StateMessage) -> list[str]:
+    """What is wrong with a state that is too old where its action acts."""
+    if 0.0 <= state.until_action <= LONGEST_AGE:
+        return []
+    return [f"the state (its action acts {state.until_action:g} s later, wanted 0 to {LONGEST_AGE:g} s)"]
 
 
 def _late(state: StateMessage, known: LatentMessage) -> bool:
@@ -187,7 +194,7 @@ class FilteredRobot:
         else:
             self.memory = model.initial_memory(np.array(state.applied))
         self.trail.add(state.tick, state.values, state.applied, self.memory)
-        late = self.memory or state.until_action > 0.0
+        late = (self.memory or state.until_action > 0.0) and not too_late(state)
         self.pending = self.trail.pending(state.until_action) if late else ()
 
     def predicted(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> tuple[Rows, Any]:

@@ -13,6 +13,8 @@ Values = NDArray[np.float64]
 
 _ALWAYS = -1.0
 """Right-hand side of padding rows 0 >= -1."""
+_MOST = 1e9
+"""Heights beyond are never the least, or cannot be changed; PIQP takes much larger ones for infinite."""
 _ACCURACY = 1e-10
 _CENTRED = 1e-9
 """Cost of an action's distance from the middle of its range, squared: which of several optima is all the same here."""
@@ -59,7 +61,7 @@ class _Workspace:
         self._left[:], self._right[:] = 0.0, _ALWAYS
         self._left[:rows, :-1] = slopes
         self._left[:rows, -1] = -1.0 * free
-        self._right[:rows] = np.where(free, 0.0, levels) - heights
+        self._right[:rows] = np.clip(np.where(free, 0.0, levels) - heights, -_MOST, _MOST)
         self._solver.update(G=self._left, h_l=self._right)
         if self._solver.solve() != self._solved:
             return None

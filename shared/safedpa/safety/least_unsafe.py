@@ -65,31 +65,28 @@ class _Lift:
     ) -> None:
         self._conditions, self._program, self._highest, self._wish = conditions, program, highest, wish
         self._low, self._range = program.low, program.range
+        self._safe = conditions.least_now >= 0.0
         self._known = [conditions.outcome(corner) for corner in self._corners()]
         if self._known:
             reached = np.array([one.h_next for one in self._known])
-            reach = reached.max(axis=0) - reached.min(axis=0)
+            self._scales = np.maximum(conditions.sizes, reached.max(axis=0) - reached.min(axis=0))
         else:
             conditions.linearised(first).all(len(first.h_next))
-            reach = np.array(conditions.reach)
-        scales = np.maximum(conditions.size, reach)
-        self._scales = np.where(scales > 0.0, scales, 1.0)
+            self._scales = np.array(conditions.scales)
         self._required = np.array(conditions.required)
         self._held = float((np.array(conditions.h_now) / self._scales).min())
         """The least height now: what is given away for the next aim is not what the robot has, tick after tick."""
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
-        best = self._best(known[0], known[1:])
-        exact = False
+        best = self._best(known[0], [*known[1:], *self._known])
         for _ in range(_ROUNDS):
+            if best.kept and self._safe:
+                break
             about = best
             best, exact = self._improved(about)
             if exact or best is about:
                 break
-        if exact:
-            return best
-        corners = self._best(best, self._known)
-        return best if corners is best else self._best(corners, [self._improved(corners)[0]])
+        return best
 
     def _improved(self, about: Outcome) -> tuple[Outcome, bool]:
         """A better outcome than ``about`` (or itself), and whether the tangent there foretold it."""
@@ -151,6 +148,8 @@ class _Lift:
     def _best(self, best: Outcome, others: Iterable[Outcome]) -> Outcome:
         """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the wish."""
         compared = [best, *others]
+        if self._safe:  # what keeps all is no longer a question of less or more
+            compared = [one for one in compared if one.kept] or compared
         heights = [float(self._height(one).min()) for one in compared]
         level = self._lowered(max(heights))
         good = [one for one, height in zip(compared, heights, strict=True) if height >= level]
@@ -170,7 +169,7 @@ class _Lift:
 
     def _height(self, one: Outcome) -> Values:
         """(rows,) h_i(x+) / scale_i."""
-        return np.array(one.h_next) / self._scales
+        return np.asarray(np.array(one.h_next) / self._scales)
 
     def _missing(self, one: Outcome) -> float:
         """Sum over the rows of what their conditions miss, each as a share of its scale."""

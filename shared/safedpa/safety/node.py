@@ -33,7 +33,7 @@ from safedpa.bus import (
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.filtered_robot import NO_BARRIERS, Decided, FilteredRobot
+from safedpa.safety.filtered_robot import NO_BARRIERS, Decided, FilteredRobot, too_late
 from safedpa.safety.held_model import HeldModel, checked_calibration, held_offer, uncalibrated
 from safedpa.safety.margin_change import least_by_kind, margin_change
 from safedpa.safety.orders import Orders
@@ -122,6 +122,7 @@ class SafetyFilterNode(AbstractNode):
         holds = bool(absent and state.corridor)
         if absent and not holds:
             stale.append(absent)
+        stale.extend(too_late(state))
         if isinstance(memory.barriers, str):
             stale.append(f"the {memory.barriers}")
         barriers = NO_BARRIERS if isinstance(memory.barriers, str) else memory.barriers

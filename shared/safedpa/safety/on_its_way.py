@@ -87,7 +87,7 @@ class Begin(NamedTuple):
 
 @final
 class Along:
-    """Barriers over plain numbers at several states in a row, as if it were one: ``heights``, ``along``, ``steepest``.
+    """Barriers over plain numbers at several states in a row as if they were one; ``heights``, ``along``, ``steepest``.
 
     Of a state of ``rows * states`` numbers; h has ``rows`` times as many entries.
     """

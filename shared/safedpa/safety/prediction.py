@@ -37,14 +37,14 @@ class Prediction:
         self._fixed: tuple[float, ...] = ()
         self._learned: LearnedBase | None = None
         self._actuators: Actuators | None = None
-        self.affine = False
+        self.affine = step is None and "around" not in self._affine_words
         """Whether the model is known to be affine in the action: then its slopes are the same about every action."""
 
     @classmethod
     def of_model(cls, model: AbstractDynamics) -> Prediction:
         """The prediction of a model of this project, with what its actuators remember."""
         prediction = cls(model.affine)
-        prediction._model = model
+        prediction._model, prediction.affine = model, False
         if isinstance(model, PhysicsModel):
             prediction._physics, prediction._fixed = model, tuple(model.latent.tolist())
             prediction._actuators = Actuators(model)

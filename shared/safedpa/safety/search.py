@@ -19,7 +19,7 @@ SERVED_WELL: Final = 0.1
 """Slopes that brought what is missing below this share of the last are used once more."""
 
 
-NEEDLESS: Final = 0.02
+NEEDLESS: Final = 0.05
 """A solution whose every condition is kept by more than this share of its scale was led astray by its slopes."""
 
 
@@ -27,11 +27,24 @@ OVERSHOOT: Final = 0.25
 """Share of what the last solution misses that the next program asks for on top; each one after it once more as much."""
 
 
-HALVES: Final = 5
-"""Halvings of the way to the wish: to a thirtieth of it."""
+TRIES: Final = 4
+"""Actions that are tried on the way to the wish."""
 
 
-AGAIN: Final = 2
+LEFT: Final = 0.9
+"""Share that is gone of the way on which the room would be used up: to end on the kept side."""
+
+
+DOUBTFUL: Final = 0.02
+"""A solution that far from the wish, kept by more than this share of its scale, may lie where an actuator saturates and
+nothing is lost by coming nearer."""
+
+
+FAR: Final = 0.1
+"""Weighted share of the actions' ranges."""
+
+
+AGAIN: Final = 1
 """How often the program is posed from there."""
 
 
@@ -88,25 +101,53 @@ def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
     allow, and the program posed once more: the nearest action has a condition that binds.
     """
     best, status = _posed(conditions, program, wish, start, rounds)
-    if not best.kept or conditions.tightest(best) <= NEEDLESS:
+    if not best.kept:
         return best, status
-    nearer = towards(conditions, program, wish, best)
-    again, _ = _posed(conditions, program, wish, nearer, AGAIN)
-    return _better(conditions, program, wish, nearer, again), status
+    room, wanted = conditions.tightest(best), within(wish, program.sides)
+    if room > NEEDLESS:
+        nearer = towards(conditions, wanted, best)
+        again, _ = _posed(conditions, program, wish, nearer, AGAIN)
+        return _better(conditions, program, wish, nearer, again), status
+    if room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
+        return towards(conditions, _furthest_back(program, wanted, best.action), best), status
+    return best, status
 
 
-def towards(conditions: _Posed, program: _Program, wish: Plain, kept: Outcome) -> Outcome:
-    """The furthest action found on the way from a kept one to the wish that is still kept."""
-    end, safe, low, high = within(wish, program.sides), kept, 0.0, 1.0
-    for _ in range(HALVES):
-        middle = 0.5 * (low + high)
-        between = [kept.action[index] + middle * (end[index] - kept.action[index]) for index in range(len(end))]
+def towards(conditions: _Posed, end: Plain, kept: Outcome) -> Outcome:
+    """The furthest action found on the way from a kept one to ``end`` (actions,) that is still kept.
+
+    The least residual is taken to fall along a straight line, anew between the last action kept and the last not kept.
+    """
+    last = conditions.outcome(end)
+    if last.kept:
+        return last
+    safe, low, high = kept, 0.0, 1.0
+    room, beyond = conditions.tightest(kept), min(conditions.tightest(last), -SAME)
+    for _ in range(TRIES):
+        if room <= DOUBTFUL:
+            break
+        share = low + (high - low) * room * LEFT / (room - beyond)
+        between = [kept.action[index] + share * (end[index] - kept.action[index]) for index in range(len(end))]
         tried = conditions.outcome(between)
         if tried.kept:
-            safe, low = tried, middle
+            safe, low, room = tried, share, conditions.tightest(tried)
         else:
-            high = middle
+            high, beyond = share, min(conditions.tightest(tried), -SAME)
     return safe
+
+
+def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float]:
+    """``found`` with the entry that costs most as it is wanted."""
+    most, entry = -1.0, 0
+    for index in range(len(found)):
+        other = list(found)
+        other[index] = wanted[index]
+        cost = program.distance(other, found)
+        if cost > most:
+            most, entry = cost, index
+    back = list(found)
+    back[entry] = wanted[entry]
+    return back
 
 
 def _posed(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int) -> tuple[Outcome, str]:
@@ -125,6 +166,8 @@ def _posed(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
         best = about if index == 0 else _better(conditions, program, wish, best, about)
         tightest = conditions.tightest(about)
         if about.kept and tightest <= NEEDLESS:
+            break
+        if best.kept and not about.kept:  # the slopes there led astray: what was kept is as good a place to go on from
             break
         if fresh and _same(program, about, before):
             break

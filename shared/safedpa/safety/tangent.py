@@ -26,13 +26,14 @@ class Tangent:
 
     x+ (states,) is the predicted state under ``about``, g (states, actions), ``widths`` (actions,) the actions' ranges.
     ``barriers`` have ``along`` and ``steepest``. A row's slopes p'g are computed when it is asked for, and only if some
-    action might break it; ``reach`` (m,) learns what the actions can change in h by them.
+    action might break it; ``scales`` (m,) learn what the actions can change in h by them.
     """
 
-    def __init__(self, barriers: Any, g: list[list[float]], state: Plain, widths: list[float], reach: list[float]):
+    def __init__(self, barriers: Any, g: list[list[float]], state: Plain, widths: list[float], scales: list[float]):
         self._barriers, self._g, self._state, self._widths = barriers, g, state, widths
-        self._reach = reach
+        self._scales = scales
         self._rows: dict[int, list[float]] = {}
+        self._changes: dict[int, float] = {}
         self._most = inf
         """By more than this no action within its range changes a row: sum_kj |p_k| |g_kj| width_j at the most."""
         steepest = barriers.steepest(state)
@@ -51,7 +52,7 @@ class Tangent:
         for index in near:
             row = self._rows[index]
             rest: float = residual[index]
-            total = MARK * self._reach[index] - rest
+            total = MARK * self._changes[index] - rest
             if rest < 0.0:
                 total -= overshoot * rest
             for column in range(len(row)):
@@ -101,7 +102,9 @@ class Tangent:
                 change += abs(row[column]) * self._widths[column]
             if change - change != 0.0:
                 _refuse_infinite(row)
-            self._reach[index] = max(self._reach[index], change)
+            if change > self._scales[index]:  # noqa: PLR1730 - max() of two floats costs a call when compiled
+                self._scales[index] = change
+            self._changes[index] = change
             self._rows[index] = row
 
 

@@ -81,7 +81,7 @@ class Trail:
         return Pending(memory, commands[-1], tuple(zip(commands, spans, strict=True)))
 
     def foretold(self, until_action: float) -> Foretold | None:
-        """The newest two states, predicted from before the dead time; None: there is none, or it is not known yet."""
+        """The newest two states, predicted from before the dead time; None: there is none, or it is not yet over."""
         entries, period = list(self._entries), self._model.period
         count, rest = _delay(until_action, period)
         newest = len(entries) - 1

@@ -189,7 +189,7 @@ def _run(episode: _Episode) -> dict[str, Any]:
         "room": float(BALANCING[1] - np.abs(angles).max()),
         "reach": float(np.quantile(np.abs(angles), 0.95)),
         "corrected": float(np.mean([tick.verdict.status != "passed" for tick in ticks])),
-        "relaxed": float(np.mean([tick.verdict.status in ("relaxed", "fallback") for tick in ticks])),
+        "relaxed": float(np.mean([tick.verdict.status in ("relaxed", "violated", "fallback") for tick in ticks])),
     }
 
 

@@ -83,7 +83,7 @@ def swung(closed: Closed, wish: Wish, start: Floats, wind: Floats, edges: tuple[
             verdict = item.decide(state[index], wished[index], None if known is None else known[index])
             torque[index] = verdict.action
             changed[index] += verdict.status.value != "passed"
-            failed[index] += verdict.status.value in ("relaxed", "fallback")
+            failed[index] += verdict.status.value in ("relaxed", "violated", "fallback")
         following = np.asarray(world.advance(state, torque, world.initial_memory(torque, wind), wind)[0])
         history.add(state, torque, following)
         state = following

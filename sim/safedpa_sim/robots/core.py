@@ -41,6 +41,7 @@ class CarRobot(SimulatedRobot):
         wall_clock: Callable[[], float] = time.time,
         change: PlannedChange | None = None,
         late: LateCommands | None = None,
+        until_action: float = 0.0,
     ) -> None:
         if not 0.0 < period <= 1.0:
             raise InputError(f"period: got {period} s, wanted more than 0 and at most 1 s")
@@ -55,7 +56,7 @@ class CarRobot(SimulatedRobot):
         self._goals = scene.goals()
         self.goal = next(self._goals)
         guard = ActionGuard(epoch, (car.speed_low, -car.steer_limit), (car.speed_high, car.steer_limit))
-        super().__init__(guard, period, lockstep, wall_clock)
+        super().__init__(guard, period, lockstep, wall_clock, until_action)
 
     @property
     def values(self) -> tuple[float, float, float, float]:

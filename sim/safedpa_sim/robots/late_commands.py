@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from math import isfinite
 from typing import final
 
@@ -36,14 +37,15 @@ class LateCommands:
         begin, end = self._now, self._now + seconds
         for history, value, late in zip(self._felt, command, self._seconds, strict=True):
             history.append((begin + late, value))
-        edges = sorted({begin, end, *(t for history in self._felt for t, _ in history if begin < t < end)})
-        kept = [edge for edge, after in zip(edges, [*edges[1:], end + 1.0], strict=True) if after - edge > _ROUNDING]
-        for start, stop in zip(kept, [*kept[1:], end], strict=False):
-            if stop - start > _ROUNDING:
-                yield self._at(0, start), self._at(1, start), stop - start
+        edges = [begin]
+        for edge in sorted(time for history in self._felt for time, _ in history):
+            if edges[-1] + _ROUNDING < edge < end - _ROUNDING:
+                edges.append(edge)
+        for start, stop in pairwise([*edges, end]):
+            yield self._at(0, start), self._at(1, start), stop - start
         self._now = end
         for history in self._felt:
-            while len(history) > 1 and history[1][0] <= end:
+            while len(history) > 1 and history[1][0] <= end + _ROUNDING:
                 del history[0]
 
     def _at(self, channel: int, time: float) -> float:

@@ -92,10 +92,10 @@ def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Concern]:
         yield Concern("attention", verdict.sentence, name, "safety_filter")
     elif verdict.status == "fallback":
         yield Concern("trouble", verdict.sentence, name, "safety_filter")
-    elif verdict.h_now < 0.0:
-        sentence = f"outside the safe set: h {verdict.h_now:+.3f}"
+    elif verdict.status == "violated" or verdict.h_now < 0.0:
+        sentence = f"unsafe now: h {verdict.h_now:+.3f}"
         yield Concern("trouble", sentence, name, "safety_filter", "outside", -verdict.h_now)
-    for status in ("fallback", "relaxed"):
+    for status in ("fallback", "violated", "relaxed"):
         share = robot.recent_verdicts.share(status, now)
         if share > 0.0 and verdict.status != "fallback":
             sentence = f"{100.0 * share:.1f} % of the last verdicts {status}"

@@ -255,6 +255,6 @@ def _told_outcome(outcome: Outcome) -> str:
 
 def _decision(verdict: VerdictMessage | None) -> Decision | None:
     """Of a verdict that rests on a prediction; a fallback predicts nothing."""
-    if verdict is None or verdict.status not in ("passed", "corrected", "relaxed"):
+    if verdict is None or verdict.status not in ("passed", "corrected", "relaxed", "violated"):
         return None
     return Decision(verdict.h_now, verdict.h_next, verdict.margin)
