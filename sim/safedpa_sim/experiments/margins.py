@@ -148,11 +148,11 @@ def _until(orders: Sequence[DriveOrder], ends: float) -> Iterator[DriveOrder]:
 
 def _path(folder: Path, order: DriveOrder) -> Path:
     """One file a drive; another margin is another drive."""
-    margin = "none" if order.margin is None else fingerprint_of(order.margin)
+    margin = "none" if order.margin is None else _digest_of(order.margin)
     return folder / f"{order.seed}-{order.seconds:g}s-{margin}.npz"
 
 
-def fingerprint_of(margin: MarginCalibration) -> str:
+def _digest_of(margin: MarginCalibration) -> str:
     """A few digits that tell one table of margins from another."""
     import hashlib
 
