@@ -7,7 +7,19 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import LATENT, TAKEOVER, VERDICT, WISH, LatentMessage, ModelMessage, StateMessage, WishMessage
+from safedpa.bus import (
+    LATENT,
+    TAKEOVER,
+    VERDICT,
+    WISH,
+    LatentMessage,
+    ModelMessage,
+    Request,
+    StateMessage,
+    TakeoverMessage,
+    WishMessage,
+)
+from safedpa.diagnosis.live.versions import Candidate
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.safety.margin_change import PhasedMargin, margin_change
 from safedpa.safety.margin_text import margin_text
@@ -169,3 +181,22 @@ def test_what_is_told_of_a_narrower_margin_and_of_none() -> None:
     )
     assert margin_change({"a": 0.2}, {"a": 0.3}, {}, 0.5) == "the margin of a goes from 0.2 to 0.3"
     assert margin_change({"a": 0.2}, {"a": 0.2}, {"a": 0.0}, 0.5) == ""
+
+
+def test_command_and_page_hear_of_the_margin_before_it_is_used(changing_node: Any) -> None:
+    """With the decision, and in the answer to ``status`` until the next change."""
+    changes = changing_node(CAR).changes
+    changes.propose(1, {"steering_offset": Candidate("steering_offset", NEW, DOCUMENT, margin_text(WIDE))})
+    state = Standing().state()
+    assert changes.step(state) is None
+    asked = Request(do="accept", effect="steering_offset", model=changes.fingerprint, finding=1, who="test")
+    assert changes.answer(asked).ok
+    offered = changes.step(dataclasses.replace(state, tick=1))
+    stamp = {"epoch": 1, "tick": 1, "robot_time": 0.0, "publish_time": 0.0, "change": 1, "fingerprint": NEW}
+    for service in ("adaptation", "policy", "safety_filter"):
+        told = "the margin of a goes from 0.03 to 0.115" if service == "safety_filter" else ""
+        changes.hear(TakeoverMessage(**stamp, service=service, state="ready", foretold=told))
+    take = changes.step(dataclasses.replace(state, tick=2))
+    assert (offered.step, take.step) == ("offer", "take")
+    assert changes.sentence.endswith("used from tick 7 on; the margin of a goes from 0.03 to 0.115")
+    assert changes.fingerprint != NEW, "told before it is used"

@@ -15,13 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from safedpa.dynamics import AbstractDynamics, PhysicsModel, fingerprint
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.margin import margins_over_drives, smallest_sample, split_conformal_margin
+from safedpa.safety.margin import smallest_sample, split_conformal_margin
 from safedpa.safety.prediction import Prediction
 
 __all__ = [
     "MarginCalibration",
     "calibrate_margin",
-    "calibration_from_drives",
     "calibration_from_errors",
     "one_step_errors",
 ]
@@ -182,38 +181,6 @@ def calibration_from_errors(
         )
     epsilon = {kind: max(0.0, split_conformal_margin(values, coverage)) for kind, values in errors.items()}
     return MarginCalibration(epsilon, coverage, count, date, model_fingerprint)
-
-
-def calibration_from_drives(
-    drives: Sequence[Mapping[str, ArrayLike]], coverage: float, date: str, model_fingerprint: str, origin: str = ""
-) -> MarginCalibration:
-    """Margins for a step and for a whole drive from the errors by kind (steps,) of each drive, see ``drive_errors``.
-
-    A drive in which nothing of a kind came near counts as one without an error. Raises InputError when there are too
-    few drives.
-    """
-    if len(drives) < smallest_sample(coverage):
-        raise InputError(
-            f"drives: got {len(drives)}, wanted at least {smallest_sample(coverage)} for a coverage of {coverage}; "
-            "drive more or ask for less"
-        )
-    kinds = list(dict.fromkeys(kind for errors in drives for kind in errors))
-    tables = {kind: [np.asarray(errors.get(kind, ())) for errors in drives] for kind in kinds}
-    found = {
-        kind: margins_over_drives([values if len(values) else (0.0,) for values in table], coverage)
-        for kind, table in tables.items()
-    }
-    steps = sum(max((len(np.asarray(values)) for values in errors.values()), default=0) for errors in drives)
-    return MarginCalibration(
-        {kind: max(0.0, step) for kind, (step, _) in found.items()},
-        coverage,
-        steps,
-        date,
-        model_fingerprint,
-        drive={kind: max(0.0, largest) for kind, (_, largest) in found.items()},
-        drives=len(drives),
-        origin=origin,
-    )
 
 
 def one_step_errors(

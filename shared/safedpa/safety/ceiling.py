@@ -12,18 +12,39 @@ hazard that is metres away may be misjudged by half a metre without any conseque
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import inf
-from typing import Final, final
+from math import inf, isfinite
+from typing import Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from safedpa.safety.settings import FilterSettings
 
-__all__ = ["NO_CEILING", "Ceiling"]
+__all__ = ["NO_CEILING", "Ceiling", "Seen"]
 
 _LAYERS: Final = 10.0
 """The ceiling in units of epsilon / eta of the settings' own margin, which is chosen before any data are seen. The
 lowest that is allowed is 1; more leaves room for margins that turn out wider, and for a watch that sees errors before
 they matter."""
+
+
+_FAR: Final = 1e12
+"""Above every ceiling but none."""
+
+
+class Seen(NamedTuple):
+    """The least h of a kind of barrier, predicted and measured, of one step.
+
+    Past a dead time the condition is h(x+) >= (1 - eta) h(x) + epsilon with x predicted itself. Then the error of h at
+    x counts as well: (1 - eta) times, and with the other sign.
+    """
+
+    hoped: float
+    measured: float
+    hoped_before: float = _FAR
+    before: float = _FAR
 
 
 @final
@@ -45,13 +66,33 @@ class Ceiling:
         """H for a kind of barrier whose margin in force is ``epsilon``: never below epsilon / eta."""
         return max(self.by_kind.get(kind, inf), epsilon / self.eta)
 
-    def allows(self, epsilon: dict[str, float]) -> bool:
-        """Whether these margins may be calibrated with errors below the ceiling."""
-        return all(value <= self.eta * self.by_kind.get(kind, inf) for kind, value in epsilon.items())
+    def error(self, kind: str, seen: Seen, epsilon: float) -> float | None:
+        """The error of one step; None where everything is above the ceiling."""
+        top = self.of(kind, epsilon)
+        if all(h >= top for h in seen):
+            return None
+        hoped, measured, hoped_before, before = (h if h < top else top for h in seen)
+        return hoped - measured - (1.0 - self.eta) * (hoped_before - before)
 
-    def raised(self) -> Ceiling:
-        """Twice as high."""
-        return Ceiling(self.eta, {kind: 2.0 * value for kind, value in self.by_kind.items()})
+    def errors(self, kind: str, heights: NDArray[np.float64], epsilon: float = 0.0) -> NDArray[np.float64]:
+        """``error`` of many steps, rows of ``heights`` (steps, 4); those that count (near,)."""
+        found = (self.error(kind, Seen(*row), epsilon) for row in heights.tolist())
+        return np.array([error for error in found if error is not None], dtype=np.float64)
+
+    def fitting(self, kind: str, margin: Callable[[Ceiling], float]) -> tuple[float, Ceiling]:
+        """The margin of a kind, and the lowest of H, 2 H, 4 H, ... that is no less than it over eta.
+
+        ``margin`` is computed from the errors below a ceiling.
+        """
+        found, ceiling = margin(self), self
+        while isfinite(found) and found > self.eta * ceiling.by_kind.get(kind, inf):
+            ceiling = ceiling.doubled(kind)
+            found = margin(ceiling)
+        return found, ceiling
+
+    def doubled(self, kind: str) -> Ceiling:
+        """Twice as high for one kind of barrier."""
+        return Ceiling(self.eta, {**self.by_kind, kind: 2.0 * self.by_kind.get(kind, inf)})
 
 
 NO_CEILING: Final = Ceiling(1.0)

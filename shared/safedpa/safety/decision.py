@@ -14,6 +14,7 @@ from safedpa.safety.car_stack import Stacks
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
 from safedpa.safety.inputs import Plausible, Unusable, checked_input
+from safedpa.safety.lattice import lattice
 from safedpa.safety.least_unsafe import least_unsafe
 from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.prediction import Prediction
@@ -36,6 +37,10 @@ search: Callable[..., tuple[Outcome, str]] = _search
 
 _BINDING: Final = 0.02
 """A condition within this share of its scale of its limit is reported as active."""
+
+
+_STARTS: Final = 3
+"""Actions that keep all conditions from which a nearer one is looked for."""
 
 
 @final
@@ -160,32 +165,45 @@ class Decision:
         found, solver = search(conditions, program, wish, asked, rounds)
         if found.kept:
             return self._verdict(Status.corrected, found, "", solver)
-        backup = conditions.outcome(self._backup_action())
-        start = towards(conditions, self._within(wish), backup) if backup.kept else backup
-        other, solver = search(conditions, program, wish, start, rounds)
+        known = [conditions.outcome(self._backup_action()), *self._spread(conditions)]
+        other, solver = self._from_elsewhere(conditions, wish, asked, known)
         if other.kept:
-            return self._verdict(Status.corrected, other, "Found from the backup action.", solver)
-        if start.kept:
-            return self._verdict(Status.corrected, start, "Between the backup action and the wish.", solver)
-        best = self._least_unsafe(conditions, [asked, found, other, backup])
-        if best.kept:
-            nearer = towards(conditions, self._within(wish), best)
-            found, solver = search(conditions, program, wish, nearer, rounds)
-            kept = found if found.kept else nearer
-            return self._verdict(Status.corrected, kept, "Found from a corner of the actions' range.", solver)
+            return self._verdict(Status.corrected, other, "Found from another start than the wish.", solver)
+        best = self._least_unsafe(conditions, [asked, found, other], known)
         return self._verdict(Status.relaxed, best, self._worst(conditions, best), solver)
 
+    def _from_elsewhere(
+        self, conditions: Conditions, wish: Action, asked: Outcome, known: Sequence[Outcome]
+    ) -> tuple[Outcome, str]:
+        """The best outcome found from the kept ones of ``known`` that are nearest to the wish, or the least broken."""
+        program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
+        kept = sorted([one for one in known if one.kept], key=lambda one: program.distance(one.action, wish))
+        if not kept:
+            return search(conditions, program, wish, max(known, key=conditions.tightest), rounds)
+        best, status = kept[0], "not needed"
+        for start in kept[:_STARTS]:
+            nearer = towards(conditions, asked, start)
+            found, solver = search(conditions, program, wish, nearer, rounds)
+            for one in (nearer, found):
+                if one.kept and program.distance(one.action, wish) < program.distance(best.action, wish):
+                    best, status = one, solver
+        return best, status
+
     def _violated(self, conditions: Conditions, asked: Outcome) -> Verdict:
-        backup = conditions.outcome(self._backup_action())
-        best = self._least_unsafe(conditions, [asked, backup])
+        known = [asked, conditions.outcome(self._backup_action())]
+        best = self._least_unsafe(conditions, known, self._spread(conditions))
         names, h_now = conditions.barriers.names, conditions.h_now
         below = ", ".join([names[row] for row in range(len(names)) if h_now[row] < 0.0])
         return self._verdict(Status.violated, best, f"Below 0: {below}.", "solved")
 
-    def _least_unsafe(self, conditions: Conditions, known: Sequence[Outcome]) -> Outcome:
+    def _spread(self, conditions: Conditions) -> list[Outcome]:
+        tools = self._tools
+        return [conditions.outcome(one) for one in lattice(tools.program.sides, affine=tools.prediction.affine)]
+
+    def _least_unsafe(self, conditions: Conditions, known: Sequence[Outcome], spread: Sequence[Outcome]) -> Outcome:
         assert self._wish is not None
         tools = self._tools
-        return least_unsafe(conditions, tools.program, tools.highest, self._wish, known)
+        return least_unsafe(conditions, tools.program, tools.highest, self._wish, known, spread)
 
     def _worst(self, conditions: Conditions, best: Outcome) -> str:
         """Which conditions cannot be kept, in words."""

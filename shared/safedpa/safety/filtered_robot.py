@@ -115,7 +115,7 @@ class FilteredRobot:
     ) -> FilteredRobot:
         """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now."""
         phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
-        margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased, settings.eta)
+        margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased)
         if held.model.system.name == POINT.name:
             scene = PointScene(held.model, settings)
             backed = SafetyFilter.for_model(held.model, settings, backup=scene.backup)
@@ -133,15 +133,14 @@ class FilteredRobot:
         """Which entries of the state are a speed that braking takes away."""
         return tuple(index for index, name in enumerate(self.held.model.system.state_names) if name == "speed")
 
-    def take_up(self, state: StateMessage) -> dict[str, float]:
-        """What a state tells before anything else is known; the errors by kind of the last prediction."""
+    def take_up(self, state: StateMessage) -> None:
+        """What a state tells before anything else is known."""
         self.remember_actuators(state)
         self.barriers = self.scene.of(state)
-        errors = self.watch_margin(state)
+        self.watch_margin(state)
         self.prepared = (state.epoch, state.tick)
-        return errors
 
-    def watch_margin(self, state: StateMessage) -> dict[str, float]:
+    def watch_margin(self, state: StateMessage) -> None:
         """Holds the last prediction against the measured state, and lets a new model's margin rise."""
         if state.tick != self.tick + 1 or state.applied_by != "filter":
             self.margin.expect(None)  # what was predicted is not what was done
@@ -150,10 +149,9 @@ class FilteredRobot:
         last = None if self.decision is None else self.decision.state
         same = last is not None and _same_scene(last, state)
         late = self.trail.foretold(state.until_action) if self.pending and state.applied_by == "filter" else None
-        errors = self.margin.observe(state.values, barriers, same_scene=same, late=late)
+        self.margin.observe(state.values, barriers, same_scene=same, late=late)
         if barriers.names:
             self.margin.rise(state.values, barriers, state.period)
-        return errors
 
     def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
         """``predicted``, kept for the next tick."""

@@ -11,7 +11,6 @@ best action known, and are posed anew about their solution; what counts is the m
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import product
 from typing import Final, final
 
 import numpy as np
@@ -35,25 +34,30 @@ _ROUNDS: Final = 4
 _LEVELS: Final = 4
 _TRUE: Final = 1e-6
 """Share of a scale to which a tangent has to foretell h for its optimum to be the optimum."""
-_MOST_CORNERS: Final = 4
-"""Actions up to which all corners of their range are tried."""
 _STEPS: Final = (0.5, 0.125)
 """Shares of the way to a solution that are tried where its end is no better."""
 
 
 def least_unsafe(
-    conditions: Conditions, program: QuadraticProgram, highest: HighestProgram, wish: Action, known: Sequence[Outcome]
+    conditions: Conditions,
+    program: QuadraticProgram,
+    highest: HighestProgram,
+    wish: Action,
+    known: Sequence[Outcome],
+    spread: Sequence[Outcome],
 ) -> Outcome:
-    """The least unsafe outcome found; ``known`` are some that were computed already, one at least."""
-    return _Lift(conditions, program, highest, wish, known[0]).run(known)
+    """The least unsafe outcome found.
+
+    ``known`` are some that were computed already, one at least; ``spread`` those of actions all over their range: what
+    the actions can change in h is taken from them. A tangent, which stands in where there are none, would say too much
+    where an actuator saturates.
+    """
+    return _Lift(conditions, program, highest, wish, spread or known[:1]).run([*known, *spread])
 
 
 @final
 class _Lift:
-    """One search. What the actions can change in h is taken from all corners of their range, as far as these are few.
-
-    A tangent would say too much where an actuator saturates.
-    """
+    """One search. The scales stay as they are, so that heights can be compared."""
 
     def __init__(
         self,
@@ -61,28 +65,29 @@ class _Lift:
         program: QuadraticProgram,
         highest: HighestProgram,
         wish: Action,
-        first: Outcome,
+        spread: Sequence[Outcome],
     ) -> None:
         self._conditions, self._program, self._highest, self._wish = conditions, program, highest, wish
         self._low, self._range = program.low, program.range
         self._safe = conditions.least_now >= 0.0
-        self._known = [conditions.outcome(corner) for corner in self._corners()]
-        if self._known:
-            reached = np.array([one.h_next for one in self._known])
+        if len(spread) > 1:
+            reached = np.array([one.h_next for one in spread])
             self._scales = np.maximum(conditions.sizes, reached.max(axis=0) - reached.min(axis=0))
         else:
-            conditions.linearised(first).all(len(first.h_next))
+            conditions.linearised(spread[0]).all(len(spread[0].h_next))
             self._scales = np.array(conditions.scales)
         self._required = np.array(conditions.required)
+        self._held = float((np.array(conditions.h_now) / self._scales).min())
+        """The least height now: what is given away for the next aim is not what the robot has, tick after tick."""
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
-        best = self._best(known[0], [*known[1:], *self._known])
+        best = self._best(known[0], known[1:])
         for _ in range(_ROUNDS):
             if best.kept and self._safe:
                 break
             about = best
             best, exact = self._improved(about)
-            if exact or best is about:
+            if exact or best is about or self._gain(about, best) < TOLERANCE:
                 break
         return best
 
@@ -92,9 +97,10 @@ class _Lift:
         for proposed, foretold in self._proposals(tangent, about):
             found = self._conditions.outcome(proposed)
             exact = bool(np.abs(self._height(found) - foretold).max() <= _TRUE)
-            if not exact:
-                found = self._best(found, [self._conditions.outcome(self._between(about, found, s)) for s in _STEPS])
-            best = self._best(best, [found])
+            better = self._best(best, [found])
+            if better is not found and not exact:
+                better = self._best(better, [self._conditions.outcome(self._between(about, found, s)) for s in _STEPS])
+            best = better
         return best, exact
 
     def _proposals(self, tangent: Tangent, about: Outcome) -> Iterable[tuple[Action, Values]]:
@@ -125,13 +131,14 @@ class _Lift:
             free = np.isnan(levels)
             if not free.any():
                 break
-            found = self._highest.solve(slopes[moved], heights[moved], levels[moved])
+            which = moved & _matters(slopes, heights, levels)
+            found = self._highest.solve(slopes[which], heights[which], levels[which])
             if found is None:
                 break
             u = found
             reached = heights + slopes @ u
             least = reached[free].min()
-            kept = _lowered(least)
+            kept = self._lowered(least)
             levels[free & (reached <= least + TOLERANCE)] = kept
             free = np.isnan(levels)
             if (reached >= wanted)[free].all():
@@ -149,25 +156,33 @@ class _Lift:
         if self._safe:  # what keeps all is no longer a question of less or more
             compared = [one for one in compared if one.kept] or compared
         heights = [float(self._height(one).min()) for one in compared]
-        level = _lowered(max(heights))
+        level = self._lowered(max(heights))
         good = [one for one, height in zip(compared, heights, strict=True) if height >= level]
         missing = [self._missing(one) for one in good]
         good = [one for one, short in zip(good, missing, strict=True) if short <= min(missing) + TOLERANCE]
         return min(good, key=lambda one: self._program.distance(one.action, self._wish))
 
+    def _lowered(self, height: float) -> float:
+        """The least that is as good as ``height``.
+
+        Not below 0 nor below what there is now where that is reached, or missed by rounding alone.
+        """
+        if -_TRUE < height <= 0.0:
+            return height
+        lower = height - TOLERANCE if height < 0.0 else max(0.0, height - TOLERANCE)
+        return max(lower, min(self._held, height))
+
     def _height(self, one: Outcome) -> Values:
         """(rows,) h_i(x+) / scale_i."""
         return np.asarray(np.array(one.h_next) / self._scales)
 
+    def _gain(self, about: Outcome, best: Outcome) -> float:
+        higher = float(self._height(best).min() - self._height(about).min())
+        return max(higher, self._missing(about) - self._missing(best))
+
     def _missing(self, one: Outcome) -> float:
         """Sum over the rows of what their conditions miss, each as a share of its scale."""
         return float(np.maximum(0.0, -np.array(one.residual) / self._scales).sum())
-
-    def _corners(self) -> list[Action]:
-        sides = self._program.sides
-        if len(sides) > _MOST_CORNERS:
-            return []
-        return list(product(*[(low, high) for low, high, _ in sides]))
 
     def _between(self, one: Outcome, other: Outcome, share: float) -> Action:
         return tuple([a + share * (b - a) for a, b in zip(one.action, other.action, strict=True)])
@@ -176,8 +191,9 @@ class _Lift:
         return within((self._low + self._range * u).tolist(), self._program.sides)
 
 
-def _lowered(height: float) -> float:
-    """The least that is as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
-    if -_TRUE < height <= 0.0:
-        return height
-    return height - TOLERANCE if height < 0.0 else max(0.0, height - TOLERANCE)
+def _matters(slopes: Values, heights: Values, levels: Values) -> NDArray[np.bool_]:
+    """(rows,) which rows some u in [0, 1] makes the least free one, or takes below its level."""
+    lowest = heights + np.minimum(slopes, 0.0).sum(axis=1)
+    highest = heights + np.maximum(slopes, 0.0).sum(axis=1)
+    free = np.isnan(levels)
+    return np.asarray(lowest <= np.where(free, highest[free].min(), levels))

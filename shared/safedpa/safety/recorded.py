@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,14 +15,15 @@ from safedpa.bus import LatentMessage, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.records import read_messages
-from safedpa.safety.calibration import MarginCalibration, calibration_from_drives, calibration_from_errors
-from safedpa.safety.ceiling import NO_CEILING
-from safedpa.safety.drive_errors import DrivenTick, drive_errors
+from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
+from safedpa.safety.ceiling import Ceiling
+from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.margin import smallest_sample
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.theory_recorded import recorded_bound
 
-__all__ = ["RecordedTransitions", "calibration_from_recordings", "joined"]
+__all__ = ["RecordedTransitions", "calibration_from_recordings"]
 
 Values = NDArray[np.float64]
 
@@ -82,70 +83,59 @@ def calibration_from_recordings(
     InputError when the recordings hold too few transitions, or latents of another model.
     """
     drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
-    walked = [(ticks, drive_errors(model, settings, ticks)) for ticks in drives]
-    along = [errors for _, errors in walked if errors]
-    found = RecordedTransitions([ticks for ticks, errors in walked if errors])
-    by_drives = len(along) - len(along) // _SHARE >= smallest_sample(coverage)
-    if by_drives:
-        made, covered = _over_drives(along, coverage, date, fingerprint(model))
+    walked = [(ticks, drive_heights(model, settings, ticks)) for ticks in drives]
+    along = [heights for _, heights in walked if heights]
+    found = RecordedTransitions([ticks for ticks, heights in walked if heights])
+    if by_drives := len(along) - len(along) // _SHARE >= smallest_sample(coverage):
+        made = _over_drives(along, settings, coverage, date, fingerprint(model))
     else:
-        everywhere = [drive_errors(model, settings, ticks, NO_CEILING) for ticks, errors in walked if errors]
-        made, covered = _over_blocks(everywhere, coverage, date, fingerprint(model))
+        made = _over_blocks(along, settings.eta, coverage, date, fingerprint(model))
     fresh = (found.drive if by_drives else np.arange(len(found)) // _BLOCK) % _SHARE == _SHARE - 1
     bound = recorded_bound(model, settings, found, ~fresh, coverage)
     theorem = {kind: value for kind, value in bound.margins.items() if kind in made.epsilon}
-    told = {f"theorem.{kind}": share for kind, share in covered(theorem).items()}
-    told |= {f"conformal.{kind}": share for kind, share in covered(made.epsilon).items()}
-    if by_drives:
-        told |= {f"drive.{kind}": share for kind, share in _whole(along, made.drive).items()}
-    return replace(made, theorem=theorem, constants={**bound.constants, **(constants or {})}, covered=told)
-
-
-_Covered = Callable[[Mapping[str, float]], dict[str, float]]
-"""From margins by kind to the share of fresh steps that each covers."""
+    made = replace(made, theorem=theorem, constants={**made.constants, **bound.constants, **(constants or {})})
+    return replace(made, covered=_covered(made, along, Ceiling.of_settings(settings), by_drives=by_drives))
 
 
 def _over_drives(
-    along: Sequence[Mapping[str, Values]], coverage: float, date: str, own: str
-) -> tuple[MarginCalibration, _Covered]:
-    used = [errors for number, errors in enumerate(along) if number % _SHARE != _SHARE - 1]
-    fresh = joined(along[_SHARE - 1 :: _SHARE])
-    return calibration_from_drives(used, coverage, date, own), lambda margins: _shares(fresh, margins)
+    along: Sequence[Mapping[str, Values]], settings: FilterSettings, coverage: float, date: str, own: str
+) -> MarginCalibration:
+    used = [heights for number, heights in enumerate(along) if number % _SHARE != _SHARE - 1]
+    return calibration_from_drives(used, coverage, date, own, Ceiling.of_settings(settings))
 
 
 def _over_blocks(
-    along: Sequence[Mapping[str, Values]], coverage: float, date: str, own: str
-) -> tuple[MarginCalibration, _Covered]:
-    errors = joined(along)
-    fresh = {kind: np.arange(len(values)) // _BLOCK % _SHARE == _SHARE - 1 for kind, values in errors.items()}
-    used = {kind: values[~fresh[kind]] for kind, values in errors.items()}
-    left = {kind: values[fresh[kind]] for kind, values in errors.items()}
-    return calibration_from_errors(used, coverage, date, own), lambda margins: _shares(left, margins)
+    along: Sequence[Mapping[str, Values]], eta: float, coverage: float, date: str, own: str
+) -> MarginCalibration:
+    used = {kind: values[~fresh] for kind, (values, fresh) in _all_errors(along, eta).items()}
+    return calibration_from_errors(used, coverage, date, own)
 
 
-def joined(along: Sequence[Mapping[str, Values]]) -> dict[str, Values]:
-    """The errors by kind of all drives, one after the other."""
-    kinds = dict.fromkeys(kind for errors in along for kind in errors)
-    return {kind: np.concatenate([errors[kind] for errors in along if kind in errors]) for kind in kinds}
-
-
-def _shares(fresh: Mapping[str, Values], margins: Mapping[str, float]) -> dict[str, float]:
+def _all_errors(along: Sequence[Mapping[str, Values]], eta: float) -> dict[str, tuple[Values, NDArray[np.bool_]]]:
+    """By kind the errors (steps,) of all drives, one after the other, and which of them are fresh."""
+    kinds = dict.fromkeys(kind for heights in along for kind in heights)
+    ceiling = Ceiling(eta)
+    joined = {kind: np.concatenate([heights[kind] for heights in along if kind in heights]) for kind in kinds}
     return {
-        kind: float((fresh[kind] <= epsilon).mean())
-        for kind, epsilon in margins.items()
-        if kind in fresh and len(fresh[kind])
+        kind: (ceiling.errors(kind, rows), np.arange(len(rows)) // _BLOCK % _SHARE == _SHARE - 1)
+        for kind, rows in joined.items()
     }
 
 
-def _whole(along: Sequence[Mapping[str, Values]], margins: Mapping[str, float]) -> dict[str, float]:
-    """Share of the fresh drives in which no error lies beyond the margin."""
-    fresh = along[_SHARE - 1 :: _SHARE]
-    if not fresh:
-        return {}
-    return {
-        kind: float(np.mean([bool((errors.get(kind, np.zeros(0)) <= epsilon).all()) for errors in fresh]))
-        for kind, epsilon in margins.items()
-    }
+def _covered(
+    made: MarginCalibration, along: Sequence[Mapping[str, Values]], ceiling: Ceiling, *, by_drives: bool
+) -> dict[str, float]:
+    """Share of the fresh steps that each margin covers, and of fresh drives that ``drive`` covers as a whole."""
+    told: dict[str, float] = {}
+    blocks, fresh = _all_errors(along, ceiling.eta), along[_SHARE - 1 :: _SHARE]
+    for name, table in (("conformal", made.epsilon), ("theorem", made.theorem), ("drive", made.drive)):
+        for kind, epsilon in table.items():
+            if by_drives:
+                shares = covered_shares(fresh, kind, epsilon, ceiling)
+                told[f"{name}.{kind}"] = float((shares == 1.0).mean() if name == "drive" else shares.mean())
+            elif (left := blocks[kind][0][blocks[kind][1]]).size:
+                told[f"{name}.{kind}"] = float((left <= epsilon).mean())
+    return told
 
 
 def _drives(path: Path, model: str) -> list[list[DrivenTick]]:

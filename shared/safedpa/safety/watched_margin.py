@@ -9,15 +9,15 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.barrier import AbstractBarrier, AbstractStack
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.car_stack import stacked
-from safedpa.safety.ceiling import NO_CEILING, Ceiling
+from safedpa.safety.ceiling import NO_CEILING, Ceiling, Seen
 from safedpa.safety.margin import OnlineMargin
 from safedpa.safety.margin_change import PhasedMargin, least_by_kind
 from safedpa.safety.trail import Foretold
 
-__all__ = ["WatchedMargin"]
+__all__ = ["Seen", "WatchedMargin"]
 
 Values = NDArray[np.float64]
 
@@ -33,10 +33,10 @@ class WatchedMargin:
 
     error = min(h', H) - min(h, H),   h' = the least h of the kind at x predicted, h = the least at x measured,
 
-    positive where the model hoped too much. The barriers of h' are those of the last decision: other functions where
-    they depend on the latent, which changed since. H is the ``Ceiling``: a step in which both are above it says nothing
-    about the boundary and is no error at all. The least counts, since it is what has to stay above 0: a hazard that
-    comes nearer than predicted behind another one that is nearer still has done no harm.
+    positive where the model hoped too much (past a dead time see ``Seen``). The barriers of h' are those of the last
+    decision: other functions where they depend on the latent, which changed since. H is the ``Ceiling``: a step in
+    which both are above it says nothing about the boundary and is no error at all. The least counts, since it is what
+    has to stay above 0: a hazard that comes nearer than predicted behind another that is nearer still does no harm.
     """
 
     def __init__(
@@ -44,7 +44,6 @@ class WatchedMargin:
         calibration: MarginCalibration,
         ceiling: Ceiling = NO_CEILING,
         phased: PhasedMargin | None = None,
-        eta: float = 1.0,
     ) -> None:
         self._margins = {
             kind: OnlineMargin(calibrated, calibration.coverage, _RATE, _WINDOW)
@@ -52,9 +51,11 @@ class WatchedMargin:
         }
         self.promised = calibration.coverage if calibration.date != "never" else -1.0
         """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""
-        self._ceiling, self._phased, self._eta = ceiling, phased, eta
+        self._ceiling, self._phased = ceiling, phased
         self.learns = True
-        """Whether errors move the margins; False: they are told, no more."""
+        """Whether errors move the margins."""
+        self.seen: dict[str, Seen] = {}
+        """By kind, what was predicted for the last state that was observed, and what came."""
         self._expected: Sequence[float] | None = None
         self._then: Sequence[AbstractBarrier] | None = None
 
@@ -104,40 +105,37 @@ class WatchedMargin:
         *,
         same_scene: bool = True,
         late: Foretold | None = None,
-    ) -> dict[str, float]:
-        """The errors by kind of the last prediction against the measured ``state`` (states,); call it once per period.
+    ) -> None:
+        """Holds the last prediction against the measured ``state`` (states,); call it once per period.
+
 
         ``late``: what was predicted past a dead time, in place of the last prediction. There a condition is posed at a
         state that is predicted itself, so the error of h there counts as well, (1 - eta) times with the other sign.
         Unless it is the ``same_scene`` the barriers of now stand for those of then: what else came into the scene no
         model foresees.
         """
+        self.seen = self._heights(_plain(state), stacked(barriers), late, same_scene=same_scene)
+        for kind, seen in self.seen.items():
+            margin = self._margins.get(kind)
+            if margin is not None and self.learns:
+                error = self._ceiling.error(kind, seen, margin.value)
+                if error is not None and isfinite(error):
+                    margin.update(error)
+
+    def _heights(
+        self, state: Sequence[float], stack: AbstractStack, late: Foretold | None, *, same_scene: bool
+    ) -> dict[str, Seen]:
         expected, self._expected = self._expected, None
         expected = expected if late is None else late.hoped
-        if expected is None or len(expected) != len(state):
+        if expected is None or len(expected) != len(state) or not stack.names:
             return {}
-        stack, then = stacked(barriers), stacked(self._then if self._then is not None and same_scene else barriers)
-        if not stack.names:
-            return {}
+        then = stacked(self._then) if self._then is not None and same_scene else stack
         if then.names != stack.names:
             then = stack
-        hoped, measured = then.heights(expected), stack.heights(_plain(state))
-        earlier = None if late is None else (then.heights(late.hoped_before), stack.heights(late.before))
-        errors: dict[str, float] = {}
-        for kind, rows in stack.rows.items():
-            margin = self._margins.get(kind)
-            top = self._ceiling.of(kind, margin.value if margin is not None and self.learns else 0.0)
-            least = [_least(h, rows) for h in (hoped, measured, *(earlier or ()))]
-            if all(value >= top for value in least):
-                continue
-            before, after, *began = [min(value, top) for value in least]
-            error = before - after
-            if began:
-                error -= (1.0 - self._eta) * (began[0] - began[1])
-            errors[kind] = error
-            if margin is not None and self.learns and isfinite(error):
-                margin.update(error)
-        return errors
+        tables = [then.heights(expected), stack.heights(state)]
+        if late is not None:
+            tables += [then.heights(late.hoped_before), stack.heights(late.before)]
+        return {kind: Seen(*(_least(h, rows) for h in tables)) for kind, rows in stack.rows.items()}
 
 
 def _plain(state: Sequence[float] | Values) -> Sequence[float]:

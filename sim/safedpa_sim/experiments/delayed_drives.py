@@ -20,7 +20,8 @@ from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
-from safedpa.safety.drive_errors import DrivenTick, drive_errors
+from safedpa.safety.ceiling import Ceiling
+from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.margin import smallest_sample
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
@@ -102,18 +103,17 @@ def margin_with_delay(
     Steps are taken for exchangeable; a kind of barrier that too few of them came near keeps the settings' margin.
     Raises InputError when that is so of every kind.
     """
-    known, found = lateness.model(model), dict[str, list[Any]]()
+    known, settings, found = lateness.model(model), settings_named("car"), dict[str, list[Any]]()
     for index in range(drives):
         heard: dict[int, LatentMessage] = {}
         robot = lateness.robot(_CALIBRATION_SEED + index, _LOADS[index % len(_LOADS)])
         states = [tick.state for tick in _driven(known, None, robot, seconds, heard)]
         ticks = [DrivenTick(state, heard.get(state.tick)) for state in states]
-        for kind, errors in drive_errors(known, settings_named("car"), ticks).items():
-            found.setdefault(kind, []).append(errors)
+        for kind, heights in drive_heights(known, settings, ticks).items():
+            found.setdefault(kind, []).append(Ceiling.of_settings(settings).errors(kind, heights))
     joined = {kind: np.concatenate(errors) for kind, errors in found.items()}
     near = {kind: errors for kind, errors in joined.items() if len(errors) >= smallest_sample(_COVERAGE)}
     made = calibration_from_errors(near, _COVERAGE, "simulated", fingerprint(known))
-    settings = settings_named("car")
     made.epsilon.update({kind: settings.epsilon[kind] for kind in joined if kind not in near})
     return made
 

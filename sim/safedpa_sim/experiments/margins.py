@@ -20,8 +20,10 @@ import numpy as np
 
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError, did_you_mean
-from safedpa.safety.calibration import MarginCalibration, calibration_from_drives
-from safedpa.safety.shipped import margin_for
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.ceiling import Ceiling
+from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.experiments.car_workers import Workers
 from safedpa_sim.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
 from safedpa_sim.experiments.seeds import seeds_for
@@ -100,12 +102,12 @@ def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, coun
     margin = _calibrated(cases, name, seconds, made)
     margin.save(folder / "margin.toml")
     row: dict[str, Any] = {"drives": len(made), "seconds": seconds, "epsilon": margin.epsilon, "drive": margin.drive}
-    row["behind_the_shipped_margin"] = _counted(made, margin) | _driving(made, seconds)
+    row["behind_the_shipped_margin"] = _counted(made, margin, _ceiling(name)) | _driving(made, seconds)
     for kind in cases.kinds:
         fresh = [DriveOrder(name, seed, margin, kind, seconds) for seed in seeds_for("evaluation", cases.fresh)]
         results = _driven(folder / f"fresh-{kind}", fresh, workers, ends, count)
         if results:
-            row[f"fresh_{kind}"] = _counted(results, margin) | _driving(results, seconds)
+            row[f"fresh_{kind}"] = _counted(results, margin, _ceiling(name)) | _driving(results, seconds)
     return row
 
 
@@ -116,9 +118,12 @@ def _calibrated(cases: MarginCases, name: str, seconds: float, made: Sequence[Dr
         "in lockstep behind the margin that shipped before"
     )
     own = fingerprint(load_model(DRIVERS[name].model))
-    return calibration_from_drives(
-        [item.errors for item in made], cases.coverage, time.strftime("%Y-%m-%d"), own, origin
-    )
+    heights = [item.heights for item in made]
+    return calibration_from_drives(heights, cases.coverage, time.strftime("%Y-%m-%d"), own, _ceiling(name), origin)
+
+
+def _ceiling(name: str) -> Ceiling:
+    return Ceiling.of_settings(settings_named(DRIVERS[name].settings))
 
 
 def _driven(
@@ -143,11 +148,11 @@ def _until(orders: Sequence[DriveOrder], ends: float) -> Iterator[DriveOrder]:
 
 def _path(folder: Path, order: DriveOrder) -> Path:
     """One file a drive; another margin is another drive."""
-    margin = "none" if order.margin is None else fingerprint_of(order.margin)
+    margin = "none" if order.margin is None else _digest_of(order.margin)
     return folder / f"{order.seed}-{order.seconds:g}s-{margin}.npz"
 
 
-def fingerprint_of(margin: MarginCalibration) -> str:
+def _digest_of(margin: MarginCalibration) -> str:
     """A few digits that tell one table of margins from another."""
     import hashlib
 
@@ -163,37 +168,36 @@ def _keep(path: Path, result: DriveResult) -> None:
         "ticks": result.ticks,
         "statuses": result.statuses,
         "least_h": result.least_h,
-        "steps": {kind: len(values) for kind, values in result.errors.items()},
+        "layer": result.layer,
+        "steps": {kind: len(values) for kind, values in result.heights.items()},
     }
     whole = path.with_name(f"new-{path.name}")
-    errors = np.concatenate([*result.errors.values(), np.zeros(0)])
-    np.savez_compressed(whole, about=np.array(json.dumps(about)), errors=errors)
+    heights = np.concatenate([*result.heights.values(), np.zeros((0, 4))])
+    np.savez_compressed(whole, about=np.array(json.dumps(about)), heights=heights)
     whole.replace(path)
 
 
 def _kept(path: Path) -> DriveResult:
     with np.load(path) as table:
-        about, errors = json.loads(str(table["about"])), np.array(table["errors"])
+        about, heights = json.loads(str(table["about"])), np.array(table["heights"])
     steps = about.pop("steps")
-    parts = np.split(errors, np.cumsum(list(steps.values()))[:-1])
-    return DriveResult(errors=dict(zip(steps, parts, strict=False)), **about)
+    parts = np.split(heights, np.cumsum(list(steps.values()))[:-1])
+    return DriveResult(heights=dict(zip(steps, parts, strict=False)), **about)
 
 
-def _counted(results: Sequence[DriveResult], margin: MarginCalibration) -> dict[str, Any]:
+def _counted(results: Sequence[DriveResult], margin: MarginCalibration, ceiling: Ceiling) -> dict[str, Any]:
     """By kind of barrier: the share of steps that each margin covered, and of drives in which it covered every step."""
+    drives = [item.heights for item in results]
     rows: dict[str, Any] = {}
     for kind in margin.epsilon:
-        errors = [item.errors.get(kind, np.zeros(0)) for item in results]
-        rows[kind] = {
-            name: _covered(errors, table[kind])
-            for name, table in (("conformal", margin.epsilon), ("drive", margin.drive))
-        }
+        near = sum(len(ceiling.errors(kind, heights[kind])) > 0 for heights in drives if kind in heights)
+        rows[kind] = {"drives": len(drives), "drives_near": near}
+        for name, table in (("conformal", margin.epsilon), ("drive", margin.drive)):
+            rows[kind][name] = _covered(covered_shares(drives, kind, table[kind], ceiling), table[kind])
     return {"covered": rows}
 
 
-def _covered(errors: Sequence[Any], epsilon: float) -> dict[str, Any]:
-    """A drive in which nothing came near counts as covered, as in the calibration."""
-    shares = np.array([float((values <= epsilon).mean()) if len(values) else 1.0 for values in errors])
+def _covered(shares: Any, epsilon: float) -> dict[str, Any]:
     whole = int((shares == 1.0).sum())
     return {
         "epsilon": epsilon,
@@ -201,8 +205,6 @@ def _covered(errors: Sequence[Any], epsilon: float) -> dict[str, Any]:
         "steps_95": list(cluster_interval(shares)),
         "drives": whole / len(shares),
         "drives_95": list(clopper_pearson_interval(whole, len(shares))),
-        "of": len(shares),
-        "near": int(sum(len(values) > 0 for values in errors)),
     }
 
 
@@ -218,4 +220,12 @@ def _driving(results: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
         "goals_a_minute": mean_interval(goals),
         "statuses": dict(sorted(statuses.items())),
         "least_h": min(item.least_h for item in results),
+        "layer": {
+            "stays": sum(item.layer["stays"] for item in results),
+            "longest_seconds": max(item.layer["longest"] * seconds / item.ticks for item in results),
+            "fall": max(item.layer["fall"] for item in results),
+            "errors": max(item.layer["errors"] for item in results),
+            "least_rise": min(item.layer["least_rise"] for item in results),
+            "depth": max(item.layer["depth"] for item in results),
+        },
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -27,45 +28,27 @@ def command(**options: Any) -> None:
     from safedpa_services.progress import progress
     from safedpa_sim.experiments.margin_drives import DRIVERS
     from safedpa_sim.experiments.margins import KINDS, MarginCases, margins_experiment
+    from safedpa_sim.experiments.margins_report import margins_page
 
     as_json = options.pop("as_json")
     options["robots"] = options["robots"] or tuple(DRIVERS)
     options["kinds"] = options["kinds"] or KINDS
     with progress("experiment margins") as tell:
         result = margins_experiment(MarginCases(**options), tell)
-    (options["out"] / "margins.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    out = options["out"]
+    (out / "margins.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    page = margins_page(result, _asked(options), time.strftime("%Y-%m-%d"))
+    (out / "margins.md").write_text(page, encoding="utf-8")
     if as_json:
         click.echo(json.dumps(result))
-    else:
-        _tell(result, options["out"])
-
-
-def _tell(result: dict[str, Any], out: Path) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=f"margins at {100 * result['coverage']:g} %, fresh drives", box=None)
-    for column in ("robot", "barrier", "margin", "epsilon", "steps covered", "drives covered", "goals a minute"):
-        table.add_column(column, justify="left" if column in ("robot", "barrier", "margin") else "right")
-    for name, row in result["robots"].items():
-        for kind in ("conformal", "drive"):
-            fresh = row.get(f"fresh_{kind}", {})
-            for barrier, covered in fresh.get("covered", {}).items():
-                one, goals = covered[kind], fresh["goals_a_minute"]
-                table.add_row(
-                    name,
-                    barrier,
-                    kind,
-                    f"{one['epsilon']:.4f}",
-                    _share(one["steps"], one["steps_95"]),
-                    f"{_share(one['drives'], one['drives_95'])} of {one['of']}",
-                    f"{goals[0]:.2f} ({goals[1]:.2f} to {goals[2]:.2f})",
-                )
-    Console(width=160).print(table)
-    click.echo(f"margins: {out}/ROBOT/margin.toml")
+        return
+    click.echo(page)
+    click.echo(f"margins: {out}/ROBOT/margin.toml; this page: {out}/margins.md")
     if result["missing"]:
         click.echo(f"{result['missing']} drives are missing; run the same command again to go on")
 
 
-def _share(share: float, interval: list[float]) -> str:
-    return f"{100 * share:.2f} % ({100 * interval[0]:.2f} to {100 * interval[1]:.2f})"
+def _asked(options: dict[str, Any]) -> str:
+    """The command that makes the same again."""
+    chosen = " ".join(f"--robot {name}" for name in options["robots"])
+    return f"safedpa experiment margins {chosen} --drives {options['drives']} --fresh {options['fresh']} --out FOLDER"

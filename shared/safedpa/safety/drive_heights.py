@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from safedpa.bus import LATENT, LatentMessage, Stale, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
-from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.filtered_robot import Decided, FilteredRobot
 from safedpa.safety.held_model import HeldModel, uncalibrated
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, resting_verdict
-from safedpa.safety.watched_margin import WatchedMargin
+from safedpa.safety.watched_margin import Seen
 
-__all__ = ["DrivenTick", "drive_errors"]
+__all__ = ["DrivenTick", "drive_heights"]
 
 Values = NDArray[np.float64]
 
@@ -34,26 +33,24 @@ class DrivenTick(NamedTuple):
     latent: LatentMessage | None
 
 
-def drive_errors(
-    model: PhysicsModel, settings: FilterSettings, ticks: Sequence[DrivenTick], ceiling: Ceiling | None = None
-) -> dict[str, Values]:
-    """By kind of barrier (steps,): how much more h was hoped for than came, as ``WatchedMargin`` has it; maybe none.
+def drive_heights(model: PhysicsModel, settings: FilterSettings, ticks: Sequence[DrivenTick]) -> dict[str, Values]:
+    """By kind of barrier (steps, 4): the least h, predicted by the barriers of then and measured; see ``Seen``.
 
-    ``ceiling``: by default that of the settings. ``ticks`` of one start of one robot, in order. Steps whose action was
-    not the filter's, whose latent is not known, or whose state makes no scene are left out.
+    ``ticks`` of one start of one robot, in order. Steps whose action was not the filter's, whose latent is not known,
+    or whose state makes no scene are left out. ``Ceiling.errors`` makes errors of them.
     """
     own = fingerprint(model)
     memory = FilteredRobot.begun(HeldModel(model, own, uncalibrated(settings, own)), settings)
-    memory.margin = WatchedMargin(memory.held.calibration, ceiling or Ceiling.of_settings(settings), eta=settings.eta)
     memory.margin.learns = False
-    errors: dict[str, list[float]] = {}
+    found: dict[str, list[Seen]] = {}
     for index, tick in enumerate(ticks):
-        found = memory.take_up(tick.state)
-        for kind in () if isinstance(memory.barriers, str) else memory.barriers.rows:
-            errors.setdefault(kind, []).extend(error for error in (found.get(kind, np.nan),) if np.isfinite(error))
+        memory.take_up(tick.state)
+        for kind, seen in memory.margin.seen.items():
+            if np.isfinite(seen).all():
+                found.setdefault(kind, []).append(seen)
         following = ticks[index + 1].state if index + 1 < len(ticks) else None
         _go_on(memory, tick, following)
-    return {kind: np.array(values) for kind, values in errors.items()}
+    return {kind: np.array(rows) for kind, rows in found.items()}
 
 
 def _go_on(memory: FilteredRobot, tick: DrivenTick, following: StateMessage | None) -> None:
