@@ -113,6 +113,8 @@ class Conditions:
                 epsilon = [*epsilon] * begin.rows
             self._state, h_now = begin.state, plain.heights(begin.state)
             _finite("h where the action begins to act", h_now)
+        self.h_begin = h_now
+        """(rows,) h where the action begins to act; several times the barriers where it is judged in several states."""
         self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
         share = 1.0 - eta
         if len(epsilon) != len(h_now):

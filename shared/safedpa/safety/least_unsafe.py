@@ -77,7 +77,7 @@ class _Lift:
             conditions.linearised(spread[0]).all(len(spread[0].h_next))
             self._scales = np.array(conditions.scales)
         self._required = np.array(conditions.required)
-        self._held = float((np.array(conditions.h_now) / self._scales).min())
+        self._held = float((np.array(conditions.h_begin) / self._scales).min())
         """The least height now: what is given away for the next aim is not what the robot has, tick after tick."""
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
