@@ -63,6 +63,11 @@ class Trail:
             self._entries.clear()
         self._entries.append(_Passed(tick, values, applied, memory))
 
+    def commands(self, tick: int, applied: Plain) -> list[Plain]:
+        """What was in force before each tick up to this one, oldest first; ``applied`` alone after a gap."""
+        known = [entry.applied for entry in self._entries if entry.tick < tick]
+        return [*known, applied] if known and self._entries[-1].tick in (tick - 1, tick) else [applied]
+
     def decided(self, latent: Plain | None) -> None:
         """The newest state's latent, with which its action was chosen."""
         self._entries[-1].latent, self._entries[-1].decided = latent, True
