@@ -138,7 +138,7 @@ def test_a_model_without_memory_is_judged_where_it_is(name: str) -> None:
 def test_several_states_in_a_row_are_the_same_barriers_at_each() -> None:
     scene = car_barriers(FilterSettings(), (0.08, 0.4, 0.12), [(2.0, 0.3, 0.3), (1.0, -1.0, 0.2)], (-4, 4, -4, 4))
     filter_ = SafetyFilter.for_model(CAR, FilterSettings(), scene)
-    plain = filter_.tools.stacks.of(scene).plain(4)
+    plain = filter_.tools.stacks.of(scene, 4).plain(4)
     random = np.random.default_rng(0)
     states = random.uniform((-1, -1, -3, 0), (1, 1, 3, 2), (3, 4)).tolist()
     g = random.normal(size=(12, 2)).tolist()
@@ -201,7 +201,7 @@ def test_a_known_delay_is_no_reason_to_relax(seconds: float) -> None:
 
 
 def test_braking_keeps_the_conditions_whatever_is_pending() -> None:
-    """Of random states and commands that may still accelerate: where h >= epsilon / eta as the action begins to act."""
+    """Commands may still accelerate; all that counts is h >= epsilon / eta where the action begins to act."""
     settings = FilterSettings()
     random = np.random.default_rng(3)
     kept = tried = 0
@@ -217,7 +217,7 @@ def test_braking_keeps_the_conditions_whatever_is_pending() -> None:
         scene = car_barriers(settings, (0.08, 0.40, 0.12), obstacles, (-4, 4, -4, 4))
         filter_ = SafetyFilter.for_model(model, settings, scene)
         tools = filter_.tools
-        stack = tools.stacks.of(scene)
+        stack = tools.stacks.of(scene, 4)
         epsilon, _ = tools.margins.of(stack, {})
         pending = Pending(memory, tuple(commands[-1].tolist()))
         conditions = Conditions(

@@ -20,6 +20,7 @@ from safedpa.dynamics.straight import (
     StraightStep,
     StraightSteps,
     straight_arrays,
+    straight_sensitivity,
     straight_step,
 )
 from safedpa.dynamics.straight_tangent import StraightTangent
@@ -148,6 +149,17 @@ class PhysicsModel(AbstractDynamics):
     def straight_tangent(self) -> StraightTangent | None:
         """One robot's next state and its slopes in the action over one period, of plain numbers; None as there."""
         return None if self._commands else self._straight.tangent(self.period)
+
+    @cached_property
+    def straight_sensitivity(self) -> StraightTangent | None:
+        """Next state and its slopes in state and action (states, states + actions) over one period, of plain numbers.
+
+        Recorded when it is first asked for. None as ``straight``, and where a network is asked on the way.
+        """
+        if self._commands or not (self._takes_complex and self.base.straight):
+            return None
+        names = self.system.state_names, self.system.action_names, self.latent_names
+        return straight_sensitivity(self._equations(self.period), *names)
 
     def straight_arrays(self, period: float | None) -> StraightStep | None:
         """``straight`` for many robots: every entry of state, action and latent is a numpy array of one precision.

@@ -27,6 +27,7 @@ __all__ = [
     "called",
     "is_recorded",
     "straight_arrays",
+    "straight_sensitivity",
     "straight_step",
 ]
 
@@ -246,6 +247,21 @@ def straight_arrays(
         return None
     tape, head, names = taped
     return _compiled(head, tape, names, {}, NUMPY, freeing=True)
+
+
+def straight_sensitivity(
+    equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
+) -> StraightTangent | None:
+    """The values and their slopes in state and action (states, states + actions), as ``straight_step`` has the tangent.
+
+    None where the equations cannot be recorded or call what is no arithmetic: the slopes of that are not known.
+    """
+    taped = _taped(equations, states, actions, latents)
+    if taped is None or taped[0].calls:
+        return None
+    tape, head, names = taped
+    varied = [*(f"s{index}" for index in range(len(states))), *(f"a{index}" for index in range(len(actions)))]
+    return compiled_tangent(head, tape.lines, tape.calls, names, varied)
 
 
 def _taped(

@@ -19,7 +19,7 @@ from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.on_its_way import Along, Pending
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
-from safedpa.safety.tangent import Tangent
+from safedpa.safety.tangent import NotFiniteError, Tangent
 
 __all__ = ["NO_INFLUENCE", "ROUNDING", "Conditions", "Outcome", "Plain"]
 
@@ -55,6 +55,8 @@ class Outcome:
         """Rows whose condition is broken by more than rounding."""
         self.least: float = min(h_next)
         """Smallest h_i(x+)."""
+        self.usable: bool = self.least > -inf
+        """False where model or barrier have no finite numbers for this action: then all its h are -infinity."""
         self.kept: bool = not broken and self.least >= 0.0
         """Whether every condition holds, and every h_i(x+) >= 0."""
 
@@ -89,7 +91,7 @@ class Conditions:
         sides: Sequence[Side],
     ) -> None:
         self.barriers, self._prediction = barriers, prediction
-        plain = barriers.plain(len(state))
+        plain = barriers.since(state).plain(len(state))
         self._plain: Any = plain
         self._state, self._latent = state, latent
         self._memory = memory.memory if isinstance(memory, Pending) else memory
@@ -113,6 +115,8 @@ class Conditions:
                 epsilon = [*epsilon] * begin.rows
             self._state, h_now = begin.state, plain.heights(begin.state)
             _finite("h where the action begins to act", h_now)
+        self.h_begin = h_now
+        """(rows,) h where the action begins to act; several times the barriers where it is judged in several states."""
         self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
         share = 1.0 - eta
         if len(epsilon) != len(h_now):
@@ -135,10 +139,11 @@ class Conditions:
 
     def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
-        following = self._following(action)
-        h_next: list[float] = self._plain.heights(following)
-        _finite("h at the predicted state", h_next)
-        required = self.required
+        following, required = self._following(action), self.required
+        h_next: list[float] = self._plain.heights(following) if _is_finite(following) else []
+        if not h_next or not _is_finite(h_next):
+            nothing = [-inf] * len(required)
+            return Outcome(action, following, nothing, nothing, list(range(len(required))))
         if len(h_next) != len(required):
             raise ValueError(f"{len(h_next)} values of h, wanted {len(required)}")
         residual: list[float] = []
@@ -190,7 +195,8 @@ class Conditions:
         else:
             g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
-            _finite("g of the model", row)
+            if not _is_finite(row):
+                raise NotFiniteError("g of the model: got NaN or infinity, wanted finite numbers")
         return g if self._prediction.affine else self._unsaturated(g, about)
 
     def _following(self, action: Plain) -> list[float]:
@@ -201,7 +207,6 @@ class Conditions:
             found = self._prediction.after(self._begin, action, self._latent)
         else:
             found = self._prediction.following(self._state, action, self._latent, self._memory)
-        _finite("predicted state", found)
         return found
 
     def _unsaturated(self, g: list[list[float]], about: Outcome) -> list[list[float]]:
@@ -214,6 +219,8 @@ class Conditions:
             if self._silent(g, index, about.next_state):
                 last = self._last_g
                 column = self._chord(about, index) if last is None else [row[index] for row in last]
+                if not _is_finite(column):
+                    continue
                 g = [[*row[:index], slope, *row[index + 1 :]] for row, slope in zip(g, column, strict=True)]
         return g
 
@@ -237,14 +244,13 @@ class Conditions:
 
 
 def _finite(what: str, numbers: list[float]) -> None:
+    if not _is_finite(numbers):
+        raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
+
+
+def _is_finite(numbers: list[float]) -> bool:
     total = 0.0
     for value in numbers:
         total += value
-    if total - total != 0.0:
-        _refuse_infinite(what, numbers)
-
-
-def _refuse_infinite(what: str, numbers: list[float]) -> None:
-    """Finite numbers have an infinite sum where they are as large as a float can be."""
-    if not all(map(isfinite, numbers)):
-        raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
+    # finite numbers have an infinite sum where they are as large as a float can be
+    return total - total == 0.0 or all(map(isfinite, numbers))

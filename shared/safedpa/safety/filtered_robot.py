@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -20,11 +20,12 @@ from safedpa.safety.margin_change import PhasedMargin
 from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
+from safedpa.safety.scenes import Scene, scene_of
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.standstill import Standstill, places_of
 from safedpa.safety.trail import LONGEST_AGE, Trail
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
-from safedpa.systems import POINT
 
 __all__ = ["NO_BARRIERS", "Decided", "FilteredRobot", "too_late"]
 
@@ -67,12 +68,13 @@ def _same_scene(one: StateMessage, other: StateMessage) -> bool:
     )
 
 
-def _walked(step: StraightStep, state: StateMessage, verdict: Verdict, latent: Values, steps: int) -> Rows:
-    """The next states by the model's straight line; empty where it refuses a number, or one is not finite.
+def _walked(step: StraightStep, state: StateMessage, held: Values, latent: Values, steps: int) -> Rows:
+    """The next states under an action by the model's straight line; empty where it refuses a number, or one is not
+    finite.
 
-    ``held`` does the same with arrays at both ends, and answers then.
+    The model's ``held`` does the same with arrays at both ends, and answers then.
     """
-    rows, entries, action, free = [], state.values, verdict.action.tolist(), latent.tolist()
+    rows, entries, action, free = [], state.values, held.tolist(), latent.tolist()
     try:
         for _ in range(steps):
             entries = tuple(step(entries, action, free, 0.0))
@@ -88,7 +90,7 @@ class FilteredRobot:
 
     held: HeldModel
     filter: SafetyFilter
-    scene: SceneBarriers | PointScene
+    scene: Scene
     margin: WatchedMargin
     trail: Trail
     tick: int = -1
@@ -104,29 +106,32 @@ class FilteredRobot:
     """Why the robot was to stop at the last decision."""
     memory: Any = None
     """What the actuators remember, as the model has it."""
+    former: Trail | None = None
+    """What was sent while another model was in force, until it was taken up."""
     pending: Any = ()
     """What is on its way; empty where an action acts at once."""
     expected_memory: Any = None
     """The same one period later, if the robot does what it is told."""
+    standing: Standstill = field(init=False)
+    """How long it has stood, and whether an action failed to move it."""
+
+    def __post_init__(self) -> None:
+        self.standing = Standstill(places_of(self.held.model.system))
 
     @classmethod
     def begun(
         cls, held: HeldModel, settings: FilterSettings, before: Mapping[str, float] | None = None
     ) -> FilteredRobot:
-        """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now."""
+        """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now.
+
+        Raises InputError where the settings are another robot's, or nobody wrote barriers for this one.
+        """
+        scene = scene_of(held.model, settings)
+        backup = scene.backup if isinstance(scene, PointScene) else None
+        filtering = SafetyFilter.for_model(held.model, settings, backup=backup)
         phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
         margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased)
-        if held.model.system.name == POINT.name:
-            scene = PointScene(held.model, settings)
-            backed = SafetyFilter.for_model(held.model, settings, backup=scene.backup)
-            return cls(held, backed, scene, margin, Trail(held.model))
-        return cls(
-            held,
-            SafetyFilter.for_model(held.model, settings),
-            SceneBarriers(settings),
-            margin,
-            Trail(held.model),
-        )
+        return cls(held, filtering, scene, margin, Trail(held.model))
 
     @property
     def speeds(self) -> tuple[int, ...]:
@@ -138,6 +143,7 @@ class FilteredRobot:
         self.remember_actuators(state)
         self.barriers = self.scene.of(state)
         self.watch_margin(state)
+        self.standing.measure(state.values, state.period)
         self.prepared = (state.epoch, state.tick)
 
     def watch_margin(self, state: StateMessage) -> None:
@@ -181,6 +187,12 @@ class FilteredRobot:
             self.scene.learn(latent)
         return latent, []
 
+    def remember_way(self, former: FilteredRobot | None) -> None:
+        """How far the robot was driven backwards, and what was sent, do not depend on who held the model until now."""
+        self.former = None if former is None else former.trail
+        if former is not None and isinstance(former.scene, SceneBarriers) and isinstance(self.scene, SceneBarriers):
+            self.scene.way = former.scene.way
+
     def remember_actuators(self, state: StateMessage) -> None:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
         if len(state.applied) != len(self.held.model.system.action):
@@ -192,7 +204,12 @@ class FilteredRobot:
         elif follows and self.memory:  # the watchdog's action: what was sent before is still on its way
             self.memory = model.felt(state.applied, self.memory, period=state.period)[1]
         else:
-            self.memory = model.initial_memory(np.array(state.applied))
+            before = None if self.former is None else self.former.commands(state.tick, state.applied)
+            oldest, *sent = before or (state.applied,)
+            self.memory = model.initial_memory(np.array(oldest))
+            for command in sent if self.memory else ():
+                self.memory = model.felt(command, self.memory, period=state.period)[1]
+        self.former = None
         self.trail.add(state.tick, state.values, state.applied, self.memory)
         late = (self.memory or state.until_action > 0.0) and not too_late(state)
         self.pending = self.trail.pending(state.until_action) if late else ()
@@ -205,13 +222,67 @@ class FilteredRobot:
         model, steps = self.held.model, _PATH_STEPS if state.tick % _PATH_EVERY == 0 else 1
         if len(state.values) != len(model.system.state):
             return (), None
+        if self.pending and self.pending.sent:
+            known, action = None if latent is None else tuple(latent.tolist()), tuple(verdict.action.tolist())
+            ahead = self.trail.expected(action, known, self.pending, steps)
+            after = model.felt(action, self.memory, known, period=state.period)[1] if self.memory else self.memory
+            return (tuple(map(tuple, ahead)), after) if np.isfinite(ahead).all() else ((), None)
         step = model.straight(state.period)
         free = model.latent if latent is None else latent
-        if step is not None and (rows := _walked(step, state, verdict, free, steps)):
+        if step is not None and (rows := _walked(step, state, verdict.action, free, steps)):
             return rows, self.memory
         values = np.array(state.values)
         found, memory = model.held(values, verdict.action, self.memory, latent, steps, period=state.period)
         return (tuple(map(tuple, found)), memory) if np.isfinite(found).all() else ((), None)
+
+    def watch_standing(self, state: StateMessage, predicted: Rows) -> None:
+        """Keeps what the model promises under the wish, and under the action that went out."""
+        assert self.decision is not None
+        _, latent, verdict = self.decision
+        wish = verdict.wish
+        if wish is None or not predicted or verdict.status is Status.stopped:
+            self.standing.interrupted()
+            return
+        wished = predicted[:1]
+        if verdict.status not in (Status.passed, Status.disabled):
+            wished = self._next(state, np.clip(wish, self.filter.settings.low, self.filter.settings.high), latent)
+        if not wished or np.array_equal(wish, self.filter.settings.resting_action):
+            self.standing.interrupted()
+        else:
+            self.standing.promise(state.values, wished[0], predicted[0])
+
+    def out_of_dead_band(self, state: StateMessage, verdict: Verdict, rest: Callable[[], Verdict]) -> Verdict:
+        """A correction that is known not to move the robot is given up for the resting action, if that is safe.
+
+        What stands and is pushed in vain learns nothing but a wrong load. ``rest`` decides about the resting action.
+        """
+        if verdict.status is not Status.corrected or self.standing.failed == 0.0:
+            return verdict
+        predicted = self._next(state, verdict.action, self.decision.latent if self.decision else None)
+        if not predicted or not self.standing.would_fail(self.standing.way(state.values, predicted[0])):
+            return verdict
+        resting = rest()
+        if resting.status is not Status.passed:
+            return verdict
+        said = "The correction lay in the dead band, where the robot did not move before: it rests instead."
+        return replace(resting, status=Status.corrected, wish=verdict.wish, active=verdict.active, reason=said)
+
+    def _next(self, state: StateMessage, action: Values, latent: Values | None) -> Rows:
+        """One predicted state under an action; empty where there is none."""
+        model = self.held.model
+        if len(state.values) != len(model.system.state):
+            return ()
+        free = model.latent if latent is None else latent
+        step = model.straight(state.period)
+        if step is not None and (rows := _walked(step, state, action, free, 1)):
+            return rows
+        found, _ = model.held(np.array(state.values), action, self.memory, latent, 1, period=state.period)
+        return tuple(map(tuple, found)) if np.isfinite(found).all() else ()
+
+    def standstill(self, verdict: Verdict) -> str:
+        """Why it stands, once it has stood for long; empty before."""
+        eta = self.filter.settings.eta
+        return self.standing.reason(verdict.status.value, verdict.active, eta * verdict.h_now < verdict.margin)
 
     def try_out(self, decided: Decided, barriers: AbstractStack | str) -> None:
         """Decides once more what another model decided. Raises InputError where only this one has to fall back."""

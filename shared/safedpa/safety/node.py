@@ -52,7 +52,7 @@ class SafetyFilterNode(AbstractNode):
 
     A new model comes with its own margin, and the watch over the margin begins anew. A latent of another model than the
     filter's is none: the backup acts until both services have the same one. Raises InputError when the calibration
-    belongs to another model.
+    belongs to another model, the settings are another robot's, or nobody wrote barriers for this one.
     """
 
     name = "safety_filter"
@@ -75,6 +75,7 @@ class SafetyFilterNode(AbstractNode):
         self._settings = settings or FilterSettings()
         known = calibration or uncalibrated(self._settings, fingerprint(model))
         first = HeldModel(model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings))
+        FilteredRobot.begun(first, self._settings)  # refuses another robot now, and not at its first tick
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load, self._foretold)
         self._robots: dict[str, FilteredRobot] = {}
         self._broken: dict[str, FilteredRobot] = {}
@@ -91,6 +92,7 @@ class SafetyFilterNode(AbstractNode):
             if broken is not None and broken.held is memory.held:
                 memory.margin = broken.margin
                 memory.margin.expect(None)
+            memory.remember_way(broken)
             self._robots[robot] = memory
         memory.take_up(state)
 
@@ -107,7 +109,9 @@ class SafetyFilterNode(AbstractNode):
         of_before = not isinstance(latent, LatentMessage) or latent.model == memory.held.fingerprint
         if of_before and memory.held.fingerprint != held.fingerprint and memory.may_wait(state):
             return memory
-        self._robots[robot] = FilteredRobot.begun(held, self._settings, memory.margin.epsilon)
+        begun = FilteredRobot.begun(held, self._settings, memory.margin.epsilon)
+        begun.remember_way(memory)
+        self._robots[robot] = begun
         self.prepare(robot, state)
         return self._robots[robot]
 
@@ -119,7 +123,7 @@ class SafetyFilterNode(AbstractNode):
         wish = inputs[WISH]
         latent, stale = memory.usable_latent(state, inputs)
         absent = f"the wish ({wish.sentence})" if isinstance(wish, Stale) else ""
-        holds = bool(absent and state.corridor)
+        holds = bool(absent and not memory.scene.stands)
         if absent and not holds:
             stale.append(absent)
         stale.extend(too_late(state))
@@ -134,12 +138,17 @@ class SafetyFilterNode(AbstractNode):
         }
         ordered = memory.ordered = self.orders.reason(robot)
         if ordered:
-            verdict = memory.filter.stop(ordered, state.values, latent, stands=not state.corridor, **known)
+            verdict = memory.filter.stop(ordered, state.values, latent, stands=memory.scene.stands, **known)
         elif holds:
             verdict = memory.filter.hold(f"{absent} is stale", state.values, latent, **known)
         else:
             wished = wish.values if isinstance(wish, WishMessage) else None
             verdict = memory.filter.decide(state.values, wished, latent, **known)
+            verdict = memory.out_of_dead_band(
+                state,
+                verdict,
+                lambda: memory.filter.decide(state.values, self._settings.resting_action, latent, **known),
+            )
         memory.decision = Decided(state, latent, verdict)
         return {ACTION: _action(state, tuple(verdict.action.tolist()))}
 
@@ -149,6 +158,7 @@ class SafetyFilterNode(AbstractNode):
         assert memory.decision is not None
         state, latent, verdict = memory.decision
         predicted = memory.foresee(state, verdict, latent)
+        memory.watch_standing(state, predicted)
         outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory)}
         answer = self._versions.answer(robot, state)
         return outputs if answer is None else {**outputs, TAKEOVER: answer}
@@ -224,13 +234,15 @@ def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
 def _report(
     state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot | None = None
 ) -> VerdictMessage:
+    standstill = memory.standstill(verdict) if memory else ""
+    stands = f" The robot has stood for {memory.standing.seconds:.1f} s. {standstill}." if memory and standstill else ""
     return VerdictMessage(
         epoch=state.epoch,
         tick=state.tick,
         robot_time=state.robot_time,
         publish_time=time.time(),
         status=verdict.status.value,
-        sentence=f"{verdict.sentence} {memory.margin.remark}".strip() if memory else verdict.sentence,
+        sentence=f"{verdict.sentence} {memory.margin.remark if memory else ''}".strip() + stands,
         action=tuple(verdict.action.tolist()),
         wish=() if verdict.wish is None else tuple(verdict.wish.tolist()),
         slack=verdict.slack,
@@ -245,4 +257,6 @@ def _report(
         promised=memory.margin.promised if memory else -1.0,
         model=memory.held.fingerprint if memory else "",
         ordered=memory.ordered if memory else "",
+        stands=memory.standing.seconds if memory else 0.0,
+        standstill=standstill,
     )

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.errors import InputError
 from safedpa.safety.affine_motion import AffineMotion
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.on_its_way import Actuators, Begin
+from safedpa.systems import System
 
 __all__ = ["Prediction"]
 
@@ -33,6 +35,8 @@ class Prediction:
         self._affine_count, self._affine_words = _accepted(affine, 2)
         self._step_count, self._step_words = (0, frozenset[str]()) if step is None else _accepted(step, 3)
         self._model: AbstractDynamics | None = None
+        self.system: System | None = None
+        """Of a model of this project; functions alone do not say of which they are."""
         self._physics: PhysicsModel | None = None
         self._fixed: tuple[float, ...] = ()
         self._learned: LearnedBase | None = None
@@ -44,7 +48,7 @@ class Prediction:
     def of_model(cls, model: AbstractDynamics) -> Prediction:
         """The prediction of a model of this project, with what its actuators remember."""
         prediction = cls(model.affine)
-        prediction._model, prediction.affine = model, False
+        prediction._model, prediction.system, prediction.affine = model, model.system, False
         if isinstance(model, PhysicsModel):
             prediction._physics, prediction._fixed = model, tuple(model.latent.tolist())
             prediction._actuators = Actuators(model)
@@ -68,6 +72,21 @@ class Prediction:
         """d(after)/d(action) (begin.rows * states, actions) about the action ``around``."""
         assert self._actuators is not None
         return self._actuators.slopes(begin, around, latent)
+
+    @property
+    def of_this_project(self) -> bool:
+        """Whether it came from ``of_model``."""
+        return self._model is not None
+
+    def sensitivity_of_one(
+        self, state: Sequence[float], around: Sequence[float], latent: tuple[float, ...] | None
+    ) -> list[list[float]] | None:
+        """Slopes of the next state in state and action (states, states + actions), by recorded equations, or None.
+
+        Raises ValueError or ArithmeticError for numbers that Python's math refuses.
+        """
+        recorded = None if self._physics is None else self._physics.straight_sensitivity
+        return None if recorded is None else recorded(state, around, self._fixed if latent is None else latent, 0.0)[1]
 
     def affine_motion(self, state: tuple[float, ...], latent: tuple[float, ...] | None) -> AffineMotion | None:
         """All of ``following`` and ``slopes_of_one`` at this state; None: ask those.
@@ -95,8 +114,8 @@ class Prediction:
                 return step(state, action, self._fixed if latent is None else latent, 0.0)
             except (ValueError, ArithmeticError):  # numbers that Python's math refuses
                 pass
-        free = None if latent is None else np.array(latent)
-        found = self.next_state(np.array(state), np.array(action), free, memory)
+        free = None if latent is None else _unwritten(latent)
+        found = self.next_state(_unwritten(state), _unwritten(action), free, memory)
         reached: list[float] = _plain("predicted state", found, (len(state),))
         return reached
 
@@ -109,8 +128,8 @@ class Prediction:
                 return tangent(state, around, self._fixed if latent is None else latent, 0.0)[1]
             except (ValueError, ArithmeticError):
                 pass
-        free = None if latent is None else np.array(latent)
-        found = self.slopes(np.array(state), np.array(around), free, memory)
+        free = None if latent is None else _unwritten(latent)
+        found = self.slopes(_unwritten(state), _unwritten(around), free, memory)
         g: list[list[float]] = _plain("g of the model", found, (len(state), len(around)))
         return g
 
@@ -119,24 +138,25 @@ class Prediction:
         model = self._model
         if model is not None:
             remembered = model.initial_memory(action) if memory is None else memory
-            return np.asarray(model.advance(state, action, remembered, latent)[0])
+            return numbers_returned("predicted state", model.advance(state, action, remembered, latent)[0])
         if self._step is None:
             f, g = self._tangent(state, action, latent, memory)
             return np.asarray(f + g @ action)
         words = {"memory": memory} if "memory" in self._step_words else {}
-        return np.asarray(self._step(*(state, action, latent)[: self._step_count], **words), dtype=np.float64)
+        found = self._step(*(state, action, latent)[: self._step_count], **words)
+        return numbers_returned("predicted state", found)
 
     def slopes(self, state: Values, around: Values, latent: Values | None, memory: Any) -> Values:
         """g (states, actions), exact at the action ``around`` (actions,) where ``affine`` accepts it."""
         if self._model is not None:
-            return np.asarray(self._model.slopes(state, latent, around, memory))
+            return numbers_returned("g of the model", self._model.slopes(state, latent, around, memory))
         return self._tangent(state, around, latent, memory)[1]
 
     def _tangent(self, state: Values, around: Values, latent: Values | None, memory: Any) -> tuple[Values, Values]:
         offered = {"around": around, "memory": memory}
         words = {word: offered[word] for word in self._affine_words}
         f, g = self._affine(*(state, latent)[: self._affine_count], **words)
-        return np.asarray(f, dtype=np.float64), np.asarray(g, dtype=np.float64)
+        return numbers_returned("f of the model", f), numbers_returned("g of the model", g)
 
 
 def _accepted(function: Callable[..., Any], most: int) -> tuple[int, frozenset[str]]:
@@ -148,6 +168,13 @@ def _accepted(function: Callable[..., Any], most: int) -> tuple[int, frozenset[s
     ]
     count = most if any(p.kind is p.VAR_POSITIONAL for p in parameters) else min(most, len(positional))
     return count, words
+
+
+def _unwritten(numbers: Sequence[float]) -> Values:
+    """What a function of the user's may read and may not write into: what it is asked next would be changed."""
+    array = np.array(numbers)
+    array.setflags(write=False)
+    return array
 
 
 def _plain(what: str, array: Values, shape: tuple[int, ...]) -> Any:

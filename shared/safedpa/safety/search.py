@@ -8,6 +8,7 @@ from typing import Final, Protocol
 from safedpa.safety.conditions import Outcome, Plain
 from safedpa.safety.program_rows import Side, within
 from safedpa.safety.solution import Solution
+from safedpa.safety.tangent import NotFiniteError
 
 __all__ = ["DOUBTFUL", "FAR", "NEEDLESS", "SAME", "SERVED_WELL", "DecisionError", "overshot", "search", "towards"]
 
@@ -48,8 +49,8 @@ FAR: Final = 0.1
 """Weighted share of the actions' ranges."""
 
 
-HALVES: Final = 3
-"""Halvings of a long step from an action that was not kept to one that is."""
+NEAR: Final = 0.01
+"""Share of the way that is not worth a try."""
 
 
 AGAIN: Final = 1
@@ -120,44 +121,43 @@ def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
         back = _furthest_back(program, within(wish, program.sides), best.action)
         return towards(conditions, conditions.outcome(back), best), status
     if before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
-        return _halfway(conditions, before, best), status
+        return towards(conditions, before, best), status
     return best, status
 
 
 def towards(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
     """The furthest action found on the way from a kept one to the ``last`` that is still kept.
 
-    The least residual is taken to fall along a straight line, anew between the last action kept and the last not kept.
+    Each residual is taken to change along a straight line, anew between the last action kept and the last not kept.
     """
     if last.kept:
         return last
     end, safe, low, high = last.action, kept, 0.0, 1.0
-    room, beyond = conditions.tightest(kept), min(conditions.tightest(last), -SAME)
     for _ in range(TRIES):
-        if room <= DOUBTFUL:
+        allowed = (high - low) * _allowed(safe, last)
+        if allowed <= NEAR:
             break
-        share = low + (high - low) * room * LEFT / (room - beyond)
-        between = [kept.action[index] + share * (end[index] - kept.action[index]) for index in range(len(end))]
-        tried = conditions.outcome(between)
-        if tried.kept:
-            safe, low, room = tried, share, conditions.tightest(tried)
-        else:
-            high, beyond = share, min(conditions.tightest(tried), -SAME)
-    return safe
-
-
-def _halfway(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
-    """As ``towards``, by halving: for a step so long that several conditions may have changed on its way."""
-    end, safe, low, high = last.action, kept, 0.0, 1.0
-    for _ in range(HALVES):
-        share = 0.5 * (low + high)
+        share = low + LEFT * allowed
         between = [kept.action[index] + share * (end[index] - kept.action[index]) for index in range(len(end))]
         tried = conditions.outcome(between)
         if tried.kept:
             safe, low = tried, share
         else:
-            high = share
+            last, high = tried, share
     return safe
+
+
+def _allowed(kept: Outcome, broken: Outcome) -> float:
+    """Share of the way between two outcomes on which no residual that is straight on it falls below 0."""
+    if not broken.usable:
+        return 0.5
+    share = 1.0
+    for row in range(len(kept.residual)):
+        here, there = kept.residual[row], broken.residual[row]
+        if there < 0.0:
+            room = here / (here - there) if here > 0.0 else 0.0
+            share = room if room < share else share
+    return share
 
 
 def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float]:
@@ -178,10 +178,12 @@ def _posed(
     conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int
 ) -> tuple[Outcome, Outcome, str]:
     """The program, posed anew about its solution: the best one, the one before the last, and the solver's word."""
-    tangent = conditions.linearised(start)
-    best, before, about, status = start, start, start, ""
+    best, before, about, status = start, start, start, "not run"
+    tangent = _tangent(conditions, start)
     fresh, missing, overshoot = True, _missing(conditions.tightest(start)), 0.0
     for index in range(rounds):
+        if tangent is None:
+            break
         A, b = tangent.at(about.residual, about.action, overshoot)
         solution = program.solve(A, b, wish)
         status = solution.status
@@ -201,8 +203,16 @@ def _posed(
         fresh = not 0.0 < missing < SERVED_WELL * last
         overshoot = overshot(index + 1, last, missing)
         if fresh and index + 1 < rounds:
-            tangent = conditions.linearised(about)
+            tangent = _tangent(conditions, about)
     return best, before, status
+
+
+def _tangent(conditions: _Posed, about: Outcome) -> _Drawn | None:
+    """None where the model or a barrier has no numbers there, or no slopes."""
+    try:
+        return conditions.linearised(about) if about.usable else None
+    except NotFiniteError:
+        return None
 
 
 def overshot(solutions: int, last: float, missing: float) -> float:

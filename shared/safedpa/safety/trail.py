@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -63,6 +63,11 @@ class Trail:
             self._entries.clear()
         self._entries.append(_Passed(tick, values, applied, memory))
 
+    def commands(self, tick: int, applied: Plain) -> list[Plain]:
+        """What was in force before each tick up to this one, oldest first; ``applied`` alone after a gap."""
+        known = [entry.applied for entry in self._entries if entry.tick < tick]
+        return [*known, applied] if known and self._entries[-1].tick in (tick - 1, tick) else [applied]
+
     def decided(self, latent: Plain | None) -> None:
         """The newest state's latent, with which its action was chosen."""
         self._entries[-1].latent, self._entries[-1].decided = latent, True
@@ -79,6 +84,23 @@ class Trail:
         memory = self._model.felt(commands[0], oldest.memory, oldest.latent, period=rest)[1] if rest else oldest.memory
         spans = [period - rest] + [period] * (count - 1)
         return Pending(memory, commands[-1], tuple(zip(commands, spans, strict=True)))
+
+    def expected(self, action: Plain, latent: Plain | None, pending: Pending, steps: int) -> list[list[float]]:
+        """(steps, states) one period apart from the newest state on: what is pending is in force, then the action."""
+        left = deque((*pending.sent, (action, inf)))
+        now, memory = np.array(self._entries[-1].values), pending.memory
+        free, rows = None if latent is None else np.array(latent), list[list[float]]()
+        for _ in range(steps):
+            wanted = self._model.period
+            while wanted > _ROUNDING:
+                command, seconds = left.popleft()
+                span = min(seconds, wanted)
+                now, memory = self._model.advance(now, np.array(command), memory, free, period=span)
+                wanted -= span
+                if seconds > span + _ROUNDING:
+                    left.appendleft((command, seconds - span))
+            rows.append(now.tolist())
+        return rows
 
     def foretold(self, until_action: float) -> Foretold | None:
         """The newest two states, predicted from before the dead time; None: there is none, or it is not yet over."""

@@ -22,6 +22,7 @@ from safedpa.policy import PolicyNode
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
 from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.drive_heights import DrivenTick, drive_heights
+from safedpa.safety.margin import smallest_sample
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.closed_loop import Tick, drive
@@ -99,7 +100,8 @@ def margin_with_delay(
 ) -> MarginCalibration:
     """The margin of a filter that knows the delay, from drives behind that filter with the margin of its settings.
 
-    Steps are taken for exchangeable. Raises InputError when there are too few near a boundary.
+    Steps are taken for exchangeable; a kind of barrier that too few of them came near keeps the settings' margin.
+    Raises InputError when that is so of every kind.
     """
     known, settings, found = lateness.model(model), settings_named("car"), dict[str, list[Any]]()
     for index in range(drives):
@@ -110,7 +112,7 @@ def margin_with_delay(
         for kind, heights in drive_heights(known, settings, ticks).items():
             found.setdefault(kind, []).append(Ceiling.of_settings(settings).errors(kind, heights))
     joined = {kind: np.concatenate(errors) for kind, errors in found.items()}
-    near = {kind: errors for kind, errors in joined.items() if len(errors)}
+    near = {kind: errors for kind, errors in joined.items() if len(errors) >= smallest_sample(_COVERAGE)}
     made = calibration_from_errors(near, _COVERAGE, "simulated", fingerprint(known))
     made.epsilon.update({kind: settings.epsilon[kind] for kind in joined if kind not in near})
     return made

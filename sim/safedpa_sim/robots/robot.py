@@ -108,6 +108,7 @@ class SimulatedRobot(ABC):
         footprint: Numbers = (),
         load_pose: Numbers = (),
         corridor: Numbers = (),
+        towed: Numbers = (),
     ) -> StateMessage:
         """The message of this tick, with these surroundings."""
         return StateMessage(
@@ -129,6 +130,7 @@ class SimulatedRobot(ABC):
             collisions=len(self.collisions),
             corridor=corridor,
             until_action=self._until_action,
+            towed=towed,
         )
 
     def _record(self) -> None:

@@ -1,0 +1,174 @@
+"""Checks of the barriers themselves: margin, unit, gradient, and what lies between two ticks."""
+
+from __future__ import annotations
+
+from math import log10
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.check_probes import Checked, Probe
+from safedpa.safety.check_report import FilterIssue, gathered
+
+__all__ = ["gradient_issues", "margin_issues", "scale_issues", "tick_issues"]
+
+Values: TypeAlias = NDArray[np.float64]
+
+_LOST: Final = 1e-6
+"""Share of what a tick changes in h, below which a margin is no margin."""
+_STEP: Final = 1e-4
+"""Share of a tick's travel by which a gradient is checked."""
+_WRONG: Final = 1e-2
+"""Share of a gradient's largest part by which it may differ from differences."""
+_SOME: Final = 0.1
+"""Share of the states, and two of them, at which a gradient has to be wrong: kinks are few."""
+_CHASES, _CHASED_TICKS, _BETWEEN = 8, 30, 16
+
+
+def margin_issues(checked: Checked, probes: list[Probe]) -> list[FilterIssue]:
+    """Kinds of barriers whose margin is zero."""
+    issues = []
+    for kind, rows in checked.barriers.rows.items():
+        if rows and not checked.epsilon[list(rows)].any():
+            names = tuple(checked.barriers.names[row] for row in rows)
+            said = (
+                f"got epsilon 0 for barriers of kind '{kind}', wanted more: the model's error in one step would reach "
+                f"beyond h = 0; measure it (calibrate_margin) or set epsilon = {{ {kind} = ... }}"
+            )
+            issues.append(FilterIssue("margin", names, said))
+    return issues
+
+
+def scale_issues(checked: Checked, probes: list[Probe]) -> list[FilterIssue]:
+    """Barriers whose unit cannot be that of their margin."""
+    h = np.array([probe.h for probe in probes])
+    tick = np.array([probe.reached for probe in probes]).max(axis=0)
+    cases: dict[int, tuple[float, str]] = {}
+    for row in range(len(checked.barriers.names)):
+        epsilon, threshold = checked.epsilon[row], checked.threshold[row]
+        most, spread = h[:, row].max(), np.ptp(h[:, row])
+        if epsilon == 0.0:
+            continue
+        if most < threshold:
+            said = (
+                f"got h of {most:.3g} at most (it varies by {spread:.3g}) over {len(probes)} states, wanted some above "
+                f"epsilon / eta = {threshold:.3g}; are h and epsilon in the same unit?"
+            )
+        elif epsilon < _LOST * tick[row]:
+            said = (
+                f"got epsilon = {epsilon:.3g} where the actions change h by {tick[row]:.3g} in one tick, wanted more "
+                f"than {_LOST:g} of that; are h and epsilon in the same unit?"
+            )
+        elif tick[row] < epsilon:
+            said = (
+                f"got actions that change h by {tick[row]:.3g} in one tick at most, wanted more than epsilon = "
+                f"{epsilon:.3g}, or they cannot keep a condition that asks for it; a wrong unit, or h is of a higher "
+                "relative degree (RolloutBarrier, HigherOrderBarrier, PendingActions)"
+            )
+        else:
+            continue
+        cases[row] = (abs(log10(float(max(tick[row], 1e-300) / epsilon))), said)
+    return gathered("scale", checked.barriers.names, cases)
+
+
+def gradient_issues(checked: Checked, probes: list[Probe]) -> list[FilterIssue]:
+    """Barriers whose gradient is not what their h does; a kink between the differences of both sides is none."""
+    moved = np.max([probe.moved for probe in probes], axis=0)
+    used = np.flatnonzero(moved > 0.0)
+    wrong: dict[int, list[tuple[float, float, float, int]]] = {}
+    for probe in probes:
+        given = np.asarray(checked.barriers.gradient(probe.state))
+        left, right = _one_sided(checked, probe, moved, used)
+        share = np.abs(0.5 * (left + right) * moved[used]).max(axis=1)
+        allowed = (_WRONG * np.where(share > 0.0, share, 1e-9 * np.abs(probe.h)))[:, np.newaxis] / moved[used]
+        low, high = np.minimum(left, right) - allowed, np.maximum(left, right) + allowed
+        off = np.maximum(low - given[:, used], given[:, used] - high)
+        for row in np.flatnonzero((off > 0.0).any(axis=1)).tolist():
+            at = int((off[row] * moved[used]).argmax())
+            entry = int(used[at])
+            wrong.setdefault(row, []).append(
+                (float(off[row, at]), float(given[row, entry]), float(0.5 * (left + right)[row, at]), entry)
+            )
+    found: dict[int, tuple[float, str]] = {}
+    for row, cases in wrong.items():
+        if len(cases) >= max(2.0, _SOME * len(probes)):
+            off, got, wanted, entry = max(cases)
+            said = (
+                f"got a slope of {got:.6g} in entry {entry} of the state, wanted {wanted:.6g}, which is what h does; "
+                f"it is wrong at {len(cases)} of {len(probes)} states; correct the gradient or leave it out"
+            )
+            found[row] = (off, said)
+    return gathered("gradient", checked.barriers.names, found)
+
+
+def _one_sided(checked: Checked, probe: Probe, moved: Values, used: NDArray[np.intp]) -> tuple[Values, Values]:
+    """Differences (m, used entries) of h to both sides."""
+    left, right = np.empty((len(probe.h), len(used))), np.empty((len(probe.h), len(used)))
+    for at, entry in enumerate(used.tolist()):
+        for side, table in ((-1.0, left), (1.0, right)):
+            near = probe.state.copy()
+            near[entry] += side * _STEP * moved[entry]
+            table[:, at] = (checked.h(near) - probe.h) / (near[entry] - probe.state[entry])
+    return left, right
+
+
+def tick_issues(checked: Checked, probes: list[Probe]) -> list[FilterIssue]:
+    """Barriers that dip between two ticks by more than epsilon / eta, on ways that chase after a smaller h."""
+    blind = [row for part, rows in _rows_of_parts(checked) if part.since(probes[0].state) is part for row in rows]
+    worst: dict[int, tuple[float, float]] = {}
+    for row in blind:
+        free = [probe for probe in probes if probe.h[row] >= 0.0]
+        order = np.argsort([probe.h[row] for probe in free])
+        for at in order[:: max(1, len(order) // _CHASES)].tolist():
+            dip, ends = _deepest_dip(checked, free[at].state, row)
+            if dip > worst.get(row, (checked.threshold[row], 0.0))[0]:
+                worst[row] = dip, ends
+    cases = {
+        row: (
+            dip,
+            f"got h = {ends:.3g} at two ticks and {ends - dip:.3g} between them, wanted a fall of epsilon / eta = "
+            f"{checked.threshold[row]:.3g} at most: what lies there is thinner than a tick's travel and jumped over; "
+            "take RolloutBarrier, which looks between, a shorter period, or a larger epsilon",
+        )
+        for row, (dip, ends) in worst.items()
+    }
+    return gathered("ticks", checked.barriers.names, cases)
+
+
+def _rows_of_parts(checked: Checked) -> list[tuple[AbstractBarrier, range]]:
+    found: list[tuple[AbstractBarrier, range]] = []
+    first = 0
+    for part in checked.barriers.parts:
+        found.append((part, range(first, first + len(part.names))))
+        first += len(part.names)
+    return found
+
+
+def _deepest_dip(checked: Checked, state: Values, row: int) -> tuple[float, float]:
+    """By how much h_row falls below both ends of a tick at the most, and the lower end, while h is chased.
+
+    Only where it falls below epsilon / eta: above, nothing is near.
+    """
+    low, high = checked.bounds
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    worst = (0.0, 0.0)
+    for _ in range(_CHASED_TICKS):
+        base = checked.after(state, middle)
+        effect = np.array(
+            [
+                checked.h(checked.after(state, middle + part))[row]
+                - checked.h(checked.after(state, middle - part))[row]
+                for part in np.diag(half)
+            ]
+        )
+        largest = np.abs(effect).max()
+        following = checked.after(state, middle - half * effect / largest) if largest > 0.0 else base
+        ends = min(checked.h(state)[row], checked.h(following)[row])
+        shares = np.arange(1, _BETWEEN) / _BETWEEN
+        between = min(checked.h(state + share * (following - state))[row] for share in shares)
+        if ends >= 0.0 and between < checked.threshold[row] and ends - between > worst[0]:
+            worst = float(ends - between), float(ends)
+        state = following
+    return worst

@@ -1,0 +1,156 @@
+"""The states at which a filter is checked, and what its model and barriers say there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, Final, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.safety.barrier import AbstractBarrier, AbstractStack
+from safedpa.safety.safety_filter import SafetyFilter
+from safedpa.safety.verdict import Status
+
+__all__ = ["ROUNDING", "SLIGHT", "Checked", "Probe", "probed"]
+
+Values: TypeAlias = NDArray[np.float64]
+
+_MOST_STATES, _MOST_DRIVES, _MOST_CORNERS = 60, 12, 16
+ROUNDING: Final = 1e-9
+"""Share of |h| that is nothing."""
+SLIGHT: Final = 0.05
+"""Share of epsilon by which a condition may be missed without being told: epsilon is there for more than that."""
+_KEPT = (Status.passed, Status.corrected)
+
+
+@final
+@dataclass(frozen=True)
+class Checked:
+    """A filter with one scene and latent, asked directly: what an action leads to, without a verdict."""
+
+    safe: SafetyFilter
+    barriers: AbstractStack
+    margins: Mapping[str, float]
+    """By kind of barrier."""
+    latent: Values | None
+
+    @cached_property
+    def epsilon(self) -> Values:
+        """(m,)."""
+        return np.array(self.barriers.of_each(self.margins, self.margins.get("default", 0.0)))
+
+    @property
+    def threshold(self) -> Values:
+        """epsilon / eta (m,): where the condition begins to ask for no more than h itself."""
+        return self.epsilon / self.safe.settings.eta
+
+    def slight(self, h: Values) -> Values:
+        """(m,) by how much a condition at h (m,) may be missed without being told."""
+        return SLIGHT * self.epsilon + ROUNDING * np.abs(h)
+
+    @property
+    def bounds(self) -> tuple[Values, Values]:
+        """Lowest and highest action (actions,)."""
+        return self.safe.settings.low, self.safe.settings.high
+
+    def h(self, state: Values) -> Values:
+        """h (m,)."""
+        return self.barriers.values(state)
+
+    def after(self, state: Values, action: Values) -> Values:
+        """The model's next state (states,)."""
+        latent = None if self.latent is None else tuple(self.latent.tolist())
+        prediction = self.safe.tools.prediction
+        return np.array(prediction.following(tuple(state.tolist()), tuple(action.tolist()), latent, None))
+
+    def residual(self, state: Values, action: Values) -> Values:
+        """h_i(x+) - (1 - eta) h_i(x) - epsilon_i (m,)."""
+        following = self.barriers.since(state.tolist()).values(self.after(state, action))
+        return following - (1.0 - self.safe.settings.eta) * self.h(state) - self.epsilon
+
+    def corners(self) -> list[Values]:
+        """The extreme actions, or some of them where they are many, and the middle."""
+        low, high = self.bounds
+        found = [np.array(corner) for corner in product(*zip(low, high, strict=True))]
+        if len(found) > _MOST_CORNERS:
+            found = [found[at] for at in np.linspace(0, len(found) - 1, _MOST_CORNERS).astype(int)]
+        return [*found, 0.5 * (low + high)]
+
+    def backup(self, state: Values) -> Values:
+        """The action that the filter falls back to, within its bounds or not. Raises what the user's function does."""
+        known: Callable[[Values | None], Any] | None = self.safe.tools.backup
+        return self.safe.settings.resting_action if known is None else np.array(known(state), dtype=np.float64)
+
+
+@final
+@dataclass(frozen=True)
+class Probe:
+    """One state and what is known there."""
+
+    state: Values
+    h: Values
+    """(m,)."""
+    residuals: Values
+    """(actions tried, m), under the extreme actions and the middle."""
+    moved: Values
+    """(states,) how far each entry goes within one tick at the most."""
+    reached: Values
+    """(m,) how far apart the actions tried leave h."""
+    inside: bool
+    """Whether every h_i >= epsilon_i / eta."""
+    kept: bool
+    """Whether the filter found an action that keeps every condition, or misses it slightly; true where not asked."""
+
+
+def probed(checked: Checked, states: Sequence[Values], ticks: int, seed: int) -> list[Probe]:
+    """The states given, and states to which the filter lets itself be pushed from there by extreme wishes.
+
+    Each wish is an extreme action, held for some ticks, in the first drives to their end; a drive ends where the filter
+    finds no action that keeps every condition. Raises whatever barriers and model raise.
+    """
+    random = np.random.default_rng(seed)
+    found = [_probe(checked, state, kept=True) for state in states[:_MOST_STATES]]
+    starts = [probe.state for probe in found if probe.inside] or [probe.state for probe in found]
+    corners = checked.corners()[:-1]
+    for at in range(_MOST_DRIVES):
+        pushed = corners[at] if at < min(len(corners), _MOST_DRIVES // 2) else None
+        for state, kept in _driven(checked, starts[at % len(starts)], ticks, random, pushed):
+            found.append(_probe(checked, state, kept=kept))
+    return found
+
+
+def _driven(
+    checked: Checked, state: Values, ticks: int, random: np.random.Generator, pushed: Values | None
+) -> list[tuple[Values, bool]]:
+    """Some states of one drive, and whether the filter kept every condition there; the last one always."""
+    corners, wish, held = checked.corners()[:-1], np.zeros(0), 0
+    scene: Sequence[AbstractBarrier] = checked.barriers
+    visited: list[tuple[Values, bool]] = []
+    for tick in range(ticks):
+        if pushed is not None:
+            wish = pushed
+        elif held == 0:
+            wish, held = corners[int(random.integers(len(corners)))], int(random.integers(3, 25))
+        held -= 1
+        verdict = checked.safe.decide(state, wish, checked.latent, barriers=scene, epsilon=checked.margins)
+        kept = verdict.status in _KEPT
+        if tick % 8 == 7 or not kept:
+            visited.append((state, kept))
+        if not kept:
+            break
+        state = checked.after(state, verdict.action)
+    return visited
+
+
+def _probe(checked: Checked, state: Values, *, kept: bool) -> Probe:
+    h = checked.h(state)
+    actions = checked.corners()
+    residuals = np.array([checked.residual(state, action) for action in actions])
+    moved = np.max([np.abs(checked.after(state, action) - state) for action in actions], axis=0)
+    inside = bool((h >= checked.threshold).all())
+    missed = -(residuals / np.maximum(checked.slight(h), np.finfo(np.float64).tiny)).min(axis=1)
+    return Probe(state, h, residuals, moved, np.ptp(residuals, axis=0), inside, kept or bool(missed.min() < 1.0))

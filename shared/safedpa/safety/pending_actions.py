@@ -1,0 +1,159 @@
+"""Actions that are on their way: a model whose commands arrive some ticks late, with what is pending in its state.
+
+    xi = (x, a_1, ..., a_n),   xi+ = (step(x, a_1), a_2, ..., a_n, a)
+
+a_1 acts in the tick to come, and what is decided now acts n ticks later. So the action moves no barrier of x within
+one step, and the filter's condition on the next step would be blind. The barrier is therefore judged at the state in
+which the new action begins to act, which nothing can change any more:
+
+    h(xi) = h(x_n),   x_0 = x,   x_k = step(x_{k-1}, a_k)
+
+There the condition h(xi+) >= (1 - eta) h(xi) + epsilon is the ordinary one of the model without delay. The model need
+not be affine in the action: xi+ is.
+"""
+
+from __future__ import annotations
+
+from typing import Final, TypeAlias, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from safedpa.errors import InputError
+from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.closed_loop import Model, fixed, prediction_of
+from safedpa.safety.differences import central_slopes
+from safedpa.safety.prediction import Prediction
+
+__all__ = ["PendingActions"]
+
+Values: TypeAlias = NDArray[np.float64]
+
+_SHARE: Final = 1e-3
+"""Of a direction, over which the way is differenced: the filter's directions are what an action's range moves."""
+
+
+@final
+class PendingActions:
+    """Any model with ``count`` actions on their way, 1 or more; ``resting`` (actions,) is pending at the beginning.
+
+    ``model``: a model of this project, a ``Prediction``, ``affine(x) -> f, g`` or ``step(x, a)``, without the delay.
+    A filter of it takes the augmented state xi (states + count actions,)::
+
+        late = PendingActions(model, 3, resting=(0.0,))
+        safe = SafetyFilter(late.prediction, [late.barrier(part) for part in barriers], settings)
+        xi = late.state(x)
+        verdict = safe.decide(xi, wish)
+        xi = late.next_state(xi, verdict.action, measured)
+
+    Raises InputError for a count below 1, and for a model whose actuators remember something else.
+    """
+
+    def __init__(self, model: Model, count: int, resting: ArrayLike) -> None:
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+            raise InputError(f"count: got {count!r}, wanted a whole number of pending actions, 1 or more")
+        self.resting = fixed(np.asarray(resting, dtype=np.float64))
+        if self.resting.ndim != 1 or not len(self.resting) or not np.isfinite(self.resting).all():
+            raise InputError(f"resting: got {resting!r}, wanted (actions,) finite numbers")
+        self.count = int(count)
+        self._inner = prediction_of(model)
+        self.prediction = Prediction(self.affine, self.step)
+        """What the filter takes in place of a model."""
+
+    def state(self, state: ArrayLike, pending: ArrayLike | None = None) -> Values:
+        """xi from x (states,) and the pending actions (count, actions), the next to act first; default: resting."""
+        x = np.asarray(state, dtype=np.float64)
+        if pending is None:
+            pending = np.tile(self.resting, (self.count, 1))
+        queue = np.asarray(pending, dtype=np.float64)
+        if x.ndim != 1 or queue.shape != (self.count, len(self.resting)):
+            wanted = (self.count, len(self.resting))
+            raise InputError(f"pending: got state {x.shape} and {queue.shape}, wanted (states,) and {wanted}")
+        return np.concatenate((x, queue.ravel()))
+
+    def next_state(self, augmented: Values, action: ArrayLike, measured: ArrayLike) -> Values:
+        """xi one tick later, when ``action`` (actions,) was sent and x ``measured`` (states,)."""
+        queue = self.split(augmented)[1]
+        return self.state(measured, np.concatenate((queue[1:], np.reshape(action, (1, len(self.resting))))))
+
+    def split(self, augmented: Values) -> tuple[Values, Values]:
+        """x (states,) and the pending actions (count, actions) of xi. Raises InputError when it is too short."""
+        held = self.count * len(self.resting)
+        if np.ndim(augmented) != 1 or len(augmented) <= held:
+            raise InputError(
+                f"state: got shape {np.shape(augmented)}, wanted x and {self.count} pending actions of "
+                f"{len(self.resting)} after it; make it with state()"
+            )
+        return augmented[:-held], np.reshape(augmented[-held:], (self.count, len(self.resting)))
+
+    def way(self, augmented: Values, latent: Values | None = None) -> list[Values]:
+        """x_0 to x_count (states,): now, and after each of the pending actions."""
+        state, queue = self.split(augmented)
+        way = [fixed(state)]
+        for action in queue:
+            way.append(self._after(way[-1], action, latent))
+        return way
+
+    def reached(self, augmented: Values, latent: Values | None = None) -> Values:
+        """x (states,) when the action that is decided now begins to act."""
+        return self.way(augmented, latent)[-1]
+
+    def step(self, augmented: Values, action: Values, latent: Values | None = None) -> Values:
+        """xi one tick later as the model has it."""
+        state, queue = self.split(augmented)
+        return self.next_state(augmented, action, self._after(state, queue[0], latent))
+
+    def affine(self, augmented: Values, latent: Values | None = None) -> tuple[Values, Values]:
+        """(f, g) with xi+ = f + g a, exact: the action takes the last place of those that wait."""
+        actions = len(self.resting)
+        f = self.step(augmented, np.zeros(actions), latent)
+        g = np.zeros((len(f), actions))
+        g[-actions:] = np.eye(actions)
+        return f, g
+
+    def barrier(self, barrier: AbstractBarrier, latent: ArrayLike | None = None) -> AbstractBarrier:
+        """A barrier of x as one of xi, judged where the action begins to act; ``latent``: with which it gets there."""
+        return _Pending(self, barrier, None if latent is None else fixed(np.asarray(latent, dtype=np.float64)))
+
+    def _after(self, state: Values, action: Values, latent: Values | None) -> Values:
+        if self._inner.of_this_project:
+            free = None if latent is None else tuple(latent.tolist())
+            return fixed(np.array(self._inner.following(tuple(state.tolist()), action.tolist(), free, None)))
+        found = self._inner.next_state(state, fixed(action), latent, None)
+        if found.shape != state.shape:
+            raise InputError(f"predicted state: got shape {found.shape}, wanted {state.shape}")
+        return fixed(found)
+
+
+@final
+class _Pending(AbstractBarrier):
+    """Another barrier at the state after the pending actions."""
+
+    def __init__(self, late: PendingActions, barrier: AbstractBarrier, latent: Values | None) -> None:
+        self.names, self.kind = barrier.names, barrier.kind
+        self._late, self._barrier, self._latent = late, barrier, latent
+
+    def values(self, state: Values) -> Values:
+        return self._barrier.values(self._late.reached(state, self._latent))
+
+    def evaluate(self, state: Values) -> tuple[Values, Values]:
+        """By the chain rule: the barrier's own gradient, times central differences of the way there."""
+        way = np.array(self._late.way(state, self._latent))
+        queue = self._late.split(state)[1]
+        moved = np.concatenate((np.ptp(way, axis=0), np.tile(np.ptp(queue, axis=0), self._late.count)))
+        far, size = np.ptp(way, axis=0), np.abs(way).max(axis=0)
+        size = np.where(far > 0.0, far, np.where(size > 0.0, size, 1.0))
+        h, gradient = self._barrier.evaluate(way[-1])
+        return h, gradient @ central_slopes(lambda near: self._late.reached(near, self._latent), state, moved, size)
+
+    def along(self, state: Values, directions: Values) -> Values:
+        reached = np.zeros((len(self._late.split(state)[0]), directions.shape[1]))
+        for index, direction in enumerate(directions.T):
+            ahead = self._late.reached(state + _SHARE * direction, self._latent)
+            behind = self._late.reached(state - _SHARE * direction, self._latent)
+            reached[:, index] = (ahead - behind) / (2.0 * _SHARE)
+        return self._barrier.along(self._late.reached(state, self._latent), reached)
+
+    def since(self, state: Values) -> AbstractBarrier:
+        inner = self._barrier.since(self._late.reached(state, self._latent))
+        return self if inner is self._barrier else _Pending(self._late, inner, self._latent)

@@ -1,0 +1,247 @@
+"""The check of a filter finds each planted fault, says what to do, and is silent where all is well."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.bus import StateMessage
+from safedpa.dynamics import load_model
+from safedpa.errors import InputError
+from safedpa.safety import (
+    AbstractBarrier,
+    CorridorBarrier,
+    FilterReport,
+    FilterSettings,
+    FunctionBarrier,
+    HigherOrderBarrier,
+    PendingActions,
+    RolloutBarrier,
+    SafetyFilter,
+    car_barriers,
+    check_filter,
+)
+from safedpa.safety.point_scene import PointScene
+from safedpa.safety.shipped import settings_named
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE, EXAMPLES = (DOCS / "safety.md").read_text(encoding="utf-8"), DOCS / "examples"
+PERIOD = 0.05
+STATES = ([0.5, 0.8], [0.0, 0.0])
+SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), eta=0.1, epsilon=0.002)
+
+
+def affine(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([x[0] + PERIOD * x[1], x[1]]), np.array([[0.5 * PERIOD**2], [PERIOD]])
+
+
+def room(x: np.ndarray) -> float:
+    return float(1.0 - x[0] - max(x[1], 0.0) ** 2 / 1.6 - 0.1 * max(x[1], 0.0))
+
+
+def brake(x: np.ndarray) -> np.ndarray:
+    return np.clip(-x[1:] / PERIOD, -1.0, 1.0)
+
+
+def report(
+    h: AbstractBarrier | Callable[[np.ndarray], Any] = room,
+    *,
+    settings: FilterSettings = SETTINGS,
+    backup: Callable[[Any], Any] | None = None,
+    states: Any = STATES,
+    **known: Any,
+) -> FilterReport:
+    barrier = h if isinstance(h, AbstractBarrier) else FunctionBarrier(h, **known)
+    return check_filter(SafetyFilter(affine, [barrier], settings, backup=backup), states)
+
+
+def test_the_first_example_of_the_page_is_fine() -> None:
+    names: dict[str, Any] = {}
+    exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0].partition("print(")[0], names)
+    random = np.random.default_rng(0)
+    for states in (STATES, [0.0, 0.0], random.uniform((-2.0, -1.0), (0.9, 1.2), (40, 2))):
+        found = check_filter(names["safe"], states)
+        assert not found
+        assert str(found) == f"Nothing amiss at {found.states} states."
+        assert found.states > len(np.atleast_2d(states))
+
+
+@pytest.mark.parametrize("settings", [FilterSettings(), settings_named("car")], ids=["default", "shipped"])
+def test_the_car_is_fine(settings: FilterSettings) -> None:
+    model, random = load_model("car"), np.random.default_rng(0)
+    barriers = car_barriers(
+        settings, (0.08, 0.40, 0.12), [(2.0, 0.0, 0.3), (-1.5, 1.0, 0.25), (0, -2, 0.2)], (-4, 4, -4, 4)
+    )
+    states = random.uniform((-3, -3, -3, -0.6), (3, 3, 3, 2), (40, 4))
+    found = check_filter(SafetyFilter.for_model(model, settings, barriers), states, latent=model.latent)
+    assert not found, str(found)
+
+
+def test_the_pendulum_is_fine_but_has_no_stand() -> None:
+    model, settings = load_model("pendulum"), settings_named("pendulum")
+    safe = SafetyFilter.for_model(model, settings, [CorridorBarrier(-1.0, 1.0, settings.corridor_seconds)])
+    states = np.random.default_rng(0).uniform((-1.0, -2.0), (1.0, 2.0), (40, 2))
+    found = check_filter(safe, states, latent=model.latent, stands=False)
+    assert not found, str(found)
+    assert check_filter(safe, states, latent=model.latent).subjects == {"backup"}
+
+
+def test_the_point_robot_is_fine() -> None:
+    """Its manoeuvre changes ends where it has to push more than 120 degrees aside; there its room jumps by
+    centimetres, so not every condition is kept by the backup, though each by some action."""
+    model, settings, latent = load_model("point_wind"), settings_named("point"), np.array([0.5, -0.3])
+    scene, random = PointScene(model, settings), np.random.default_rng(0)
+    scene.learn(latent)
+    told = StateMessage(
+        epoch=1, tick=0, robot_time=0.0, publish_time=0.0, values=(0.0,) * 5, applied=(0.0, 0.0), applied_by="none",
+        period=0.02, lockstep=True, goal=(1.0, 1.0), obstacles=((0.7, 0.0, 0.2), (-0.8, 0.3, 0.2)), field=(),
+        footprint=(),
+    )  # fmt: skip
+    barriers = scene.of(told)
+    assert not isinstance(barriers, str)
+    states = random.uniform((-0.4, -0.4, -3, -0.3, -0.3), (0.4, 0.4, 3, 0.3, 0.3), (10, 5))
+    safe = SafetyFilter.for_model(model, settings, barriers, backup=scene.backup)
+    found = check_filter(safe, states, latent=latent, ticks=40, stands=False)
+    assert not found, str(found)
+
+
+def test_rollouts_higher_orders_and_delays_that_fit_are_fine() -> None:
+    wall = RolloutBarrier(affine, brake, lambda x: 1.0 - x[0], 40)
+    assert not report(wall, backup=wall.backup)
+    speed = HigherOrderBarrier([lambda x: 1.0 - x[0], lambda x: -x[1]], [lambda h: np.sqrt(np.maximum(h, 0.0))])
+    assert not report(speed)
+    late = PendingActions(affine, 3, (0.0,))
+    safe = SafetyFilter(late.prediction, [late.barrier(FunctionBarrier(room))], SETTINGS)
+    assert not check_filter(safe, late.state([0.0, 0.0]))
+
+
+def test_the_example_among_discs_runs_and_hits_nothing() -> None:
+    said = runpy.run_path(str(EXAMPLES / "stopping_among_discs.py"))["main"]()
+    assert said.startswith("Nothing amiss")
+    assert float(re.findall(r"least room (\S+) cm", said)[0]) >= 0.0
+
+
+def test_a_wrong_unit() -> None:
+    small = report(lambda x: 1e-8 * room(x))
+    assert small.subjects == {"scale"}
+    assert "are h and epsilon in the same unit?" in small[0].sentence
+    assert report(lambda x: 1e8 * room(x)).subjects == {"scale"}
+    for unit in (1e-6, 1e6):
+        assert not report(lambda x, unit=unit: unit * room(x), settings=replace(SETTINGS, epsilon=0.002 * unit))
+
+
+def test_actions_that_reach_less_than_the_margin() -> None:
+    found = report(lambda x: 10.0 * room(x) if x[1] < -9.0 else 100.0 - 1e-3 * x[1])
+    assert found.subjects == {"scale"}
+    assert "wanted more than epsilon" in found[0].sentence
+
+
+def test_a_relative_degree_above_one() -> None:
+    for h in (lambda x: 1.0 - x[0], HigherOrderBarrier([lambda x: 2.0 - 2.0 * x[0], lambda x: 0.0], [1.0])):
+        found = report(h)
+        assert "relative degree" in found.subjects
+        assert "RolloutBarrier" in str(found)
+    late = PendingActions(affine, 3, (0.0,))
+    ahead = check_filter(SafetyFilter(late.prediction, [FunctionBarrier(room)], SETTINGS), late.state([0.0, 0.0]))
+    assert "relative degree" in ahead.subjects
+    assert "does not answer to the action in one tick" in str(ahead)
+
+
+def test_an_h_that_falls_under_the_backup() -> None:
+    found = report(settings=replace(SETTINGS, backup_action=(1.0,)))
+    assert found.subjects == {"backup"}
+    assert "under the backup" in found[0].sentence
+
+
+def test_a_condition_that_nobody_can_keep() -> None:
+    """Relative degree one, but braking is overrated."""
+    found = report(lambda x: float(1.0 - x[0] - max(x[1], 0.0) ** 2 / 16.0 - 0.02 * max(x[1], 0.0)))
+    assert "conditions" in found.subjects
+    assert "every action tried misses its condition" in str(found)
+
+
+def test_conditions_that_exclude_each_other() -> None:
+    """Each can be kept, both cannot: at x = 0 all room is used up by either side."""
+    both = FunctionBarrier(
+        lambda x: np.array([0.5 + x[1] + 0.2 * x[0], 0.5 - x[1] - 0.2 * x[0]]) ** 3, names=("left", "right")
+    )
+    found = report(both, settings=replace(SETTINGS, epsilon=0.02, eta=0.2), states=np.zeros((1, 2)))
+    assert "conditions" in found.subjects or "backup" in found.subjects
+
+
+def test_a_backup_out_of_bounds_or_of_another_shape_or_not_the_barriers_own() -> None:
+    assert "wanted [-1] to [1]" in report(backup=lambda x: [-3.0])[0].sentence
+    assert "finite numbers" in report(backup=lambda x: [0.0, 0.0])[0].sentence
+    found = report(RolloutBarrier(affine, brake, lambda x: 1.0 - x[0], 40))
+    assert found.subjects == {"backup"}
+    assert "give the filter backup=barrier.backup" in found[0].sentence
+
+
+def test_a_horizon_that_ends_before_the_robot_rests() -> None:
+    wall = RolloutBarrier(affine, brake, lambda x: 1.0 - x[0], 8)
+    found = report(wall, backup=wall.backup)
+    assert "horizon" in found.subjects
+    assert "after the horizon of 8 ticks" in str(found)
+
+
+def test_an_obstacle_thinner_than_a_tick() -> None:
+    def thin(x: np.ndarray) -> float:
+        return float(np.hypot(x[0] - 1.0, x[1]) - 0.1)
+
+    def jumping(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array(x), np.eye(2)
+
+    limits = FilterSettings(action_low=(-0.5, -0.5), action_high=(0.5, 0.5), eta=0.5, epsilon=0.005)
+    states = [[0.0, 0.0], [0.1, 0.3]]
+    found = check_filter(SafetyFilter(jumping, [FunctionBarrier(thin)], limits), states)
+    assert found.subjects == {"ticks"}
+    assert "thinner than a tick's travel" in found[0].sentence
+    looking = RolloutBarrier(jumping, (0.0, 0.0), thin, 1)
+    assert not check_filter(SafetyFilter(jumping, [looking], limits), states)
+
+
+def test_a_margin_of_zero() -> None:
+    found = report(settings=replace(SETTINGS, epsilon={"obstacle": 0.01}), kind="wall")
+    assert found.subjects == {"margin"}
+    assert "epsilon = { wall = ... }" in found[0].sentence
+    given = SafetyFilter(affine, [FunctionBarrier(room, kind="wall")], replace(SETTINGS, epsilon={"obstacle": 0.01}))
+    assert not check_filter(given, STATES, epsilon={"wall": 0.002}), "as in decide, the call's margins come first"
+
+
+def test_a_gradient_that_its_own_h_contradicts() -> None:
+    found = report(gradient=lambda x: [1.0, -0.1])
+    assert "gradient" in found.subjects
+    assert "got a slope of 1 in entry 0 of the state, wanted -1" in str(found)
+    right = report(gradient=lambda x: [-1.0, -(x[1] / 0.8 + 0.1) * (x[1] > 0.0)])
+    assert not right
+
+
+def test_what_raises_is_told_and_not_raised() -> None:
+    found = report(lambda x: 1.0 / 0.0 if x[0] > 0.6 else room(x))
+    assert found.subjects == {"failure"}
+    assert "ZeroDivisionError" in str(found)
+
+
+def test_a_report_reads_as_a_list() -> None:
+    found = report(FunctionBarrier(lambda x: [1.0 - x[0], 2.0 - x[0]], names=("near", "far")))
+    assert found[0] in found[:1]
+    assert len(list(found)) == len(found) == len(str(found).splitlines())
+    assert str(found).startswith("- relative degree (near")
+
+
+@pytest.mark.parametrize("states", [[], [[np.nan, 0.0]], [[[0.0, 0.0]]]])
+def test_states_are_numbers(states: Any) -> None:
+    with pytest.raises(InputError, match="states: got"):
+        report(states=states)
+
+
+def test_there_is_something_to_check() -> None:
+    with pytest.raises(InputError, match="barriers: got none"):
+        check_filter(SafetyFilter(affine, [], SETTINGS), [0.0, 0.0])

@@ -1,0 +1,162 @@
+"""Actions on their way: the barrier is judged where the new one begins to act."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from safedpa.dynamics import load_model
+from safedpa.errors import InputError
+from safedpa.safety import (
+    FilterSettings,
+    FunctionBarrier,
+    PendingActions,
+    Prediction,
+    RolloutBarrier,
+    SafetyFilter,
+    Status,
+    car_barriers,
+)
+
+PERIOD, LATE = 0.05, 3
+A = np.array([[1.0, PERIOD], [0.0, 1.0]])
+B = np.array([[0.5 * PERIOD**2], [PERIOD]])
+SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), eta=0.1, epsilon=0.002)
+
+
+def affine(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return A @ x, B
+
+
+def room(x: np.ndarray) -> float:
+    """Room less stopping distance, the wall at 1."""
+    return float(1.0 - x[0] - max(x[1], 0.0) ** 2 / 1.6 - 0.1 * max(x[1], 0.0))
+
+
+def furthest(seed: int, knows: bool) -> tuple[float, set[Status]]:
+    """How far a mass gets whose commands arrive three ticks late, and what was said."""
+    random = np.random.default_rng(seed)
+    late = PendingActions(affine, LATE, (0.0,))
+    x = np.array([random.uniform(-1.0, 0.0), 0.0])
+    xi, said, far = late.state(x), set(), -np.inf
+    plain = FunctionBarrier(room)
+    known = SafetyFilter(late.prediction, [late.barrier(plain)], SETTINGS)
+    blind = SafetyFilter(affine, [plain], SETTINGS)
+    for _ in range(110):
+        wish = [1.0] if random.random() < 0.7 else random.uniform(-1.0, 1.0, 1)
+        verdict = known.decide(xi, wish) if knows else blind.decide(x, wish)
+        said.add(verdict.status)
+        x = A @ x + B @ late.split(xi)[1][0]
+        xi = late.next_state(xi, verdict.action, x)
+        far = max(far, float(x[0]))
+    return far, said
+
+
+def test_a_delay_that_is_known_costs_nothing() -> None:
+    """200 runs: none beyond the wall, none relaxed; without knowing of it many end up beyond."""
+    found = [furthest(seed, True) for seed in range(200)]
+    assert max(far for far, _ in found) < 1.0
+    assert set.union(*(said for _, said in found)) == {Status.passed, Status.corrected}
+    assert sum(furthest(seed, False)[0] > 1.0 for seed in range(20)) >= 4
+
+
+def test_the_state_holds_what_is_pending_oldest_first() -> None:
+    late = PendingActions(affine, 2, (0.5,))
+    xi = late.state([0.1, 0.2])
+    np.testing.assert_array_equal(xi, [0.1, 0.2, 0.5, 0.5])
+    xi = late.next_state(xi, [-1.0], [0.3, 0.4])
+    np.testing.assert_array_equal(xi, [0.3, 0.4, 0.5, -1.0])
+    after = A @ [0.3, 0.4] + B @ [0.5]
+    np.testing.assert_allclose(late.step(xi, np.array([0.7])), [*after, -1.0, 0.7])
+    np.testing.assert_allclose(late.reached(xi), A @ after + B @ [-1.0])
+    f, g = late.affine(xi)
+    np.testing.assert_allclose(f + g @ [0.7], late.step(xi, np.array([0.7])))
+    np.testing.assert_array_equal(late.state([0.1, 0.2], [[1.0], [2.0]]), [0.1, 0.2, 1.0, 2.0])
+
+
+def test_the_condition_is_the_one_without_delay_at_the_state_after_what_is_pending() -> None:
+    random = np.random.default_rng(2)
+    late = PendingActions(affine, LATE, (0.0,))
+    for _ in range(50):
+        queue = random.uniform(-1.0, 1.0, (LATE, 1))
+        xi = late.state(random.uniform((0.0, -0.5), (0.6, 0.8)), queue)
+        plain = SafetyFilter(affine, [FunctionBarrier(room)], SETTINGS).decide(late.reached(xi), [1.0])
+        known = SafetyFilter(late.prediction, [late.barrier(FunctionBarrier(room))], SETTINGS).decide(xi, [1.0])
+        assert known.status is plain.status
+        np.testing.assert_allclose(known.action, plain.action, atol=1e-6)
+        assert known.h_next == pytest.approx(plain.h_next, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["car", "car_learned", "pendulum_learned"])
+def test_it_holds_any_model_of_the_project(name: str) -> None:
+    model, random = load_model(name), np.random.default_rng(4)
+    low, high = model.system.action_low, model.system.action_high
+    late = PendingActions(model, 2, np.zeros(len(low)))
+    latent = model.latent
+    for _ in range(10):
+        x = random.uniform(-1.0, 1.0, len(model.system.state))
+        queue = random.uniform(low, high, (2, len(low)))
+        reached = model.step(model.step(x, queue[0], latent), queue[1], latent)
+        np.testing.assert_allclose(late.reached(late.state(x, queue), latent), reached, atol=1e-12)
+        np.testing.assert_allclose(
+            late.prediction.next_state(late.state(x, queue), low, latent, None)[-len(low) :], low
+        )
+
+
+def test_the_car_among_obstacles_with_a_delay_that_it_knows() -> None:
+    model, settings = load_model("car"), FilterSettings()
+    scene = car_barriers(settings, (0.08, 0.40, 0.12), [(2.0, 0.1, 0.3)], (-4, 4, -4, 4))
+    late = PendingActions(model, 2, (0.0, 0.0))
+    barriers = [late.barrier(part, model.latent) for part in scene]
+    safe = SafetyFilter(late.prediction, barriers, settings)
+    x = np.zeros(4)
+    xi, said = late.state(x), set()
+    for _ in range(80):
+        verdict = safe.decide(xi, [2.0, 0.0], model.latent)
+        said.add(verdict.status)
+        x = model.step(x, late.split(xi)[1][0])
+        xi = late.next_state(xi, verdict.action, x)
+        assert min(part.values(x).min() for part in scene) > 0.0
+    assert said == {Status.passed, Status.corrected}
+
+
+def test_the_gradient_by_the_chain_rule_is_that_of_its_values() -> None:
+    model, random = load_model("car"), np.random.default_rng(1)
+    late = PendingActions(model, 2, (0.0, 0.0))
+    for part in car_barriers(FilterSettings(), (0.08, 0.40, 0.12), [(2.0, 0.1, 0.3)], (-4, 4, -4, 4)):
+        barrier = late.barrier(part, model.latent)
+        for _ in range(5):
+            xi = late.state(random.uniform((-1, -1, -3, 0.2), (1, 1, 3, 1.5)), random.uniform(-0.3, 0.3, (2, 2)))
+            steps = 1e-6 * np.eye(len(xi))
+            near = np.array([(barrier.values(xi + step) - barrier.values(xi - step)) / 2e-6 for step in steps]).T
+            h, gradient = barrier.evaluate(xi)
+            np.testing.assert_array_equal(h, barrier.values(xi))
+            np.testing.assert_allclose(gradient, near, atol=2e-6)
+
+
+def test_what_looks_between_ticks_still_does() -> None:
+    looking = RolloutBarrier(lambda x: (np.array(x), np.eye(1)), (0.0,), lambda x: abs(x[0] - 1.0) - 0.1, 1)
+    late = PendingActions(lambda x: (np.array(x), np.eye(1)), 1, (0.0,))
+    barrier, ahead, beyond = late.barrier(looking), late.state([0.8]), np.array([0.8, 0.4])
+    assert barrier.values(beyond)[0] == pytest.approx(0.1)
+    assert barrier.since(ahead).values(beyond)[0] == pytest.approx(-0.1, abs=1e-6)
+    plain = late.barrier(FunctionBarrier(lambda x: x[0]))
+    assert plain.since(ahead) is plain
+
+
+def test_what_is_no_delay_is_named() -> None:
+    late = PendingActions(Prediction(affine), 2, (0.0,))
+    cases: list[tuple[Callable[[], object], str]] = [
+        (lambda: PendingActions(affine, 0, (0.0,)), "wanted a whole number of pending actions"),
+        (lambda: PendingActions(affine, 2, ()), "wanted (actions,) finite"),
+        (lambda: PendingActions(affine, 2, (np.nan,)), "wanted (actions,) finite"),
+        (lambda: late.state([0.0, 0.0], [[1.0]]), "pending: got"),
+        (lambda: late.reached(np.zeros(2)), "make it with state()"),
+        (lambda: PendingActions(lambda x, a: x[:1], 1, (0.0,)).reached(np.zeros(3)), "predicted state"),
+    ]
+    for made, said in cases:
+        with pytest.raises(InputError) as error:
+            made()
+        assert said in str(error.value)

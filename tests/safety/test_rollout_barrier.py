@@ -1,0 +1,379 @@
+"""A barrier from a backup: relative degree two and four, thin obstacles, any unit, and its gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from safedpa.dynamics import load_model
+from safedpa.effects import effect
+from safedpa.errors import InputError
+from safedpa.safety import (
+    AbstractBarrier,
+    Barriers,
+    FilterSettings,
+    FunctionBarrier,
+    ObstacleBarrier,
+    PendingActions,
+    RolloutBarrier,
+    SafetyFilter,
+    Status,
+)
+from safedpa.safety.barrier import RememberingStack
+from safedpa.safety.braking import Braking
+from safedpa.safety.stopping_barrier import STEP_SECONDS, STEPS, Motion, StoppingBarrier, stopping_action
+
+PERIOD = 0.05
+A = np.eye(4) + PERIOD * np.eye(4, k=2)
+B = np.vstack((0.5 * PERIOD**2 * np.eye(2), PERIOD * np.eye(2)))
+DISCS = np.array([[1.5, 0.2, 0.4], [2.5, -0.8, 0.4], [1.0, 1.5, 0.4]])
+NAMES = ("a", "b", "c")
+SETTINGS = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), eta=0.2, epsilon=0.002)
+
+
+def affine(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two masses, one along each axis: position answers to the action's second integral."""
+    return A @ x, B
+
+
+def brake(x: np.ndarray) -> np.ndarray:
+    return np.clip(-x[2:] / PERIOD, -1.0, 1.0)
+
+
+def room(x: np.ndarray) -> np.ndarray:
+    """Relative degree two: distance less radius."""
+    return np.hypot(*(DISCS[:, :2] - x[:2]).T) - DISCS[:, 2]
+
+
+def rollout(horizon: int = 40) -> RolloutBarrier:
+    return RolloutBarrier(affine, brake, room, horizon, NAMES)
+
+
+def drive(barrier: AbstractBarrier, seed: int, ticks: int) -> tuple[float, set[Status]]:
+    """Least room on the way of a robot that is driven at the discs, and what the filter said."""
+    random, x, least = np.random.default_rng(seed), np.zeros(4), np.inf
+    safe, said = SafetyFilter(affine, [barrier], SETTINGS, backup=brake), set()
+    for tick in range(ticks):
+        if tick % 40 == 0:
+            target = DISCS[random.integers(3), :2] + 0.1 * random.normal(size=2)
+        wish = np.clip(3.0 * (target - x[:2]) - 0.2 * x[2:] + random.normal(size=2), -1.0, 1.0)
+        verdict = safe.decide(x, wish)
+        said.add(verdict.status)
+        x = A @ x + B @ verdict.action
+        least = min(least, float(room(x).min()))
+    return least, said
+
+
+def test_with_relative_degree_two_nothing_is_hit_and_nothing_relaxed() -> None:
+    plain = [drive(FunctionBarrier(room, names=NAMES), seed, 150)[0] for seed in range(20)]
+    assert sum(least < 0.0 for least in plain) >= 8, "the plain distance is no barrier of such a robot"
+    for seed in range(8):
+        least, said = drive(rollout(), seed, 120)
+        assert least >= 0.0
+        assert said <= {Status.passed, Status.corrected}
+
+
+def test_the_backup_keeps_every_condition_wherever_it_is_promised() -> None:
+    random, barrier, tried = np.random.default_rng(3), rollout(), 0
+    safe = SafetyFilter(affine, [barrier], SETTINGS, backup=barrier.backup)
+    while tried < 150:
+        x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
+        if barrier.values(x).min() < SETTINGS.epsilon["default"] / SETTINGS.eta:
+            continue
+        tried += 1
+        assert safe.decide(x, barrier.backup(x)).status is Status.passed
+
+
+def test_it_is_the_least_value_of_the_dense_path() -> None:
+    random, barrier = np.random.default_rng(5), rollout()
+    for _ in range(40):
+        x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.5, 1.5, 2)]
+        path = np.array(barrier.path(x))
+        chords = [path[:-1] + share * np.diff(path, axis=0) for share in np.linspace(0.0, 1.0, 101)]
+        dense = np.min([room(state) for state in np.concatenate(chords)], axis=0)
+        np.testing.assert_array_less(barrier.values(x), dense + 1e-12)
+        np.testing.assert_allclose(barrier.values(x), dense, atol=1e-5)
+
+
+HOVER = 0.03
+
+
+def quadrotor(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """x, z, tilt, their rates; thrust acceleration beyond hovering [m/s2] and angular acceleration [rad/s2]."""
+    f = x + HOVER * np.array([*x[3:], -9.81 * np.sin(x[2]), 9.81 * (np.cos(x[2]) - 1.0), 0.0])
+    g = np.zeros((6, 2))
+    g[3:5, 0] = HOVER * np.array([-np.sin(x[2]), np.cos(x[2])])
+    g[5, 1] = HOVER
+    return f, g
+
+
+def level_out(x: np.ndarray) -> np.ndarray:
+    """Tilts against the speed, then levels: comes to rest within two seconds."""
+    tilt = np.clip(0.25 * x[3], -0.5, 0.5)
+    return np.clip(np.array([-3.0 * x[4], 60.0 * (tilt - x[2]) - 14.0 * x[5]]), [-4.0, -30.0], [6.0, 30.0])
+
+
+def pillar(x: np.ndarray) -> np.ndarray:
+    return np.array([np.hypot(x[0] - 2.0, x[1] - 0.3) - 0.5, x[1] + 2.0])
+
+
+def test_a_planar_quadrotor_is_kept_off_by_its_tilt() -> None:
+    """Sideways, h answers to the torque's fourth integral."""
+    barrier = RolloutBarrier(quadrotor, level_out, pillar, 130, ("pillar", "ground"))
+    limits = FilterSettings(action_low=(-4.0, -30.0), action_high=(6.0, 30.0), eta=0.2, epsilon=0.004)
+    hits = {True: 0, False: 0}
+    for filtered in (False, True):
+        for seed in range(3):
+            random, x = np.random.default_rng(seed), np.zeros(6)
+            safe = SafetyFilter(quadrotor, [barrier], limits, backup=barrier.backup)
+            least = np.inf
+            for _ in range(70):
+                tilt = np.clip(-0.4 * (2.0 - x[0]) + 0.2 * x[3], -0.4, 0.4) + 0.1 * random.normal()
+                wish = np.array([2.0 * (0.3 - x[1]) - x[4], 60.0 * (tilt - x[2]) - 14.0 * x[5]])
+                wish = np.clip(wish, limits.low, limits.high)
+                verdict = safe.decide(x, wish) if filtered else None
+                f, g = quadrotor(x)
+                x = f + g @ (wish if verdict is None else verdict.action)
+                least = min(least, float(pillar(x).min()))
+                assert verdict is None or verdict.status in (Status.passed, Status.corrected)
+            hits[filtered] += least < 0.0
+    assert hits == {True: 0, False: 3}
+
+
+THIN = np.array([1.0, 0.0])
+
+
+def jumping(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The action is the way of one tick, up to half a metre along each axis."""
+    return np.array(x), np.eye(2)
+
+
+def past_thin(x: np.ndarray) -> float:
+    return float(np.hypot(*(x - THIN)) - 0.1)
+
+
+def least_between_ticks(barrier: AbstractBarrier, seed: int) -> float:
+    random = np.random.default_rng(seed)
+    x, least = random.uniform(-0.5, 0.5, 2), np.inf
+    limits = FilterSettings(action_low=(-0.5, -0.5), action_high=(0.5, 0.5), eta=0.5, epsilon=0.005)
+    safe = SafetyFilter(jumping, [barrier], limits)
+    for _ in range(14):
+        wish = np.clip(3.0 * (THIN + 0.3 * random.normal(size=2) - x), -0.5, 0.5)
+        verdict = safe.decide(x, wish)
+        assert verdict.status in (Status.passed, Status.corrected)
+        way = x + np.linspace(0.0, 1.0, 101)[:, np.newaxis] * verdict.action
+        least = min(least, *(past_thin(state) for state in way))
+        x = x + verdict.action
+    return least
+
+
+def test_what_is_thinner_than_a_tick_is_not_jumped_over() -> None:
+    plain = [least_between_ticks(FunctionBarrier(past_thin), seed) for seed in range(20)]
+    assert sum(least < 0.0 for least in plain) >= 10, "h at the ticks alone does not see it"
+    looked = [least_between_ticks(RolloutBarrier(jumping, (0.0, 0.0), past_thin, 1), seed) for seed in range(200)]
+    assert sum(least < 0.0 for least in looked) == 0
+
+
+@hypothesis_settings(max_examples=15, deadline=None, derandomize=True, database=None)
+@given(st.integers(0, 10**6), st.integers(-6, 6), st.integers(-6, 6), st.integers(-6, 6), st.integers(-6, 6))
+def test_another_unit_changes_nothing_but_the_unit(seed: int, place: int, speed: int, push: int, height: int) -> None:
+    random = np.random.default_rng(seed)
+    x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
+    unit, push_unit, height_unit = np.repeat((10.0**place, 10.0**speed), 2), 10.0**push, 10.0**height
+    told = RolloutBarrier(
+        lambda y: (unit * affine(y / unit)[0], unit[:, np.newaxis] * B / push_unit),
+        lambda y: push_unit * brake(y / unit),
+        lambda y: height_unit * room(y / unit),
+        40,
+        NAMES,
+    )
+    origin = x + 0.02 * random.normal(size=4)
+    h, gradient = rollout().since(origin).evaluate(x)
+    other, slopes = told.since(unit * origin).evaluate(unit * x)
+    np.testing.assert_allclose(other / height_unit, h, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(slopes * unit / height_unit, gradient, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("place", "push", "height"), [(1e-6, 1e6, 1.0), (1e6, 1e-6, 1e-6), (1.0, 1.0, 1e6)])
+def test_the_filter_decides_alike_in_any_unit(place: float, push: float, height: float) -> None:
+    settings = FilterSettings(
+        action_low=(-push, -push), action_high=(push, push), eta=0.2, epsilon=0.002 * height, backup_action=(0.0, 0.0)
+    )
+    told = RolloutBarrier(
+        lambda y: (place * affine(y / place)[0], place * B / push),
+        lambda y: push * brake(y / place),
+        lambda y: height * room(y / place),
+        40,
+        NAMES,
+    )
+    safe = SafetyFilter(told.loop.prediction, [told], settings, backup=told.backup)
+    plain = SafetyFilter(affine, [rollout()], SETTINGS, backup=brake)
+    random, x, seen = np.random.default_rng(4), np.zeros(4), set()
+    for _ in range(50):
+        wish = np.clip(3.0 * (DISCS[0, :2] - x[:2]) + random.normal(size=2), -1.0, 1.0)
+        one, other = plain.decide(x, wish), safe.decide(place * x, push * wish)
+        seen.add(one.status)
+        assert other.status is one.status
+        np.testing.assert_allclose(other.action / push, one.action, atol=1e-6)
+        x = A @ x + B @ one.action
+    assert seen == {Status.passed, Status.corrected}
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_slopes_at_rest_where_nothing_tells_how_large_a_step_is(unit: float) -> None:
+    told = RolloutBarrier(
+        lambda y: (unit * affine(y / unit)[0], unit * B), lambda y: brake(y / unit), lambda y: room(y / unit), 40, NAMES
+    )
+    gradient = told.evaluate(np.zeros(4))[1] * unit
+    towards = -DISCS[:, :2] / np.hypot(*DISCS[:, :2].T)[:, np.newaxis]
+    np.testing.assert_allclose(gradient[:, :2], towards, atol=1e-6)
+
+
+def differences(barrier: AbstractBarrier, x: np.ndarray, step: float = 1e-6) -> np.ndarray:
+    nudges = step * np.eye(len(x))
+    return np.array([(barrier.values(x + nudge) - barrier.values(x - nudge)) / (2.0 * step) for nudge in nudges]).T
+
+
+def test_the_gradient_is_that_of_its_values() -> None:
+    random, agreed = np.random.default_rng(8), 0
+    for _ in range(30):
+        x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
+        barrier = rollout().since(x - 0.02 * random.normal(size=4))
+        agreed += np.abs(barrier.evaluate(x)[1] - differences(barrier, x)).max() < 1e-6
+    assert agreed >= 27, "all but where the backup's limits make a kink"
+
+
+def test_recorded_equations_and_differences_give_one_gradient() -> None:
+    model, random = load_model("car"), np.random.default_rng(0)
+    discs = ObstacleBarrier([(2.0, 0.3, 0.3), (1.2, -1.0, 0.25)], (0.08, 0.4, 0.12), Braking(2.0, 2.5), 0.05)
+    exact = RolloutBarrier(model, (0.0, 0.0), discs, 40)
+    near = RolloutBarrier(model, (0.0, 0.0), FunctionBarrier(discs.values, names=discs.names), 40)
+    assert exact.loop.sensitivities(exact.path(np.zeros(4))) is not None
+    assert exact.names == discs.names
+    assert exact.kind == "obstacle"
+    for _ in range(25):
+        x = random.uniform((-1, -1, -3, -0.5), (1, 1, 3, 2))
+        origin = x - 0.05 * random.normal(size=4)
+        one, other = exact.since(origin).evaluate(x), near.since(origin).evaluate(x)
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_allclose(one[1], other[1], atol=1e-6)
+        latent = RolloutBarrier(model, (0.0, 0.0), discs, 40, latent=model.latent)
+        np.testing.assert_array_equal(latent.evaluate(x)[1], exact.evaluate(x)[1])
+
+
+def test_left_and_right_are_alike() -> None:
+    model, random = load_model("car"), np.random.default_rng(1)
+
+    def barrier(side: float) -> RolloutBarrier:
+        discs = ObstacleBarrier([(1.5, side * 0.4, 0.3)], (0.08, 0.4, 0.12), Braking(50.0, 50.0))
+        return RolloutBarrier(model, (0.0, 0.0), discs, 40)
+
+    mirror = np.array([1.0, -1.0, -1.0, 1.0])
+    for _ in range(20):
+        x = random.uniform((-1, -1, -3, -0.5), (1, 1, 3, 2))
+        h, gradient = barrier(1.0).evaluate(x)
+        mirrored, slopes = barrier(-1.0).evaluate(mirror * x)
+        np.testing.assert_allclose(mirrored, h, atol=1e-12)
+        np.testing.assert_allclose(slopes * mirror, gradient, atol=1e-9)
+
+
+def test_it_looks_past_a_delay() -> None:
+    """Three actions on their way: the path of the backup begins with them."""
+    late = PendingActions(affine, 3, (0.0, 0.0))
+    barrier = RolloutBarrier(
+        late.prediction,
+        lambda xi: brake(late.reached(xi)),
+        lambda xi: room(late.split(xi)[0]),
+        44,
+        NAMES,
+    )
+    for seed in range(2):
+        random, x = np.random.default_rng(seed), np.zeros(4)
+        xi, safe = late.state(x), SafetyFilter(late.prediction, [barrier], SETTINGS, backup=barrier.backup)
+        for _ in range(60):
+            wish = np.clip(3.0 * (DISCS[0, :2] - x[:2]) + random.normal(size=2), -1.0, 1.0)
+            verdict = safe.decide(xi, wish)
+            assert verdict.status in (Status.passed, Status.corrected)
+            x = A @ x + B @ late.split(xi)[1][0]
+            xi = late.next_state(xi, verdict.action, x)
+            assert room(x).min() >= 0.0
+
+
+def test_only_what_looks_between_ticks_asks_where_they_began() -> None:
+    plain, looking = FunctionBarrier(lambda x: x[0]), RolloutBarrier(jumping, (0.0, 0.0), past_thin, 1)
+    state = (0.5, 0.0)
+    stack = RememberingStack(Barriers((plain,)))
+    assert stack.since(state) is stack
+    both = RememberingStack(Barriers((plain, looking)))
+    behind = np.array([1.5, 0.0])
+    assert both.names == both.since(state).names
+    np.testing.assert_allclose(both.values(behind), [1.5, 0.4])
+    np.testing.assert_allclose(both.since(state).values(behind), [1.5, -0.1], atol=1e-7)
+    np.testing.assert_allclose(both.since(state).gradient(behind)[1], [0.0, 0.0], atol=1e-3)
+
+
+@pytest.mark.parametrize("horizon", [0, 1.5, True, "4", None])
+def test_a_horizon_is_a_number_of_ticks(horizon: object) -> None:
+    with pytest.raises(InputError, match="wanted a whole number of ticks"):
+        RolloutBarrier(affine, brake, room, horizon)  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_rolled_out_is_named() -> None:
+    slow = load_model("car").with_effect(effect("car", "steering_delay"), {})
+    cases: list[tuple[Callable[[], object], str]] = [
+        (lambda: RolloutBarrier(slow, (0.0, 0.0), room, 5), "whose actuators remember"),
+        (lambda: RolloutBarrier(3, (0.0, 0.0), room, 5), "wanted a model"),  # type: ignore[arg-type]
+        (lambda: RolloutBarrier(affine, (np.nan, 0.0), room, 5), "backup: got"),
+        (lambda: RolloutBarrier(affine, lambda x: 1.0, room, 5, NAMES).values(np.zeros(4)), "backup: got shape"),
+        (lambda: RolloutBarrier(lambda x, a: x[:3], (0.0, 0.0), room, 5).values(np.zeros(4)), "predicted state"),
+        (lambda: RolloutBarrier(lambda x, a: x * np.nan, (0.0,), room, 5).values(np.zeros(4)), "NaN or infinity"),
+        (lambda: rollout().backup(None), "got no state"),
+    ]
+    for made, said in cases:
+        with pytest.raises(InputError, match=said):
+            made()
+    np.testing.assert_array_equal(RolloutBarrier(affine, (0.5, 0.0), room, 5, NAMES).backup(None), [0.5, 0.0])
+
+
+def test_a_user_function_cannot_write_into_what_the_next_one_sees() -> None:
+    def careless(x: np.ndarray) -> np.ndarray:
+        x[0] = 100.0
+        return room(x)
+
+    with pytest.raises(ValueError, match="read-only"):
+        RolloutBarrier(affine, brake, careless, 5, NAMES).values(np.zeros(4))
+
+
+def test_the_point_robots_stopping_manoeuvre_is_a_rollout() -> None:
+    """The same path, hence the same room at its ticks; between them the rollout sees a little more."""
+    motion, hazards = Motion(np.array([0.7, -0.4]), 1.9, 2.9, 3.0), np.array([[0.4, 0.0, 0.2], [-0.5, 0.3, 0.2]])
+    stopping, random = StoppingBarrier(hazards, motion), np.random.default_rng(6)
+
+    def manoeuvre(x: np.ndarray) -> np.ndarray:
+        """Thrust, turn, and the end that pushes, which the sixth state remembers."""
+        thrust, turn, end = stopping_action(x[:5, np.newaxis], motion, x[5:])
+        return np.concatenate((thrust, turn, end))
+
+    def step(x: np.ndarray, a: np.ndarray) -> np.ndarray:
+        middle = x[2] + 0.5 * STEP_SECONDS * a[1]
+        push = a[0] * np.array([np.cos(middle), np.sin(middle)]) + motion.wind - motion.drag * x[3:5]
+        place = x[:2] + STEP_SECONDS * (x[3:5] + 0.5 * STEP_SECONDS * push)
+        return np.array([*place, x[2] + STEP_SECONDS * a[1], *(x[3:5] + STEP_SECONDS * push), a[2]])
+
+    def room_left(x: np.ndarray) -> np.ndarray:
+        return np.hypot(*(hazards[:, :2] - x[:2]).T) - hazards[:, 2]
+
+    rolled = RolloutBarrier(step, manoeuvre, room_left, STEPS, ("hazard 0", "hazard 1"))
+    for _ in range(40):
+        x = np.array([*random.uniform(-0.8, 0.8, 2), random.uniform(-3.0, 3.0), *random.uniform(-0.8, 0.8, 2)])
+        start = np.array([*x, stopping.best_end(x)])
+        at_ticks = np.min([room_left(state) for state in rolled.path(start)], axis=0)
+        np.testing.assert_allclose(at_ticks, stopping.values(x), atol=1e-9)
+        swept = rolled.values(start)
+        np.testing.assert_array_less(swept, at_ticks + 1e-12)
+        np.testing.assert_allclose(swept, at_ticks, atol=4e-3)
