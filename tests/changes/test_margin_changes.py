@@ -94,7 +94,7 @@ def test_the_change_of_the_margin_is_told_before_it_is_used() -> None:
     assert car.heard[-1].state == "ready"
     assert car.heard[-1].foretold == (
         "the margin of obstacle goes from 0.03 to 0.115 where h is 0.09: at once it would stop the robot here, so it "
-        "rises as h does, all of it from 0.329 on; the margin of field goes from 0.03 to 0.115 where h is 8.43, at once"
+        "follows h, all of it from 0.493 on; the margin of field goes from 0.03 to 0.115 where h is 8.43, at once"
     )
 
 
@@ -108,7 +108,12 @@ def test_a_wider_margin_does_not_stop_a_robot_where_it_stands_and_comes_with_the
     verdicts = [car.turn() for _ in range(40)]
     assert {verdict.status for verdict in verdicts} == {"passed"}
     assert verdicts[-1].model == NEW
-    assert "Not the whole margin for 2.0 s, until h allows: obstacle 0.0315 of 0.115." in verdicts[-1].sentence
+    assert "Not the whole margin for 2.0 s, until h allows: obstacle 0.03 of 0.115." in verdicts[-1].sentence
+    car.h = 0.4
+    meanwhile = car.turn()
+    assert "obstacle 0.07 of 0.115" in meanwhile.sentence
+    car.h = TIGHT
+    assert car.turn().status == "passed", "and it goes back with h, down to the old one"
     car.h = ROOMY
     after = car.turn()
     assert (after.status, after.margin) == ("passed", 0.115)
@@ -154,30 +159,32 @@ def test_the_old_model_decides_for_a_second_and_no_longer() -> None:
 def test_a_margin_that_was_widened_by_errors_is_not_held_back() -> None:
     phased = PhasedMargin({"a": 0.1}, {"a": 0.3, "b": 0.2}, eta=0.5)
     phased.rise({"a": 0.4, "b": 0.1}, 0.05)
-    assert phased.limited({"a": 0.3, "b": 0.2}) == {"a": 0.2, "b": 0.05}
-    assert phased.limited({"a": 0.31, "b": 0.2, "c": 1.0}) == {"a": 0.31, "b": 0.05, "c": 1.0}
+    assert phased.limited({"a": 0.3, "b": 0.2}) == {"a": 0.1, "b": 0.025}
+    assert phased.limited({"a": 0.31, "b": 0.2, "c": 1.0}) == {"a": 0.31, "b": 0.025, "c": 1.0}
+    assert phased.waiting == ("a", "b")
+    phased.rise({"a": 0.9}, 0.05)
+    assert phased.limited({"a": 0.3, "b": 0.2}) == {"a": 0.3, "b": 0.2}, "where nothing of a kind is, nothing stops"
 
 
-@pytest.mark.parametrize("h", [0.0, 0.05, 0.2, 0.21, 1.0])
+@pytest.mark.parametrize("h", [0.0, 0.05, 0.2, 0.21, 0.89, 0.9, 1.0])
 @pytest.mark.parametrize("old", [0.0, 0.1, 0.4])
 def test_whoever_may_stand_before_a_change_may_stand_after_it(h: float, old: float) -> None:
     eta, new = 0.5, 0.3
     phased = PhasedMargin({"a": old}, {"a": new}, eta)
-    for room in (h, 3.0 * h, h):
+    for room in (0.3 * h, h):
         phased.rise({"a": room}, 0.05)
-        value = phased.limited({"a": new})["a"]
-        assert min(old, new) <= value <= new
-        if room == h and old <= eta * h:
-            assert value <= max(min(old, new), 3.0 * eta * h)
-    first = PhasedMargin({"a": old}, {"a": new}, eta)
-    first.rise({"a": h}, 0.05)
-    if min(old, new) <= eta * h:
-        assert first.limited({"a": new})["a"] <= eta * h
+    value = phased.limited({"a": new})["a"]
+    assert min(old, new) <= value <= new
+    assert value <= max(min(old, new), eta * h)
+    assert (phased.waiting == ()) is (new <= old or h >= 1.5 * new / eta)
 
 
 def test_what_is_told_of_a_narrower_margin_and_of_none() -> None:
     assert margin_change({"a": 0.2}, {"a": 0.1}, {"a": 0.01}, 0.5) == (
         "the margin of a goes from 0.2 to 0.1 where h is 0.01, at once"
+    )
+    assert margin_change({"a": 0.2}, {"a": 0.3}, {"a": 0.7}, 0.5).endswith(
+        "hardly any room, so it follows h, all of it from 0.9 on"
     )
     assert margin_change({"a": 0.2}, {"a": 0.3}, {}, 0.5) == "the margin of a goes from 0.2 to 0.3"
     assert margin_change({"a": 0.2}, {"a": 0.2}, {"a": 0.0}, 0.5) == ""

@@ -172,7 +172,7 @@ class _Lift:
         wanted = self._required / self._scales
         levels, u = np.full(len(heights), np.nan), None
         levels[~moved] = -np.inf
-        decided = self._decided
+        lowest, floor = self._decided, None
         for _ in range(_LEVELS):
             free = np.isnan(levels)
             if not free.any():
@@ -186,18 +186,20 @@ class _Lift:
             least = float(reached[free].min())
             given = 0.5 * (np.minimum(self._given, least) if least > 0.0 else self._given)
             binding = free & (reached <= least + given)
-            levels[binding] = self._lowered(least, given)[binding]
-            if decided <= least:  # the least of all is another one: of these no more is wanted than their conditions
-                levels[binding] = np.minimum(levels, wanted)[binding]
-            decided = min(decided, least)
+            level = self._lowered(least, given)
+            if floor is not None or lowest <= least:  # the least of all is another one: conditions are enough
+                level = np.minimum(level, wanted)
+            if floor is None:
+                floor = self._lowered(min(lowest, least), given)
+            levels[binding] = np.maximum(level, floor)[binding]
             free = np.isnan(levels)
             if (reached >= wanted)[free].all():
                 break
-        if u is None:
+        if u is None or floor is None:
             return None
         reached = heights + slopes @ u
         free = np.isnan(levels)
-        levels[free] = np.minimum(wanted, reached)[free]
+        levels[free] = np.minimum(np.maximum(wanted, floor), reached)[free]
         return u, levels
 
     def _best(self, best: Outcome, others: Iterable[Outcome]) -> Outcome:

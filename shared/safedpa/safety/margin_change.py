@@ -2,19 +2,20 @@
 
 A margin epsilon keeps a robot that stands (h does not change) within its conditions only where h >= epsilon / eta. A
 wider margin that came at once, where h is less than that, would make every condition infeasible and leave the robot
-where it is. So the margin in force rises with the room that there is, for each kind of barrier:
+where it is. So until all of it is in force, the margin of a kind of barrier takes half of what its least h allows,
 
-    epsilon[t] = max(epsilon[t-1], min(epsilon of the new model, eta h[t])),   epsilon[0] = the old one,
+    epsilon[t] = max(old, min(new, eta h[t] / 2)),
 
-h[t] the least of the kind. It never falls below the old margin, and standing keeps each condition that it kept before:
-if h[t] >= epsilon[t-1] / eta then h[t] >= epsilon[t] / eta. A narrower margin is in force at once.
+never less than the old one: the robot may stand wherever it might before, and h may still fall, half as fast. Once
+h >= 1.5 new / eta, half as much again as standing takes, the new margin is in force for good. So is a narrower one at
+once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import inf
-from typing import final
+from typing import Final, final
 
 from safedpa.safety.barrier import AbstractStack
 
@@ -22,6 +23,10 @@ __all__ = ["PhasedMargin", "least_by_kind", "margin_change"]
 
 
 _STOPS = "at once it would stop the robot here"
+_SHARE: Final = 0.5
+"""Of eta h that the margin takes meanwhile."""
+_ROOM: Final = 1.5
+"""Of new / eta from which all of it is in force: at 1 the next error would lead below it."""
 
 
 def least_by_kind(barriers: AbstractStack, state: Sequence[float]) -> dict[str, float]:
@@ -46,9 +51,11 @@ def _of_kind(kind: str, old: float, new: float, h: float, eta: float) -> str:
     if h == inf:
         return text
     text += f" where h is {_shown(h)}"
-    if new <= old or new <= eta * h:
+    whole = _ROOM * new / eta
+    if new <= old or h >= whole:
         return f"{text}, at once"
-    return f"{text}: {_STOPS}, so it rises as h does, all of it from {_shown(new / eta)} on"
+    why = _STOPS if new > eta * h else "at once it would leave the robot hardly any room"
+    return f"{text}: {why}, so it follows h, all of it from {_shown(whole)} on"
 
 
 def _shown(value: float) -> str:
@@ -60,31 +67,36 @@ class PhasedMargin:
     """The margins between the old ones and those of a new model; ``period`` [s] between two calls of ``rise``."""
 
     def __init__(self, old: Mapping[str, float], new: Mapping[str, float], eta: float) -> None:
-        self._new, self._eta = dict(new), eta
-        self._reached = {kind: min(value, old.get(kind, 0.0)) for kind, value in new.items()}
+        self._old, self._new, self._eta = dict(old), dict(new), eta
+        self._held = {kind: old.get(kind, 0.0) for kind, value in new.items() if value > old.get(kind, 0.0)}
+        """Of the kinds that are not in force as a whole: what is."""
         self.seconds = 0.0
         """Since the new model is used."""
 
     def rise(self, h: Mapping[str, float], period: float) -> None:
         """One tick of ``period`` [s] on, with the least ``h`` of each kind that there is now."""
-        for kind, reached in self._reached.items():
-            room = self._eta * h.get(kind, inf)
-            self._reached[kind] = max(reached, min(self._new[kind], room))
+        for kind in self.waiting:
+            new, allowed = self._new[kind], self._eta * h.get(kind, inf)
+            if allowed >= _ROOM * new:
+                del self._held[kind]
+            else:
+                self._held[kind] = max(self._old.get(kind, 0.0), min(new, _SHARE * allowed))
         self.seconds += period
 
     @property
     def waiting(self) -> tuple[str, ...]:
         """The kinds whose new margin is not in force yet."""
-        return tuple(kind for kind, value in self._new.items() if self._reached[kind] < value)
+        return tuple(self._held)
 
     def limited(self, watched: Mapping[str, float]) -> dict[str, float]:
         """The margins in force. One that was widened beyond the new one, by errors that were seen, is not held back."""
         return {
-            kind: self._reached[kind] if value <= self._new.get(kind, 0.0) else value for kind, value in watched.items()
+            kind: self._held.get(kind, value) if value <= self._new.get(kind, 0.0) else value
+            for kind, value in watched.items()
         }
 
     @property
     def sentence(self) -> str:
         """For the verdict: which margins are not the full ones yet, and for how long that has been so."""
-        told = [f"{kind} {_shown(self._reached[kind])} of {_shown(self._new[kind])}" for kind in self.waiting]
+        told = [f"{kind} {_shown(held)} of {_shown(self._new[kind])}" for kind, held in self._held.items()]
         return f"Not the whole margin for {self.seconds:.1f} s, until h allows: {', '.join(told)}." if told else ""
