@@ -19,6 +19,7 @@ from safedpa_sim.experiments.adversary.mirrors import Mirrors
 from safedpa_sim.experiments.adversary.peers import Peers
 from safedpa_sim.experiments.adversary.programs import Programs
 from safedpa_sim.experiments.adversary.scales import Scales
+from safedpa_sim.experiments.adversary.standing import Standing
 from safedpa_sim.experiments.adversary.systems import Systems
 from safedpa_sim.experiments.car_workers import Workers
 
@@ -29,7 +30,7 @@ Tell = Callable[[int, int], None]
 
 def all_attacks(interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
     """Every attack, the quick ones first; peers are looked for in these Pythons, and in this one."""
-    own = (BadInputs(), Scales(), Systems(), Bends(), Mirrors(), CarGrid(), Drives(), Programs())
+    own = (BadInputs(), Scales(), Systems(), Bends(), Mirrors(), CarGrid(), Drives(), Standing(), Programs())
     return [*own, Peers(interpreters)]
 
 
