@@ -108,6 +108,18 @@ class _Lift:
         return np.asarray(np.abs(np.array(rows)) @ self._range)
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
+        """The least unsafe of what is known and found.
+
+        Where another barrier is the least whatever is done, the others need no more than their conditions; but where
+        these cannot all be kept either, the least of them is raised as if there were no other.
+        """
+        best = self._searched(known)
+        if np.isfinite(self._decided) and self._missing(best) > _TRUE:
+            self._decided = np.inf
+            best = self._searched([best, *known])
+        return best
+
+    def _searched(self, known: Sequence[Outcome]) -> Outcome:
         best = self._best(known[0], known[1:])
         for _ in range(_ROUNDS):
             if best.kept and self._safe:
@@ -160,7 +172,7 @@ class _Lift:
         wanted = self._required / self._scales
         levels, u = np.full(len(heights), np.nan), None
         levels[~moved] = -np.inf
-        decided = self._decided
+        lowest, floor = self._decided, None
         for _ in range(_LEVELS):
             free = np.isnan(levels)
             if not free.any():
@@ -174,18 +186,20 @@ class _Lift:
             least = float(reached[free].min())
             given = 0.5 * (np.minimum(self._given, least) if least > 0.0 else self._given)
             binding = free & (reached <= least + given)
-            levels[binding] = self._lowered(least, given)[binding]
-            if decided <= least:  # the least of all is another one: of these no more is wanted than their conditions
-                levels[binding] = np.minimum(levels, wanted)[binding]
-            decided = min(decided, least)
+            level = self._lowered(least, given)
+            if floor is not None or lowest <= least:  # the least of all is another one: conditions are enough
+                level = np.minimum(level, wanted)
+            if floor is None:
+                floor = self._lowered(min(lowest, least), given)
+            levels[binding] = np.maximum(level, floor)[binding]
             free = np.isnan(levels)
             if (reached >= wanted)[free].all():
                 break
-        if u is None:
+        if u is None or floor is None:
             return None
         reached = heights + slopes @ u
         free = np.isnan(levels)
-        levels[free] = np.minimum(wanted, reached)[free]
+        levels[free] = np.minimum(np.maximum(wanted, floor), reached)[free]
         return u, levels
 
     def _best(self, best: Outcome, others: Iterable[Outcome]) -> Outcome:
@@ -227,8 +241,8 @@ class _Lift:
         return np.asarray(np.array(one.h_next) / self._scales)
 
     def _missing(self, one: Outcome) -> float:
-        """Sum over the rows of what their conditions miss, each as a share of its scale."""
-        return float(np.maximum(0.0, -np.array(one.residual) / self._scales).sum())
+        """Sum over the rows moved of what their conditions miss, each as a share of its scale."""
+        return float(np.maximum(0.0, -np.array(one.residual) / self._scales)[self._moved].sum())
 
     def _between(self, one: Outcome, other: Outcome, share: float) -> Action:
         return tuple([a + share * (b - a) for a, b in zip(one.action, other.action, strict=True)])

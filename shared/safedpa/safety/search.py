@@ -115,14 +115,15 @@ def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
     room = conditions.tightest(best)
     if room > NEEDLESS:
         nearer = towards(conditions, conditions.outcome(within(wish, program.sides)), best)
-        again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
-        return _better(conditions, program, wish, nearer, again), status
-    if room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
+    elif room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
         back = _furthest_back(program, within(wish, program.sides), best.action)
-        return towards(conditions, conditions.outcome(back), best), status
-    if before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
+        nearer = towards(conditions, conditions.outcome(back), best)
+    elif before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
         return towards(conditions, before, best), status
-    return best, status
+    else:
+        return best, status
+    again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
+    return _better(conditions, program, wish, nearer, again), status
 
 
 def towards(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
