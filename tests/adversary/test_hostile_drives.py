@@ -9,6 +9,7 @@ import pytest
 from safedpa.safety.shipped import settings_named
 from safedpa_sim.experiments.adversary import drives, standing
 from safedpa_sim.experiments.adversary.drives import KINDS, Driven, Drives
+from safedpa_sim.experiments.adversary.late_drives import LateDrives
 from safedpa_sim.experiments.adversary.standing import Standing
 from safedpa_sim.experiments.long_drives import LongOutcome
 
@@ -42,6 +43,19 @@ def test_a_short_drive_of_every_load_gets_on():
     answers = [attack.work(each) for each in attack.pieces(1, True)]
     assert [answer.load for answer in answers] == ["none", "box", "chair", "large_chair"]
     assert attack.told(answers).rows[0].held
+
+
+def test_late_drives_are_told_by_who_knows():
+    attack = LateDrives()
+    pieces = attack.pieces(2, True)
+    found = [attack.work(piece) for piece in pieces]
+    rows = {row.what.split(" (")[0]: row for row in attack.told(found).rows}
+    assert rows["200 ms, known to the model: drives with a collision"].held
+    assert rows["150 ms, known to nobody: relaxed and worse beyond corrected"].held is None
+    found[0].collided, found[0].statuses["relaxed"] = 1, 1000
+    rows = {row.what.split(" (")[0]: row for row in attack.told(found).rows}
+    assert rows["200 ms, known to the model: drives with a collision"].held is False
+    assert rows["200 ms, known to the model: relaxed and worse beyond corrected"].held is False
 
 
 def test_without_the_filter_the_same_policies_hit_something(monkeypatch):
