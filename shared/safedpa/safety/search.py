@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Protocol
 
-from safedpa.errors import InputError
 from safedpa.safety.conditions import Outcome, Plain
 from safedpa.safety.program_rows import Side, within
 from safedpa.safety.solution import Solution
+from safedpa.safety.tangent import NotFiniteError
 
 __all__ = ["DOUBTFUL", "FAR", "NEEDLESS", "SAME", "SERVED_WELL", "DecisionError", "overshot", "search", "towards"]
 
@@ -212,7 +212,7 @@ def _tangent(conditions: _Posed, about: Outcome) -> _Drawn | None:
     """None where the model or a barrier has no numbers there, or no slopes."""
     try:
         return conditions.linearised(about) if about.usable else None
-    except InputError:
+    except NotFiniteError:
         return None
 
 
