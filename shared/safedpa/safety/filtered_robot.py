@@ -178,14 +178,16 @@ class FilteredRobot:
         else:
             self.standing.promise(state.values, wished[0], predicted[0])
 
-    def out_of_dead_band(self, state: StateMessage, verdict: Verdict, rest: Callable[[], Verdict]) -> Verdict:
+    def out_of_dead_band(
+        self, state: StateMessage, verdict: Verdict, latent: Values | None, rest: Callable[[], Verdict]
+    ) -> Verdict:
         """A correction that is known not to move the robot is given up for the resting action, if that is safe.
 
         What stands and is pushed in vain learns nothing but a wrong load. ``rest`` decides about the resting action.
         """
         if verdict.status is not Status.corrected or self.standing.failed == 0.0:
             return verdict
-        predicted = self._next(state, verdict.action, self.decision.latent if self.decision else None)
+        predicted = self._next(state, verdict.action, latent)
         if not predicted or not self.standing.would_fail(self.standing.way(state.values, predicted[0])):
             return verdict
         resting = rest()

@@ -127,6 +127,7 @@ class SafetyFilterNode(AbstractNode):
             verdict = memory.out_of_dead_band(
                 state,
                 verdict,
+                latent,
                 lambda: memory.filter.decide(state.values, self._settings.resting_action, latent, **known),
             )
         memory.decision = Decided(state, latent, verdict)

@@ -48,6 +48,8 @@ class ControlSystem:
     """Whether the barrier promises that h stays positive: not where an action moves h only after several periods."""
     count: int = 1
     """m."""
+    swept: Callable[[Values, Values], float] | None = None
+    """Least h in truth on the way from a state to the next one; without it the states at the ticks count."""
 
     def filter(self, margin: float) -> SafetyFilter:
         """The library's filter for this system."""
@@ -68,11 +70,16 @@ class ControlSystem:
         names, h = tuple(f"h {index}" for index in range(self.count)), self.judged or self.h
         return [FunctionBarrier(lambda x: h(x[None])[0], names=names)]
 
-    def heights(self, states: Values) -> Values:
-        """(n, m) what the filter is to keep, at states (n, states)."""
+    def least_on_the_way(self, state: Values, reached: Values) -> float:
+        """Least h in truth from one tick to the next."""
+        least = float(self.h(reached[None]).min())
+        return least if self.swept is None else min(least, self.swept(state, reached))
+
+    def heights(self, states: Values, since: Values | None = None) -> Values:
+        """(n, m) what the filter is to keep, at states (n, states), which one tick leads to from ``since``."""
         if self.barriers is None:
             return (self.judged or self.h)(states)
-        parts = self.barriers()
+        parts = [part if since is None else part.since(since) for part in self.barriers()]
         return np.stack([np.concatenate([part.values(state) for part in parts]) for state in states])
 
     def after(self, state: Values, actions: Values) -> Values:

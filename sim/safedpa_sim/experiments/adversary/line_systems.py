@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from safedpa_sim.experiments.adversary.control_system import PERIOD, ControlSystem
 
-__all__ = ["adaptive_cruise", "double_integrator", "late_drive", "pendulum"]
+__all__ = ["adaptive_cruise", "double_integrator", "late_drive", "pendulum", "room_before_the_wall"]
 
 Values = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ def double_integrator() -> ControlSystem:
         name="double integrator",
         f=lambda x: np.array([x[0] + PERIOD * x[1], x[1]]),
         g=lambda _: np.array([[_HALF_SQUARE], [PERIOD]]),
-        h=lambda x: _room_to_stop(1.0 - x[:, 0], x[:, 1], 0.8)[:, None],
+        h=room_before_the_wall,
         start=lambda random: np.array([random.uniform(-1.0, 0.5), random.uniform(-0.5, 0.5)]),
         low=(-1.0,),
         high=(1.0,),
@@ -87,20 +87,17 @@ def late_drive(*, looking_ahead: bool) -> ControlSystem:
         moved = [x[0] + PERIOD * x[1] + _HALF_SQUARE * x[2], x[1] + PERIOD * x[2]]
         return np.array([*moved, *x[3 : 2 + _LATE], 0.0])
 
-    def now(x: Values) -> Values:
-        return _room_to_stop(1.0 - x[:, 0], x[:, 1], 0.8)[:, None]
-
     def ahead(x: Values) -> Values:
         place, speed = x[:, 0], x[:, 1]
         for pending in x[:, 2:].T:
             place, speed = place + PERIOD * speed + _HALF_SQUARE * pending, speed + PERIOD * pending
-        return _room_to_stop(1.0 - place, speed, 0.8)[:, None]
+        return room_before_the_wall(np.stack([place, speed], axis=1))
 
     return ControlSystem(
         name="delay, judged when it acts" if looking_ahead else "delay, plain barrier",
         f=f,
         g=lambda _: np.array([[0.0]] * (1 + _LATE) + [[1.0]]),
-        h=now,
+        h=room_before_the_wall,
         start=lambda random: np.array([random.uniform(-1.0, 0.0), random.uniform(-0.5, 0.3), *[0.0] * _LATE]),
         low=(-1.0,),
         high=(1.0,),
@@ -109,6 +106,11 @@ def late_drive(*, looking_ahead: bool) -> ControlSystem:
         judged=ahead if looking_ahead else None,
         invariant=looking_ahead,
     )
+
+
+def room_before_the_wall(x: Values) -> Values:
+    """(n, 1) of states (n, 2 or more): position and speed come first, the wall is at 1 m."""
+    return _room_to_stop(1.0 - x[:, 0], x[:, 1], 0.8)[:, None]
 
 
 def _room_to_stop(room: Values, speed: Values, braking: float) -> Values:

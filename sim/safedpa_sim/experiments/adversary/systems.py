@@ -15,6 +15,12 @@ from safedpa.safety import Verdict
 from safedpa_sim.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_sim.experiments.adversary.control_system import ControlSystem
 from safedpa_sim.experiments.adversary.line_systems import adaptive_cruise, double_integrator, late_drive, pendulum
+from safedpa_sim.experiments.adversary.looking_systems import (
+    disc_by_higher_order,
+    disc_by_rollout,
+    late_by_pending_actions,
+    thin_disc,
+)
 from safedpa_sim.experiments.adversary.plane_systems import chased, corridor, disc_of_degree_two, quadrotor, unicycle
 from safedpa_sim.experiments.adversary.wishes import WISHES
 
@@ -32,12 +38,19 @@ SYSTEMS: Final[tuple[Callable[[], ControlSystem], ...]] = (
     corridor,
     partial(late_drive, looking_ahead=False),
     partial(late_drive, looking_ahead=True),
+    late_by_pending_actions,
     disc_of_degree_two,
+    disc_by_rollout,
+    disc_by_higher_order,
+    partial(thin_disc, between_ticks=False),
+    partial(thin_disc, between_ticks=True),
 )
 
 _FULL: Final = (40, 150)
 """Episodes of each system, and periods of each."""
 _SMALL: Final = (4, 60)
+_EVERY: Final = {False: 1, True: 5}
+"""Periods between two looks at the grid; whose barriers are rollouts is slow to judge."""
 _BROKEN: Final = 1e-9
 _FAR: Final = 0.1
 _CLOSE: Final = 0.01
@@ -104,13 +117,15 @@ def _episode(system: ControlSystem, random: np.random.Generator, number: int, st
     margin = system.margin if (number // len(WISHES)) % 2 == 0 or kind.startswith("NaN") else 0.0
     safe, wish, tally = system.filter(margin), WISHES[kind](system, random), Tally(episodes=1)
     grid, state = _grid(system), _safe_start(system, random)
-    for _ in range(steps):
+    for step in range(steps):
         wanted = wish(state)
         verdict = safe.decide(state, wish=wanted)
         tally.statuses[verdict.status.value] += 1
-        _judge(system, margin, grid, state, wanted, verdict, tally)
-        state = system.after(state, verdict.action[None])[0]
-        tally.least_h = min(tally.least_h, float(system.h(state[None]).min()))
+        if step % _EVERY[system.barriers is not None] == 0:
+            _judge(system, margin, grid, state, wanted, verdict, tally)
+        reached = system.after(state, verdict.action[None])[0]
+        tally.least_h = min(tally.least_h, system.least_on_the_way(state, reached))
+        state = reached
     tally.crashed = int(tally.least_h < 0.0)
     return tally
 
@@ -122,11 +137,11 @@ def _judge(
     action = verdict.action
     now = system.heights(state[None])[0]
     required = (1.0 - system.eta) * now + margin
-    own = system.heights(system.after(state, action[None]))[0]
+    own = system.heights(system.after(state, action[None]), since=state)[0]
     if verdict.status.value == "passed":
         _kept(own, required, np.maximum(np.abs(now), margin), tally)
         return
-    h = system.heights(system.after(state, grid))
+    h = system.heights(system.after(state, grid), since=state)
     scale = np.maximum(np.maximum(np.abs(now), margin), h.max(axis=0) - h.min(axis=0))
     feasible = ((h - required) / scale >= _BROKEN).all(axis=1)
     if verdict.status.value == "corrected":
@@ -152,7 +167,8 @@ def _far(system: ControlSystem, actions: Values, wish: Values) -> Values:
 
 
 def _grid(system: ControlSystem) -> Values:
-    count = 401 if len(system.low) == 1 else 31
+    fine = system.barriers is None
+    count = (401 if fine else 41) if len(system.low) == 1 else (31 if fine else 9)
     sides = [np.linspace(low, high, count) for low, high in zip(system.low, system.high, strict=True)]
     return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
 

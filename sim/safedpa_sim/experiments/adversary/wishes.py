@@ -26,10 +26,11 @@ def _towards(system: ControlSystem, random: np.random.Generator) -> Wisher:
     corners = _corners(system)
 
     def lowest(state: Values, corner: Values) -> float:
-        path = [state]
+        least, at = float("inf"), state
         for _ in range(_HELD):
-            path.append(system.after(path[-1], corner[None])[0])
-        return float(system.h(np.stack(path[1:])).min())
+            reached = system.after(at, corner[None])[0]
+            least, at = min(least, system.least_on_the_way(at, reached)), reached
+        return least
 
     def wish(state: Values) -> Values:
         then = np.array([lowest(state, corner) for corner in corners])
