@@ -110,7 +110,8 @@ def test_the_car_among_obstacles_with_a_delay_that_it_knows() -> None:
     scene = car_barriers(settings, (0.08, 0.40, 0.12), [(2.0, 0.1, 0.3)], (-4, 4, -4, 4))
     late = PendingActions(model, 2, (0.0, 0.0))
     barriers = [late.barrier(part, model.latent) for part in scene]
-    safe = SafetyFilter(late.prediction, barriers, settings)
+    own = FilterSettings(action_low=settings.action_low, action_high=settings.action_high, epsilon=settings.epsilon)
+    safe = SafetyFilter(late.prediction, barriers, own)
     x = np.zeros(4)
     xi, said = late.state(x), set()
     for _ in range(80):
