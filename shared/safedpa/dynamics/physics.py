@@ -89,6 +89,10 @@ class PhysicsModel(AbstractDynamics):
         """The same model with some settings replaced."""
         return PhysicsModel(self.base, self.effects, {**self.settings, **settings}, self.period)
 
+    def with_period(self, period: float) -> PhysicsModel:
+        """The same equations over another period in s; itself where it is its own."""
+        return self if period == self.period else PhysicsModel(self.base, self.effects, self.settings, period)
+
     def with_effect(self, item: AbstractEffect, settings: Mapping[str, Setting]) -> PhysicsModel:
         """The model with one more effect; ``settings`` by parameter name, where left out those that do nothing."""
         unknown = set(settings) - {parameter.name for parameter in item.parameters}
@@ -128,6 +132,15 @@ class PhysicsModel(AbstractDynamics):
         named = dict(zip(self.system.action_names, columns(action, state), strict=True))
         entries, memory = self._advance(true, named, memory, values, used, time, operations)
         return joined(entries, operations), memory
+
+    def felt(
+        self, action: Sequence[float], memory: Any, latent: Sequence[float] | None = None, *, period: float
+    ) -> tuple[list[float], Any]:
+        """What one robot's mechanics feel of an action (actions,), the mean over a period, and the memory after it."""
+        named = dict(zip(self.system.action_names, action, strict=True))
+        values = self._fixed if latent is None else self._with_free(latent)
+        after, remembered = self._felt(named, memory, values, period, FLOATS)
+        return list(after.values()), remembered
 
     def straight(self, period: float) -> StraightStep | None:
         """One robot's step as a function of plain numbers, for who takes thousands; None: use ``advance``.

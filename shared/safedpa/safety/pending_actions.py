@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.closed_loop import Model, fixed, prediction_of
+from safedpa.safety.compatibility import check_reads
 from safedpa.safety.differences import central_slopes
 from safedpa.safety.prediction import Prediction
 
@@ -58,6 +59,7 @@ class PendingActions:
         self.count = int(count)
         self._inner = prediction_of(model)
         self.prediction = Prediction(self.affine, self.step)
+        self.prediction.system = self._inner.system
         """What the filter takes in place of a model."""
 
     def state(self, state: ArrayLike, pending: ArrayLike | None = None) -> Values:
@@ -112,7 +114,11 @@ class PendingActions:
         return f, g
 
     def barrier(self, barrier: AbstractBarrier, latent: ArrayLike | None = None) -> AbstractBarrier:
-        """A barrier of x as one of xi, judged where the action begins to act; ``latent``: with which it gets there."""
+        """A barrier of x as one of xi, judged where the action begins to act; ``latent``: with which it gets there.
+
+        Raises InputError where it reads other states than the model's.
+        """
+        check_reads([barrier], () if self._inner.system is None else self._inner.system.state_names)
         return _Pending(self, barrier, None if latent is None else fixed(np.asarray(latent, dtype=np.float64)))
 
     def _after(self, state: Values, action: Values, latent: Values | None) -> Values:
@@ -131,6 +137,7 @@ class _Pending(AbstractBarrier):
 
     def __init__(self, late: PendingActions, barrier: AbstractBarrier, latent: Values | None) -> None:
         self.names, self.kind = barrier.names, barrier.kind
+        self.reads = () if late.prediction.system is None else barrier.reads
         self._late, self._barrier, self._latent = late, barrier, latent
 
     def values(self, state: Values) -> Values:

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.closed_loop import ClosedLoop, Model, fixed
+from safedpa.safety.compatibility import check_reads
 from safedpa.safety.differences import central_slopes
 from safedpa.safety.function_barrier import FunctionBarrier
 from safedpa.safety.swept import Least, Place, chord_point, least_along
@@ -52,7 +53,8 @@ class RolloutBarrier(AbstractBarrier):
     whole way to there, whose steps have no unit. Where two places are equally low it belongs to the earlier one:
     the filter evaluates H itself at every action that it hands out, so a kink costs it nearness to the wish, no safety.
 
-    Raises InputError for a horizon below 1, a model whose actuators remember, and at evaluation for a wrong shape.
+    Raises InputError for a horizon below 1, a model whose actuators remember, an h that reads other states than the
+    model's, and at evaluation for a wrong shape.
     """
 
     def __init__(
@@ -74,6 +76,10 @@ class RolloutBarrier(AbstractBarrier):
         self.names, self.kind, self.horizon = own.names, own.kind, int(horizon)
         self.loop = ClosedLoop(model, backup, latent)
         self._h = own
+        system = self.loop.prediction.system
+        if system is not None:
+            check_reads([own], system.state_names)
+        self.reads = own.reads if system is None else system.state_names
         self._knows_gradient = not isinstance(own, FunctionBarrier)
 
     def values(self, state: Values) -> Values:  # noqa: D102
@@ -183,7 +189,7 @@ class _Since(AbstractBarrier):
     """A rollout barrier for states that one tick from ``origin`` leads to; remembers them, for one decision."""
 
     def __init__(self, whole: RolloutBarrier, origin: Values) -> None:
-        self.names, self.kind = whole.names, whole.kind
+        self.names, self.kind, self.reads = whole.names, whole.kind, whole.reads
         self._whole, self._origin = whole, origin
         self._known: dict[bytes, Taken] = {}
 
