@@ -278,6 +278,32 @@ class FilteredRobot:
         said = "The correction lay in the dead band, where the robot did not move before: it rests instead."
         return replace(resting, status=Status.corrected, wish=verdict.wish, active=verdict.active, reason=said)
 
+    def out_of_the_layer(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Verdict:
+        """Where no action keeps every condition: the wish, if it raises every h that is short, and keeps the others'.
+
+        Between 0 and epsilon / eta no single step may reach what the condition asks for, above all from rest; whoever
+        takes the safest action of each tick then stands there for ever. In the lower half of that layer it is left.
+        """
+        barriers = self.barriers
+        if verdict.status is not Status.relaxed or verdict.wish is None or isinstance(barriers, str):
+            return verdict
+        settings = self.filter.settings
+        action = np.clip(verdict.wish, settings.low, settings.high)
+        predicted = self._next(state, action, latent)
+        if not predicted:
+            return verdict
+        now, then, eta = barriers.heights(state.values), barriers.heights(predicted[0]), settings.eta
+        margins = barriers.of_each(self.margin.epsilon, 0.0)
+        slack = 0.0
+        for here, there, epsilon in zip(now, then, margins, strict=True):
+            missing = (1.0 - eta) * here + epsilon - there
+            if missing > 0.0 and not there > here >= 0.5 * epsilon / eta:
+                return verdict
+            slack = max(slack, missing)
+        action.flags.writeable = False
+        said = "The wish is taken: it raises every h that is short of its margin, and keeps the other conditions."
+        return replace(verdict, action=action, reason=said, slack=slack, h_next=min(then))
+
     def _next(self, state: StateMessage, action: Values, latent: Values | None) -> Rows:
         """One predicted state under an action; empty where there is none."""
         model = self.model

@@ -146,6 +146,7 @@ class SafetyFilterNode(AbstractNode):
         else:
             wished = wish.values if isinstance(wish, WishMessage) else None
             verdict = memory.filter.decide(state.values, wished, latent, **known)
+            verdict = memory.out_of_the_layer(state, verdict, latent)
             verdict = memory.out_of_dead_band(
                 state,
                 verdict,
