@@ -42,13 +42,18 @@ def test_a_torque_is_always_left(edges: tuple[float, float]) -> None:
 def test_the_filter_that_knows_the_wind_keeps_every_state(
     angle: float, ahead: float, direction: float, edges: tuple[float, float]
 ) -> None:
-    """From anywhere in the set, whatever is wished: the next state is in the set, and the filter did not give way."""
+    """From anywhere in the set, whatever is wished: the next state is in the set, and the filter did not give way.
+
+    A state on the edge may lie outside by its last digit; then the filter says so, and the next state is in the set.
+    """
     state = inside(edges, angle, ahead)
     wind = WIND * np.array([np.cos(direction), np.sin(direction)])
     item = SafetyFilter.for_model(physics_in_any_wind(), filter_settings(EPSILON), [corridor(edges)])
+    h_now = corridor(edges).values(state).min()
+    assert h_now > -1e-14
     for wish in (-TORQUE, TORQUE):
         verdict = item.decide(state, [wish], wind)
-        assert verdict.status.value in ("passed", "corrected")
+        assert verdict.status.value in (("passed", "corrected") if h_now >= 0.0 else ("violated",))
         following = blown(state[None], verdict.action[None], wind[None])[0]
         assert corridor(edges).values(following).min() >= -1e-4
         assert edges[0] - 1e-9 <= following[0] <= edges[1] + 1e-9
