@@ -223,6 +223,11 @@ def test_a_gradient_that_its_own_h_contradicts() -> None:
     assert not right
 
 
+def test_a_filter_that_is_switched_off_is_checked_all_the_same() -> None:
+    assert not report(settings=replace(SETTINGS, enabled=False))
+    assert report(settings=replace(SETTINGS, enabled=False, backup_action=(1.0,))).subjects == {"backup"}
+
+
 def test_what_raises_is_told_and_not_raised() -> None:
     found = report(lambda x: 1.0 / 0.0 if x[0] > 0.6 else room(x))
     assert found.subjects == {"failure"}

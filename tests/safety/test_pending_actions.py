@@ -134,6 +134,8 @@ def test_the_gradient_by_the_chain_rule_is_that_of_its_values() -> None:
             h, gradient = barrier.evaluate(xi)
             np.testing.assert_array_equal(h, barrier.values(xi))
             np.testing.assert_allclose(gradient, near, atol=2e-6)
+            directions = 0.1 * random.normal(size=(len(xi), 3))
+            np.testing.assert_allclose(barrier.along(xi, directions), gradient @ directions, atol=1e-5)
 
 
 def test_what_looks_between_ticks_still_does() -> None:

@@ -248,6 +248,22 @@ def test_the_gradient_is_that_of_its_values() -> None:
     assert agreed >= 27, "all but where the backup's limits make a kink"
 
 
+def test_slopes_along_directions_are_those_of_the_gradient() -> None:
+    random, discs = np.random.default_rng(2), ObstacleBarrier([(2.0, 0.3, 0.3)], (0.1, 0.4, 0.1), Braking(2.0, 2.5))
+    exact = RolloutBarrier(load_model("car"), (0.0, 0.0), discs, 40)
+    still = np.zeros((4, 1))
+    for whole in (rollout(), exact):
+        agreed = 0
+        for _ in range(20):
+            x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
+            directions = np.hstack((0.05 * random.normal(size=(4, 2)), still))
+            for barrier in (whole, whole.since(x - 0.02 * random.normal(size=4))):
+                along = barrier.along(x, directions)
+                np.testing.assert_array_equal(along[:, 2], 0.0)
+                agreed += np.abs(along - barrier.evaluate(x)[1] @ directions).max() < 1e-6
+        assert agreed >= 36, "all but where the backup's limits make a kink"
+
+
 def test_recorded_equations_and_differences_give_one_gradient() -> None:
     model, random = load_model("car"), np.random.default_rng(0)
     discs = ObstacleBarrier([(2.0, 0.3, 0.3), (1.2, -1.0, 0.25)], (0.08, 0.4, 0.12), Braking(2.0, 2.5), 0.05)

@@ -45,7 +45,8 @@ class RolloutBarrier(AbstractBarrier):
     ``model``: a model of this project, a ``Prediction``, ``affine(x) -> f, g`` as the filter takes it, or
     ``step(x, a)``; it should be the filter's own. ``backup(x (states,)) -> action (actions,)``, or one constant action.
     ``h(x) -> float or (m,)`` with ``names``, or another barrier, whose names and kind are taken. ``horizon``: ticks of
-    the model, 1 or more; those that lie beyond the backup's rest cost nothing. ``latent``: the model's, for all ticks.
+    the model, 1 or more; those that lie beyond the backup's rest cost nothing. ``latent``: the model's, for all
+    ticks; a filter whose latent is estimated while it drives gets a new barrier with each decision.
 
     The minimum is exact, not softened; the gradient is that of the place where it is taken: by the recorded equations
     where the model has them, the backup is constant and h knows its own gradient; else by central differences of the
