@@ -33,12 +33,17 @@ BARRIERS = ("test_barriers.py", "test_filter_recorded.py", "test_filter_invarian
 VERDICTS = ("test_filter_recorded.py", "test_filter_edges.py", "test_filter_inputs.py", "test_filter_verdicts.py")
 SLOPES = "test_barriers.py::test_gradient_is_the_derivative"
 MARGIN = "test_a_margin_with_ordered_errors_is_the_one_that_sorts"
+PROMISES = "test_filter_promises.py"
 POINT = ("../point/test_point_scene.py", "../point/test_point_filter.py")
 BATCH = ("test_batch.py",)
 MODULES = {
-    "decision": (*VERDICTS, "test_filter_invariance.py"),
-    "search": ("test_filter_search.py", *VERDICTS, "test_filter_invariance.py"),
-    "conditions": ("test_filter_conditions.py", *VERDICTS, "test_filter_invariance.py"),
+    "decision": (*VERDICTS, PROMISES, "test_filter_invariance.py"),
+    "search": ("test_filter_search.py", *VERDICTS, PROMISES, "test_filter_invariance.py"),
+    "conditions": ("test_filter_conditions.py", *VERDICTS, PROMISES, "test_filter_invariance.py"),
+    "tangent": ("test_tangent.py", "test_filter_conditions.py", *VERDICTS),
+    "chain_rule": ("test_chain_rule.py",),
+    "least_unsafe": ("test_least_unsafe.py", "test_filter_verdicts.py", PROMISES),
+    "highest": ("test_highest.py", "test_least_unsafe.py", PROMISES),
     "inputs": VERDICTS,
     "quadratic_program": ("test_quadratic_program.py", "test_nearest.py", *VERDICTS),
     "nearest": ("test_nearest.py", "test_quadratic_program.py"),
@@ -91,7 +96,17 @@ class Planted(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 def import_what_is_not_mutated() -> None:
     """So that a forked process has it at once."""
-    for name in ("gymnasium", "hypothesis", "numpy", "piqp", "pytest", "quadprog", "safedpa.dynamics", "scipy.stats"):
+    for name in (
+        "gymnasium",
+        "hypothesis",
+        "numpy",
+        "piqp",
+        "pytest",
+        "quadprog",
+        "safedpa.dynamics",
+        "scipy.optimize",
+        "scipy.stats",
+    ):
         importlib.import_module(name)
 
 

@@ -71,14 +71,14 @@ def test_bodies_that_differ_are_no_car_stack() -> None:
 def test_the_last_stack_is_kept_for_the_same_objects_and_for_no_others() -> None:
     stacks, settings = Stacks(), FilterSettings()
     parts: list[AbstractBarrier] = car_barriers(settings, FOOTPRINT, [(1.0, 1.0, 0.2)], FIELD)
-    first = stacks.of(parts)
-    assert stacks.of(tuple(parts)) is first
-    assert stacks.of(first) is first
+    first = stacks.of(parts, 4)
+    assert stacks.of(tuple(parts), 4) is first
+    assert stacks.of(first, 4) is first
     parts[0] = ObstacleBarrier([(0.5, 0.0, 0.2)], FOOTPRINT, settings.braking, settings.clearance)
-    assert stacks.of(parts) is not first
-    assert stacks.of(parts).parts == tuple(parts)
-    assert stacks.of(parts[:2]).parts == tuple(parts[:2])
-    assert stacks.of(()).names == ()
+    assert stacks.of(parts, 4) is not first
+    assert stacks.of(parts, 4).parts == tuple(parts)
+    assert stacks.of(parts[:2], 4).parts == tuple(parts[:2])
+    assert stacks.of((), 4).names == ()
 
 
 def test_arrays_of_obstacles_cannot_be_written_to() -> None:

@@ -8,7 +8,8 @@ import pytest
 from safedpa.errors import InputError
 from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction, car_barriers
 from safedpa.safety.car_stack import stacked
-from safedpa.safety.conditions import Conditions, Tangent
+from safedpa.safety.conditions import ROUNDING, Conditions, Outcome
+from safedpa.safety.tangent import Tangent
 
 
 def conditions(
@@ -29,7 +30,7 @@ def conditions(
 
 def slope_at(posed: Conditions, action: float) -> float:
     about = posed.outcome((action,))
-    return posed.linearised(about).at(about)[0][0][0]
+    return posed.linearised(about).at(about.residual, about.action, 0.0)[0][0][0]
 
 
 def test_required_is_what_eta_and_epsilon_leave() -> None:
@@ -39,16 +40,30 @@ def test_required_is_what_eta_and_epsilon_leave() -> None:
     np.testing.assert_allclose(outcome.residual, [1.5 - 0.9])
     assert outcome.violation == 0.0
     assert outcome.least == 1.5
-    A, b = posed.linearised(outcome).at(outcome)
+    assert posed.least_now == 1.0
+    A, b = posed.linearised(outcome).at(outcome.residual, outcome.action, 0.0)
     np.testing.assert_allclose(A, [[1.0]])
-    np.testing.assert_allclose(b, [0.5 - 0.6])
+    np.testing.assert_allclose(b, [0.5 - 0.6], atol=1e-8)
 
 
-@pytest.mark.parametrize(("slope", "silent"), [(4e-9, True), (4.5e-9, False), (0.0, True), (-4.5e-9, False)])
+@pytest.mark.parametrize(("slope", "silent"), [(1.49e-9, True), (1.51e-9, False), (0.0, True), (-1.51e-9, False)])
 def test_only_rounding_errors_count_as_saturation(slope: float, silent: bool) -> None:
-    """Next state (3, 0.5): columns up to 1e-9 (1 + 3) are silent, and the chord takes their place."""
+    """Next state (3, 0.5): over a range of 2 a slope of 1.5e-9 moves 1e-9 of the 3; the chord takes its place."""
     posed = conditions(lambda x, a: np.array([2.5 + a[0], 0.5]), [[slope], [0.0]])
     assert slope_at(posed, 0.5) == pytest.approx(1.0 if silent else slope)
+
+
+@pytest.mark.parametrize(("slope", "silent"), [(0.99e-9, True), (1.01e-9, False)])
+def test_the_motion_counts_where_it_is_larger_than_the_entry(slope: float, silent: bool) -> None:
+    """From 1.0 to -1.0: rounding errors are those of a motion by 2."""
+    posed = conditions(lambda x, a: np.array([-1.5 + a[0], 0.5]), [[slope], [0.0]])
+    assert slope_at(posed, 0.5) == pytest.approx(1.0 if silent else slope)
+
+
+def test_one_entry_that_an_action_moves_is_enough() -> None:
+    """It stays a slope of 0 for h = x_0: nothing is saturated, the action moves the second entry only."""
+    posed = conditions(lambda x, a: np.array([2.5 + a[0], 0.5]), [[0.0], [1.0]])
+    assert slope_at(posed, 0.5) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -92,7 +107,10 @@ def test_rows_that_are_left_out_no_action_can_break(seed: int) -> None:
             for stack in (stacked(parts), Barriers(parts))
         ]
         widths, about = [width for _, _, width in sides], posed[0].outcome(settings.resting_action.tolist())
-        found, every = (Tangent(one.barriers, g, about, widths).at(about) for one in posed)
+        found, every = (
+            Tangent(one.barriers, g, about.next_state, widths, [0.0] * 18).at(about.residual, about.action, 0.0)
+            for one in posed
+        )
         assert len(every[0]) == 18
         for slopes, limit in zip(*every, strict=True):
             least = sum(min(slope * low, slope * high) for slope, (low, high, _) in zip(slopes, sides, strict=True))
@@ -100,3 +118,131 @@ def test_rows_that_are_left_out_no_action_can_break(seed: int) -> None:
             assert any(near) or least >= limit
         left_out += 18 - len(found[0])
     assert left_out > 100
+
+
+def several(h: Callable[[np.ndarray], list[float]], epsilon: list[float], eta: float = 0.5) -> Conditions:
+    """x[t+1] = x + a from x = 0, -4 <= a <= 4; as many barriers as margins."""
+    names = tuple(f"h{index}" for index in range(len(epsilon)))
+    return Conditions(
+        Barriers([FunctionBarrier(h, names=names)]),
+        Prediction(lambda x: (x, np.eye(1)), lambda x, a: x + a),
+        (0.0,),
+        None,
+        None,
+        eta,
+        epsilon,
+        [(-4.0, 4.0, 8.0)],
+    )
+
+
+def test_a_barriers_scale_is_what_it_is_its_margin_or_what_actions_change_in_it() -> None:
+    posed = several(lambda x: [10.0 - x[0], -3.0 + 0.1 * x[0], 0.0, 1e-6], [0.1, 0.0, 0.25, 0.0])
+    assert posed.sizes == [10.0, 3.0, 0.25, 1e-6]
+    assert posed.scales == [10.0, 3.0, 0.25, 1e-6]
+    steep = several(lambda x: [1.0 - x[0], 2.0 + 3.0 * x[0]], [0.0, 0.0])
+    steep.linearised(steep.outcome((0.0,))).all(2)
+    np.testing.assert_allclose(steep.scales, [8.0, 24.0])
+    assert steep.sizes == [1.0, 2.0]
+
+
+def test_a_reach_once_known_is_not_forgotten() -> None:
+    """h = 1 - x^2 / 2: steep where x is large, flat where it is 0."""
+    posed = several(lambda x: [1.0 - x[0] ** 2 / 2.0], [0.0])
+    posed.linearised(posed.outcome((3.0,))).all(1)
+    assert posed.scales[0] == pytest.approx(24.0)
+    posed.linearised(posed.outcome((0.5,))).all(1)
+    assert posed.scales[0] == pytest.approx(24.0)
+
+
+def test_rounding_errors_are_far_below_what_matters() -> None:
+    assert 1e-12 <= ROUNDING <= 1e-10
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize(
+    ("missed", "kept"), [(0.9 * ROUNDING, True), (1.1 * ROUNDING, False), (0.0, True), (-1.0, True)]
+)
+def test_a_condition_may_be_missed_by_rounding_errors_of_its_own_scale(missed: float, kept: bool, unit: float) -> None:
+    """h now is 8, half of it may be used up: 4, but for the rounding of 8."""
+    posed = several(lambda x: [unit * (8.0 - x[0])], [0.0])
+    outcome = posed.outcome((4.0 + 8.0 * missed,))
+    assert outcome.kept is kept
+    assert outcome.broken == ([] if kept else [0])
+
+
+def test_no_action_is_kept_that_leads_below_zero() -> None:
+    """With h = 0 now the condition h >= 0 may not be missed at all, though h's scale would allow for rounding."""
+    posed = several(lambda x: [-1e-14 * x[0], 1.0], [0.0, 0.0])
+    posed.scales[:] = [1.0, 1.0]
+    below, on = posed.outcome((1.0,)), posed.outcome((0.0,))
+    assert (below.broken, below.kept) == ([], False)
+    assert (on.broken, on.kept) == ([], True)
+    assert below.violation == 0.0
+
+
+def test_violation_is_the_largest_slack_of_what_is_broken() -> None:
+    posed = several(lambda x: [5.0 - x[0], 2.0 - x[0], 100.0], [0.0, 0.0, 0.0])
+    outcome = posed.outcome((3.0,))
+    assert outcome.broken == [0, 1]
+    assert outcome.violation == 2.0
+    assert outcome.least == -1.0
+    assert several(lambda x: [5.0 - x[0]], [0.0]).outcome((3.0,)).violation == 0.5
+
+
+def test_tightest_is_a_share_of_each_barriers_scale() -> None:
+    posed = several(lambda x: [100.0 - x[0], 2.0 - x[0]], [0.0, 0.0])
+    outcome = posed.outcome((2.0,))
+    assert posed.tightest(outcome) == -1.0 / 2.0
+    assert posed.tightest(posed.outcome((-2.0,))) == pytest.approx(0.52)
+    posed.scales[1] = 20.0
+    assert posed.tightest(outcome) == -1.0 / 20.0
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_tightest_does_not_depend_on_the_order(turned: bool) -> None:
+    def h(x: np.ndarray) -> list[float]:
+        three = [1000.0 - x[0], 2.0 - x[0], 4.0 - x[0]]
+        return three[::-1] if turned else three
+
+    posed = several(h, [0.0] * 3)
+    assert posed.tightest(posed.outcome((1.5,))) == pytest.approx(-0.25)
+    assert posed.tightest(posed.outcome((0.0,))) == pytest.approx(0.5)
+
+
+def test_of_a_barrier_without_a_scale_what_is_missing_is_infinitely_much() -> None:
+    posed = several(lambda x: [-abs(x[0])], [0.0])
+    assert posed.tightest(posed.outcome((0.0,))) == 0.0
+    assert posed.tightest(posed.outcome((1.0,))) < -1e200
+    assert posed.outcome((0.0,)).kept
+
+
+def test_binding_names_come_tightest_first_as_shares_of_their_scales() -> None:
+    """After a = 0 half of each h is left over: all residuals are half of their scale."""
+    posed = several(lambda x: [8.0 - x[0], 4.0 - x[0], 2.0 - x[0], 1.0], [0.0] * 4)
+    outcome = posed.outcome((2.0,))  # residuals 2, 0, -1, 0.5: shares 0.25, 0, -0.5, 0.5
+    assert posed.binding(outcome, 1.0) == ("h2", "h1", "h0", "h3")
+    assert posed.binding(outcome, 0.25) == ("h2", "h1", "h0")
+    assert posed.binding(outcome, 0.249) == ("h2", "h1")
+    assert posed.binding(outcome, 0.0) == ("h2", "h1")
+    assert posed.binding(posed.outcome((0.0,)), 0.0) == ()
+
+
+def test_as_many_margins_and_values_as_barriers() -> None:
+    with pytest.raises(ValueError, match="1 margins for 2 barriers"):
+        Conditions(
+            Barriers([FunctionBarrier(lambda x: [1.0, 2.0], names=("a", "b"))]),
+            Prediction(lambda x: (x, np.eye(1))),
+            (0.0,),
+            None,
+            None,
+            0.5,
+            [0.0],
+            [(-1.0, 1.0, 2.0)],
+        )
+
+
+def test_an_outcome_with_nothing_broken_may_still_be_unsafe() -> None:
+    assert Outcome((0.0,), [0.0], [1.0], [1.0], []).kept
+    assert Outcome((0.0,), [0.0], [0.0], [0.0], []).kept
+    assert not Outcome((0.0,), [0.0], [2.0, -1e-300], [1.0, 1.0], []).kept
+    assert not Outcome((0.0,), [0.0], [1.0], [-1.0], [0]).kept

@@ -14,16 +14,17 @@ def line_filter(wall: float = 1.0, **changes: object) -> SafetyFilter:
     return SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: wall - x[0])], settings)
 
 
-def test_violation_of_just_the_tolerance_is_kept() -> None:
-    safe = line_filter(slack_tolerance=0.25)
-    assert safe.decide(np.zeros(1), [1.25]).status is Status.passed
-    assert safe.decide(np.zeros(1), [1.251]).status is Status.corrected
+def test_what_leads_to_just_the_limit_is_kept() -> None:
+    safe = line_filter()
+    assert safe.decide(np.zeros(1), [1.0]).status is Status.passed
+    assert safe.decide(np.zeros(1), [1.0 + 1e-9]).status is Status.corrected
 
 
-def test_active_means_within_ten_tolerances() -> None:
-    safe = line_filter(slack_tolerance=0.0625)
-    assert safe.decide(np.zeros(1), [0.375]).active == ("h",)  # residual 0.625
-    assert safe.decide(np.zeros(1), [0.37]).active == ()
+def test_active_means_within_a_fiftieth_of_the_scale() -> None:
+    """h now is 1: residuals up to 0.02."""
+    safe = line_filter()
+    assert safe.decide(np.zeros(1), [0.9801]).active == ("h",)
+    assert safe.decide(np.zeros(1), [0.9799]).active == ()
 
 
 def test_kinds_without_a_margin_have_none() -> None:
@@ -36,19 +37,19 @@ def test_kinds_without_a_margin_have_none() -> None:
     assert safe.decide(None, [0.0]).margin == 0.0
 
 
-def test_backup_that_breaks_a_condition_by_just_the_tolerance_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_backup_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decision_module, "search", lambda conditions, program, wish, start, *_: (start, "solved"))
-    verdict = line_filter(wall=-0.25, slack_tolerance=0.25).decide(np.zeros(1), [1.0])
+    verdict = line_filter(wall=0.0).decide(np.zeros(1), [1.0])
     assert (verdict.status, verdict.reason) == (Status.corrected, "Found from the backup action.")
-    assert verdict.slack == 0.25
+    assert verdict.action[0] == 0.0
 
 
-def test_search_result_that_breaks_a_condition_by_just_the_tolerance_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_search_result_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     def found(conditions: Conditions, *_: object) -> tuple[Outcome, str]:
-        return conditions.outcome(np.array([1.25])), "solved"
+        return conditions.outcome((1.0,)), "solved"
 
     monkeypatch.setattr(decision_module, "search", found)
-    verdict = line_filter(slack_tolerance=0.25).decide(np.zeros(1), [2.0])
+    verdict = line_filter().decide(np.zeros(1), [2.0])
     assert (verdict.status, verdict.reason) == (Status.corrected, "")
 
 
@@ -64,7 +65,7 @@ def test_program_is_posed_once_and_then_as_often_as_allowed(
         return Solution(np.array([2.0 - 0.01 * len(calls)]), np.zeros(1), True, "solved")
 
     monkeypatch.setattr(QuadraticProgram, "solve", stubborn)
-    assert safe.decide(np.zeros(1), [2.0]).reason == "The backup action keeps every condition."
+    assert safe.decide(np.zeros(1), [2.0]).reason == "Between the backup action and the wish."
     assert len(calls) == 2 * (relinearisations + 1)  # from the wish, then from the backup
 
 

@@ -1,6 +1,7 @@
 """Bad numbers, missing inputs, failing functions and solvers: always a verdict, never open."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -128,26 +129,26 @@ def test_a_stale_state_does_not_reach_the_backup(car: PhysicsModel) -> None:
     safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
     np.testing.assert_array_equal(safe.decide(GOOD, WISH, stale=["state"]).action, [0.0, 0.1])
     np.testing.assert_array_equal(safe.decide(None, WISH).action, [0.0, 0.1])
-    assert seen == [None, None]
+    assert seen == [None, None, None]  # the first when the filter was made
     safe.decide(GOOD, None)
-    np.testing.assert_array_equal(seen[2], GOOD)
+    np.testing.assert_array_equal(seen[3], GOOD)
 
 
 @pytest.mark.parametrize(
     "result", [RuntimeError("no"), np.array([math.nan, 0.0]), np.array([0.0]), "nonsense", None], ids=str
 )
 def test_a_failing_backup_is_replaced_by_the_resting_action(car: PhysicsModel, result: Any) -> None:
-    def backup(_: Any) -> Any:
+    def backup(state: Any) -> Any:
         if isinstance(result, Exception):
             raise result
-        return result
+        return np.zeros(2) if state is None else result
 
     safe = SafetyFilter.for_model(car, CAR, car_barriers(CAR, (0.08, 0.4, 0.12), []), backup=backup)
     assert_brakes(safe.decide(GOOD, None), "wish is missing")
 
 
 def test_a_backup_beyond_the_actuator_is_clipped(car: PhysicsModel) -> None:
-    safe = SafetyFilter.for_model(car, CAR, [], backup=lambda _: np.array([-9.0, 9.0]))
+    safe = SafetyFilter.for_model(car, CAR, backup=lambda _: np.array([-9.0, 9.0]))
     np.testing.assert_array_equal(safe.decide(GOOD, None).action, [-0.6, 0.34])
 
 
@@ -155,7 +156,7 @@ def test_resting_action_from_the_settings(car: PhysicsModel) -> None:
     resting = FilterSettings(backup_action=(-0.2, 0.05))
     np.testing.assert_array_equal(SafetyFilter.for_model(car, resting).decide(None, None).action, [-0.2, 0.05])
     away = FilterSettings(action_low=(0.5,), action_high=(1.0,))
-    safe = SafetyFilter(lambda x: (x, np.eye(1)), [], away)
+    safe = SafetyFilter(lambda x: (x, np.eye(1)), None, away)
     np.testing.assert_array_equal(safe.decide(None, None).action, [0.5])
 
 
@@ -216,59 +217,123 @@ def test_failure_half_way_still_reports_h() -> None:
     assert (verdict.h_now, verdict.h_next) == (1.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("solution", "reason"),
-    [
-        (Solution(np.array([0.1]), np.zeros(1), False, "max iter reached"), "the QP was not solved: max iter reached"),
-        (Solution(np.array([math.nan]), np.zeros(1), True, "solved"), "the QP's solution holds NaN or infinity"),
-        (Solution(np.array([1.1]), np.zeros(1), True, "solved"), "the QP's solution misses the actuator bounds"),
-        (Solution(np.array([-1.00001]), np.zeros(1), True, "solved"), "the QP's solution misses the actuator bounds"),
-    ],
-)
-def test_solver_that_fails(monkeypatch: pytest.MonkeyPatch, solution: Solution, reason: str) -> None:
-    safe = scalar_filter()
-    monkeypatch.setattr(safe.tools.program.__class__, "solve", lambda *_: solution)
-    verdict = safe.decide(np.zeros(1), [1.0])
-    assert verdict.status is Status.fallback
-    assert reason in verdict.reason
-    assert verdict.solver == solution.status
-    np.testing.assert_array_equal(verdict.action, [0.0])
+def program_says(monkeypatch: pytest.MonkeyPatch, safe: SafetyFilter, *solutions: Solution) -> None:
+    """The program's answers, one after the other, the last one again and again."""
+    left = list(solutions)
+    monkeypatch.setattr(safe.tools.program.__class__, "solve", lambda *_: left.pop(0) if len(left) > 1 else left[0])
 
 
-def test_rounding_at_the_bounds_is_clipped_away(monkeypatch: pytest.MonkeyPatch) -> None:
+def solution(action: float, solved: bool = True, status: str = "solved") -> Solution:
+    return Solution([action], [0.0], solved, status)
+
+
+GIVEN_UP = solution(0.1, False, "max iter reached")
+
+
+@pytest.mark.parametrize("useless", [GIVEN_UP, solution(math.nan), solution(math.inf)], ids=["gives up", "nan", "inf"])
+def test_a_solver_that_gives_up_is_replaced_by_another_road(monkeypatch: pytest.MonkeyPatch, useless: Solution) -> None:
+    """From the backup, which keeps the condition, as far towards the wish as it allows: 0.2 would be the nearest."""
     safe = scalar_filter()
-    solution = Solution(np.array([-1.0 - 1.9e-6]), np.zeros(1), True, "solved")
-    monkeypatch.setattr(safe.tools.program.__class__, "solve", lambda *_: solution)
+    program_says(monkeypatch, safe, useless)
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    np.testing.assert_array_equal(verdict.action, [-1.0])
+    assert verdict.solver == useless.status
+    assert verdict.known
+    assert 0.15 < verdict.action[0] <= 0.2
+    assert verdict.h_next == 1.0 - verdict.action[0]
+    assert verdict.slack == 0.0
 
 
-def test_search_that_finds_nothing_falls_back_on_braking(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The QP misleads; the backup keeps every condition: taken, and said."""
+@pytest.mark.parametrize("beyond", [1.1, 7.0, -1.00001])
+def test_a_solution_beyond_the_bounds_is_judged_at_the_bounds(monkeypatch: pytest.MonkeyPatch, beyond: float) -> None:
     safe = scalar_filter()
-    solution = Solution(np.array([0.9]), np.zeros(1), True, "solved")
-    monkeypatch.setattr(safe.tools.program.__class__, "solve", lambda *_: solution)
+    program_says(monkeypatch, safe, solution(beyond))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "The backup action keeps every condition."
-    np.testing.assert_array_equal(verdict.action, [0.0])
+    assert 0.15 < verdict.action[0] <= 0.2
+    assert verdict.h_next >= 0.8
+
+
+def never_kept(**changes: Any) -> SafetyFilter:
+    """h = 1 - x, and x moves to 0.5 + a / 5 at least: the condition asks for h of 0.8."""
+    parts: dict[str, Any] = {"affine": lambda x: (x + 0.5, np.array([[0.2]])), **changes}
+    return scalar_filter(**parts)
+
+
+def test_where_nothing_is_kept_and_the_solver_gives_up_the_least_unsafe_is_still_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By the linear program; and where that gives up as well, among the corners of the range."""
+    safe = never_kept()
+    program_says(monkeypatch, safe, GIVEN_UP)
+    verdict = safe.decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.relaxed
+    assert verdict.action[0] == pytest.approx(-1.0, abs=0.01)
+    assert verdict.solver == "max iter reached"
+    monkeypatch.setattr(safe.tools.highest.__class__, "solve", lambda *_: None)
+    blind = safe.decide(np.zeros(1), [1.0])
+    assert blind.status is Status.relaxed
+    assert blind.action[0] == -1.0
+    assert blind.h_next == pytest.approx(0.7)
+    assert blind.slack == pytest.approx(0.1)
+
+
+def test_a_backup_that_keeps_all_while_every_solver_gives_up_is_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No action on the way from it to the wish keeps the condition: the backup itself, as a correction, with its h."""
+    safe = scalar_filter(affine=lambda x: (x + 0.1, np.array([[0.2]])), backup=lambda state: np.array([0.5]))
+    program_says(monkeypatch, safe, GIVEN_UP)
+    verdict = safe.decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.corrected
+    assert verdict.action[0] == 0.5
+    assert verdict.h_next == pytest.approx(0.8)
+    assert verdict.known
+
+
+def test_below_zero_a_solver_that_gives_up_leaves_the_best_of_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    safe = scalar_filter()
+    program_says(monkeypatch, safe, GIVEN_UP)
+    monkeypatch.setattr(safe.tools.highest.__class__, "solve", lambda *_: None)
+    verdict = safe.decide(np.array([2.0]), [1.0])
+    assert verdict.status is Status.violated
+    assert verdict.action[0] == -1.0
+    assert (verdict.h_now, verdict.h_next) == (-1.0, 0.0)
+
+
+def test_search_that_finds_nothing_goes_from_the_backup_towards_the_wish(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The QP misleads, always: what the backup leads to is taken as far as the condition allows, and said."""
+    safe = scalar_filter()
+    program_says(monkeypatch, safe, solution(0.9))
+    verdict = safe.decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.corrected
+    assert verdict.reason == "Between the backup action and the wish."
+    assert 0.15 < verdict.action[0] <= 0.2
+
+
+def test_a_backup_that_breaks_the_condition_is_no_place_to_go_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The backup 0.9 breaks it, the QP misleads: the linear program finds one that keeps it."""
+    safe = scalar_filter(backup=lambda state: np.array([0.9]))
+    program_says(monkeypatch, safe, solution(0.9))
+    verdict = safe.decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.corrected
+    assert verdict.reason == "Found from a corner of the actions' range."
+    assert verdict.action[0] <= 0.2
 
 
 def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
     original, calls = decision_module.search, []
 
-    def first_fails(conditions: Any, program: Any, wish: Any, start: Any, rounds: int, tolerance: float) -> Any:
-        calls.append(start.action)
+    def first_fails(conditions: Any, program: Any, wish: Any, start: Any, rounds: int) -> Any:
+        calls.append(start.action[0])
         if len(calls) == 1:
             return start, "solved"
-        return original(conditions, program, wish, start, rounds, tolerance)
+        return original(conditions, program, wish, start, rounds)
 
     monkeypatch.setattr(decision_module, "search", first_fails)
     verdict = scalar_filter().decide(np.zeros(1), [1.0])
     assert verdict.reason == "Found from the backup action."
     assert verdict.action[0] == pytest.approx(0.2)
-    assert calls == [(1.0,), (0.0,)]
+    assert calls[0] == 1.0
+    assert 0.15 < calls[1] <= 0.2  # towards the wish as far as is kept: tangents there are those of the nearest action
 
 
 numbers = st.one_of(st.floats(), st.integers(), st.none(), st.booleans(), st.text(max_size=3))
@@ -281,7 +346,7 @@ def test_whatever_comes_in_a_verdict_goes_out(state: Any, wish: Any, latent: Any
     safe = SafetyFilter(
         lambda x, z: (x, np.eye(len(x))[:, :2]),
         [FunctionBarrier(lambda x: 3.0 - x[0])],
-        CAR,
+        replace(CAR, system=""),
         state_range=Plausible(np.full(4, -9.0), np.full(4, 9.0), ("a", "b", "c", "d")),
     )
     verdict = safe.decide(state, wish, latent, memory=memory)

@@ -7,24 +7,40 @@ import pytest
 
 from safedpa.safety import QuadraticProgram, Solution
 from safedpa.safety.conditions import Outcome
-from safedpa.safety.search import DecisionError, _better, _same, search
+from safedpa.safety.search import (
+    AGAIN,
+    DOUBTFUL,
+    NEEDLESS,
+    TRIES,
+    _better,
+    _furthest_back,
+    _posed,
+    _same,
+    search,
+    towards,
+)
 
-TOLERANCE = 0.25
+GIVEN_UP = Solution((0.0,), (0.0,), False, "max iter reached")
 
 
-def outcome(action: float, *residual: float) -> Outcome:
-    return Outcome((action,), [0.0], [0.0] * len(residual), list(residual))
+def outcome(action: float, *residual: float, unsafe: bool = False) -> Outcome:
+    """Each barrier's scale is 1."""
+    broken = [row for row, value in enumerate(residual) if value < 0.0]
+    h_next = [-1.0 if unsafe else 0.0] * len(residual)
+    return Outcome((action,), [0.0], h_next, list(residual), broken)
 
 
 def about(*action: float) -> Outcome:
-    return Outcome(action, [0.0], [0.0], [0.0])
+    return Outcome(action, [0.0], [0.0], [0.0], [])
 
 
 class Slopes:
     """Of one condition, 1 of the first action; its limit follows from the residual."""
 
-    def at(self, about: Outcome) -> tuple[list[list[float]], list[float]]:
-        return [[1.0]], [about.action[0] - about.residual[0]]
+    def at(
+        self, residual: list[float], action: tuple[float, ...], overshoot: float
+    ) -> tuple[list[list[float]], list[float]]:
+        return [[1.0]], [action[0] - (1.0 + overshoot * (residual[0] < 0.0)) * residual[0]]
 
 
 class Scripted:
@@ -49,40 +65,62 @@ class Scripted:
     def outcome(self, action: tuple[float, ...]) -> Outcome:
         return outcome(action[0], *self.script[self.solved - 1])
 
+    def tightest(self, found: Outcome) -> float:
+        return min(found.residual)
+
     def distance(self, action: tuple[float, ...], wish: tuple[float, ...]) -> float:
         return abs(action[0] - wish[0])
 
     def run(self, start: Outcome, rounds: int = 4, wish: float = 9.0) -> Outcome:
         this: Any = self
-        return search(this, this, (wish,), start, rounds, TOLERANCE)[0]
+        return _posed(this, this, (wish,), start, rounds)[0]
 
 
-@pytest.mark.parametrize("residual", [(0.0,), (-0.25,), (25.0,), (0.0, 1000.0), (-0.25, 3.0)])
+@pytest.mark.parametrize("residual", [(0.0,), (0.05,), (0.0, 1000.0), (0.05, 0.06)])
 def test_ends_when_kept_and_not_needlessly_far(residual: tuple[float, ...]) -> None:
     scripted = Scripted(residual, (0.0,), (0.0,), (0.0,))
     assert scripted.run(outcome(0.0, -10.0)).action == (1.0,)
     assert scripted.solved == 1
 
 
-@pytest.mark.parametrize("residual", [(25.1,), (-0.26,), (26.0, 1000.0)])
+@pytest.mark.parametrize("residual", [(0.0501,), (-1e-6,), (0.06, 1000.0), (0.06, -0.1)])
 def test_goes_on_when_broken_or_needlessly_far(residual: tuple[float, ...]) -> None:
-    scripted = Scripted(residual, (0.0,), (5.0,))
+    scripted = Scripted(residual, (0.0,), (0.0,))
     assert scripted.run(outcome(0.0, -10.0)).action == (2.0,)
     assert scripted.solved == 2
+
+
+def test_goes_on_when_the_prediction_is_unsafe_though_no_condition_is_broken() -> None:
+    scripted: Any = Scripted((0.0,), (0.0,))
+    scripted.outcome = lambda action: outcome(action[0], 0.0, unsafe=action[0] < 2.0)
+    assert scripted.run(outcome(0.0, -10.0)).action == (2.0,)
 
 
 def test_slopes_that_served_well_are_used_again_with_the_true_residual() -> None:
     scripted = Scripted((-0.9,), (0.0,))
     scripted.run(outcome(0.0, -10.0))
     assert scripted.tangents == 1
-    assert scripted.limits == [10.0, 1.0 * 1.0 + 0.9]
+    assert scripted.limits[0] == 10.0
 
 
-@pytest.mark.parametrize("residual", [(-1.0,), (-1.1,), (30.0,)])
+def test_each_round_asks_for_a_quarter_more_of_what_is_missing() -> None:
+    """What curvature took away once it takes away again."""
+    scripted = Scripted((-8.0,), (-8.0,), (-8.0,), (-8.0,))
+    scripted.run(outcome(0.0, -8.0))
+    assert scripted.limits == [8.0, 1.0 + 1.25 * 8.0, 2.0 + 1.5 * 8.0, 3.0 + 1.75 * 8.0]
+
+
+@pytest.mark.parametrize("residual", [(-1.0,), (-1.1,), (0.3,)])
 def test_slopes_that_served_badly_are_drawn_anew(residual: tuple[float, ...]) -> None:
     scripted = Scripted(residual, (0.0,))
     scripted.run(outcome(0.0, -10.0))
     assert scripted.tangents == 2
+
+
+def test_no_slopes_are_drawn_for_a_program_that_is_not_posed() -> None:
+    scripted = Scripted((-5.0,), (-5.0,))
+    scripted.run(outcome(0.0, -10.0), rounds=2)
+    assert (scripted.solved, scripted.tangents) == (2, 2)
 
 
 def test_service_is_judged_against_the_last_solution() -> None:
@@ -120,14 +158,15 @@ def test_goes_on_when_reused_slopes_lead_to_the_same_solution() -> None:
 
 
 def test_just_the_last_share_of_the_range_is_the_same() -> None:
-    program = QuadraticProgram(np.zeros(1), np.ones(1), np.ones(1), 1.0, 1.0)
+    program = QuadraticProgram(np.zeros(1), np.ones(1), np.ones(1))
     assert _same(program, about(1e-8), about(0.0))
 
 
 def test_one_entry_that_moves_is_enough() -> None:
-    program = QuadraticProgram(np.zeros(2), np.full(2, 9.0), np.ones(2), 1.0, 1.0)
+    program = QuadraticProgram(np.zeros(2), np.full(2, 9.0), np.ones(2))
     assert _same(program, about(1.0, 1.0), about(1.0, 1.0))
     assert not _same(program, about(1.0, 1.0), about(1.0, 2.0))
+    assert not _same(program, about(2.0, 1.0), about(1.0, 1.0))
 
 
 def test_rounds_are_limited_and_the_least_broken_is_returned() -> None:
@@ -136,26 +175,32 @@ def test_rounds_are_limited_and_the_least_broken_is_returned() -> None:
     assert scripted.solved == 4
 
 
+def test_the_first_solution_stands_for_the_start_whatever_it_is() -> None:
+    """The start is the caller's already: what is asked is what the program leads to."""
+    scripted = Scripted((-12.0,))
+    assert scripted.run(outcome(0.0, -10.0), rounds=1).action == (1.0,)
+
+
 def test_kept_beats_broken_and_near_beats_far() -> None:
     scripted: Any = Scripted()
     wish = (0.0,)
 
     def better(one: Outcome, other: Outcome) -> Outcome:
-        return _better(scripted, wish, one, other, TOLERANCE)
+        return _better(scripted, scripted, wish, one, other)
 
-    near, far, edge, broken, worse = (
+    near, far, broken, worse, unsafe = (
         outcome(1.0, 0.0),
         outcome(3.0, 0.0),
-        outcome(2.0, -0.25),
         outcome(0.0, -0.5),
         outcome(0.0, -0.6),
+        outcome(0.5, 0.0, unsafe=True),
     )
     assert better(near, far) is near
     assert better(far, near) is near
-    assert better(edge, far) is edge
-    assert better(far, edge) is edge
     assert better(far, broken) is far
     assert better(broken, far) is far
+    assert better(far, unsafe) is far
+    assert better(unsafe, far) is far
     assert better(broken, worse) is broken
     assert better(worse, broken) is broken
     twin, copy = outcome(1.0, 0.0), outcome(0.0, -0.5)
@@ -163,23 +208,190 @@ def test_kept_beats_broken_and_near_beats_far() -> None:
     assert better(broken, copy) is broken
 
 
-def solver_says(monkeypatch: pytest.MonkeyPatch, *action: float) -> Outcome:
-    count = len(action)
-    program = QuadraticProgram(np.zeros(count), np.ones(count), np.ones(count), 1.0, 1.0)
-    monkeypatch.setattr(QuadraticProgram, "solve", lambda *_: Solution(action, [0.0], True, "solved"))
+def solver_says(*solutions: Solution) -> tuple[Outcome, str]:
+    """What the search makes of these solutions of a program with as many actions, from a broken start."""
+    count, left = len(solutions[0].action), list(solutions)
+    program: Any = QuadraticProgram(np.zeros(count), np.ones(count), np.ones(count))
+
+    class Given:
+        sides = program.sides
+        distance = program.distance
+
+        def solve(self, *_: Any) -> Solution:
+            return left.pop(0)
+
     conditions: Any = Scripted()
     conditions.outcome = lambda taken: about(*taken)
-    return search(conditions, program, [0.0] * count, outcome(0.0, -1.0), 1, TOLERANCE)[0]
+    given: Any = Given()
+    return _posed(conditions, given, [0.0] * count, outcome(0.0, -1.0), len(solutions))
 
 
-def test_one_bad_entry_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DecisionError, match="holds NaN or infinity"):
-        solver_says(monkeypatch, 0.5, np.nan)
-    with pytest.raises(DecisionError, match="misses the actuator bounds"):
-        solver_says(monkeypatch, 0.5, 1.5)
+def solution(*action: float) -> Solution:
+    return Solution(action, (0.0,), True, "solved")
 
 
-def test_bounds_may_be_missed_by_a_millionth(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert solver_says(monkeypatch, -1e-6, 0.5).action == (0.0, 0.5)
-    with pytest.raises(DecisionError, match="misses the actuator bounds"):
-        solver_says(monkeypatch, -1.1e-6, 0.5)
+@pytest.mark.parametrize("missed", [1e-6, 1e-3, 5.0])
+def test_a_solution_beyond_the_bounds_is_taken_at_the_bounds(missed: float) -> None:
+    """However far it missed them: what counts is what the model predicts for the action itself."""
+    assert solver_says(solution(-missed, 0.5))[0].action == (0.0, 0.5)
+    assert solver_says(solution(0.5, 1.0 + missed))[0].action == (0.5, 1.0)
+
+
+@pytest.mark.parametrize("none", [np.nan, np.inf, -np.inf])
+def test_one_entry_that_is_no_number_is_enough_to_believe_none(none: float) -> None:
+    found, _ = solver_says(solution(0.5, float(none)))
+    assert found.action == (0.0,)  # the start
+
+
+def test_a_solver_that_gives_up_leaves_what_was_found_before() -> None:
+    found, word = solver_says(GIVEN_UP)
+    assert (found.action, found.kept, word) == ((0.0,), False, "max iter reached")
+    scripted: Any = Scripted((-5.0,))
+    first = scripted.solve
+    scripted.solve = lambda A, b, wish: first(A, b, wish) if scripted.solved == 0 else GIVEN_UP
+    assert scripted.run(outcome(0.0, -10.0)).action == (1.0,)
+    assert (scripted.solved, scripted.tangents) == (1, 2)
+
+
+class Line:
+    """h = a on 0 <= a <= 9, kept for a >= ``edge``; a program that proposes what it is told."""
+
+    sides = ((0.0, 9.0, 9.0),)
+
+    def __init__(self, edge: float, *proposed: float) -> None:
+        self.edge, self.proposed, self.asked = edge, list(proposed), 0
+        self.tried: list[float] = []
+
+    def outcome(self, action: Any) -> Outcome:
+        self.tried.append(action[0])
+        return outcome(action[0], action[0] - self.edge)
+
+    def linearised(self, about: Outcome) -> Slopes:
+        return Slopes()
+
+    def tightest(self, found: Outcome) -> float:
+        return min(found.residual)
+
+    def distance(self, action: tuple[float, ...], wish: tuple[float, ...]) -> float:
+        return abs(action[0] - wish[0])
+
+    def solve(self, A: Any, b: Any, wish: Any) -> Solution:
+        self.asked += 1
+        return solution(self.proposed.pop(0) if len(self.proposed) > 1 else self.proposed[0])
+
+
+def test_the_way_is_gone_as_far_as_a_straight_residual_allows_but_for_a_tenth() -> None:
+    """On 8 to 0 there is room for 5: 4.5 are gone, then 0.45 of the 0.5 left, and so on."""
+    line: Any = Line(3.0, 8.0)
+    found = towards(line, (0.0,), outcome(8.0, 5.0))
+    assert line.tried == pytest.approx([0.0, 3.5, 3.05])
+    assert found.action[0] == pytest.approx(3.05)
+
+
+def test_a_way_that_is_free_is_gone_to_its_end() -> None:
+    line: Any = Line(0.0, 8.0)
+    assert towards(line, (0.0,), outcome(8.0, 8.0)).action == (0.0,)
+    assert line.tried == [0.0]
+
+
+def test_a_way_that_no_action_allows_leads_nowhere() -> None:
+    line: Any = Line(8.0, 8.0)
+    kept = outcome(8.0, 0.0)
+    assert towards(line, (0.0,), kept) is kept
+    assert line.tried == [0.0]
+
+
+def test_a_residual_that_bends_is_followed_between_the_last_kept_and_the_last_broken() -> None:
+    """h = sqrt(a) - 1: straight from 9 to 0 it falls below 0 at 3, in truth at 1; a^2 - 9: at 1 and 3."""
+    for bent, edge in ((lambda a: a**0.5 - 1.0, 1.0), (lambda a: a * a - 9.0, 3.0)):
+        line: Any = Line(0.0, 8.0)
+        line.outcome = lambda action, bent=bent, line=line: (
+            line.tried.append(action[0]) or outcome(action[0], bent(action[0]))
+        )
+        found = towards(line, (0.0,), outcome(9.0, bent(9.0)))
+        assert found.kept
+        assert edge <= found.action[0] < edge + 0.3
+        assert len(line.tried) <= TRIES + 1
+
+
+def test_the_first_residual_that_is_used_up_ends_the_way_and_one_that_grows_does_not() -> None:
+    """Of three: one far away, one that is tight and grows, one that ends at 4."""
+    line: Any = Line(0.0, 8.0)
+    line.outcome = lambda action: outcome(
+        action[0], 90.0 + 10.1 * (action[0] - 9.0), 0.01 - (action[0] - 8.0), action[0] - 4.0
+    )
+    found = towards(line, (0.0,), outcome(8.0, 79.9, 0.01, 4.0))
+    assert found.action[0] == pytest.approx(4.04, abs=0.001)
+
+
+def test_a_residual_that_is_broken_by_rounding_ends_the_way() -> None:
+    """What is kept may miss its condition by rounding errors: there is no room in it."""
+    line: Any = Line(8.0, 8.0)
+    kept = Outcome((8.0,), [0.0], [0.0], [-1e-13], [])
+    assert towards(line, (0.0,), kept) is kept
+
+
+def test_what_binds_is_not_looked_at_again() -> None:
+    line: Any = Line(0.0, DOUBTFUL)
+    found, word = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert (found.action, word) == ((DOUBTFUL,), "solved")
+    assert line.asked == 1
+    assert line.tried == [DOUBTFUL]
+
+
+def test_what_is_kept_needlessly_far_is_brought_nearer_and_the_program_posed_again() -> None:
+    """Four times led astray, then along the way, and from there the program says 2.91."""
+    line: Any = Line(2.9, 8.0, 7.5, 8.0, 8.0, 2.91)
+    found, word = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert (found.action, word) == ((2.91,), "solved")
+    assert line.asked == 5
+
+
+def test_of_what_was_nearer_and_what_the_program_says_then_the_nearer_counts() -> None:
+    line: Any = Line(2.9, 8.0, 7.5, 8.0, 7.9)
+    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert found.action[0] == pytest.approx(2.946)
+    assert line.asked == 4 + AGAIN
+
+
+def test_the_way_to_a_wish_beyond_the_bounds_ends_at_the_bound() -> None:
+    line: Any = Line(-5.0, 8.0)
+    found, _ = search(line, line, (-100.0,), outcome(0.0, -3.0), 4)
+    assert found.action == (0.0,)
+
+
+@pytest.mark.parametrize(("proposed", "again"), [(1.0, True), (0.89, False)])
+def test_what_is_doubtful_and_far_from_the_wish_is_brought_nearer(proposed: float, again: bool) -> None:
+    """Kept by 0.03, between doubtful and needless: looked at again where it is more than a tenth of the range away."""
+    line: Any = Line(0.0, proposed)
+    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.outcome = lambda action: outcome(
+        action[0], 0.03 if action[0] == proposed else -1.0 if action[0] < 0.5 else 0.025
+    )
+    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert (line.asked == 1 + AGAIN) is again
+    assert (found.action[0] < proposed) is again
+    assert DOUBTFUL < 0.03 <= NEEDLESS
+
+
+def test_the_entry_that_costs_most_is_gone_back_and_no_other() -> None:
+    program: Any = QuadraticProgram(np.zeros(3), np.array([1.0, 10.0, 10.0]), np.array([1.0, 1.0, 0.5]))
+    assert _furthest_back(program, (0.0, 0.0, 0.0), (0.2, 3.0, 4.0)) == [0.2, 0.0, 4.0]
+    assert _furthest_back(program, (0.0, 0.0, 0.0), (0.2, 1.0, 4.0)) == [0.2, 1.0, 0.0]
+    assert _furthest_back(program, (0.0, 0.0, 0.0), (0.5, 1.0, 4.0)) == [0.0, 1.0, 4.0]
+    assert _furthest_back(program, (0.5, 0.0, 0.0), (0.5, 0.0, 0.0)) == [0.5, 0.0, 0.0]
+
+
+def test_slopes_that_lead_from_a_kept_action_to_a_broken_one_end_the_rounds() -> None:
+    line: Any = Line(2.9, 8.0, 1.0, 7.0)
+    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert line.asked == 2 + AGAIN
+    assert found.kept
+
+
+def test_what_is_broken_is_not_brought_nearer() -> None:
+    line: Any = Line(9.5, 8.0, 7.0, 8.0, 7.0)
+    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert not found.kept
+    assert found.action == (8.0,)
+    assert line.asked == 4

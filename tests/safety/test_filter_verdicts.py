@@ -34,10 +34,15 @@ def check_promises(verdict: Verdict, settings: FilterSettings) -> None:
     assert verdict.microseconds >= 0.0
     assert not verdict.action.flags.writeable
     if verdict.status in (Status.passed, Status.corrected):
-        assert verdict.slack <= settings.slack_tolerance
+        assert verdict.slack == 0.0
         assert verdict.known
+        assert verdict.h_now >= 0.0
+        assert verdict.h_next >= 0.0
     if verdict.status is Status.relaxed:
-        assert verdict.slack > settings.slack_tolerance
+        assert verdict.slack > 0.0 or verdict.h_next < 0.0
+        assert verdict.h_now >= 0.0
+    if verdict.status is Status.violated:
+        assert verdict.h_now < 0.0
     if verdict.status is Status.passed:
         assert verdict.wish is not None
         assert verdict.action.tobytes() == verdict.wish.tobytes()
@@ -177,19 +182,25 @@ def test_infeasible_situation_is_visible_and_brakes() -> None:
     values = {"wheelbase": 0.32, "speed_gain": 4.0, "acceleration_limit": 1.0}
     car = PhysicsModel(KinematicBicycle(), (), {f"base.{key}": Setting(value) for key, value in values.items()})
     settings = FilterSettings(
-        action_low=(-0.6, -0.34), action_high=(25.0, 0.34), speed_high=30.0, braking_deceleration=1.0
+        action_low=(-0.6, -0.34), action_high=(8.0, 0.34), speed_high=30.0, braking_deceleration=1.0
     )
     barriers = car_barriers(settings, FOOTPRINT, [], (-500.0, 1.0, -500.0, 500.0))
     safe = SafetyFilter.for_model(car, settings, barriers)
     verdict = safe.decide(np.array([-0.57, 0.0, 0.0, 20.0]), [20.0, 0.0])
-    assert verdict.status is Status.relaxed
-    assert verdict.slack > 1.0
+    assert verdict.status is Status.violated
     assert verdict.h_next < 0.0
-    assert verdict.active[0] == "right wall, front end"
+    assert verdict.reason == "Below 0: right wall, front end."
     after = car.step(np.array([-0.57, 0.0, 0.0, 20.0]), verdict.action)
     assert after[3] == pytest.approx(20.0 - 0.05 * 1.0)  # as hard as it can
     braking = car.step(np.array([-0.57, 0.0, 0.0, 20.0]), np.array([0.0, 0.0]))
     assert verdict.h_next >= min(part.values(braking).min() for part in barriers[1:])
+    turned = [
+        car.step(np.array([-0.57, 0.0, 0.0, 20.0]), np.array([target, steer]))
+        for target in np.linspace(-0.6, 25.0, 9)
+        for steer in np.linspace(-0.34, 0.34, 9)
+    ]
+    best = max(min(part.values(state).min() for part in barriers[1:]) for state in turned)
+    assert verdict.h_next >= best - 1.0  # turning away helps more than braking: -89 against -199
     check_promises(verdict, settings)
 
 
@@ -200,36 +211,92 @@ def test_infeasible_double_integrator_brakes_fully() -> None:
     safe = SafetyFilter(lambda x: (f @ x, g), [FunctionBarrier(lambda x: 1.0 - x[0] - x[1] ** 2 / 2.0)], settings)
     for wish in (1.0, 0.0, -0.9):
         verdict = safe.decide(np.array([0.0, 20.0]), [wish])
-        assert verdict.status is Status.relaxed
-        assert verdict.action[0] == -1.0
+        assert verdict.status is Status.violated
+        assert verdict.reason == "Below 0: h."
+        assert verdict.action[0] == pytest.approx(-1.0, abs=0.01)
         assert verdict.slack > 30.0
         assert verdict.h_now == pytest.approx(-199.0)
         assert verdict.h_next == pytest.approx(-199.0, abs=0.01)
 
 
-def infeasible(backup: object = None, gain: float = 0.1) -> Verdict:
-    """h = x - 5 at x = 0: every action leaves the condition broken; larger actions less so."""
+def infeasible(start: float, backup: object = None, gain: float = 1.0) -> Verdict:
+    """h = x, which falls by 3 whatever is done: larger actions let it fall less; the wish is -0.5."""
     settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
-    barrier = FunctionBarrier(lambda x: x[0] - 5.0)
-    safe = SafetyFilter(lambda x: (x, np.array([[gain]])), [barrier], settings, backup=backup)  # type: ignore[arg-type]
-    return safe.decide(np.zeros(1), [-0.5])
+    safe = SafetyFilter(
+        lambda x: (x - 3.0, np.array([[gain]])),
+        [FunctionBarrier(lambda x: x[0])],
+        settings,
+        backup=backup,  # type: ignore[arg-type]
+    )
+    return safe.decide(np.array([start]), [-0.5])
 
 
-def test_relaxed_takes_the_better_of_least_violating_and_backup() -> None:
-    verdict = infeasible()
+def test_relaxed_takes_the_action_that_leaves_the_most() -> None:
+    verdict = infeasible(5.0)
     assert verdict.status is Status.relaxed
-    assert verdict.action[0] == pytest.approx(1.0)
-    assert verdict.reason == "The least violating action, better than the backup."
-    assert verdict.slack == pytest.approx(1.0 - 0.1)
-    assert verdict.h_next == pytest.approx(-4.9)
+    assert verdict.action[0] == pytest.approx(1.0, abs=0.02)
+    assert verdict.reason == "Not kept: h."
+    assert verdict.slack == pytest.approx(4.0 - verdict.h_next)
+    assert verdict.h_next == pytest.approx(3.0, abs=0.02)
     assert verdict.active == ("h",)
 
 
-def test_relaxed_prefers_the_backup_on_ties() -> None:
-    verdict = infeasible(backup=lambda state: np.array([0.25]), gain=0.0)
-    assert verdict.status is Status.relaxed
-    assert verdict.action[0] == 0.25
-    assert verdict.reason == "The backup action, at least as good as the QP's."
+@pytest.mark.parametrize("backup", [-1.0, 0.25, 1.0])
+def test_violated_takes_the_action_that_raises_h_most_whatever_the_backup(backup: float) -> None:
+    verdict = infeasible(-2.0, backup=lambda state: np.array([backup]))
+    assert verdict.status is Status.violated
+    assert verdict.action[0] == pytest.approx(1.0, abs=0.02)
+    assert verdict.reason == "Below 0: h."
+    assert verdict.h_now == -2.0
+    assert verdict.h_next == pytest.approx(-4.0, abs=0.02)
+    assert verdict.solver == "solved"
+    assert verdict.intervened
+
+
+@pytest.mark.parametrize(("start", "status"), [(5.0, Status.relaxed), (-2.0, Status.violated)])
+def test_where_no_action_helps_the_wish_is_left(start: float, status: Status) -> None:
+    """All are equally unsafe: then the least change of the wish, which is none."""
+    verdict = infeasible(start, backup=lambda state: np.array([0.25]), gain=0.0)
+    assert verdict.status is status
+    assert verdict.action[0] == -0.5
+
+
+@pytest.mark.parametrize(
+    ("start", "status"), [(1e-12, Status.relaxed), (0.0, Status.relaxed), (-1e-12, Status.violated)]
+)
+def test_violated_begins_right_below_zero(start: float, status: Status) -> None:
+    assert infeasible(start).status is status
+
+
+def test_violated_even_where_the_wish_keeps_every_condition() -> None:
+    """From -1 to -0.5 is what a condition asks for and more; nobody is to be told that all is well."""
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+    safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: x[0])], settings)
+    verdict = safe.decide(np.array([-1.0]), [0.5])
+    assert verdict.status is Status.violated
+    assert verdict.slack == 0.0
+    assert verdict.action[0] == pytest.approx(1.0, abs=0.02)
+
+
+def test_violated_names_all_that_is_below_zero() -> None:
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+    barrier = FunctionBarrier(lambda x: [x[0] - 1.0, x[0], -2.0 - x[0]], names=("a", "b", "c"))
+    verdict = SafetyFilter(lambda x: (x, np.eye(1)), [barrier], settings).decide(np.zeros(1), [0.0])
+    assert verdict.reason == "Below 0: a, c."
+
+
+def test_relaxed_names_three_barriers_and_says_that_there_are_more() -> None:
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
+
+    def reason(count: int) -> str:
+        names = tuple(f"h{index}" for index in range(count))
+        barrier = FunctionBarrier(lambda x: [1.0 + index + x[0] for index in range(count)], names=names)
+        safe = SafetyFilter(lambda x: (x - 9.0, np.eye(1)), [barrier], settings)
+        return safe.decide(np.zeros(1), [0.0]).reason
+
+    assert reason(1) == "Not kept: h0."
+    assert reason(3) == "Not kept: h0, h1, h2."
+    assert reason(4) == "Not kept: h0, h1, h2, ...."
 
 
 def test_double_integrator_stays_left_of_the_wall() -> None:
@@ -267,7 +334,7 @@ def test_disabled_hands_on_what_the_actuator_can_do(car: PhysicsModel) -> None:
 
 def test_saturated_servo_does_not_hide_the_brake(car_filter: SafetyFilter) -> None:
     """At low speed the servo saturates for a fast wish, so that the tangent at the wish knows no influence of it."""
-    verdict = car_filter.decide(np.array([1.05, 0.0, 0.0, 0.2]), [2.0, 0.0])
+    verdict = car_filter.decide(np.array([1.0, 0.0, 0.0, 0.2]), [2.0, 0.0])
     assert verdict.status is Status.corrected
     assert verdict.reason == ""
     assert verdict.h_next == pytest.approx(0.8 * verdict.h_now + 0.01, abs=0.01)
@@ -351,8 +418,16 @@ def test_active_names_come_tightest_first() -> None:
 
 
 def test_statuses_have_sentences() -> None:
-    assert {status.value for status in Status} == {"passed", "corrected", "relaxed", "fallback", "disabled", "stopped"}
-    assert len({status.sentence for status in Status}) == 6
+    assert {status.value for status in Status} == {
+        "passed",
+        "corrected",
+        "relaxed",
+        "violated",
+        "fallback",
+        "disabled",
+        "stopped",
+    }
+    assert len({status.sentence for status in Status}) == 7
     assert all(status.sentence.endswith(".") for status in Status)
 
 

@@ -12,6 +12,8 @@ from safedpa.safety import (  # noqa: E402
     FilterSettings,
     FunctionBarrier,
     GymnasiumSafetyFilter,
+    GymnasiumVectorSafetyFilter,
+    Plausible,
     SafetyFilter,
     Status,
 )
@@ -42,9 +44,12 @@ def wall(x: Any) -> float:
     return float(1.0 - x[0] - max(x[1], 0.0) ** 2 / 1.6 - 0.1 * max(x[1], 0.0))
 
 
+def filter_of() -> SafetyFilter:
+    return SafetyFilter(lambda x: (F @ x, G), [FunctionBarrier(wall)], SETTINGS)
+
+
 def wrapped(**changes: Any) -> Any:
-    safe = SafetyFilter(lambda x: (F @ x, G), [FunctionBarrier(wall)], SETTINGS)
-    return GymnasiumSafetyFilter(Cart(), safe, state_of=lambda seen: seen[:2], **changes)
+    return GymnasiumSafetyFilter(Cart(), filter_of(), state_of=lambda seen: seen[:2], **changes)
 
 
 def test_reckless_policy_never_hits_the_wall() -> None:
@@ -98,7 +103,146 @@ def test_other_action_spaces_are_refused() -> None:
     class Two(Cart):
         action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    safe = SafetyFilter(lambda x: (x, np.eye(1)), [], SETTINGS)
+    safe = SafetyFilter(lambda x: (x, np.eye(1)), None, SETTINGS)
     for env in (Keys(), Two()):
-        with pytest.raises(InputError, match=r"action space: got .*, wanted a Box of shape \(1,\)"):
+        with pytest.raises(InputError, match=r"action space: got .*, wanted a Box of floats of shape \(1,\)"):
             GymnasiumSafetyFilter(env, safe)
+
+
+def reckless(env: Any, steps: int = 60) -> list[Any]:
+    env.reset(seed=0)
+    return [env.step(np.array([1.0], np.float32))[4]["verdict"] for _ in range(steps)]
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.int8, np.uint8, np.float16], ids=str)
+def test_a_box_that_would_round_the_action_is_refused(kind: Any) -> None:
+    """The verdict was -0.62, and the environment got 0."""
+
+    class Whole(Cart):
+        action_space = gymnasium.spaces.Box(0 if kind is np.uint8 else -1, 1, (1,), kind)
+
+    with pytest.raises(InputError, match=r"action space: got Box.*, wanted a Box of floats"):
+        GymnasiumSafetyFilter(Whole(), filter_of(), state_of=lambda seen: seen[:2])
+
+
+@pytest.mark.parametrize(("low", "high"), [(-0.5, 0.5), (-1.0, 0.9), (-0.9, 1.0), (0.0, 1.0)])
+def test_a_box_that_is_narrower_than_the_settings_is_refused(low: float, high: float) -> None:
+    class Narrow(Cart):
+        action_space = gymnasium.spaces.Box(low, high, (1,), np.float32)
+
+    with pytest.raises(InputError, match=r"wanted one that holds the settings' bounds \[-1\.0\] to \[1\.0\]"):
+        GymnasiumSafetyFilter(Narrow(), filter_of(), state_of=lambda seen: seen[:2])
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_a_wider_box_is_brought_within_the_settings(kind: Any) -> None:
+    class Wide(Cart):
+        action_space = gymnasium.spaces.Box(-3.0, np.inf, (1,), kind)
+
+    env = GymnasiumSafetyFilter(Wide(), filter_of(), state_of=lambda seen: seen[:2])
+    env.reset()
+    verdict = env.step(np.array([2.5]))[4]["verdict"]
+    assert (verdict.status, verdict.action.tolist()) == (Status.corrected, [1.0])
+    assert env.env.taken.tolist() == [1.0]
+    assert env.env.taken.dtype == kind
+
+
+def test_bounds_that_single_precision_cannot_hold() -> None:
+    """0.7 is a little less in 32 bits, 0.34 a little more: the environment gets neither more than its own."""
+    settings = FilterSettings(action_low=(-0.34,), action_high=(0.34,), epsilon=0.002, eta=0.1)
+
+    class Tight(Cart):
+        action_space = gymnasium.spaces.Box(-0.34, 0.34, (1,), np.float32)
+
+    safe = SafetyFilter(lambda x: (F @ x, G), [FunctionBarrier(wall)], settings)
+    env = GymnasiumSafetyFilter(Tight(), safe, state_of=lambda seen: seen[:2])
+    for wish in (-1.0, 1.0):
+        env.reset()
+        env.step(np.array([wish], np.float32))
+        assert abs(float(env.env.taken[0])) <= 0.34
+        assert float(env.env.taken[0]) == pytest.approx(0.34 * wish)
+        assert env.env.taken.dtype == np.float32
+
+
+def test_an_observation_that_is_no_state_needs_state_of() -> None:
+    safe = SafetyFilter(
+        lambda x: (F @ x, G),
+        [FunctionBarrier(wall)],
+        SETTINGS,
+        state_range=Plausible(np.full(2, -9.0), np.full(2, 9.0), ("position", "velocity")),
+    )
+    with pytest.raises(
+        InputError, match=r"observation space: got Box.*\(3,\).*, wanted a Box of shape \(2,\).*state_of"
+    ):
+        GymnasiumSafetyFilter(Cart(), safe)
+
+    class Named(Cart):
+        observation_space = gymnasium.spaces.Dict({"x": gymnasium.spaces.Box(-1.0, 1.0, (2,))})
+
+    with pytest.raises(InputError, match=r"observation space: got Dict.*wanted a Box of one axis; give state_of"):
+        GymnasiumSafetyFilter(Named(), filter_of())
+    GymnasiumSafetyFilter(Named(), filter_of(), state_of=lambda seen: seen["x"])
+
+
+def many(count: int, **changes: Any) -> Any:
+    return gymnasium.vector.SyncVectorEnv([lambda: Cart(**changes) for _ in range(count)])
+
+
+def test_a_vector_environment_gets_one_verdict_an_environment() -> None:
+    env = GymnasiumSafetyFilter(many(3), filter_of(), lambda seen: seen[:2])
+    assert isinstance(env, GymnasiumVectorSafetyFilter)
+    _, infos = env.reset(seed=0)
+    assert infos["start"].tolist() == [True] * 3
+    wishes = np.array([[1.0], [-0.5], [np.nan]], np.float32)
+    statuses: set[tuple[int, Status]] = set()
+    for _ in range(120):
+        observations, _, terminated, _, infos = env.step(wishes)
+        verdicts = infos["verdict"]
+        assert verdicts.shape == (3,)
+        assert infos["_verdict"].tolist() == [True] * 3
+        assert infos["own"].tolist() == [1, 1, 1]
+        assert not terminated.any()
+        statuses |= {(index, verdict.status) for index, verdict in enumerate(verdicts)}
+        taken = [cart.taken for cart in env.env.envs]
+        np.testing.assert_allclose(taken, [verdict.action for verdict in verdicts], rtol=1e-6)
+    assert statuses == {(0, Status.passed), (0, Status.corrected), (1, Status.passed), (2, Status.fallback)}
+    assert observations[0, 0] > 0.9
+
+
+def test_it_decides_as_one_environment_does() -> None:
+    alone, together = wrapped(), GymnasiumVectorSafetyFilter(many(2), filter_of(), state_of=lambda seen: seen[:2])
+    together.reset(seed=0)
+    for one in reckless(alone):
+        for other in together.step(np.ones((2, 1), np.float32))[4]["verdict"]:
+            assert (other.status, other.action.tolist(), other.h_next) == (one.status, one.action.tolist(), one.h_next)
+
+
+def test_scenes_and_latents_of_each_environment() -> None:
+    env = GymnasiumSafetyFilter(
+        many(2),
+        filter_of(),
+        state_of=lambda seen: seen[:2],
+        barriers_of=lambda seen: [FunctionBarrier(lambda x: 9.0 + 0.0 * seen[2] - x[0])],
+        latent_of=lambda seen: None,
+    )
+    env.reset()
+    found = env.step(np.zeros((2, 1)))[4]["verdict"]
+    assert [verdict.h_now for verdict in found] == [11.0, 11.0]
+
+
+def test_vector_environments_that_do_not_fit() -> None:
+    class Whole(Cart):
+        action_space = gymnasium.spaces.Box(-1, 1, (1,), np.int64)
+
+    with pytest.raises(InputError, match=r"action space: got Box.*, wanted a Box of floats"):
+        GymnasiumSafetyFilter(gymnasium.vector.SyncVectorEnv([Whole]), filter_of(), lambda seen: seen[:2])
+    env = GymnasiumSafetyFilter(many(2), filter_of(), lambda seen: seen[:2])
+    env.reset()
+    with pytest.raises(InputError, match="actions: got 3, wanted 2, one for each environment"):
+        env.step(np.zeros((3, 1)))
+
+
+def test_before_the_first_observation_nothing_is_known() -> None:
+    env = GymnasiumVectorSafetyFilter(many(2), filter_of(), state_of=lambda seen: seen)
+    env.env.reset()
+    assert {verdict.status for verdict in env.step(np.ones((2, 1)))[4]["verdict"]} == {Status.fallback}

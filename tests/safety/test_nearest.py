@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from math import inf, nan
 
 import numpy as np
@@ -11,10 +12,11 @@ from hypothesis import strategies as st
 
 from safedpa.safety import QuadraticProgram
 from safedpa.safety.nearest import Row, nearest_kept
+from safedpa.safety.program_rows import breakable, closest
 
 numbers = st.integers(-200, 200).map(lambda number: number / 100)
 """Slopes of 1e-7 are beyond what PIQP can tell."""
-BOX: tuple[Row, ...] = ((1.0, 0.0, 0.0, inf), (-1.0, 0.0, -1.0, inf), (0.0, 1.0, 0.0, inf), (0.0, -1.0, -1.0, inf))
+BOX: tuple[Row, ...] = ((1.0, 0.0, 0.0), (-1.0, 0.0, -1.0), (0.0, 1.0, 0.0), (0.0, -1.0, -1.0))
 
 
 @settings(max_examples=300, deadline=None)
@@ -26,20 +28,22 @@ BOX: tuple[Row, ...] = ((1.0, 0.0, 0.0, inf), (-1.0, 0.0, -1.0, inf), (0.0, 1.0,
 def test_what_it_gives_is_what_piqp_gives(
     conditions: list[tuple[float, float, float]], wish: tuple[float, float], weights: tuple[float, float]
 ) -> None:
-    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.5), np.array(weights), 1e5, 1e4)
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.5), np.array(weights))
     table = np.array(conditions)
     quick = program.solve(table[:, :2].tolist(), table[:, 2].tolist(), wish)
-    scaled, right = table[:, :2] * program.range, table[:, 2] - table[:, :2] @ program.low
-    rows = list(zip(scaled.tolist(), right.tolist(), range(len(right)), strict=True))
-    closed = program._without_slack(rows, wish)
+    finite, rows = breakable(table[:, :2].tolist(), table[:, 2].tolist(), program.sides)
+    assert finite
+    closed = closest(rows, wish, program.sides, program.weights.tolist()) if rows else None
     if closed is None:
-        return  # PIQP answers
-    certain = program._with_slack(rows, wish, len(rows))
+        return  # no row can be broken, or PIQP answers
+    certain = program._with_slack(rows, wish, len(table))
+    np.testing.assert_array_equal(quick.action, closed)
     assert max(quick.slack) == 0.0
-    if certain.solved:
+    if certain.solved and max(certain.slack) < 1e-9:
         np.testing.assert_allclose(closed, certain.action, atol=2e-5)  # its gap of 1e-11 leaves a square root
         assert program.distance(closed, wish) <= program.distance(certain.action, wish) + 1e-9
-    assert (table[:, :2] @ closed >= table[:, 2] - 1e-11).all()
+    kept = [index for _, _, index, _ in rows]
+    assert (table[kept, :2] @ closed >= table[kept, 2] - 1e-10).all()
     assert (np.array(closed) >= program.low - 1e-11).all()
     assert (np.array(closed) <= program.high + 1e-11).all()
 
@@ -49,52 +53,68 @@ def test_it_answers_most_problems_that_need_no_slack() -> None:
     for _ in range(500):
         A, inside = random.normal(size=(random.integers(1, 8), 2)), random.uniform(0.0, 1.0, 2)
         right, wish = A @ inside - random.uniform(0.0, 0.2, len(A)), random.uniform(-1.0, 2.0, 2)
-        rows = [(a, b, limit, 1e9) for (a, b), limit in zip(A.tolist(), right.tolist(), strict=True)]
+        rows = [(a, b, limit) for (a, b), limit in zip(A.tolist(), right.tolist(), strict=True)]
         possible += 1
         answered += nearest_kept([*rows, *BOX], (wish[0], wish[1]), (1.0, 2.0)) is not None
     assert answered == possible
 
 
 def test_the_wish_itself_where_it_keeps_all() -> None:
-    assert nearest_kept([(1.0, 0.0, 0.2, 1.0), *BOX], (0.5, 0.5), (1.0, 1.0)) == (0.5, 0.5)
+    assert nearest_kept([(1.0, 0.0, 0.2), *BOX], (0.5, 0.5), (1.0, 1.0)) == (0.5, 0.5)
 
 
 def test_a_foot_and_a_corner() -> None:
-    assert nearest_kept([(1.0, 0.0, 0.75, 10.0), *BOX], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
-    assert nearest_kept([(1.0, 0.0, 0.75, 10.0), (0.0, 2.0, 1.5, 10.0), *BOX], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.75)
+    assert nearest_kept([(1.0, 0.0, 0.75), *BOX], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
+    assert nearest_kept([(1.0, 0.0, 0.75), (0.0, 2.0, 1.5), *BOX], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.75)
     assert nearest_kept(BOX, (2.0, -3.0), (1.0, 1.0)) == (1.0, 0.0)
 
 
 def test_weights_say_which_entry_moves_more() -> None:
-    found = nearest_kept([(1.0, 1.0, 1.6, 10.0), *BOX], (0.5, 0.5), (1.0, 2.0))
+    found = nearest_kept([(1.0, 1.0, 1.6), *BOX], (0.5, 0.5), (1.0, 2.0))
     assert found == pytest.approx((0.9, 0.7))
 
 
-@pytest.mark.parametrize(("price", "answers"), [(0.5, True), (0.49, False)])
-def test_a_condition_dearer_than_its_slack_is_left_to_the_solver(price: float, answers: bool) -> None:
-    """2 (0.75 - 0.5) = 0.5 is its multiplier."""
-    assert (nearest_kept([(1.0, 0.0, 0.75, price), *BOX], (0.5, 0.5), (1.0, 1.0)) is not None) == answers
-    corner: list[Row] = [(1.0, 0.0, 0.75, price), (0.0, 1.0, 0.75, 9.0)]
-    assert (nearest_kept([*corner, *BOX], (0.5, 0.5), (1.0, 1.0)) is not None) == answers
-    assert (nearest_kept([*corner[::-1], *BOX], (0.5, 0.5), (1.0, 1.0)) is not None) == answers
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_no_condition_is_too_dear_however_steep_it_is(size: float) -> None:
+    """There is no price at which one would rather be broken."""
+    foot: list[Row] = [(size, 0.0, 0.75 * size)]
+    assert nearest_kept([*foot, *BOX], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.5), abs=1e-6)
+    corner: list[Row] = [*foot, (0.0, size, 0.75 * size)]
+    for order in (corner, corner[::-1]):
+        assert nearest_kept([*order, *BOX], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.75), abs=1e-6)
 
 
-@pytest.mark.parametrize(("price", "answers"), [(0.25, True), (0.24, False)])
-def test_a_corner_of_steep_conditions_has_small_multipliers(price: float, answers: bool) -> None:
-    """2 (0.75 - 0.5) = 0.25 times the slope 2."""
-    rows: list[Row] = [(2.0, 0.0, 1.5, price), (0.0, 2.0, 1.5, 9.0)]
-    for order in (rows, rows[::-1]):
-        assert (nearest_kept([*order, *BOX], (0.5, 0.5), (1.0, 1.0)) is not None) == answers
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_a_condition_that_another_makes_needless_is_left_behind(order: tuple[int, ...]) -> None:
+    """x >= 0.6 is kept by whoever keeps x >= 0.75; in whatever order they stand."""
+    rows: list[Row] = [(1.0, 0.0, 0.6), (1.0, 0.0, 0.75), (1.0, 1.0, 1.2)]
+    assert nearest_kept([*[rows[index] for index in order], *BOX], (0.5, 0.5), (1.0, 1.0)) == (0.75, 0.5)
+
+
+def test_a_corner_with_one_foot_that_is_no_corner() -> None:
+    """The corner of both would need to pull: the foot on the newest alone is the optimum."""
+    rows: list[Row] = [(1.0, 1.0, 1.2), (1.0, -1.0, 0.3)]
+    found = nearest_kept([*rows, *BOX], (0.5, 0.5), (1.0, 1.0))
+    assert found == pytest.approx((0.75, 0.45))
+    rows = [(1.0, 0.0, 0.7), (2.0, 1.0, 2.2)]
+    assert nearest_kept([*rows, *BOX], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.78, 0.64))
+
+
+@pytest.mark.parametrize("missed", [0.9e-12, 1.1e-12])
+def test_what_rounding_breaks_is_kept(missed: float) -> None:
+    found = nearest_kept([(1.0, 0.0, 0.5 + missed), *BOX], (0.5, 0.5), (1.0, 1.0))
+    assert found is not None
+    assert (found[0] == 0.5) == (missed < 1e-12)
 
 
 def test_faint_conditions_have_a_corner_too() -> None:
-    rows: list[Row] = [(1e-5, 0.0, 0.75e-5, inf), (0.0, 1e-5, 0.75e-5, inf)]
+    rows: list[Row] = [(1e-5, 0.0, 0.75e-5), (0.0, 1e-5, 0.75e-5)]
     assert nearest_kept([*rows, *BOX], (0.5, 0.5), (1.0, 1.0)) == pytest.approx((0.75, 0.75))
 
 
 @pytest.mark.parametrize(
     "row",
-    [(0.0, 0.0, 0.1, 1e9), (1.0, 0.0, 1.1, 1e9), (nan, 0.0, 0.1, 1e9), (1.0, inf, 0.1, 1e9), (1.0, 0.0, nan, 1e9)],
+    [(0.0, 0.0, 0.1), (1.0, 0.0, 1.1), (nan, 0.0, 0.1), (1.0, inf, 0.1), (1.0, 0.0, nan)],
 )
 def test_no_answer_where_there_is_none(row: Row) -> None:
     assert nearest_kept([row, *BOX], (0.5, 0.5), (1.0, 1.0)) is None
@@ -102,16 +122,16 @@ def test_no_answer_where_there_is_none(row: Row) -> None:
 
 
 def test_a_row_of_zeros_has_no_corner_with_what_was_taken_in_before() -> None:
-    assert nearest_kept([(0.0, 0.0, 0.1, 1e9), *BOX], (2.0, 0.5), (1.0, 1.0)) is None
+    assert nearest_kept([(0.0, 0.0, 0.1), *BOX], (2.0, 0.5), (1.0, 1.0)) is None
 
 
 def test_rows_that_are_almost_parallel_have_no_corner() -> None:
-    rows: list[Row] = [(1.0, 0.0, 0.6, 1e9), (-1.0, 1e-12, -0.4, 1e9)]
+    rows: list[Row] = [(1.0, 0.0, 0.6), (-1.0, 1e-12, -0.4)]
     assert nearest_kept([*rows, *BOX], (0.5, 0.5), (1.0, 1.0)) is None
 
 
 def test_one_action_and_three() -> None:
-    one = QuadraticProgram(np.array([-1.0]), np.array([3.0]), np.array([2.0]), 1e5, 1e4)
+    one = QuadraticProgram(np.array([-1.0]), np.array([3.0]), np.array([2.0]))
     assert one.solve([[2.0]], [1.0], [-0.5]).action == [0.5]
-    three = QuadraticProgram(np.full(3, -1.0), np.full(3, 1.0), np.ones(3), 1e5, 1e4)
+    three = QuadraticProgram(np.full(3, -1.0), np.full(3, 1.0), np.ones(3))
     np.testing.assert_allclose(three.solve([[1.0] * 3], [1.5], [0.0] * 3).action, 0.5, atol=1e-7)

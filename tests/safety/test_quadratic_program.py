@@ -1,34 +1,42 @@
 """PIQP, in the filter's form, against quadprog and against the optimality conditions."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import quadprog
 
 from safedpa.safety import QuadraticProgram, Solution
+from safedpa.safety.quadratic_program import LINEAR, QUADRATIC
 
 
-def reference(
-    program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray, quadratic: float, linear: float
-) -> np.ndarray:
-    """(a, s) by quadprog, in the unscaled variables and with every row: min x'Gx/2 - c'x, C'x >= d."""
+def reaches(program: QuadraticProgram, A: np.ndarray) -> np.ndarray:
+    """(m,) what the actions can change in each condition."""
+    return np.asarray(np.abs(A) @ program.range)
+
+
+def reference(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.ndarray) -> np.ndarray:
+    """(a, s) by quadprog, in the unscaled actions and with every row: min x'Gx/2 - c'x, C'x >= d; s in shares of reach.
+
+    A limit beyond what any action reaches by more than the reach counts as one by just that.
+    """
     rows, actions = A.shape
-    weights = program.weights / (program.high - program.low) ** 2
-    G = np.diag(2.0 * np.concatenate([weights, np.full(rows, quadratic)]))
-    c = np.concatenate([2.0 * weights * wish, np.full(rows, -linear)])
+    reach = reaches(program, A)
+    limit = np.minimum(b / reach, A @ program.low / reach + 2.0)
+    weights = program.weights / program.range**2
+    G = np.diag(2.0 * np.concatenate([weights, np.full(rows, QUADRATIC)]))
+    c = np.concatenate([2.0 * weights * wish, np.full(rows, -LINEAR)])
     eye = np.eye(actions + rows)
-    C = np.vstack([np.hstack([A, np.eye(rows)]), eye[:actions], -eye[:actions], eye[actions:]])
-    d = np.concatenate([b, program.low, -program.high, np.zeros(rows)])
+    C = np.vstack([np.hstack([A / reach[:, np.newaxis], np.eye(rows)]), eye[:actions], -eye[:actions], eye[actions:]])
+    d = np.concatenate([limit, program.low, -program.high, np.zeros(rows)])
     return quadprog.solve_qp(G, c, C.T, d)[0]
 
 
 def problem(random: np.random.Generator) -> tuple[QuadraticProgram, np.ndarray, np.ndarray, np.ndarray]:
     actions, rows = int(random.integers(1, 4)), int(random.integers(1, 14))
     low = -random.uniform(0.2, 3.0, actions)
-    program = QuadraticProgram(
-        low, low + random.uniform(0.5, 5.0, actions), random.uniform(0.3, 3.0, actions), 1e3, 1e2
-    )
+    program = QuadraticProgram(low, low + random.uniform(0.5, 5.0, actions), random.uniform(0.3, 3.0, actions))
     A = random.normal(0.0, 0.3, (rows, actions)) * random.uniform(0.1, 1.0, (rows, 1))
     b = A @ random.uniform(program.low, program.high) + random.normal(0.0, 0.1, rows)
     return program, A, b, random.uniform(program.low - 1.0, program.high + 1.0)
@@ -40,8 +48,9 @@ def solved(program: QuadraticProgram, A: np.ndarray, b: np.ndarray, wish: np.nda
     return replace(found, action=np.array(found.action), slack=np.array(found.slack))
 
 
-def objective(program: QuadraticProgram, action: np.ndarray, slack: np.ndarray, wish: np.ndarray) -> float:
-    return program.distance(action, wish) + 1e3 * float(slack @ slack) + 1e2 * float(slack.sum())
+def objective(program: QuadraticProgram, A: np.ndarray, action: np.ndarray, slack: np.ndarray, wish: Any) -> float:
+    shares = slack / reaches(program, A)
+    return program.distance(action, wish) + QUADRATIC * float(shares @ shares) + LINEAR * float(shares.sum())
 
 
 def test_agrees_with_quadprog_on_thousands_of_random_problems() -> None:
@@ -50,13 +59,13 @@ def test_agrees_with_quadprog_on_thousands_of_random_problems() -> None:
         program, A, b, wish = problem(random)
         solution = solved(program, A, b, wish)
         assert solution.solved
-        expected = reference(program, A, b, wish, 1e3, 1e2)
-        actions = len(program.low)
-        np.testing.assert_allclose(solution.action, expected[:actions], atol=1e-6)
-        np.testing.assert_allclose(solution.slack, expected[actions:], atol=1e-6)
-        best = objective(program, expected[:actions], expected[actions:], wish)
-        assert objective(program, solution.action, solution.slack, wish) == pytest.approx(best, rel=1e-6, abs=1e-6)
-        relaxed += expected[actions:].max() > 1e-6
+        expected, actions, reach = reference(program, A, b, wish), len(program.low), reaches(program, A)
+        shares = expected[actions:]
+        np.testing.assert_allclose(solution.action, expected[:actions], atol=2e-5 if shares.max() > 1e-6 else 1e-6)
+        np.testing.assert_allclose(solution.slack / reach, shares, atol=1e-6)
+        best = objective(program, A, expected[:actions], shares * reach, wish)
+        assert objective(program, A, solution.action, solution.slack, wish) == pytest.approx(best, rel=1e-6, abs=1e-6)
+        relaxed += shares.max() > 1e-6
     assert 300 < relaxed < 2700  # both kinds of problems were there
 
 
@@ -65,20 +74,40 @@ def test_optimality_conditions_hold() -> None:
     random = np.random.default_rng(1)
     for _ in range(300):
         program, A, b, wish = problem(random)
+        b = np.minimum(b, A @ program.low + 2.0 * reaches(program, A))
         solution = solved(program, A, b, wish)
         assert (A @ solution.action + solution.slack >= b - 1e-7).all()
         assert (solution.action >= program.low - 1e-8).all()
         assert (solution.action <= program.high + 1e-8).all()
         assert (solution.slack >= -1e-9).all()
-        here = objective(program, solution.action, solution.slack, wish)
+        here = objective(program, A, solution.action, solution.slack, wish)
         for _ in range(20):
             other = np.clip(solution.action + random.normal(0, 0.05, len(wish)), program.low, program.high)
             slack = np.maximum(0.0, b - A @ other)
-            assert objective(program, other, slack, wish) >= here - 1e-6
+            assert objective(program, A, other, slack, wish) >= here - 1e-4  # of 1e4, the price
+
+
+@pytest.mark.parametrize("actions", [1, 2, 3])
+def test_no_unit_of_a_row_or_an_action_matters(actions: int) -> None:
+    """The same problem with every row in another unit, and with every action in another one."""
+    random = np.random.default_rng(actions)
+    for _ in range(100):
+        rows = int(random.integers(1, 8))
+        low = -random.uniform(0.2, 3.0, actions)
+        high, weights = low + random.uniform(0.5, 5.0, actions), random.uniform(0.3, 3.0, actions)
+        A, wish = random.normal(size=(rows, actions)), random.uniform(low - 1.0, high + 1.0)
+        b = A @ random.uniform(low, high) + random.normal(0.0, 0.3, rows)
+        units, scales = 10.0 ** random.uniform(-12, 12, rows), 10.0 ** random.uniform(-6, 6, actions)
+        one = solved(QuadraticProgram(low, high, weights), A, b, wish)
+        scaled = QuadraticProgram(low * scales, high * scales, 7.0 * weights)
+        other = solved(scaled, A * units[:, np.newaxis] / scales, b * units, wish * scales)
+        assert one.solved == other.solved
+        np.testing.assert_allclose(other.action / scales, one.action, atol=2e-5)
+        np.testing.assert_allclose(other.slack / units, one.slack, atol=1e-6 * np.abs(A).sum() * 5.0)
 
 
 def test_rows_that_no_action_can_break_need_no_solver() -> None:
-    program = QuadraticProgram(np.array([-1.0, -2.0]), np.array([1.0, 2.0]), np.ones(2), 1e3, 1e2)
+    program = QuadraticProgram(np.array([-1.0, -2.0]), np.array([1.0, 2.0]), np.ones(2))
     solution = solved(program, np.array([[1.0, 1.0]]), np.array([-3.0]), np.array([5.0, -0.5]))
     assert (solution.solved, solution.status) == (True, "not needed")
     np.testing.assert_array_equal(solution.action, [1.0, -0.5])
@@ -91,49 +120,107 @@ def test_rows_that_no_action_can_break_need_no_solver() -> None:
 def test_a_workspace_forgets_the_problem_before() -> None:
     """Sizes share workspaces: neither rows nor the wish of an earlier problem may linger."""
     random = np.random.default_rng(2)
-    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2), 1e3, 1e2)
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
     for rows in (8, 5, 7, 1, 6, 2, 3, 4, 5):
         A, wish = random.normal(size=(rows, 2)), random.normal(size=2)
         b = A @ random.uniform(-1, 1, 2) + 0.2
-        fresh = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2), 1e3, 1e2)
+        fresh = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
         np.testing.assert_allclose(solved(program, A, b, wish).action, solved(fresh, A, b, wish).action, atol=1e-7)
 
 
 def test_one_workspace_for_each_power_of_two() -> None:
-    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
     for rows in range(1, 10):
         solved(program, np.full((rows, 1), 1.0), np.full(rows, 1.5), np.zeros(1))  # not without slack
-    assert sorted(program._workspaces) == [1, 2, 4, 8, 16]
+    assert sorted(program._workspaces) == [(size, 1e-11) for size in (1, 2, 4, 8, 16)]
 
 
 def test_infeasible_conditions_cost_slack_only() -> None:
-    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
-    solution = solved(program, np.array([[1.0], [-1.0]]), np.array([3.0, 0.0]), np.zeros(1))
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+    solution = solved(program, np.array([[1.0], [-1.0]]), np.array([2.5, 0.0]), np.zeros(1))
     assert solution.solved
-    assert solution.slack.sum() == pytest.approx(3.0, abs=1e-6)
+    assert solution.slack.sum() == pytest.approx(2.5, abs=1e-6)
 
 
-def test_distance_is_weighted_by_range() -> None:
-    program = QuadraticProgram(np.array([0.0, 0.0]), np.array([2.0, 4.0]), np.array([1.0, 3.0]), 1e3, 1e2)
-    assert program.distance(np.array([1.0, 2.0]), np.array([0.0, 0.0])) == pytest.approx(0.25 + 0.75)
-    assert program.distance(np.array([1.0, 2.0]), np.array([2.0, 3.0])) == pytest.approx(0.25 + 3.0 / 16.0)
+def test_how_far_a_limit_lies_beyond_all_actions_does_not_matter() -> None:
+    """Else a hopeless row would outweigh all others: 3 is the most of interest, 2 reaches above the lowest value."""
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+    near, far = (
+        solved(program, np.array([[1.0], [-1.0]]), np.array([limit, 0.0]), np.zeros(1)) for limit in (3.0, 3e9)
+    )
+    np.testing.assert_allclose(far.action, near.action, atol=1e-9)
+    nearer = solved(program, np.array([[1.0], [-1.0]]), np.array([1.5, 0.0]), np.zeros(1))
+    assert nearer.action[0] == pytest.approx(0.75, abs=1e-4)
+    assert near.action[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_row_that_no_action_changes_is_left_out() -> None:
+    """Whether it is kept is not for the program to say."""
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
+    solution = solved(program, np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([5.0, 0.5]), np.zeros(2))
+    assert (solution.solved, solution.status) == (True, "solved")
+    np.testing.assert_allclose(solution.action, [0.5, 0.0])
+    np.testing.assert_array_equal(solution.slack, [0.0, 0.0])
+    tiny = solved(program, np.array([[5e-324, 0.0], [1.0, 0.0]]), np.array([5.0, 0.5]), np.zeros(2))
+    np.testing.assert_allclose(tiny.action, [0.5, 0.0])
+    alone = solved(program, np.array([[0.0, 0.0]]), np.array([5.0]), np.array([2.0, 0.1]))
+    assert alone.status == "not needed"
+    np.testing.assert_array_equal(alone.action, [1.0, 0.1])
+
+
+def test_slack_goes_to_the_row_that_it_belongs_to() -> None:
+    """Rows that are left out stand between; the slack is told in each row's own unit."""
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+    A, b = np.array([[1.0], [0.0], [1.0], [-50.0]]), np.array([-3.0, 4.0, 1.0, 0.0])
+    solution = solved(program, A, b, np.zeros(1))
+    assert solution.slack[[0, 1]].tolist() == [0.0, 0.0]
+    np.testing.assert_allclose(A[2:] @ solution.action + solution.slack[2:], b[2:], atol=1e-6)
+    assert solution.slack[3] == pytest.approx(50.0 * solution.slack[2], rel=1e-4)  # each gives up the same share
+
+
+def test_as_many_slopes_as_actions_and_as_many_rows_as_limits() -> None:
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
+    with pytest.raises(ValueError, match="the program has 1 rows and 2 limits"):
+        program.solve([[1.0, 0.0]], [0.0, 0.0], [0.0, 0.0])
+    with pytest.raises(ValueError, match="row 1 has 1 slopes for 2 actions"):
+        program.solve([[1.0, 0.0], [1.0]], [0.0, 0.0], [0.0, 0.0])
+
+
+def test_distance_is_weighted_by_range_and_the_largest_weight_counts_one() -> None:
+    program = QuadraticProgram(np.array([0.0, 0.0]), np.array([2.0, 4.0]), np.array([1.0, 4.0]))
+    assert program.distance(np.array([1.0, 2.0]), np.array([0.0, 0.0])) == pytest.approx(0.25 / 4.0 + 0.25)
+    assert program.distance(np.array([1.0, 2.0]), np.array([2.0, 3.0])) == pytest.approx(0.25 / 4.0 + 1.0 / 16.0)
 
 
 def test_a_condition_that_is_no_number_is_never_left_out() -> None:
-    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2), 1e3, 1e2)
+    program = QuadraticProgram(np.full(2, -1.0), np.full(2, 1.0), np.ones(2))
     for A, b in (([np.nan, 0.0], 0.5), ([1.0, 0.0], np.nan), ([np.inf, 0.0], 0.5), ([1.0, -np.inf], 0.5)):
         solution = solved(program, np.array([A, [0.0, 1.0]]), np.array([b, 0.1]), np.zeros(2))
         assert not (solution.solved and np.isfinite(solution.action).all())
 
 
 def test_numbers_that_are_none_are_not_reported_as_solved() -> None:
-    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
     solution = solved(program, np.array([[np.inf]]), np.array([0.5]), np.zeros(1))
     assert not (solution.solved and np.isfinite(solution.action).all())
 
 
-def test_a_solver_that_gives_up_is_not_believed() -> None:
-    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1), 1e3, 1e2)
-    program._workspace(1)._solver.settings.max_iter = 1
+def gives_up(program: QuadraticProgram, accuracy: float) -> None:
+    program._workspace(1, accuracy)._solver.settings.max_iter = 1
+
+
+def test_a_solver_that_gives_up_is_replaced_by_a_less_exacting_one() -> None:
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+    gives_up(program, 1e-11)
+    solution = solved(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
+    assert (solution.solved, solution.status) == (True, "solved")
+    assert solution.action[0] == pytest.approx(1.0, abs=1e-6)
+    assert solution.slack[0] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_two_solvers_that_give_up_are_not_believed() -> None:
+    program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+    gives_up(program, 1e-11)
+    gives_up(program, 1e-8)
     solution = solved(program, np.array([[1.0]]), np.array([1.5]), np.zeros(1))
     assert (solution.solved, solution.status) == (False, "max iter reached")

@@ -13,6 +13,7 @@ from safedpa.safety import CorridorBarrier, FilterSettings
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.settings import parse_settings, write_settings
 from safedpa.safety.shipped import settings_named
+from safedpa.systems import CAR, PENDULUM
 
 SETTINGS = settings_named("pendulum")
 
@@ -35,7 +36,7 @@ def state(**other: Any) -> StateMessage:
 
 
 def test_a_corridor_is_the_only_barrier_of_a_robot_that_does_not_drive() -> None:
-    barriers = SceneBarriers(SETTINGS).of(state())
+    barriers = SceneBarriers(SETTINGS, PENDULUM).of(state())
     assert not isinstance(barriers, str)
     (barrier,) = barriers
     assert isinstance(barrier, CorridorBarrier)
@@ -43,7 +44,7 @@ def test_a_corridor_is_the_only_barrier_of_a_robot_that_does_not_drive() -> None
 
 
 def test_it_is_kept_while_the_scene_stays_and_built_anew_when_it_changes() -> None:
-    scene = SceneBarriers(SETTINGS)
+    scene = SceneBarriers(SETTINGS, PENDULUM)
     first = scene.of(state())
     assert scene.of(state()) is first
     other = scene.of(state(corridor=(-0.5, 0.8)))
@@ -55,16 +56,16 @@ def test_it_is_kept_while_the_scene_stays_and_built_anew_when_it_changes() -> No
 @pytest.mark.parametrize(
     ("other", "message"),
     [
-        ({"corridor": ()}, "footprint"),
+        ({"corridor": ()}, "got 0 numbers, wanted 2"),
         ({"corridor": (0.1,)}, "wanted 2"),
         ({"corridor": (0.5, 0.1)}, "low < high"),
-        ({"footprint": (0.1, 0.3, 0.1)}, "the one or the other"),
-        ({"obstacles": ((0.0, 0.0, 1.0),)}, "the one or the other"),
-        ({"field": (-1.0, 1.0, -1.0, 1.0)}, "the one or the other"),
+        ({"footprint": (0.1, 0.3, 0.1)}, "a robot that does not drive"),
+        ({"obstacles": ((0.0, 0.0, 1.0),)}, "a robot that does not drive"),
+        ({"field": (-1.0, 1.0, -1.0, 1.0)}, "a robot that does not drive"),
     ],
 )
 def test_what_is_no_scene_is_told_in_words_every_time(other: dict[str, Any], message: str) -> None:
-    scene = SceneBarriers(SETTINGS)
+    scene = SceneBarriers(SETTINGS, PENDULUM)
     scene.of(state())
     for _ in range(2):
         answer = scene.of(state(**other))
@@ -73,9 +74,9 @@ def test_what_is_no_scene_is_told_in_words_every_time(other: dict[str, Any], mes
 
 
 def test_a_car_cannot_name_a_corridor_in_place_of_its_obstacles() -> None:
-    answer = SceneBarriers(SETTINGS).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
+    answer = SceneBarriers(FilterSettings(), CAR).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
     assert isinstance(answer, str)
-    assert "wanted a robot of angle and rate alone" in answer
+    assert "a robot that drives between obstacles" in answer
 
 
 def test_the_settings_of_the_pendulum() -> None:

@@ -128,12 +128,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
     model = load_model(options["model"])
     _check_rate(model, options["rate"])
-    system = model.system
-    if system.name != robot or system.action_names != _DRIVEN[robot]:
-        raise InputError(
-            f"--model {options['model']}: a {system.name} with {', '.join(system.action_names)}, "
-            f"wanted a {robot} with {', '.join(_DRIVEN[robot])}"
-        )
+    _check_robot(model, robot, options["model"], options["settings"])
     return Plan(
         robot=robot,
         name=options["name"],
@@ -158,6 +153,26 @@ def _plan(options: dict[str, Any]) -> Plan:
         certificates=options["certificates"],
         folder=Plan.new_folder(options["out"], options["name"]),
     )
+
+
+def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> None:
+    """Refuses the model of another robot, and settings of another one, before any process starts."""
+    from safedpa.safety.scenes import scene_of
+    from safedpa.safety.shipped import settings_named
+    from safedpa.systems import systems
+
+    system = model.system
+    states = systems()[robot].state_names
+    if (system.name, system.state_names, system.action_names) != (robot, states, _DRIVEN[robot]):
+        raise InputError(
+            f"--model {name}: a {system.name} with {', '.join(system.action_names)} (states "
+            f"{', '.join(system.state_names)}), wanted a {robot} with {', '.join(_DRIVEN[robot])} (states "
+            f"{', '.join(states)})"
+        )
+    try:
+        scene_of(model, settings_named(settings))
+    except InputError as error:
+        raise InputError(f"--settings {settings}: {error}") from error
 
 
 def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:

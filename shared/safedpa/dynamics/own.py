@@ -110,6 +110,12 @@ def _check_base(base: type[AbstractBase], path: Path) -> None:
         kind, system, parameters = made.kind, made.system, made.parameters
     except Exception as error:  # a user's class may fail in any way
         raise InputError(f"{label}: could not be made: {type(error).__name__}: {error}") from error
+    known = systems().get(system.name)
+    if known is not None and known.state_names != system.state_names:
+        raise InputError(
+            f"{label}: its system '{system.name}' has the states {', '.join(system.state_names)}, the known one of "
+            f"that name {', '.join(known.state_names)}; choose another name"
+        )
     state = dict.fromkeys(system.state_names, 0.1)
     action = dict.fromkeys(system.action_names, 0.1)
     try:

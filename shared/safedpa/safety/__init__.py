@@ -25,7 +25,7 @@ from safedpa.safety.speed_barrier import SpeedBarrier
 from safedpa.safety.verdict import Status, Verdict
 
 if TYPE_CHECKING:
-    from safedpa.safety.gymnasium_wrapper import GymnasiumSafetyFilter
+    from safedpa.safety.gymnasium_wrapper import GymnasiumSafetyFilter, GymnasiumVectorSafetyFilter
 
 __all__ = [
     "AbstractBarrier",
@@ -39,6 +39,7 @@ __all__ = [
     "Footprint",
     "FunctionBarrier",
     "GymnasiumSafetyFilter",
+    "GymnasiumVectorSafetyFilter",
     "HigherOrderBarrier",
     "MarginCalibration",
     "ObstacleBarrier",
@@ -67,9 +68,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """The gymnasium wrapper, imported when it is asked for: gymnasium is optional."""
-    if name == "GymnasiumSafetyFilter":
-        from safedpa.safety.gymnasium_wrapper import GymnasiumSafetyFilter
+    """The gymnasium wrappers, imported when they are asked for: gymnasium is optional."""
+    if name in ("GymnasiumSafetyFilter", "GymnasiumVectorSafetyFilter"):
+        from safedpa.safety import gymnasium_wrapper
 
-        return GymnasiumSafetyFilter
+        return getattr(gymnasium_wrapper, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

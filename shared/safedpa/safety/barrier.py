@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from safedpa.errors import InputError
 from safedpa.safety.chain_rule import chain_rule
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.remembered import Remembered
 
 __all__ = ["AbstractBarrier", "AbstractStack", "Barriers", "RememberingStack"]
@@ -27,6 +28,11 @@ class AbstractBarrier(ABC):
     """Which margin applies: ``obstacle``, ``field``, ``speed`` or a name of the user's own."""
     names: tuple[str, ...]
     """(m,) what each of them is called in verdicts."""
+    reads: tuple[str, ...] = ()
+    """Names of the entries of the state that h is written for, from the first on; empty: not known.
+
+    A filter refuses a model whose states are others.
+    """
 
     @abstractmethod
     def values(self, state: Values) -> Values:
@@ -45,7 +51,7 @@ class AbstractBarrier(ABC):
 
     def along(self, state: Values, directions: Values) -> Values:
         """d(h_i)/d(u_j) (m, n) at ``state`` + ``directions`` (states, n) u, u = 0."""
-        return np.asarray(self.evaluate(state)[1] @ directions)
+        return np.asarray(numbers_returned("gradient of h", self.evaluate(state)[1]) @ directions)
 
 
 class AbstractStack(Sequence[AbstractBarrier]):
@@ -84,12 +90,12 @@ class AbstractStack(Sequence[AbstractBarrier]):
 
     def heights(self, state: Sequence[float]) -> list[float]:
         """``values`` for plain numbers: h (m,) at ``state`` (states,)."""
-        h: list[float] = _plain("h", self.values(np.array(state)), (len(self.names),))
+        h: list[float] = _plain("h", self.values(_unwritten(state)), (len(self.names),))
         return h
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> Sequence[Sequence[float]]:
         """``gradient`` for plain numbers: its rows of these indices."""
-        table = _plain("gradient of h", self.gradient(np.array(state)), (len(self.names), len(state)))
+        table = _plain("gradient of h", self.gradient(_unwritten(state)), (len(self.names), len(state)))
         return [table[row] for row in rows]
 
     def along(
@@ -131,10 +137,14 @@ class Barriers(AbstractStack):
     """The parts one by one: the reference, and what serves barriers of any kind."""
 
     def values(self, state: Values) -> Values:  # noqa: D102
-        return np.concatenate([part.values(state) for part in self.parts])
+        if len(self.parts) == 1:
+            return numbers_returned("h", self.parts[0].values(state))
+        return np.concatenate([numbers_returned("h", part.values(state)) for part in self.parts])
 
     def gradient(self, state: Values) -> Values:  # noqa: D102
-        return np.concatenate([part.evaluate(state)[1] for part in self.parts])
+        if len(self.parts) == 1:
+            return numbers_returned("gradient of h", self.parts[0].evaluate(state)[1])
+        return np.concatenate([numbers_returned("gradient of h", part.evaluate(state)[1]) for part in self.parts])
 
     def since(self, state: Sequence[float]) -> AbstractStack:  # noqa: D102
         parts = [part.since(np.array(state)) for part in self.parts]
@@ -143,8 +153,9 @@ class Barriers(AbstractStack):
     def along(  # noqa: D102
         self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
     ) -> list[list[float]]:
-        at, whole = np.array(state), np.array(g) * widths  # of the whole range: as large as any motion by an action
-        slopes = np.concatenate([part.along(at, whole) for part in self.parts]) / widths
+        at, whole = _unwritten(state), np.array(g) * widths  # of the whole range: as large as any motion by an action
+        found = [numbers_returned("gradient of h", part.along(at, whole)) for part in self.parts]
+        slopes = np.concatenate(found) / widths
         table = _plain("gradient of h", slopes, (len(self.names), len(widths)))
         return [table[row] for row in rows]
 
@@ -191,6 +202,13 @@ class RememberingStack(AbstractStack):
         if known is None:
             known = self._plain[states] = Remembered(self._stack.plain(states))
         return known
+
+
+def _unwritten(state: Sequence[float]) -> Values:
+    """What every part may read and none may write into: the next one would see it."""
+    array = np.array(state)
+    array.setflags(write=False)
+    return array
 
 
 def _plain(what: str, array: Values, shape: tuple[int, ...]) -> Any:

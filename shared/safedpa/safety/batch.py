@@ -22,8 +22,10 @@ from safedpa.safety.batch_barriers import ManyScenes
 from safedpa.safety.batch_search import ManyConditions, ManyOutcomes, ManyPredictions, search_by_many
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.safety_filter import SafetyFilter
+from safedpa.safety.scene import is_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status
+from safedpa.systems import CAR
 
 __all__ = ["STATUSES", "BatchFilter", "ManyVerdicts"]
 
@@ -32,7 +34,6 @@ Flags = NDArray[np.bool_]
 
 STATUSES = tuple(Status)
 """By their number in ``ManyVerdicts.status``."""
-_CAR = ("x", "y", "yaw", "speed")
 
 
 @final
@@ -61,7 +62,7 @@ class BatchFilter:
     def __init__(self, model: PhysicsModel, settings: FilterSettings | None = None) -> None:
         self.model, self.settings = model, settings or FilterSettings()
         actions = len(self.settings.action_low)
-        if model.system.state_names != _CAR or len(model.system.action_names) != 2 or actions != 2:
+        if not is_of(model.system, CAR) or actions != 2:
             raise InputError(
                 f"model: got a '{model.system.name}' and {actions} actions, wanted a car and 2; filter it one by one"
             )

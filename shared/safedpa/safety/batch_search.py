@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.safety.batch_barriers import ManyScenes
 from safedpa.safety.batch_nearest import nearest_kept_by_many
 from safedpa.safety.conditions import NO_INFLUENCE, ROUNDING
-from safedpa.safety.search import NEEDLESS, OVERSHOOT, SAME, SERVED_WELL
+from safedpa.safety.search import DOUBTFUL, FAR, NEEDLESS, SERVED_WELL, overshot
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.tangent import MARK
 
@@ -108,6 +108,12 @@ class ManyConditions:
         """(robots,) smallest residual, each as a share of its barrier's scale."""
         return np.asarray((found.residual / np.maximum(self.scale, _TINY)).min(axis=1))
 
+    def distance(self, one: Values, other: Values) -> Values:
+        """(robots,) between actions (robots, 2), as ``QuadraticProgram.distance``."""
+        weights = self.settings.weight_vector
+        share = (one - other) / (self.settings.high - self.settings.low)
+        return np.asarray(share**2 @ (weights / weights.max()))
+
     def kept(self, found: ManyOutcomes) -> Flags:
         """(robots,) whether every condition holds, and every h is 0 or more."""
         return np.asarray(((found.residual >= -ROUNDING * self.scale) & (found.h_next >= 0.0)).all(axis=1))
@@ -146,38 +152,48 @@ class ManyConditions:
 
 
 def search_by_many(conditions: ManyConditions, wish: Values, start: ManyOutcomes) -> tuple[ManyOutcomes, Flags]:
-    """The best outcomes found, as ``search`` finds them, and where they are certain.
+    """The outcomes that ``search`` finds by posing the program, and where they are certain.
 
-    Not certain are those whose program needed slack on the way: the filter of one robot has to answer these.
+    Not certain are those whose program needed slack on the way, and those that ``search`` would not take as they are:
+    the filter of one robot has to answer these.
     """
     settings, robots = conditions.settings, len(wish)
-    width, last = settings.high - settings.low, np.full((robots, 4, 2), np.nan)
+    last = np.full((robots, 4, 2), np.nan)
     A = conditions.slopes(start, last)
     about, before = start.only(np.arange(robots)), start.only(np.arange(robots))
-    best, certain = start.only(np.arange(robots)), np.ones(robots, dtype=bool)
-    fresh, done = np.ones(robots, dtype=bool), np.zeros(robots, dtype=bool)
-    missing = np.maximum(0.0, -conditions.tightest(start))
+    certain, plain = np.ones(robots, dtype=bool), np.zeros(robots, dtype=bool)
+    missing, overshoot = np.maximum(0.0, -conditions.tightest(start)), np.zeros(robots)
     for index in range(settings.relinearisations + 1):
-        going = np.flatnonzero(certain & ~done)
+        going = np.flatnonzero(certain & ~plain)
         if len(going) == 0:
             break
         own = conditions.only(going)
         before.put(going, about.only(going))
-        found, good = _posed(own, A[going], about.only(going), wish[going], OVERSHOOT * index)
+        found, certain[going] = _posed(own, A[going], about.only(going), wish[going], overshoot[going])
         about.put(going, found)
-        certain[going] = good
-        better = np.ones(len(going), dtype=bool) if index == 0 else _better(own, wish[going], best.only(going), found)
-        best.put(going[better], found.only(better))
         tightest = own.tightest(found)
-        same = (np.abs(found.action - before.action[going]) <= SAME * width).all(axis=1)
-        done[going] = (own.kept(found) & (tightest <= NEEDLESS)) | (fresh[going] & same)
-        least, now = missing[going], np.maximum(0.0, -tightest)
-        fresh[going] = ~((now > 0.0) & (now < SERVED_WELL * least))
+        kept = own.kept(found)
+        plain[going] = kept & _as_it_is(own, wish[going], found, tightest, before.only(going), index)
+        certain[going] &= plain[going] | ~kept  # a kept one that is not taken is for the filter of one robot
+        last_missing, now = missing[going], np.maximum(0.0, -tightest)
+        fresh = ~((now > 0.0) & (now < SERVED_WELL * last_missing))
         missing[going] = now
-        anew = np.flatnonzero(certain & ~done & fresh)
+        pairs = zip(last_missing.tolist(), now.tolist(), strict=True)
+        overshoot[going] = [overshot(index + 1, *pair) for pair in pairs]
+        anew = going[fresh & certain[going] & ~plain[going]]
         if len(anew) and index < settings.relinearisations:
             _draw(conditions, A, anew, about, last)
-    return best, certain
+    return about, certain & plain
+
+
+def _as_it_is(
+    conditions: ManyConditions, wish: Values, found: ManyOutcomes, tightest: Values, before: ManyOutcomes, index: int
+) -> Flags:
+    """(robots,) where ``search`` takes a solution that keeps all conditions without looking any further."""
+    far = FAR * FAR
+    doubtful = (tightest > DOUBTFUL) & (conditions.distance(found.action, wish) > far)
+    moved = (conditions.distance(found.action, before.action) > far) & (index > 0)
+    return np.asarray((tightest <= NEEDLESS) & ~doubtful & ~moved)
 
 
 def _draw(conditions: ManyConditions, A: Values, which: Indices, about: ManyOutcomes, last: Values) -> None:
@@ -188,7 +204,7 @@ def _draw(conditions: ManyConditions, A: Values, which: Indices, about: ManyOutc
 
 
 def _posed(
-    conditions: ManyConditions, A: Values, about: ManyOutcomes, wish: Values, overshoot: float
+    conditions: ManyConditions, A: Values, about: ManyOutcomes, wish: Values, overshoot: Values
 ) -> tuple[ManyOutcomes, Flags]:
     """The outcomes of the programs' solutions without slack, and where these are certain."""
     settings = conditions.settings
@@ -196,7 +212,11 @@ def _posed(
     reach = np.abs(A) @ width
     missing = np.minimum(about.residual, 0.0)
     limits = (
-        (A @ about.action[:, :, np.newaxis])[..., 0] - about.residual - overshoot * missing + MARK * reach - A @ low
+        (A @ about.action[:, :, np.newaxis])[..., 0]
+        - about.residual
+        - overshoot[:, np.newaxis] * missing
+        + MARK * reach
+        - A @ low
     )
     moved = reach > 0.0
     safe = np.where(moved, reach, 1.0)
@@ -209,13 +229,3 @@ def _posed(
     point, certain = nearest_kept_by_many(slopes, limits, scaled, settings.weight_vector)
     action = np.clip(low + width * np.where(certain[:, np.newaxis], point, 0.0), low, settings.high)
     return conditions.outcome(action), certain
-
-
-def _better(conditions: ManyConditions, wish: Values, one: ManyOutcomes, other: ManyOutcomes) -> Any:
-    """Where the other is the better one."""
-    settings = conditions.settings
-    width, weights = settings.high - settings.low, settings.weight_vector
-    cost, costs = ((((found.action - wish) / width) ** 2) @ weights for found in (one, other))
-    first, second = conditions.kept(one), conditions.kept(other)
-    tighter = conditions.tightest(other) > conditions.tightest(one)
-    return np.where(first & second, costs < cost, np.where(first | second, second, tighter))

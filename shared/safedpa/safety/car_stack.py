@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier, AbstractStack, Barriers
 from safedpa.safety.car_geometry import CarGeometry
+from safedpa.safety.compatibility import check_reads
 from safedpa.safety.field_barrier import FieldBarrier
 from safedpa.safety.obstacle_barrier import ObstacleBarrier
 from safedpa.safety.speed_barrier import SpeedBarrier
@@ -44,21 +45,33 @@ def stacked(parts: Sequence[AbstractBarrier]) -> AbstractStack:
 
 @final
 class Stacks:
-    """``stacked`` for parts that are mostly those of the last tick: their stack is kept."""
+    """``stacked`` for parts that are mostly those of the last tick: their stack is kept.
 
-    def __init__(self) -> None:
+    ``states`` are the names of the state's entries; empty: not known.
+    """
+
+    def __init__(self, states: Sequence[str] = ()) -> None:
+        self._states = tuple(states)
+        self._entries = -1
         self._last: AbstractStack = Barriers(())
         self._given: AbstractStack = self._last
 
-    def of(self, parts: Sequence[AbstractBarrier]) -> AbstractStack:
-        """The stack of just these objects."""
+    def of(self, parts: Sequence[AbstractBarrier], entries: int) -> AbstractStack:
+        """The stack of just these objects, for a state with so many entries.
+
+        Raises InputError for one that is no barrier, or reads other states.
+        """
+        if entries != self._entries:
+            self._last, self._given, self._entries = Barriers(()), Barriers(()), entries
         if parts is self._given:
             return parts
         if isinstance(parts, AbstractStack):
+            check_reads(parts.parts, self._states, entries)
             self._given = parts
             return parts
         known = self._last.parts
         if len(parts) != len(known) or not all(map(is_, parts, known)):
+            check_reads(parts, self._states, entries)
             self._last = stacked(parts)
         return self._last
 

@@ -10,7 +10,7 @@ so that no verdict depends on the unit in which h, a state or an action is expre
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
+from math import inf, isfinite
 from typing import Any, Final, final
 
 from safedpa.errors import InputError
@@ -54,6 +54,8 @@ class Outcome:
         """Rows whose condition is broken by more than rounding."""
         self.least: float = min(h_next)
         """Smallest h_i(x+)."""
+        self.usable: bool = self.least > -inf
+        """False where model or barrier have no finite numbers for this action: then all its h are -infinity."""
         self.kept: bool = not broken and self.least >= 0.0
         """Whether every condition holds, and every h_i(x+) >= 0."""
 
@@ -120,10 +122,11 @@ class Conditions:
 
     def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
-        following = self._following(action)
-        h_next: list[float] = self._plain.heights(following)
-        _finite("h at the predicted state", h_next)
-        required = self.required
+        following, required = self._following(action), self.required
+        h_next: list[float] = self._plain.heights(following) if _is_finite(following) else []
+        if not h_next or not _is_finite(h_next):
+            nothing = [-inf] * len(required)
+            return Outcome(action, following, nothing, nothing, list(range(len(required))))
         if len(h_next) != len(required):
             raise ValueError(f"{len(h_next)} values of h, wanted {len(required)}")
         residual: list[float] = []
@@ -182,7 +185,6 @@ class Conditions:
             found = self._motion.after(action)
         else:
             found = self._prediction.following(self._state, action, self._latent, self._memory)
-        _finite("predicted state", found)
         return found
 
     def _unsaturated(self, g: list[list[float]], about: Outcome) -> list[list[float]]:
@@ -195,6 +197,8 @@ class Conditions:
             if self._silent(g, index, about.next_state):
                 last = self._last_g
                 column = self._chord(about, index) if last is None else [row[index] for row in last]
+                if not _is_finite(column):
+                    continue
                 g = [[*row[:index], slope, *row[index + 1 :]] for row, slope in zip(g, column, strict=True)]
         return g
 
@@ -218,14 +222,13 @@ class Conditions:
 
 
 def _finite(what: str, numbers: list[float]) -> None:
+    if not _is_finite(numbers):
+        raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
+
+
+def _is_finite(numbers: list[float]) -> bool:
     total = 0.0
     for value in numbers:
         total += value
-    if total - total != 0.0:
-        _refuse_infinite(what, numbers)
-
-
-def _refuse_infinite(what: str, numbers: list[float]) -> None:
-    """Finite numbers have an infinite sum where they are as large as a float can be."""
-    if not all(map(isfinite, numbers)):
-        raise InputError(f"{what}: got NaN or infinity, wanted finite numbers")
+    # finite numbers have an infinite sum where they are as large as a float can be
+    return total - total == 0.0 or all(map(isfinite, numbers))

@@ -23,6 +23,7 @@ class CorridorBarrier(AbstractBarrier):
     The set {h >= 0, low <= x_a <= high} is invariant where h >= 0 is kept: d(x_a)/dt = (s - x_a) / time, so the angle
     follows s like a low-pass and never leaves the corridor that s is in. Affine, as the paper's p'x + q.
 
+    ``angle`` and ``rate`` say which entries of any state these are; without either, a pendulum's.
     Raises InputError unless low < high and time > 0, all finite.
     Source: the affine barrier of Cheng, Orosz, Murray, Burdick, End-to-End Safe Reinforcement Learning through Barrier
     Functions, AAAI 2019 (pendulum), with both edges free.
@@ -30,7 +31,16 @@ class CorridorBarrier(AbstractBarrier):
 
     kind = "corridor"
 
-    def __init__(self, low: float, high: float, time: float, *, angle: int = 0, rate: int = 1, name: str = "") -> None:
+    def __init__(
+        self,
+        low: float,
+        high: float,
+        time: float,
+        *,
+        angle: int | None = None,
+        rate: int | None = None,
+        name: str = "",
+    ) -> None:
         if not (isfinite(low) and isfinite(high) and low < high):
             raise InputError(f"corridor: got {low} to {high}, wanted finite low < high in rad")
         if not (isfinite(time) and time > 0.0):
@@ -38,7 +48,8 @@ class CorridorBarrier(AbstractBarrier):
         prefix = f"{name} " if name else ""
         self.names = (f"{prefix}lower edge", f"{prefix}upper edge")
         self.low, self.high, self.time = float(low), float(high), float(time)
-        self._angle, self._rate = angle, rate
+        self._angle, self._rate = 0 if angle is None else angle, 1 if rate is None else rate
+        self.reads = ("angle", "rate") if angle is None and rate is None else ()
 
     def values(self, state: Values) -> Values:  # noqa: D102
         ahead = float(state[self._angle]) + self.time * float(state[self._rate])

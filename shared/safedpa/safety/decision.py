@@ -13,9 +13,11 @@ from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
-from safedpa.safety.inputs import Plausible, Unusable, checked_input
+from safedpa.safety.inputs import Plausible, Unusable, checked_input, checked_names
+from safedpa.safety.lattice import lattice
 from safedpa.safety.least_unsafe import least_unsafe
 from safedpa.safety.margins_in_force import Margins
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
@@ -36,6 +38,13 @@ search: Callable[..., tuple[Outcome, str]] = _search
 
 _BINDING: Final = 0.02
 """A condition within this share of its scale of its limit is reported as active."""
+
+
+_NAMED: Final = 3
+"""Barriers that a sentence names at most."""
+
+_STARTS: Final = 3
+"""Actions that keep all conditions from which a nearer one is looked for."""
 
 
 @final
@@ -78,9 +87,10 @@ class Decision:
     def __init__(self, tools: Tools, request: Request) -> None:
         self._tools, self._request = tools, request
         self._start = tools.clock()
-        self._problems = [f"{name} is stale" for name in request.stale]
+        stale = checked_names(request.stale)
+        self._problems = ["stale is no list of names"] if stale is None else [f"{name} is stale" for name in stale]
         self._state = self._checked("state", request.state, tools.state_range)
-        if "state" in request.stale:
+        if stale is None or "state" in stale:
             self._state = None
         self._wish = self._checked("wish", request.wish, tools.wish_range)
         wanted = tools.latent_range
@@ -139,7 +149,7 @@ class Decision:
         request, settings = self._request, self._tools.settings
         if self._state is None or (self._needs_latent and self._latent is None):
             raise DecisionError("state or latent unusable")
-        barriers = self._tools.stacks.of(request.barriers)
+        barriers = self._tools.stacks.of(request.barriers, len(self._state))
         if not barriers.names:
             raise DecisionError("there is no barrier to keep")
         epsilon, self._margin = self._tools.margins.of(barriers, request.epsilon)
@@ -161,36 +171,54 @@ class Decision:
         if found.kept:
             return self._verdict(Status.corrected, found, "", solver)
         backup = conditions.outcome(self._backup_action())
-        start = towards(conditions, self._within(wish), backup) if backup.kept else backup
-        other, solver = search(conditions, program, wish, start, rounds)
+        spread = self._spread(conditions)
+        other, solver = self._from_elsewhere(conditions, wish, asked, [backup, *spread])
         if other.kept:
-            return self._verdict(Status.corrected, other, "Found from the backup action.", solver)
-        if start.kept:
-            return self._verdict(Status.corrected, start, "Between the backup action and the wish.", solver)
-        best = self._least_unsafe(conditions, [asked, found, other, backup])
-        if best.kept:
-            nearer = towards(conditions, self._within(wish), best)
+            return self._verdict(Status.corrected, other, "Found from another start than the wish.", solver)
+        best, said = self._least_unsafe(conditions, backup, [asked, found, other, *spread])
+        return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
+
+    def _from_elsewhere(
+        self, conditions: Conditions, wish: Action, asked: Outcome, known: Sequence[Outcome]
+    ) -> tuple[Outcome, str]:
+        """The best outcome found from the kept ones of ``known`` that are nearest to the wish, or the least broken."""
+        program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
+        kept = sorted([one for one in known if one.kept], key=lambda one: program.distance(one.action, wish))
+        if not kept:
+            return search(conditions, program, wish, max(known, key=conditions.tightest), rounds)
+        best, status = kept[0], "not needed"
+        for start in kept[:_STARTS]:
+            nearer = towards(conditions, asked, start)
             found, solver = search(conditions, program, wish, nearer, rounds)
-            kept = found if found.kept else nearer
-            return self._verdict(Status.corrected, kept, "Found from a corner of the actions' range.", solver)
-        return self._verdict(Status.relaxed, best, self._worst(conditions, best), solver)
+            for one in (nearer, found):
+                if one.kept and program.distance(one.action, wish) < program.distance(best.action, wish):
+                    best, status = one, solver
+        return best, status
 
     def _violated(self, conditions: Conditions, asked: Outcome) -> Verdict:
         backup = conditions.outcome(self._backup_action())
-        best = self._least_unsafe(conditions, [asked, backup])
+        best, said = self._least_unsafe(conditions, backup, [asked, *self._spread(conditions)])
         names, h_now = conditions.barriers.names, conditions.h_now
         below = ", ".join([names[row] for row in range(len(names)) if h_now[row] < 0.0])
-        return self._verdict(Status.violated, best, f"Below 0: {below}.", "solved")
+        return self._verdict(Status.violated, best, f"Below 0: {below}.{said}", "solved")
 
-    def _least_unsafe(self, conditions: Conditions, known: Sequence[Outcome]) -> Outcome:
+    def _spread(self, conditions: Conditions) -> list[Outcome]:
+        tools = self._tools
+        return [conditions.outcome(one) for one in lattice(tools.program.sides, affine=tools.prediction.affine)]
+
+    def _least_unsafe(self, conditions: Conditions, backup: Outcome, known: list[Outcome]) -> tuple[Outcome, str]:
+        """The least unsafe outcome, and what is to be said of barriers that no action moves."""
         assert self._wish is not None
         tools = self._tools
-        return least_unsafe(conditions, tools.program, tools.highest, self._wish, known)
+        best, stuck = least_unsafe(conditions, tools.program, tools.highest, self._wish, backup, known)
+        if not stuck:
+            return best, ""
+        return best, f" No action moves {', '.join(stuck[:_NAMED])} within one step: the backup is taken for the wish."
 
     def _worst(self, conditions: Conditions, best: Outcome) -> str:
         """Which conditions cannot be kept, in words."""
         names = conditions.binding(best, 0.0)
-        return f"Not kept: {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}."
+        return f"Not kept: {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''}."
 
     def _backup_action(self) -> Action:
         """The user's backup within the bounds; the resting action where there is none or it fails."""
@@ -198,7 +226,7 @@ class Decision:
             return self._tools.resting_action
         try:
             state = None if self._state is None else np.array(self._state)
-            action = np.array(self._tools.backup(state), dtype=np.float64)
+            action = numbers_returned("backup", self._tools.backup(state))
         except Exception:  # noqa: BLE001 - the last resort must not depend on a user's function
             return self._tools.resting_action
         if action.shape != (len(self._tools.resting_action),) or not np.isfinite(action).all():
@@ -209,6 +237,8 @@ class Decision:
         return within(action, self._tools.program.sides)
 
     def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
+        if not outcome.usable:
+            return self._answer(status, outcome.action, reason, solver)
         active = () if self._conditions is None else self._conditions.binding(outcome, _BINDING)
         return self._answer(status, outcome.action, reason, solver, outcome.violation, active, outcome.least)
 

@@ -35,6 +35,7 @@ class FieldBarrier(AbstractBarrier):
     """
 
     kind = "field"
+    reads = ("x", "y", "yaw", "speed")
     names = tuple(
         f"{wall} wall, {end} end" for end in ("front", "rear") for wall in ("left", "right", "lower", "upper")
     )

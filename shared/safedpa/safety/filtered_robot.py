@@ -16,11 +16,10 @@ from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.held_model import HeldModel
 from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
-from safedpa.safety.scene import SceneBarriers
+from safedpa.safety.scenes import Scene, scene_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
-from safedpa.systems import POINT
 
 __all__ = ["NO_BARRIERS", "Decided", "FilteredRobot"]
 
@@ -68,7 +67,7 @@ class FilteredRobot:
 
     held: HeldModel
     filter: SafetyFilter
-    scene: SceneBarriers | PointScene
+    scene: Scene
     margin: WatchedMargin
     tick: int = -1
     prepared: tuple[int, int] = (0, -1)
@@ -86,17 +85,14 @@ class FilteredRobot:
 
     @classmethod
     def begun(cls, held: HeldModel, settings: FilterSettings) -> FilteredRobot:
-        """For a robot that was not filtered before, or not with this model."""
-        if held.model.system.name == POINT.name:
-            scene = PointScene(held.model, settings)
-            backed = SafetyFilter.for_model(held.model, settings, backup=scene.backup)
-            return cls(held, backed, scene, WatchedMargin(held.calibration))
-        return cls(
-            held,
-            SafetyFilter.for_model(held.model, settings),
-            SceneBarriers(settings),
-            WatchedMargin(held.calibration),
-        )
+        """For a robot that was not filtered before, or not with this model.
+
+        Raises InputError where the settings are another robot's, or nobody wrote barriers for this one.
+        """
+        scene = scene_of(held.model, settings)
+        backup = scene.backup if isinstance(scene, PointScene) else None
+        filtering = SafetyFilter.for_model(held.model, settings, backup=backup)
+        return cls(held, filtering, scene, WatchedMargin(held.calibration))
 
     @property
     def speeds(self) -> tuple[int, ...]:

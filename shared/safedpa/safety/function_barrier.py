@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.numbers_returned import numbers_returned, read_only
 
 __all__ = ["FunctionBarrier"]
 
@@ -28,7 +29,9 @@ class FunctionBarrier(AbstractBarrier):
     ``gradient(state)`` is (states,) or (m, states).
 
     Without a gradient central differences are taken, step 6e-6 max(1, |x_j|): error about 1e-10 for smooth h of size 1.
-    ``names`` says how many values h has (default: one). Raises InputError at evaluation when a shape is wrong.
+    ``names`` says how many values h has (default: one), ``reads`` the states that it is written for. h and its gradient
+    see arrays that they cannot write into. Raises InputError at evaluation when a shape is wrong, or what came back are
+    no real numbers.
     """
 
     def __init__(
@@ -37,20 +40,23 @@ class FunctionBarrier(AbstractBarrier):
         gradient: Callable[[Values], ArrayLike] | None = None,
         names: Sequence[str] = ("h",),
         kind: str = "function",
+        reads: Sequence[str] = (),
     ) -> None:
         if isinstance(names, str) or not names:
             raise InputError(f"names: got {names!r}, wanted a sequence with one name for each value of h")
-        self.names, self.kind = tuple(names), kind
+        if isinstance(reads, str):
+            raise InputError(f"reads: got {reads!r}, wanted a sequence with the names of the states")
+        self.names, self.kind, self.reads = tuple(names), kind, tuple(reads)
         self._h, self._gradient = h, gradient
 
     def values(self, state: Values) -> Values:  # noqa: D102
-        return self._shaped("h", self._h(state), (len(self.names),))
+        return self._shaped("h", self._h(read_only(state)), (len(self.names),))
 
     def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
         h = self.values(state)
         if self._gradient is None:
             return h, self._differences(state)
-        return h, self._shaped("gradient of h", self._gradient(state), (len(self.names), len(state)))
+        return h, self._shaped("gradient of h", self._gradient(read_only(state)), (len(self.names), len(state)))
 
     def along(self, state: Values, directions: Values) -> Values:
         """As in every barrier; without a gradient differences along the directions, which know the state's scale."""
@@ -69,11 +75,13 @@ class FunctionBarrier(AbstractBarrier):
             up, down = state.copy(), state.copy()
             up[index] += nudge
             down[index] -= nudge
+            up.setflags(write=False)
+            down.setflags(write=False)
             gradient[:, index] = (self.values(up) - self.values(down)) / (up[index] - down[index])
         return gradient
 
     def _shaped(self, what: str, value: Any, shape: tuple[int, ...]) -> Values:
-        array = np.asarray(value, dtype=np.float64)
+        array = numbers_returned(what, value)
         if len(self.names) == 1 and array.shape == shape[1:]:
             array = array.reshape(shape)
         if array.shape != shape:

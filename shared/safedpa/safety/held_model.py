@@ -9,6 +9,7 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.offered import offered_model
 from safedpa.errors import InputError
 from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.compatibility import check_margins
 from safedpa.safety.margin_text import margin_from_text
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.shipped import margin_for
@@ -42,6 +43,7 @@ def checked_calibration(calibration: MarginCalibration, own: str, settings: Filt
             f"margin: calibrated for model {calibration.fingerprint}, the filter has {own}; "
             "calibrate it anew with 'safedpa calibrate'"
         )
+    check_margins(calibration.epsilon, ())
     return calibration.chosen(settings.margin)
 
 

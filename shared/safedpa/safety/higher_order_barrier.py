@@ -53,6 +53,7 @@ class HigherOrderBarrier(AbstractBarrier):
         gradient: Callable[[Values], ArrayLike] | None = None,
         names: Sequence[str] = ("h",),
         kind: str = "function",
+        reads: Sequence[str] = (),
     ) -> None:
         if len(derivatives) < 2 or len(rates) != len(derivatives) - 1:
             raise InputError(
@@ -69,8 +70,8 @@ class HigherOrderBarrier(AbstractBarrier):
         roots = np.array([-float(rate) for rate in constant if not callable(rate)])
         self._inner: Values = np.atleast_1d(np.poly(roots))[::-1].copy()
         """c_k (r - 1,) of psi_{r-2}."""
-        self._barrier = FunctionBarrier(self._psi, gradient, names, kind)
-        self.names, self.kind = self._barrier.names, self._barrier.kind
+        self._barrier = FunctionBarrier(self._psi, gradient, names, kind, reads)
+        self.names, self.kind, self.reads = self._barrier.names, self._barrier.kind, self._barrier.reads
 
     def values(self, state: Values) -> Values:  # noqa: D102
         return self._barrier.values(state)

@@ -9,10 +9,15 @@ from typing import Any, Final, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Plausible", "Unusable", "checked_input"]
+from safedpa.safety.numbers_returned import numbers_returned
+
+__all__ = ["Plausible", "Unusable", "checked_input", "checked_names"]
 
 Values: TypeAlias = NDArray[np.float64]
 
+_TUPLE: Final[Any] = tuple
+_LIST: Final[Any] = list
+_PLAIN: Final[Any] = float
 _ARRAY: Final[Any] = np.ndarray
 _FLOAT: Final[Any] = np.dtype(np.float64)
 
@@ -52,9 +57,11 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[f
     entries: tuple[float, ...]
     if type(value) is _ARRAY and value.dtype is _FLOAT and value.ndim == 1:
         shape, entries = value.shape, tuple(value.tolist())
+    elif (type(value) is _TUPLE or type(value) is _LIST) and _all_floats(value):
+        shape, entries = (len(value),), tuple(value)
     else:
         try:
-            array = np.asarray(value, dtype=np.float64)
+            array = numbers_returned(what, value)
         except Exception:  # noqa: BLE001 - whatever an object raises when it is read, it is not a vector of numbers
             return Unusable(f"{what} does not consist of numbers")
         shape, entries = array.shape, tuple(array.tolist()) if array.ndim == 1 else ()
@@ -70,6 +77,28 @@ def checked_input(what: str, value: Any, plausible: Plausible | None) -> tuple[f
         return Unusable(f"{what} holds NaN or infinity")
     said = f"{plausible.names[found]} = {entries[found]:g}, wanted {low[found]:g} to {high[found]:g}"
     return Unusable(f"{what} is out of its plausible range: {said}")
+
+
+def _all_floats(values: Any) -> bool:
+    """Whether a list or tuple holds nothing but floats: the ordinary case, and no array is needed."""
+    for value in values:  # noqa: SIM110 - no generator for every input
+        if type(value) is not _PLAIN:
+            return False
+    return True
+
+
+def checked_names(names: Any) -> tuple[str, ...] | None:
+    """The names in a list, tuple or set; None where that is none, or holds anything but text."""
+    if type(names) is _TUPLE and not names:
+        return ()
+    if not isinstance(names, (list, tuple, set, frozenset)):
+        return None
+    found: list[str] = []
+    for name in names:
+        if not isinstance(name, str):
+            return None
+        found.append(str(name))
+    return tuple(found)
 
 
 def _first_unbelieved(entries: tuple[float, ...], low: tuple[float, ...], high: tuple[float, ...]) -> int:

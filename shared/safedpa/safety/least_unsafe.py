@@ -4,23 +4,25 @@
     then     of the rows that this leaves free, the next least one, until all their conditions hold,
     last     the least change of the wish,
 
-each within ``TOLERANCE`` of a scale, and never below 0 where 0 can be attained. The programs are linear, tangent at the
-best action known, and are posed anew about their solution; what counts is the model's own prediction for it.
+each within ``TOLERANCE`` of what the actions can change in h_i, and never below 0 where 0 can be attained. The programs
+are linear, tangent at the best action known, and are posed anew about their solution; what counts is the model's own
+prediction for it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import product
 from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.errors import InputError
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
 from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
+from safedpa.safety.search import DecisionError
 from safedpa.safety.tangent import Tangent
 
 __all__ = ["TOLERANCE", "least_unsafe"]
@@ -29,31 +31,45 @@ Values = NDArray[np.float64]
 Action = tuple[float, ...]
 
 TOLERANCE: Final = 2e-3
-"""Share of a barrier's scale that is given away for the next aim."""
+"""Share of what the actions can change in an h that is given away for the next aim; the programs give away half."""
 
+_ROUNDING: Final = 1e-12
+"""Share of a scale by which the h of two actions may differ that no action changes."""
 _ROUNDS: Final = 4
 _LEVELS: Final = 4
 _TRUE: Final = 1e-6
 """Share of a scale to which a tangent has to foretell h for its optimum to be the optimum."""
-_MOST_CORNERS: Final = 4
-"""Actions up to which all corners of their range are tried."""
+_FEWEST: Final = 5
+"""Outcomes from which what the actions can change is read; of fewer they are not all over their range."""
 _STEPS: Final = (0.5, 0.125)
 """Shares of the way to a solution that are tried where its end is no better."""
 
 
 def least_unsafe(
-    conditions: Conditions, program: QuadraticProgram, highest: HighestProgram, wish: Action, known: Sequence[Outcome]
-) -> Outcome:
-    """The least unsafe outcome found; ``known`` are some that were computed already, one at least."""
-    return _Lift(conditions, program, highest, wish, known[0]).run(known)
+    conditions: Conditions,
+    program: QuadraticProgram,
+    highest: HighestProgram,
+    wish: Action,
+    backup: Outcome,
+    known: Sequence[Outcome],
+) -> tuple[Outcome, tuple[str, ...]]:
+    """The least unsafe outcome found, and the barriers in question that no action moves within one step.
+
+    ``known`` are some that were computed already, those of actions all over their range among them: what the actions
+    can change in h is taken from them, since a tangent would say too much where an actuator saturates. Where a barrier
+    that is not kept, or below 0 now, does not depend on the action yet, the ``backup`` stands in for the wish: it is
+    what is known to be good beyond one step. Raises DecisionError where no action has a finite prediction.
+    """
+    usable = [one for one in (backup, *known) if one.usable]
+    if not usable:
+        raise DecisionError("the model or a barrier has no finite number for any action")
+    lift = _Lift(conditions, program, highest, wish, backup, usable)
+    return lift.run(usable), lift.stuck
 
 
 @final
 class _Lift:
-    """One search. What the actions can change in h is taken from all corners of their range, as far as these are few.
-
-    A tangent would say too much where an actuator saturates.
-    """
+    """One search. The scales stay as they are, so that heights can be compared."""
 
     def __init__(
         self,
@@ -61,48 +77,70 @@ class _Lift:
         program: QuadraticProgram,
         highest: HighestProgram,
         wish: Action,
-        first: Outcome,
+        backup: Outcome,
+        usable: Sequence[Outcome],
     ) -> None:
-        self._conditions, self._program, self._highest, self._wish = conditions, program, highest, wish
+        self._conditions, self._program, self._highest = conditions, program, highest
         self._low, self._range = program.low, program.range
         self._safe = conditions.least_now >= 0.0
-        self._known = [conditions.outcome(corner) for corner in self._corners()]
-        if self._known:
-            reached = np.array([one.h_next for one in self._known])
-            self._scales = np.maximum(conditions.sizes, reached.max(axis=0) - reached.min(axis=0))
-        else:
-            conditions.linearised(first).all(len(first.h_next))
-            self._scales = np.array(conditions.scales)
         self._required = np.array(conditions.required)
+        reach = self._measured_reach(usable)
+        sizes = np.maximum(conditions.sizes, np.abs(usable[0].h_next))
+        self._moved = reach > _ROUNDING * sizes
+        """(rows,) which h the actions change."""
+        self._scales = np.where(self._moved, np.maximum(conditions.sizes, reach), sizes)
+        self._given = np.maximum(TOLERANCE * reach / self._scales, _ROUNDING)
+        self._decided = float((np.array(usable[0].h_next) / self._scales)[~self._moved].min(initial=np.inf))
+        """Least h_i(x+) / scale_i of those that no action moves."""
+        unkept = (np.array(conditions.h_now) < 0.0) | (np.array(usable[0].residual) < -_ROUNDING * self._scales)
+        stuck = unkept & ~self._moved
+        names = conditions.barriers.names
+        self.stuck: tuple[str, ...] = tuple([names[row] for row in np.flatnonzero(stuck).tolist()])
+        self._wish = tuple(backup.action) if self.stuck else wish
+
+    def _measured_reach(self, usable: Sequence[Outcome]) -> Values:
+        """(rows,) what the actions change in h."""
+        if len(usable) >= _FEWEST:
+            reached = np.array([one.h_next for one in usable])
+            return np.asarray(reached.max(axis=0) - reached.min(axis=0))
+        rows = self._conditions.linearised(usable[0]).all(len(usable[0].h_next))
+        return np.asarray(np.abs(np.array(rows)) @ self._range)
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
-        best = self._best(known[0], [*known[1:], *self._known])
+        best = self._best(known[0], known[1:])
         for _ in range(_ROUNDS):
             if best.kept and self._safe:
                 break
             about = best
             best, exact = self._improved(about)
-            if exact or best is about:
+            if exact or best is about or self._gain(about, best) < 1.0:
                 break
         return best
 
     def _improved(self, about: Outcome) -> tuple[Outcome, bool]:
         """A better outcome than ``about`` (or itself), and whether the tangent there foretold it."""
-        tangent, best, exact = self._conditions.linearised(about), about, False
+        best, foretells = about, []
+        try:
+            tangent = self._conditions.linearised(about)
+        except InputError:  # no slopes there
+            return about, False
         for proposed, foretold in self._proposals(tangent, about):
             found = self._conditions.outcome(proposed)
-            exact = bool(np.abs(self._height(found) - foretold).max() <= _TRUE)
-            if not exact:
-                found = self._best(found, [self._conditions.outcome(self._between(about, found, s)) for s in _STEPS])
-            best = self._best(best, [found])
-        return best, exact
+            true = found.usable and bool(np.abs(self._height(found) - foretold)[self._moved].max() <= _TRUE)
+            foretells.append(true)
+            better = self._best(best, [found])
+            if better is not found and not true:
+                between = [self._conditions.outcome(self._between(about, found, share)) for share in _STEPS]
+                better = self._best(better, between)
+            best = better
+        return best, bool(foretells) and all(foretells)
 
     def _proposals(self, tangent: Tangent, about: Outcome) -> Iterable[tuple[Action, Values]]:
         """Actions with the heights that the tangent foretells: the highest one, then the nearest as high."""
         slopes = np.array(tangent.all(len(about.h_next))) * self._range / self._scales[:, np.newaxis]
         here = (np.array(about.action) - self._low) / self._range
         heights = self._height(about) - slopes @ here
-        moved = np.abs(slopes).sum(axis=1) > 0.0
+        moved = self._moved & (np.abs(slopes).sum(axis=1) > 0.0)
         if not moved.any():
             return
         found = self._levels(slopes, heights, moved)
@@ -121,18 +159,24 @@ class _Lift:
         wanted = self._required / self._scales
         levels, u = np.full(len(heights), np.nan), None
         levels[~moved] = -np.inf
+        decided = self._decided
         for _ in range(_LEVELS):
             free = np.isnan(levels)
             if not free.any():
                 break
-            found = self._highest.solve(slopes[moved], heights[moved], levels[moved])
+            which = moved & _matters(slopes, heights, levels)
+            found = self._highest.solve(slopes[which], heights[which], levels[which])
             if found is None:
                 break
             u = found
             reached = heights + slopes @ u
-            least = reached[free].min()
-            kept = _lowered(least)
-            levels[free & (reached <= least + TOLERANCE)] = kept
+            least = float(reached[free].min())
+            given = 0.5 * (np.minimum(self._given, least) if least > 0.0 else self._given)
+            binding = free & (reached <= least + given)
+            levels[binding] = _lowered(least, given)[binding]
+            if decided <= least:  # the least of all is another one: of these no more is wanted than their conditions
+                levels[binding] = np.minimum(levels, wanted)[binding]
+            decided = min(decided, least)
             free = np.isnan(levels)
             if (reached >= wanted)[free].all():
                 break
@@ -145,15 +189,27 @@ class _Lift:
 
     def _best(self, best: Outcome, others: Iterable[Outcome]) -> Outcome:
         """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the wish."""
-        compared = [best, *others]
+        compared = [one for one in (best, *others) if one.usable]
         if self._safe:  # what keeps all is no longer a question of less or more
             compared = [one for one in compared if one.kept] or compared
-        heights = [float(self._height(one).min()) for one in compared]
-        level = _lowered(max(heights))
-        good = [one for one, height in zip(compared, heights, strict=True) if height >= level]
+        heights = [self._wanted_height(one) for one in compared]
+        level = _lowered(max([float(rows.min(initial=np.inf)) for rows in heights]), self._given[self._moved])
+        good = [one for one, rows in zip(compared, heights, strict=True) if (rows >= level).all()]
         missing = [self._missing(one) for one in good]
-        good = [one for one, short in zip(good, missing, strict=True) if short <= min(missing) + TOLERANCE]
+        limit = min(missing) + float(self._given.max())
+        good = [one for one, short in zip(good, missing, strict=True) if short <= limit]
         return min(good, key=lambda one: self._program.distance(one.action, self._wish))
+
+    def _wanted_height(self, one: Outcome) -> Values:
+        """(rows moved,) h_i(x+) / scale_i; above the least of the others only up to what is required."""
+        enough = np.maximum(self._decided, self._required / self._scales)
+        return np.asarray(np.minimum(self._height(one), enough)[self._moved])
+
+    def _gain(self, about: Outcome, best: Outcome) -> float:
+        """What was gained, as a share of what may be given away."""
+        higher = self._wanted_height(best).min(initial=np.inf) - self._wanted_height(about).min(initial=np.inf)
+        fewer = self._missing(about) - self._missing(best)
+        return float(max(higher, fewer) / self._given.max()) if np.isfinite(higher) else 0.0
 
     def _height(self, one: Outcome) -> Values:
         """(rows,) h_i(x+) / scale_i."""
@@ -163,12 +219,6 @@ class _Lift:
         """Sum over the rows of what their conditions miss, each as a share of its scale."""
         return float(np.maximum(0.0, -np.array(one.residual) / self._scales).sum())
 
-    def _corners(self) -> list[Action]:
-        sides = self._program.sides
-        if len(sides) > _MOST_CORNERS:
-            return []
-        return list(product(*[(low, high) for low, high, _ in sides]))
-
     def _between(self, one: Outcome, other: Outcome, share: float) -> Action:
         return tuple([a + share * (b - a) for a, b in zip(one.action, other.action, strict=True)])
 
@@ -176,8 +226,16 @@ class _Lift:
         return within((self._low + self._range * u).tolist(), self._program.sides)
 
 
-def _lowered(height: float) -> float:
-    """The least that is as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
+def _matters(slopes: Values, heights: Values, levels: Values) -> NDArray[np.bool_]:
+    """(rows,) which rows some u in [0, 1] makes the least free one, or takes below its level."""
+    lowest = heights + np.minimum(slopes, 0.0).sum(axis=1)
+    highest = heights + np.maximum(slopes, 0.0).sum(axis=1)
+    free = np.isnan(levels)
+    return np.asarray(lowest <= np.where(free, highest[free].min(), levels))
+
+
+def _lowered(height: float, given: Values) -> Values:
+    """(rows,) the least as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
     if -_TRUE < height <= 0.0:
-        return height
-    return height - TOLERANCE if height < 0.0 else max(0.0, height - TOLERANCE)
+        return np.full(len(given), height)
+    return height - given if height < 0.0 else np.maximum(0.0, height - given)

@@ -12,8 +12,9 @@ from safedpa.records.run import Run, Stretch
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.run_calibration import SMALL_CAR, LatentAlong, calibration_from_runs
+from safedpa.safety.scene import is_of
 from safedpa.safety.settings import FilterSettings
-from safedpa.systems import PENDULUM
+from safedpa.systems import CAR, PENDULUM
 
 __all__ = ["live_margin"]
 
@@ -32,7 +33,7 @@ def live_margin(
     The model was fitted to part of the run, most likely to its older half. Empty where the model is neither a car that
     the filter drives nor a pendulum. Raises InputError when the run is too short for 99 %.
     """
-    if model.system.action_names not in (("target_speed", "steer"), PENDULUM.action_names):
+    if not any(is_of(model.system, known) for known in (CAR, PENDULUM)):
         return ""
     rear, front, radius = footprint if len(footprint) == 3 else SMALL_CAR
     body, date = (rear, front, radius), datetime.date.today().isoformat()

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
-from typing import final
+from numbers import Real
+from typing import Any, final
 
+from safedpa.errors import did_you_mean
 from safedpa.safety.barrier import AbstractStack, Barriers
+from safedpa.safety.compatibility import KINDS
 from safedpa.safety.search import DecisionError
 
 __all__ = ["Margins"]
@@ -21,17 +24,34 @@ class Margins:
         self._barriers: AbstractStack = Barriers(())
         self._asked: dict[str, float] = {}
         self._known: tuple[list[float], float] | None = None
+        self._kinds = {*KINDS, "default", *settings}
+        """Of these, and of what was ever in sight, a margin may be asked for."""
 
-    def of(self, barriers: AbstractStack, asked: Mapping[str, float]) -> tuple[list[float], float]:
-        """epsilon (m,) and the greatest of them; raises DecisionError unless all are finite and none negative."""
+    def of(self, barriers: AbstractStack, asked: Any) -> tuple[list[float], float]:
+        """epsilon (m,) and the greatest of them.
+
+        Raises DecisionError unless ``asked`` is a table by kinds that exist, and all are finite and none negative.
+        """
+        if type(asked) is not dict and not isinstance(asked, Mapping):
+            raise DecisionError(f"margin epsilon is no table by kind of barrier, but {type(asked).__name__}")
         if self._known is None or barriers is not self._barriers or asked != self._asked:
             self._known = None
+            self._kinds.update(barriers.kinds)
             epsilon = self._checked(barriers, {**self._settings, **asked})
             self._barriers, self._asked, self._known = barriers, dict(asked), (epsilon, max(epsilon))
         return self._known
 
-    def _checked(self, barriers: AbstractStack, margins: Mapping[str, float]) -> list[float]:
+    def _checked(self, barriers: AbstractStack, margins: Mapping[str, Any]) -> list[float]:
+        for kind, number in margins.items():
+            if kind not in self._kinds:
+                raise DecisionError(f"margin epsilon for '{kind}', which no barrier is: {_meant(kind, self._kinds)}")
+            if isinstance(number, bool) or not isinstance(number, Real):
+                raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
         epsilon = barriers.of_each(margins, margins.get("default", 0.0))
         if not all(map(isfinite, epsilon)) or min(epsilon) < 0.0:
             raise DecisionError(f"margin epsilon is not a finite number >= 0: {margins}")
         return epsilon
+
+
+def _meant(kind: Any, known: set[str]) -> str:
+    return did_you_mean(kind, known) if isinstance(kind, str) else f"known: {', '.join(sorted(known))}"

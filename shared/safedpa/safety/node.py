@@ -50,7 +50,7 @@ class SafetyFilterNode(AbstractNode):
 
     A new model comes with its own margin, and the watch over the margin begins anew. A latent of another model than the
     filter's is none: the backup acts until both services have the same one. Raises InputError when the calibration
-    belongs to another model.
+    belongs to another model, the settings are another robot's, or nobody wrote barriers for this one.
     """
 
     name = "safety_filter"
@@ -73,6 +73,7 @@ class SafetyFilterNode(AbstractNode):
         self._settings = settings or FilterSettings()
         known = calibration or uncalibrated(self._settings, fingerprint(model))
         first = HeldModel(model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings))
+        FilteredRobot.begun(first, self._settings)  # refuses another robot now, and not at its first tick
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
         self._robots: dict[str, FilteredRobot] = {}
         self._broken: dict[str, FilteredRobot] = {}
@@ -102,7 +103,7 @@ class SafetyFilterNode(AbstractNode):
         wish = inputs[WISH]
         latent, stale = memory.usable_latent(state, inputs)
         absent = f"the wish ({wish.sentence})" if isinstance(wish, Stale) else ""
-        holds = bool(absent and state.corridor)
+        holds = bool(absent and not memory.scene.stands)
         if absent and not holds:
             stale.append(absent)
         if isinstance(memory.barriers, str):
@@ -116,7 +117,7 @@ class SafetyFilterNode(AbstractNode):
         }
         ordered = memory.ordered = self.orders.reason(robot)
         if ordered:
-            verdict = memory.filter.stop(ordered, state.values, latent, stands=not state.corridor, **known)
+            verdict = memory.filter.stop(ordered, state.values, latent, stands=memory.scene.stands, **known)
         elif holds:
             verdict = memory.filter.hold(f"{absent} is stale", state.values, latent, **known)
         else:

@@ -41,6 +41,7 @@ class ObstacleBarrier(AbstractBarrier):
     """
 
     kind = "obstacle"
+    reads = ("x", "y", "yaw", "speed")
 
     def __init__(
         self,

@@ -23,6 +23,7 @@ from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.closed_loop import Model, fixed, prediction_of
 from safedpa.safety.differences import central_slopes
+from safedpa.safety.inputs import Plausible
 from safedpa.safety.prediction import Prediction
 
 __all__ = ["PendingActions"]
@@ -41,7 +42,8 @@ class PendingActions:
     A filter of it takes the augmented state xi (states + count actions,)::
 
         late = PendingActions(model, 3, resting=(0.0,))
-        safe = SafetyFilter(late.prediction, [late.barrier(part) for part in barriers], settings)
+        late_barriers = [late.barrier(part) for part in barriers]
+        safe = SafetyFilter(late.prediction, late_barriers, settings, state_range=late.state_range)
         xi = late.state(x)
         verdict = safe.decide(xi, wish)
         xi = late.next_state(xi, verdict.action, measured)
@@ -59,6 +61,8 @@ class PendingActions:
         self._inner = prediction_of(model)
         self.prediction = Prediction(self.affine, self.step)
         """What the filter takes in place of a model."""
+        self.state_range = self._range()
+        """What is believed of xi, with the names of its entries, for a model of this project; else None."""
 
     def state(self, state: ArrayLike, pending: ArrayLike | None = None) -> Values:
         """xi from x (states,) and the pending actions (count, actions), the next to act first; default: resting."""
@@ -115,6 +119,17 @@ class PendingActions:
         """A barrier of x as one of xi, judged where the action begins to act; ``latent``: with which it gets there."""
         return _Pending(self, barrier, None if latent is None else fixed(np.asarray(latent, dtype=np.float64)))
 
+    def _range(self) -> Plausible | None:
+        system = self._inner.system
+        if system is None:
+            return None
+        pending = [f"{name} pending {place}" for place in range(1, self.count + 1) for name in system.action_names]
+        return Plausible(
+            np.concatenate((system.state_low, np.tile(system.action_low, self.count))),
+            np.concatenate((system.state_high, np.tile(system.action_high, self.count))),
+            (*system.state_names, *pending),
+        )
+
     def _after(self, state: Values, action: Values, latent: Values | None) -> Values:
         if self._inner.of_this_project:
             free = None if latent is None else tuple(latent.tolist())
@@ -131,6 +146,7 @@ class _Pending(AbstractBarrier):
 
     def __init__(self, late: PendingActions, barrier: AbstractBarrier, latent: Values | None) -> None:
         self.names, self.kind = barrier.names, barrier.kind
+        self.reads = barrier.reads if late.state_range is not None else ()
         self._late, self._barrier, self._latent = late, barrier, latent
 
     def values(self, state: Values) -> Values:

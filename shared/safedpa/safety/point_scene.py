@@ -60,6 +60,9 @@ def motion_of(model: AbstractDynamics, latent: Values | None, settings: FilterSe
 class PointScene:
     """Builds the barriers from a state message and the last latent; ``backup`` stops the robot in that wind."""
 
+    stands = True
+    """The backup brings the robot to rest."""
+
     def __init__(self, model: AbstractDynamics, settings: FilterSettings) -> None:
         self._model, self._settings = model, settings
         self._latent: Values | None = None

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.errors import InputError
 from safedpa.safety.affine_motion import AffineMotion
+from safedpa.safety.numbers_returned import numbers_returned
+from safedpa.systems import System
 
 __all__ = ["Prediction"]
 
@@ -32,6 +34,8 @@ class Prediction:
         self._affine_count, self._affine_words = _accepted(affine, 2)
         self._step_count, self._step_words = (0, frozenset[str]()) if step is None else _accepted(step, 3)
         self._model: AbstractDynamics | None = None
+        self.system: System | None = None
+        """Of a model of this project; functions alone do not say of which they are."""
         self._physics: PhysicsModel | None = None
         self._fixed: tuple[float, ...] = ()
         self._learned: LearnedBase | None = None
@@ -42,7 +46,7 @@ class Prediction:
     def of_model(cls, model: AbstractDynamics) -> Prediction:
         """The prediction of a model of this project, with what its actuators remember."""
         prediction = cls(model.affine)
-        prediction._model, prediction.affine = model, False
+        prediction._model, prediction.system, prediction.affine = model, model.system, False
         if isinstance(model, PhysicsModel):
             prediction._physics, prediction._fixed = model, tuple(model.latent.tolist())
             if isinstance(model.base, LearnedBase) and not model.effects:
@@ -91,8 +95,8 @@ class Prediction:
                 return step(state, action, self._fixed if latent is None else latent, 0.0)
             except (ValueError, ArithmeticError):  # numbers that Python's math refuses
                 pass
-        free = None if latent is None else np.array(latent)
-        found = self.next_state(np.array(state), np.array(action), free, memory)
+        free = None if latent is None else _unwritten(latent)
+        found = self.next_state(_unwritten(state), _unwritten(action), free, memory)
         reached: list[float] = _plain("predicted state", found, (len(state),))
         return reached
 
@@ -105,8 +109,8 @@ class Prediction:
                 return tangent(state, around, self._fixed if latent is None else latent, 0.0)[1]
             except (ValueError, ArithmeticError):
                 pass
-        free = None if latent is None else np.array(latent)
-        found = self.slopes(np.array(state), np.array(around), free, memory)
+        free = None if latent is None else _unwritten(latent)
+        found = self.slopes(_unwritten(state), _unwritten(around), free, memory)
         g: list[list[float]] = _plain("g of the model", found, (len(state), len(around)))
         return g
 
@@ -115,24 +119,25 @@ class Prediction:
         model = self._model
         if model is not None:
             remembered = model.initial_memory(action) if memory is None else memory
-            return np.asarray(model.advance(state, action, remembered, latent)[0])
+            return numbers_returned("predicted state", model.advance(state, action, remembered, latent)[0])
         if self._step is None:
             f, g = self._tangent(state, action, latent, memory)
             return np.asarray(f + g @ action)
         words = {"memory": memory} if "memory" in self._step_words else {}
-        return np.asarray(self._step(*(state, action, latent)[: self._step_count], **words), dtype=np.float64)
+        found = self._step(*(state, action, latent)[: self._step_count], **words)
+        return numbers_returned("predicted state", found)
 
     def slopes(self, state: Values, around: Values, latent: Values | None, memory: Any) -> Values:
         """g (states, actions), exact at the action ``around`` (actions,) where ``affine`` accepts it."""
         if self._model is not None:
-            return np.asarray(self._model.slopes(state, latent, around, memory))
+            return numbers_returned("g of the model", self._model.slopes(state, latent, around, memory))
         return self._tangent(state, around, latent, memory)[1]
 
     def _tangent(self, state: Values, around: Values, latent: Values | None, memory: Any) -> tuple[Values, Values]:
         offered = {"around": around, "memory": memory}
         words = {word: offered[word] for word in self._affine_words}
         f, g = self._affine(*(state, latent)[: self._affine_count], **words)
-        return np.asarray(f, dtype=np.float64), np.asarray(g, dtype=np.float64)
+        return numbers_returned("f of the model", f), numbers_returned("g of the model", g)
 
 
 def _accepted(function: Callable[..., Any], most: int) -> tuple[int, frozenset[str]]:
@@ -144,6 +149,13 @@ def _accepted(function: Callable[..., Any], most: int) -> tuple[int, frozenset[s
     ]
     count = most if any(p.kind is p.VAR_POSITIONAL for p in parameters) else min(most, len(positional))
     return count, words
+
+
+def _unwritten(numbers: Sequence[float]) -> Values:
+    """What a function of the user's may read and may not write into: what it is asked next would be changed."""
+    array = np.array(numbers)
+    array.setflags(write=False)
+    return array
 
 
 def _plain(what: str, array: Values, shape: tuple[int, ...]) -> Any:

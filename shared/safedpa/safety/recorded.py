@@ -15,7 +15,8 @@ from safedpa.errors import InputError
 from safedpa.records import read_messages
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors, one_step_errors
-from safedpa.safety.scene import SceneBarriers
+from safedpa.safety.point_scene import PointScene
+from safedpa.safety.scenes import scene_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.theory_recorded import recorded_bound
 
@@ -42,16 +43,17 @@ class RecordedTransitions:
 
     ``state`` (n, states), ``action`` (n, actions), ``following`` (n, states), ``latent`` (n, latents).
 
-    Raises InputError when there are none, or latents of another model.
+    Raises InputError when there are none, latents of another model, or settings of another robot.
     """
 
     def __init__(self, model: PhysicsModel, settings: FilterSettings, recordings: Sequence[Path]) -> None:
+        self._scenes = scene_of(model, settings)
         found = [transition for path in recordings for transition in _transitions(path, fingerprint(model))]
         if not found:
             raise InputError(
                 f"{recordings[0]}: got no transition under an action of the filter with a latent; record more"
             )
-        self._found, self._scenes = found, SceneBarriers(settings)
+        self._found = found
         self.state = np.array([transition.before.values for transition in found])
         self.action = np.array([transition.after.applied for transition in found])
         self.following = np.array([transition.after.values for transition in found])
@@ -63,6 +65,8 @@ class RecordedTransitions:
 
     def barriers(self, row: int) -> Sequence[AbstractBarrier]:
         """Of the scene in which a transition began. Raises InputError when it is none."""
+        if isinstance(self._scenes, PointScene):
+            self._scenes.learn(self.latent[row])
         scene = self._scenes.of(self._found[row].before)
         if isinstance(scene, str):
             raise InputError(f"the {scene}")

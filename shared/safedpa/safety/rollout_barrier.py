@@ -44,7 +44,8 @@ class RolloutBarrier(AbstractBarrier):
 
     ``model``: a model of this project, a ``Prediction``, ``affine(x) -> f, g`` as the filter takes it, or
     ``step(x, a)``; it should be the filter's own. ``backup(x (states,)) -> action (actions,)``, or one constant action.
-    ``h(x) -> float or (m,)`` with ``names``, or another barrier, whose names and kind are taken. ``horizon``: ticks of
+    ``h(x) -> float or (m,)`` with ``names`` and the states that it ``reads``, or another barrier, whose names, kind
+    and states are taken. ``horizon``: ticks of
     the model, 1 or more; those that lie beyond the backup's rest cost nothing. ``latent``: the model's, for all
     ticks; a filter whose latent is estimated while it drives gets a new barrier with each decision.
 
@@ -66,13 +67,14 @@ class RolloutBarrier(AbstractBarrier):
         kind: str = "rollout",
         *,
         latent: ArrayLike | None = None,
+        reads: Sequence[str] = (),
     ) -> None:
         if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
             raise InputError(
                 f"horizon: got {horizon!r}, wanted a whole number of ticks, 1 or more (seconds to rest / period)"
             )
-        own = h if isinstance(h, AbstractBarrier) else FunctionBarrier(h, names=names, kind=kind)
-        self.names, self.kind, self.horizon = own.names, own.kind, int(horizon)
+        own = h if isinstance(h, AbstractBarrier) else FunctionBarrier(h, names=names, kind=kind, reads=reads)
+        self.names, self.kind, self.reads, self.horizon = own.names, own.kind, own.reads, int(horizon)
         self.loop = ClosedLoop(model, backup, latent)
         self._h = own
         self._knows_gradient = not isinstance(own, FunctionBarrier)
@@ -184,7 +186,7 @@ class _Since(AbstractBarrier):
     """A rollout barrier for states that one tick from ``origin`` leads to; remembers them, for one decision."""
 
     def __init__(self, whole: RolloutBarrier, origin: Values) -> None:
-        self.names, self.kind = whole.names, whole.kind
+        self.names, self.kind, self.reads = whole.names, whole.kind, whole.reads
         self._whole, self._origin = whole, origin
         self._known: dict[bytes, Taken] = {}
 

@@ -19,9 +19,11 @@ from safedpa.records.run import Run
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
 from safedpa.safety.car_barriers import car_barriers
+from safedpa.safety.compatibility import check_settings
 from safedpa.safety.corridor_barrier import CorridorBarrier
+from safedpa.safety.scene import is_of
 from safedpa.safety.settings import FilterSettings
-from safedpa.systems import PENDULUM
+from safedpa.systems import CAR, PENDULUM
 
 __all__ = ["SMALL_CAR", "LatentAlong", "calibration_from_runs"]
 
@@ -68,18 +70,20 @@ def calibration_from_runs(
 
     Actuators remember what was commanded before, as they do in the filter. ``body`` as in a robot's footprint.
     ``estimator`` makes what estimates the latent along each stretch; without one the model's own latent stands.
-    Raises InputError for a model that is neither a car with a speed servo nor a pendulum, or too few transitions at the
-    model's own period.
+    Raises InputError for a model that is neither a car with a speed servo nor a pendulum, settings of another one, or
+    too few transitions at the model's own period.
     """
-    if model.system.action_names not in (("target_speed", "steer"), PENDULUM.action_names):
+    corridor = is_of(model.system, PENDULUM)
+    if not corridor and not is_of(model.system, CAR):
         raise InputError(
-            f"margin: got a model with the actions {', '.join(model.system.action_names) or 'none'}, wanted those of a "
-            "car's speed servo, target_speed and steer, or a pendulum's torque: the filter's barriers are theirs"
+            f"margin: got a model with the actions {', '.join(model.system.action_names) or 'none'} and the states "
+            f"{', '.join(model.system.state_names)}, wanted those of a car's speed servo, target_speed and steer, or a "
+            "pendulum's torque: the filter's barriers are theirs"
         )
+    check_settings(settings, model.system)
     draw = np.random.default_rng(0)
     errors: dict[str, list[float]] = {}
     for before, predicted, after in _predictions(model, runs, estimator):
-        corridor = model.system.action_names == PENDULUM.action_names
         for barrier in _corridor(before, settings) if corridor else _around(before, settings, body, draw):
             worst = float((barrier.values(predicted) - barrier.values(after)).max(initial=-np.inf))
             errors.setdefault(barrier.kind, []).append(worst if np.isfinite(worst) else 0.0)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from threading import Lock
 from typing import Any, final
 
 import numpy as np
@@ -22,7 +23,15 @@ import numpy as np
 from safedpa.dynamics import AbstractDynamics, PhysicsModel
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.car_stack import Stacks
+from safedpa.safety.compatibility import (
+    check_backup,
+    check_barriers,
+    check_margins,
+    check_settings,
+    check_settings_of_functions,
+)
 from safedpa.safety.decision import Backup, Decision, Request, Tools
+from safedpa.safety.finite_clock import FiniteClock
 from safedpa.safety.highest import HighestProgram
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.margins_in_force import Margins
@@ -30,9 +39,14 @@ from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.verdict import Status, Verdict
+from safedpa.safety.verdict import Status, Verdict, resting_verdict
 
 __all__ = ["SafetyFilter"]
+
+_TWO_AT_ONCE = (
+    "another decision of this filter is under way, in another thread or within one of its own functions; "
+    "give every thread a filter of its own"
+)
 
 
 @final
@@ -41,13 +55,19 @@ class SafetyFilter:
 
     ``affine`` and ``step`` as in ``Prediction``; ``backup`` gives the action to take without a decision (default:
     ``settings.resting_action``). ``state_range`` and ``latent_range`` say what is believed; with a latent range that
-    has entries a latent must be given. Not to be shared between threads: the solver's workspaces are reused.
+    has entries a latent must be given. ``barriers`` is None where every decision brings its own.
+
+    Not to be shared between threads: the solver's workspaces are reused. Who asks while another thread's decision is
+    under way gets the resting action and is told so.
+
+    Raises InputError for settings of another system or with bounds that the model's actions cannot take, for barriers
+    that read other states, for none, for a margin that belongs to none of them, and for a backup of another size.
     """
 
     def __init__(
         self,
         affine: Callable[..., Any] | Prediction,
-        barriers: Sequence[AbstractBarrier],
+        barriers: Sequence[AbstractBarrier] | None,
         settings: FilterSettings,
         step: Callable[..., Any] | None = None,
         backup: Backup | None = None,
@@ -56,24 +76,34 @@ class SafetyFilter:
         latent_range: Plausible | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
+        prediction = affine if isinstance(affine, Prediction) else Prediction(affine, step)
+        states = _names_of_states(prediction, state_range)
+        own = check_barriers(barriers, states)
+        if prediction.system is None:
+            check_settings_of_functions(settings, states, own)
+        else:
+            check_settings(settings, prediction.system)
+        check_margins(settings.epsilon, own)
+        check_backup(backup, len(settings.action_low))
         self.settings = settings
-        self._barriers = tuple(barriers)
+        self._barriers = own or ()
+        self._one_at_a_time = Lock()
         low, high = settings.low, settings.high
         reach = settings.plausible_wish * (high - low)
         names = tuple(f"entry {index}" for index in range(len(low)))
         self.tools = Tools(
             settings=settings,
-            prediction=affine if isinstance(affine, Prediction) else Prediction(affine, step),
+            prediction=prediction,
             program=QuadraticProgram(low, high, settings.weight_vector),
             highest=HighestProgram(len(low)),
-            stacks=Stacks(),
+            stacks=Stacks(states),
             margins=Margins(settings.epsilon),
             backup=backup,
             resting_action=tuple(settings.resting_action.tolist()),
             state_range=state_range,
             wish_range=Plausible(low - reach, high + reach, names),
             latent_range=latent_range,
-            clock=clock,
+            clock=clock if clock is time.perf_counter else FiniteClock(clock),
         )
 
     @classmethod
@@ -81,12 +111,12 @@ class SafetyFilter:
         cls,
         model: AbstractDynamics,
         settings: FilterSettings,
-        barriers: Sequence[AbstractBarrier] = (),
+        barriers: Sequence[AbstractBarrier] | None = None,
         backup: Backup | None = None,
     ) -> SafetyFilter:
         """A filter that predicts with a model of this project and believes what lies within its bounds.
 
-        A model with a latent wants one in every ``decide``.
+        Without ``barriers`` every ``decide`` brings its own. A model with a latent wants one in every ``decide``.
         """
         system = model.system
         return cls(
@@ -114,19 +144,12 @@ class SafetyFilter:
         epsilon: Mapping[str, float] | None = None,
         stale: Sequence[str] = (),
     ) -> Verdict:
-        """The verdict for ``state`` (states,), ``wish`` (actions,), ``latent`` (latents,); never raises on bad numbers.
+        """The verdict for ``state`` (states,), ``wish`` (actions,), ``latent`` (latents,); raises nothing.
 
         ``barriers`` replaces the filter's own for this call; ``epsilon`` overrides margins by kind; ``memory`` is what
         the model's actuators remember; ``stale`` names inputs that are too old: any of them brings the backup.
         """
-        scene = self._barriers if barriers is None else barriers
-        decision = Decision(self.tools, Request(state, wish, latent, memory, scene, epsilon or {}, stale))
-        try:
-            return decision.run()
-        except DecisionError as failure:
-            return decision.fallback(str(failure), failure.solver)
-        except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and the robot must still brake
-            return decision.fallback(f"{type(error).__name__}: {error}", "not run")
+        return self._answer(_decided, self._request(state, wish, latent, memory, barriers, epsilon, stale))
 
     def hold(self, absent: str, state: Any, latent: Any = None, **known: Any) -> Verdict:
         """The verdict where nothing but the wish is missing, for a robot that has no stand; arguments as in ``decide``.
@@ -160,23 +183,54 @@ class SafetyFilter:
         leave its corridor: there the resting action is wished, and the filter changes it as it would any wish; the
         verdict is ``stopped`` where that keeps every condition, and says what else came out where it does not.
         """
-        scene = self._barriers if barriers is None else barriers
         if stands:
             wish = self.tools.resting_action
-            request = Request(state, wish, latent, memory, scene, epsilon or {}, stale)
-            return replace(Decision(self.tools, request).stopped(reason), wish=None)
+            request = self._request(state, wish, latent, memory, barriers, epsilon, stale)
+            return replace(self._answer(lambda decision: decision.stopped(reason), request), wish=None)
         verdict = self.decide(
             state,
             self.tools.resting_action,
             latent,
             memory=memory,
-            barriers=scene,
+            barriers=barriers,
             epsilon=epsilon,
             stale=stale,
         )
         if verdict.status not in (Status.passed, Status.corrected):
             return verdict
         return replace(verdict, status=Status.stopped, reason=f"Reason: {reason}. The barriers are kept.")
+
+    def _request(
+        self, state: Any, wish: Any, latent: Any, memory: Any, barriers: Any, epsilon: Any, stale: Any
+    ) -> Request:
+        scene = self._barriers if barriers is None else barriers
+        return Request(state, wish, latent, memory, scene, {} if epsilon is None else epsilon, stale)
+
+    def _answer(self, answer: Callable[[Decision], Verdict], request: Request) -> Verdict:
+        """What a decision answers, if none is under way: two at once would share their workspaces, and mix."""
+        if not self._one_at_a_time.acquire(blocking=False):
+            return resting_verdict(self.settings.resting_action, _TWO_AT_ONCE)
+        try:
+            return answer(Decision(self.tools, request))
+        except Exception as error:  # noqa: BLE001 - whatever came in, the robot must brake
+            return resting_verdict(self.settings.resting_action, f"{type(error).__name__}")
+        finally:
+            self._one_at_a_time.release()
+
+
+def _decided(decision: Decision) -> Verdict:
+    try:
+        return decision.run()
+    except DecisionError as failure:
+        return decision.fallback(str(failure), failure.solver)
+    except Exception as error:  # noqa: BLE001 - a user's function may raise anything, and the robot must still brake
+        return decision.fallback(f"{type(error).__name__}: {error}", "not run")
+
+
+def _names_of_states(prediction: Prediction, state_range: Plausible | None) -> tuple[str, ...]:
+    if prediction.system is not None:
+        return prediction.system.state_names
+    return () if state_range is None else state_range.names
 
 
 def _latent_range(model: AbstractDynamics) -> Plausible:

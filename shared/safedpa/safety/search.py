@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Protocol
 
+from safedpa.errors import InputError
 from safedpa.safety.conditions import Outcome, Plain
 from safedpa.safety.program_rows import Side, within
 from safedpa.safety.solution import Solution
 
-__all__ = ["NEEDLESS", "SAME", "SERVED_WELL", "DecisionError", "search", "towards"]
+__all__ = ["DOUBTFUL", "FAR", "NEEDLESS", "SAME", "SERVED_WELL", "DecisionError", "overshot", "search", "towards"]
 
 SAME: Final = 1e-8
 """Share of an action's range within which a solution is the last one over again; the solver's accuracy is 1e-9."""
@@ -17,6 +18,10 @@ SAME: Final = 1e-8
 
 SERVED_WELL: Final = 0.1
 """Slopes that brought what is missing below this share of the last are used once more."""
+
+
+MOST_LEFT: Final = 0.75
+"""Share of what was missing that a solution is taken to leave at most."""
 
 
 NEEDLESS: Final = 0.05
@@ -42,6 +47,10 @@ nothing is lost by coming nearer."""
 
 FAR: Final = 0.1
 """Weighted share of the actions' ranges."""
+
+
+NEAR: Final = 0.01
+"""Share of the way that is not worth a try."""
 
 
 AGAIN: Final = 1
@@ -100,40 +109,55 @@ def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
     solver gives up. Where all are still kept needlessly far, the way from there to the wish is gone as far as they
     allow, and the program posed once more: the nearest action has a condition that binds.
     """
-    best, status = _posed(conditions, program, wish, start, rounds)
+    best, before, status = _posed(conditions, program, wish, start, rounds)
     if not best.kept:
         return best, status
-    room, wanted = conditions.tightest(best), within(wish, program.sides)
+    room = conditions.tightest(best)
     if room > NEEDLESS:
-        nearer = towards(conditions, wanted, best)
-        again, _ = _posed(conditions, program, wish, nearer, AGAIN)
+        nearer = towards(conditions, conditions.outcome(within(wish, program.sides)), best)
+        again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
         return _better(conditions, program, wish, nearer, again), status
     if room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
-        return towards(conditions, _furthest_back(program, wanted, best.action), best), status
+        back = _furthest_back(program, within(wish, program.sides), best.action)
+        return towards(conditions, conditions.outcome(back), best), status
+    if before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
+        return towards(conditions, before, best), status
     return best, status
 
 
-def towards(conditions: _Posed, end: Plain, kept: Outcome) -> Outcome:
-    """The furthest action found on the way from a kept one to ``end`` (actions,) that is still kept.
+def towards(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
+    """The furthest action found on the way from a kept one to the ``last`` that is still kept.
 
-    The least residual is taken to fall along a straight line, anew between the last action kept and the last not kept.
+    Each residual is taken to change along a straight line, anew between the last action kept and the last not kept.
     """
-    last = conditions.outcome(end)
     if last.kept:
         return last
-    safe, low, high = kept, 0.0, 1.0
-    room, beyond = conditions.tightest(kept), min(conditions.tightest(last), -SAME)
+    end, safe, low, high = last.action, kept, 0.0, 1.0
     for _ in range(TRIES):
-        if room <= DOUBTFUL:
+        allowed = (high - low) * _allowed(safe, last)
+        if allowed <= NEAR:
             break
-        share = low + (high - low) * room * LEFT / (room - beyond)
+        share = low + LEFT * allowed
         between = [kept.action[index] + share * (end[index] - kept.action[index]) for index in range(len(end))]
         tried = conditions.outcome(between)
         if tried.kept:
-            safe, low, room = tried, share, conditions.tightest(tried)
+            safe, low = tried, share
         else:
-            high, beyond = share, min(conditions.tightest(tried), -SAME)
+            last, high = tried, share
     return safe
+
+
+def _allowed(kept: Outcome, broken: Outcome) -> float:
+    """Share of the way between two outcomes on which no residual that is straight on it falls below 0."""
+    if not broken.usable:
+        return 0.5
+    share = 1.0
+    for row in range(len(kept.residual)):
+        here, there = kept.residual[row], broken.residual[row]
+        if there < 0.0:
+            room = here / (here - there) if here > 0.0 else 0.0
+            share = room if room < share else share
+    return share
 
 
 def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float]:
@@ -150,13 +174,17 @@ def _furthest_back(program: _Program, wanted: Plain, found: Plain) -> list[float
     return back
 
 
-def _posed(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int) -> tuple[Outcome, str]:
-    """The program, posed anew about its solution."""
-    tangent = conditions.linearised(start)
-    best, before, about, status = start, start, start, ""
-    fresh, missing = True, _missing(conditions.tightest(start))
+def _posed(
+    conditions: _Posed, program: _Program, wish: Plain, start: Outcome, rounds: int
+) -> tuple[Outcome, Outcome, str]:
+    """The program, posed anew about its solution: the best one, the one before the last, and the solver's word."""
+    best, before, about, status = start, start, start, "not run"
+    tangent = _tangent(conditions, start)
+    fresh, missing, overshoot = True, _missing(conditions.tightest(start)), 0.0
     for index in range(rounds):
-        A, b = tangent.at(about.residual, about.action, OVERSHOOT * index)
+        if tangent is None:
+            break
+        A, b = tangent.at(about.residual, about.action, overshoot)
         solution = program.solve(A, b, wish)
         status = solution.status
         action = _believed(solution, program)
@@ -173,9 +201,28 @@ def _posed(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
             break
         last, missing = missing, _missing(tightest)
         fresh = not 0.0 < missing < SERVED_WELL * last
+        overshoot = overshot(index + 1, last, missing)
         if fresh and index + 1 < rounds:
-            tangent = conditions.linearised(about)
-    return best, status
+            tangent = _tangent(conditions, about)
+    return best, before, status
+
+
+def _tangent(conditions: _Posed, about: Outcome) -> _Drawn | None:
+    """None where the model or a barrier has no numbers there, or no slopes."""
+    try:
+        return conditions.linearised(about) if about.usable else None
+    except InputError:
+        return None
+
+
+def overshot(solutions: int, last: float, missing: float) -> float:
+    """The share of what is missing to ask for on top: more with every solution, and where the last brought little.
+
+    Slopes that left the share r of what was missing will leave it again: r / (1 - r) on top makes up for that.
+    """
+    more = OVERSHOOT * solutions
+    left = min(missing / last, MOST_LEFT) if last > 0.0 else 0.0
+    return max(more, 1.25 * left / (1.0 - left))
 
 
 def _missing(tightest: float) -> float:

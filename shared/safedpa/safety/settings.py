@@ -20,6 +20,16 @@ __all__ = ["FilterSettings", "load_settings", "parse_settings", "save_settings",
 FORMAT = 1
 MARGINS = ("conformal", "theorem")
 """Names of margins in a calibration."""
+_DEFAULT_SYSTEM = "car"
+_DEFAULT_BOUNDS = {"action_low": (-0.6, -0.34), "action_high": (2.0, 0.34)}
+"""m/s and rad, of the default system."""
+
+
+class _LeftOut(tuple[float, ...]):
+    """In place of bounds that nobody gave; an empty tuple that somebody gives is a mistake."""
+
+
+_LEFT_OUT: tuple[float, ...] = _LeftOut()
 
 
 @final
@@ -27,8 +37,13 @@ MARGINS = ("conformal", "theorem")
 class FilterSettings:
     """Numbers of the filter, checked at construction; the defaults fit the pymunk car at 20 Hz.
 
-    Raises InputError naming the key, what was got and what was wanted.
+    Without bounds of the actions they are the car's, and ``system`` says so. Raises InputError naming the key, what was
+    got and what was wanted.
     """
+
+    system: str = ""
+    """Name of the system that these settings were made for: a filter refuses every other one. Empty: a system of the
+    user's own, of which nothing but the bounds of its actions is known."""
 
     enabled: bool = True
     eta: float = 0.2
@@ -37,9 +52,10 @@ class FilterSettings:
     """Margin by kind of barrier, in the unit of h, >= 0; ``default`` for kinds not named, else 0."""
     margin: str | float = "conformal"
     """Which epsilon a filter with a calibration uses: its ``conformal`` or ``theorem`` table, or this number."""
-    action_low: tuple[float, ...] = (-0.6, -0.34)
-    """(actions,) hard actuator bounds; car: m/s, rad."""
-    action_high: tuple[float, ...] = (2.0, 0.34)
+    action_low: tuple[float, ...] = _LEFT_OUT
+    """(actions,) hard actuator bounds; left out, the car's: -0.6 m/s, -0.34 rad."""
+    action_high: tuple[float, ...] = _LEFT_OUT
+    """(actions,); left out, the car's: 2 m/s, 0.34 rad."""
     weights: tuple[float, ...] = ()
     """(actions,) > 0: cost of changing an action over its whole range; empty: all 1."""
     backup_action: tuple[float, ...] = ()
@@ -61,6 +77,7 @@ class FilterSettings:
     """How far ahead, at its rate of now, an angle must be within its corridor."""
 
     def __post_init__(self) -> None:
+        self._name_the_system()
         for name in ("action_low", "action_high", "weights", "backup_action"):
             object.__setattr__(self, name, _numbers(name, getattr(self, name)))
         object.__setattr__(self, "epsilon", _margins(self.epsilon))
@@ -77,6 +94,20 @@ class FilterSettings:
         if isinstance(self.relinearisations, bool) or not isinstance(self.relinearisations, int):
             raise InputError(f"relinearisations: got {self.relinearisations!r}, wanted a whole number")
         _number("relinearisations", self.relinearisations, 0, 20)
+
+    def _name_the_system(self) -> None:
+        """Bounds that were left out are the default system's, and then these are its settings."""
+        if not isinstance(self.system, str):
+            raise InputError(f"system: got {self.system!r}, wanted the name of a system, or '' for one of your own")
+        missing = [name for name in _DEFAULT_BOUNDS if isinstance(getattr(self, name), _LeftOut)]
+        if missing and self.system not in ("", _DEFAULT_SYSTEM):
+            raise InputError(
+                f"{missing[0]}: got none for the system '{self.system}', wanted its bounds: the defaults are those of "
+                f"the {_DEFAULT_SYSTEM}"
+            )
+        for name in missing:
+            object.__setattr__(self, name, _DEFAULT_BOUNDS[name])
+            object.__setattr__(self, "system", _DEFAULT_SYSTEM)
 
     def _check_actions(self) -> None:
         count = len(self.action_low)

@@ -126,6 +126,7 @@ class StoppingBarrier(AbstractBarrier):
     """h of one robot among ``hazards`` (m, 3): x, y, radius [m]; state x, y, yaw, vx, vy."""
 
     kind = "obstacle"
+    reads = ("x", "y", "yaw", "vx", "vy")
 
     def __init__(self, hazards: Floats, motion: Motion) -> None:
         rows = np.asarray(hazards, dtype=np.float64).reshape(-1, 3)

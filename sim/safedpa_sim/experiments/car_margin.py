@@ -30,6 +30,7 @@ from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin import smallest_sample, split_conformal_margin
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.theory_gradient import largest_gradients
+from safedpa.systems import CAR
 from safedpa_sim.experiments.car_drives import Drive
 from safedpa_sim.experiments.statistics import wilson_interval
 
@@ -82,7 +83,7 @@ def step_errors(model: PhysicsModel, drives: Sequence[Drive], settings: FilterSe
     h: dict[str, list[float]] = {}
     bound: dict[str, list[float]] = {}
     for drive in drives:
-        scene = SceneBarriers(settings)
+        scene = SceneBarriers(settings, CAR)
         gradients = largest_gradients(settings, drive.messages[0].footprint, scale)
         for before, expected, measured in _steps(model, drive):
             size = _largest_entry(np.array(before.values), expected, measured, scale)
@@ -149,7 +150,7 @@ class CoverageCount:
     """Counts along one episode how often the margin that the settings name covered what the filter predicted."""
 
     def __init__(self, settings: FilterSettings, margin: MarginCalibration | None) -> None:
-        self._scene = SceneBarriers(settings)
+        self._scene = SceneBarriers(settings, CAR)
         self._margin = None if margin is None else margin.chosen(settings.margin)
         self._expected: Values | None = None
         self._barriers: Sequence[AbstractBarrier] = ()

@@ -1,0 +1,26 @@
+"""What actions change in h."""
+
+import numpy as np
+import pytest
+
+from safedpa.safety.chain_rule import chain_rule
+
+
+@pytest.mark.parametrize(("rows", "states", "actions"), [(1, 1, 1), (3, 2, 1), (2, 4, 3), (0, 2, 2)])
+def test_it_is_the_product_of_both(rows: int, states: int, actions: int) -> None:
+    random = np.random.default_rng(rows)
+    slopes, g = random.normal(size=(rows, states)), random.normal(size=(states, actions))
+    found = chain_rule(slopes.tolist(), g.tolist())
+    np.testing.assert_allclose(np.array(found).reshape(rows, actions), slopes @ g, rtol=1e-14, atol=1e-15)
+
+
+@pytest.mark.parametrize("slopes", [[1.0], [1.0, 2.0, 3.0]])
+def test_slopes_of_other_states_are_refused(slopes: list[float]) -> None:
+    with pytest.raises(ValueError, match=f"h has slopes of {len(slopes)} states, the model of 2"):
+        chain_rule([[1.0, 1.0], slopes], [[1.0], [2.0]])
+
+
+def test_rows_do_not_share_their_numbers() -> None:
+    one, other = chain_rule([[1.0], [2.0]], [[3.0]])
+    one[0] = 0.0
+    assert other == [6.0]

@@ -1,0 +1,259 @@
+"""The least unsafe action, aim by aim: the highest, then the conditions, then the wish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from safedpa.safety import Barriers, FunctionBarrier, Prediction, QuadraticProgram
+from safedpa.safety.conditions import Conditions, Outcome
+from safedpa.safety.highest import HighestProgram
+from safedpa.safety.least_unsafe import TOLERANCE, least_unsafe
+
+Values = NDArray[np.float64]
+
+
+class Case:
+    """h(a) (rows,) of actions within -1 and 1, at a state whose h are ``now``; the state is a itself."""
+
+    def __init__(
+        self,
+        h: Callable[[Values], Sequence[float]],
+        now: Sequence[float],
+        wish: Sequence[float],
+        *,
+        eta: float = 1.0,
+        epsilon: float = 0.0,
+        limit: float = 1.0,
+        program: Any = None,
+        highest: Any = None,
+    ) -> None:
+        self.h, self.wish, actions = h, tuple(wish), len(wish)
+        self.asked: list[tuple[float, ...]] = []
+        start = (9.0,) * actions
+
+        def heights(x: Values) -> Sequence[float]:
+            if tuple(x) == start:
+                return now
+            return h(x)
+
+        names = tuple(f"h{row}" for row in range(len(now)))
+        low, high = np.full(actions, -limit), np.full(actions, limit)
+        self.program = QuadraticProgram(low, high, np.ones(actions)) if program is None else program
+        self.highest = HighestProgram(actions) if highest is None else highest
+        self.conditions = Conditions(
+            Barriers([FunctionBarrier(heights, names=names)]),
+            Prediction(lambda x, around: (np.zeros(actions), np.eye(actions)), self._step),
+            start,
+            None,
+            None,
+            eta,
+            [epsilon] * len(now),
+            QuadraticProgram(low, high, np.ones(actions)).sides,
+        )
+
+    def _step(self, state: Values, action: Values) -> Values:
+        self.asked.append(tuple(action.tolist()))
+        return action
+
+    def outcome(self, *action: float) -> Outcome:
+        return self.conditions.outcome(action)
+
+    def run(self, *known: Sequence[float]) -> Outcome:
+        begun = [self.conditions.outcome(tuple(action)) for action in known or [self.wish]]
+        return least_unsafe(self.conditions, self.program, self.highest, self.wish, begun)
+
+
+def test_the_highest_is_taken_though_the_wish_is_far() -> None:
+    found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()
+    assert found.action[0] == pytest.approx(1.0, abs=2.5 * TOLERANCE)
+    assert found.h_next[0] >= -2.0 - 2.0 * TOLERANCE  # of what the actions change: 2
+
+
+@pytest.mark.parametrize("far", [10.0, 1e3, 1e6])
+def test_what_is_given_away_is_a_share_of_what_actions_can_change(far: float) -> None:
+    """However far below 0 it is: all that can be done is done."""
+    found = Case(lambda a: [a[0] - far], [-far], [-1.0]).run()
+    assert found.action[0] >= 1.0 - 2.1 * TOLERANCE
+
+
+def test_a_little_height_is_given_away_for_the_wish() -> None:
+    """The programs give away half of what the comparison allows for: rounding refuses nothing."""
+    found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()
+    assert found.action[0] == pytest.approx(1.0 - TOLERANCE, abs=1e-6)
+
+
+def test_height_above_zero_is_given_away_too_but_not_below() -> None:
+    """h = 0.001 at best: of that no more is given away than there is."""
+    found = Case(lambda a: [a[0] - 0.999], [-3.0], [-1.0]).run()
+    assert 0.999 <= found.action[0] < 0.9999
+    assert found.h_next[0] >= 0.0
+    plenty = Case(lambda a: [a[0] + 1.0], [-3.0], [-1.0]).run()
+    assert plenty.h_next[0] == pytest.approx(2.0 - TOLERANCE, abs=1e-6)
+
+
+def test_just_zero_is_not_given_away() -> None:
+    found = Case(lambda a: [a[0] - 1.0, 0.5], [3.0, 1.0], [-1.0]).run()
+    assert found.action[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_shares_of_their_scales_are_compared() -> None:
+    """h_0 is worth a hundredth: -0.5 of 1 and -50 of 100 are alike, and 0 lies between them."""
+    found = Case(lambda a: [a[0] - 0.5, 100.0 * (-a[0] - 0.5)], [-1.0, -100.0], [0.9]).run()
+    assert found.action[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_after_the_least_the_next_least_is_raised() -> None:
+    """h_0 moves with the first action alone, h_1 with the second: both go up, though h_0 is the least."""
+    found = Case(lambda a: [a[0] - 5.0, a[1] - 3.0], [-5.0, -3.0], [-1.0, -1.0]).run()
+    assert found.action == pytest.approx((1.0, 1.0), abs=0.02)
+
+
+def test_the_next_ones_are_raised_to_their_conditions_and_no_higher() -> None:
+    """h_1 asks for -0.2 of the second action; from there on the wish decides."""
+    for asked in (-0.2, 0.5):
+        found = Case(lambda a: [a[0] - 5.0, a[1] + 3.0], [-5.0, 3.0 + asked], [-1.0, -1.0], eta=0.0).run()
+        assert found.action == pytest.approx((1.0, asked), abs=0.02)
+        kept = Case(lambda a: [a[0] - 5.0, a[1] + 3.0], [-5.0, 3.0 + asked], [-1.0, 0.8], eta=0.0).run()
+        assert kept.action == pytest.approx((1.0, 0.8), abs=0.02)
+
+
+def test_of_three_the_third_follows_the_second() -> None:
+    heights = [5.0, 3.0, 1.5]
+    found = Case(lambda a: [a[row] - heights[row] for row in range(3)], [-h for h in heights], [-1.0] * 3).run()
+    assert found.action == pytest.approx((1.0, 1.0, 1.0), abs=0.02)
+
+
+def test_a_row_that_no_action_moves_holds_nothing_up() -> None:
+    """h_0 is the least and stays it; h_1 is brought to its condition, the second action stays as wished."""
+    found = Case(lambda a: [-7.0, a[0] - 0.5], [-7.0, 0.1], [-1.0, 0.25], eta=0.0).run()
+    assert found.action == pytest.approx((0.6, 0.25), abs=0.02)
+
+
+def test_where_no_action_moves_anything_the_wish_is_left() -> None:
+    case = Case(lambda a: [-7.0], [-7.0], [0.3])
+    assert case.run([0.3], [0.1]).action == (0.3,)
+    assert case.run([0.1], [0.3]).action == (0.3,)
+
+
+def test_of_what_is_known_the_best_is_never_lost() -> None:
+    """Programs that give up: of what is known and the corners the highest is taken, then what is nearest the wish."""
+
+    class Mute:
+        def solve(self, *_: Any) -> None:
+            return None
+
+    def bump(a: Values) -> list[float]:
+        return [0.5 - abs(a[0] - 0.2) - 0.1 * a[1]]
+
+    case = Case(bump, [-1.0], [0.0, 0.0], highest=Mute())
+    assert case.run([0.0, 0.0], [0.2, -0.5]).action == (0.2, -0.5)
+    assert case.run([0.2, -0.5], [0.0, 0.0]).action == (0.2, -0.5)
+    corners = Case(lambda a: [a[0] - a[1] - 3.0], [-1.0], [0.0, 0.0], highest=Mute())
+    assert corners.run([0.0, 0.0]).action == (1.0, -1.0)
+
+
+def test_of_equally_high_ones_what_breaks_conditions_less_comes_before_the_wish() -> None:
+    """h_0 stays the least; h_1 misses its condition by more at the one that is nearer to the wish."""
+
+    class Mute:
+        def solve(self, *_: Any) -> None:
+            return None
+
+    case = Case(lambda a: [-7.0, a[0]], [-7.0, 2.0], [-0.5], eta=0.0, highest=Mute())
+    assert case.run([-0.5], [0.5]).action == (1.0,)
+    kept = Case(lambda a: [-7.0, a[0]], [-7.0, 0.25], [-0.5], eta=0.0, highest=Mute())
+    assert kept.run([-0.5], [0.3]).action == (0.3,)
+
+
+def test_a_nearest_program_that_gives_up_leaves_the_highest() -> None:
+    class GivesUp:
+        def __init__(self) -> None:
+            self.own: Any = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))
+            self.low, self.range, self.sides = self.own.low, self.own.range, self.own.sides
+            self.distance = self.own.distance
+
+        def solve(self, *_: Any) -> Any:
+            return type("Unsolved", (), {"solved": False, "action": (np.nan,)})()
+
+    found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0], program=GivesUp()).run()
+    assert found.action[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_what_bends_is_followed_to_its_top() -> None:
+    """A tangent anywhere else leads past it: the programs are posed anew, steps on the way are tried."""
+    for wish, top in product((-1.0, 0.0, 0.9), (-0.6, 0.1, 0.5)):
+        found = Case(lambda a, top=top: [-1.0 - (a[0] - top) ** 2], [-1.0], [wish]).run()  # type: ignore[misc]
+        assert found.h_next[0] >= -1.0 - 0.02 * 4.0
+
+
+def test_a_top_in_the_plane() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        top, wish = random.uniform(-0.8, 0.8, (2, 2))
+        found = Case(lambda a, top=top: [-1.0 - ((a - top) ** 2).sum()], [-1.0], wish.tolist()).run()  # type: ignore[misc]
+        assert found.h_next[0] >= -1.0 - 0.15
+
+
+def test_corners_are_tried_where_a_tangent_is_blind() -> None:
+    """Flat from -0.9 to 0.5, steep beyond: no slope at the wish tells of it."""
+    found = Case(lambda a: [max(0.0, a[0] - 0.5) - 3.0], [-3.0], [0.0]).run()
+    assert found.h_next[0] >= -2.5 - 0.01
+
+
+def test_from_the_best_corner_the_programs_are_posed_once_more() -> None:
+    """The corner is a foothold; between it and the top the tangent leads on to the wish."""
+    found = Case(lambda a: [max(0.0, a[0] - 0.5) - 3.0, 2.0 - a[1]], [-3.0, 1.5], [0.0, 0.0]).run()
+    assert found.h_next[0] >= -2.5 - 0.01
+    assert found.action[1] == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("actions", "corners"), [(1, 2), (2, 4), (3, 8), (4, 16), (5, 0)])
+def test_corners_are_tried_up_to_four_actions(actions: int, corners: int) -> None:
+    case = Case(lambda a: [a.sum() - 9.0], [-9.0], [0.0] * actions)
+    found = case.run()
+    assert found.action == pytest.approx((1.0,) * actions, abs=0.02 * actions)
+    every = set(product((-1.0, 1.0), repeat=actions))
+    assert len(every & set(case.asked)) == corners or (corners == 0 and len(every & set(case.asked)) <= 1)
+
+
+def test_what_was_foretold_needs_no_second_round() -> None:
+    """Affine: 4 corners, the wish, the highest and the nearest as high."""
+    case = Case(lambda a: [a[0] - 3.0, a[1] - 2.0], [-3.0, -2.0], [0.0, 0.0])
+    case.run()
+    assert len(case.asked) == 4 + 1 + 2
+
+
+def test_never_below_zero_where_all_can_be_kept_above() -> None:
+    """Two h that pull against each other, by the millionth: both are 1e-4 at best, of scales of 2."""
+    random = np.random.default_rng(1)
+    for _ in range(50):
+        slope, room = random.uniform(0.5, 5.0), 10.0 ** random.uniform(-4.0, -1.0)
+        wish = random.uniform(-1.0, 1.0, 2)
+        found = Case(
+            lambda a, slope=slope, room=room: [a[0] + room, room - slope * a[0]],  # type: ignore[misc]
+            [1.0, 1.0],
+            wish.tolist(),
+            eta=0.1,
+        ).run()
+        assert min(found.h_next) >= 0.0
+        assert found.action[1] == pytest.approx(wish[1], abs=1e-3)
+
+
+def test_it_is_the_same_in_any_unit() -> None:
+    def decided(unit: float, limit: float) -> Values:
+        case = Case(
+            lambda a: [unit * (a[0] / limit - 3.0), unit * (1.0 - a[1] / limit)],
+            [-3.0 * unit, 1.5 * unit],
+            [0.2 * limit, -0.4 * limit],
+            limit=limit,
+        )
+        return np.array(case.run().action) / limit
+
+    for unit, limit in product((1e-12, 1e12), (1e-6, 1e6)):
+        np.testing.assert_allclose(decided(unit, limit), decided(1.0, 1.0), atol=1e-6)
