@@ -29,6 +29,7 @@ PACKAGE = "safedpa.safety"
 SECONDS = 120
 """After which a mutant counts as killed: it hangs."""
 
+TOOLS = ("gymnasium", "hypothesis", "numpy", "piqp", "pytest", "quadprog")
 BARRIERS = ("test_barriers.py", "test_filter_recorded.py", "test_filter_invariance.py")
 VERDICTS = ("test_filter_recorded.py", "test_filter_edges.py", "test_filter_inputs.py", "test_filter_verdicts.py")
 SLOPES = "test_barriers.py::test_gradient_is_the_derivative"
@@ -43,6 +44,7 @@ MODULES = {
     "tangent": ("test_tangent.py", "test_filter_conditions.py", *VERDICTS),
     "chain_rule": ("test_chain_rule.py",),
     "least_unsafe": ("test_least_unsafe.py", "test_filter_verdicts.py", PROMISES),
+    "lattice": ("test_lattice.py",),
     "highest": ("test_highest.py", "test_least_unsafe.py", PROMISES),
     "inputs": VERDICTS,
     "quadratic_program": ("test_quadratic_program.py", "test_nearest.py", *VERDICTS),
@@ -96,17 +98,7 @@ class Planted(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 def import_what_is_not_mutated() -> None:
     """So that a forked process has it at once."""
-    for name in (
-        "gymnasium",
-        "hypothesis",
-        "numpy",
-        "piqp",
-        "pytest",
-        "quadprog",
-        "safedpa.dynamics",
-        "scipy.optimize",
-        "scipy.stats",
-    ):
+    for name in (*TOOLS, "safedpa.dynamics", "scipy.optimize", "scipy.stats"):
         importlib.import_module(name)
 
 

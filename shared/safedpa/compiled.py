@@ -22,6 +22,7 @@ MODULES = (
     "safedpa.safety.search",
     "safedpa.safety.solution",
     "safedpa.safety.tangent",
+    "safedpa.safety.towed_reach",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
 

@@ -125,11 +125,43 @@ def held(seeker: GoalSeeker, seconds: float, start: float = 0.0) -> list[tuple[s
     return found
 
 
-def test_held_in_place_it_backs_off_then_goes_round_then_seeks_again() -> None:
+def test_held_in_place_it_tries_one_thing_after_the_other() -> None:
     modes = [mode for mode, _ in held(GoalSeeker(), 8.0)]
     order = [mode for mode, before in zip(modes, ["", *modes], strict=False) if mode != before]
-    assert order[:4] == ["seek", "back_off", "detour", "seek"]
+    assert order[:5] == ["seek", "back_off", "detour", "back_off", "detour"], "none for longer than its patience"
     assert modes.index("back_off") * PERIOD <= SETTINGS.patience_seconds + PERIOD
+
+
+def backed_off(seconds_a_metre: float) -> float:
+    """How far it backs off when it is held ahead, and reverses so slowly [m]."""
+    seeker, x, back = GoalSeeker(), 0.0, 0.0
+    for tick in range(400):
+        speed, _ = seeker.wish(tick * PERIOD, (x, 0.0, 0.0, 0.0), (3.0, 1.0))
+        if seeker.mode == "detour":
+            return back
+        x -= PERIOD / seconds_a_metre if speed < 0.0 else 0.0
+        back = -x
+    return back
+
+
+def test_it_backs_off_by_a_way_whatever_it_tows() -> None:
+    assert backed_off(2.0) == pytest.approx(0.7, abs=0.05), "no shorter than 1.4 s"
+    assert backed_off(5.0) == pytest.approx(SETTINGS.back_off_way, abs=0.05)
+
+
+def test_a_goal_behind_is_turned_to_in_several_moves_to_one_side() -> None:
+    seeker, steers = GoalSeeker(), set()
+    for tick in range(160):
+        wish = seeker.wish(tick * PERIOD, (0.0, 0.0, 0.0, 0.0), (-1.0, 3.0))
+        assert seeker.mode in ("seek", "back_off")
+        if seeker.mode == "back_off":
+            steers.add(wish[1])
+    assert steers == {-SETTINGS.steer_limit}, "in reverse the nose turns against the wheels"
+
+
+def test_a_far_goal_is_turned_to_at_once() -> None:
+    near, far = GoalSeeker().wish(0.0, (0.0, 0.0, 0.0, 0.0), (0.8, 0.8)), GoalSeeker().wish(0.0, (0.0,) * 4, (5.0, 5.0))
+    assert far[1] == near[1] > 0.3
 
 
 def test_backing_off_goes_backwards_and_changes_sides() -> None:

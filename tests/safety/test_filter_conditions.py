@@ -83,8 +83,10 @@ def test_earlier_slopes_beat_the_chord() -> None:
 
 
 def test_one_number_that_is_none_is_enough() -> None:
-    with pytest.raises(InputError, match="predicted state: got NaN"):
-        conditions(lambda x, a: np.array([1.0, np.nan]), [[1.0], [0.0]]).outcome((0.0,))
+    for step in (lambda x, a: np.array([1.0, np.nan]), lambda x, a: np.array([np.inf, 0.0])):
+        outcome = conditions(step, [[1.0], [0.0]]).outcome((0.0,))
+        assert (outcome.usable, outcome.kept, outcome.broken, outcome.least) == (False, False, [0], -np.inf)
+    assert conditions(lambda x, a: x + a, [[1.0], [0.0]]).outcome((0.0,)).usable
     posed = conditions(lambda x, a: x + a, [[1.0], [np.inf]])
     with pytest.raises(InputError, match="g of the model: got NaN or infinity"):
         posed.linearised(posed.outcome((0.0,)))

@@ -40,7 +40,7 @@ def test_kinds_without_a_margin_have_none() -> None:
 def test_backup_that_leads_to_just_the_limit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decision_module, "search", lambda conditions, program, wish, start, *_: (start, "solved"))
     verdict = line_filter(wall=0.0).decide(np.zeros(1), [1.0])
-    assert (verdict.status, verdict.reason) == (Status.corrected, "Found from the backup action.")
+    assert (verdict.status, verdict.reason) == (Status.corrected, "Found from another start than the wish.")
     assert verdict.action[0] == 0.0
 
 
@@ -65,8 +65,8 @@ def test_program_is_posed_once_and_then_as_often_as_allowed(
         return Solution(np.array([2.0 - 0.01 * len(calls)]), np.zeros(1), True, "solved")
 
     monkeypatch.setattr(QuadraticProgram, "solve", stubborn)
-    assert safe.decide(np.zeros(1), [2.0]).reason == "Between the backup action and the wish."
-    assert len(calls) == 2 * (relinearisations + 1)  # from the wish, then from the backup
+    assert safe.decide(np.zeros(1), [2.0]).reason == "Found from another start than the wish."
+    assert len(calls) == 3 * (relinearisations + 1)  # from the wish, then from two others
 
 
 def test_what_could_not_be_computed_is_not_made_up() -> None:

@@ -186,17 +186,15 @@ def raises(*_: Any) -> Any:
         ({"affine": lambda x: (x, np.eye(1)), "step": raises}, "ZeroDivisionError: user's own"),
         ({"barriers": [FunctionBarrier(raises)]}, "ZeroDivisionError: user's own"),
         ({"barriers": [FunctionBarrier(lambda x: 1.0 - x[0], raises)]}, "ZeroDivisionError: user's own"),
-        ({"affine": lambda x: (x * math.nan, np.eye(1))}, "predicted state: got NaN or infinity"),
+        ({"affine": lambda x: (x * math.nan, np.eye(1))}, "no finite number for any action"),
         ({"affine": lambda x: (np.zeros(2), np.ones((2, 1)))}, "predicted state: got shape (2,), wanted (1,)"),
         ({"affine": lambda x: (x, np.ones((1, 2)))}, "ValueError"),
-        ({"step": lambda x, a: x + a, "affine": lambda x: (x, np.full((1, 1), math.nan))}, "g of the model: got NaN"),
-        ({"step": lambda x, a: x + a, "affine": lambda x: (x, np.ones((1, 2)))}, "g of the model: got shape (1, 2)"),
-        ({"step": lambda x, a: x + math.inf * a}, "predicted state: got NaN"),
+        ({"step": lambda x, a: np.full(1, math.inf)}, "no finite number for any action"),
         ({"barriers": [FunctionBarrier(lambda x: math.nan)]}, "h at the state: got NaN"),
         ({"barriers": [FunctionBarrier(lambda x: 1.0 - x[0], lambda x: [math.nan])]}, "gradient of h: got NaN"),
         (
-            {"barriers": [FunctionBarrier(lambda x: 0.4 if x[0] == 0 else math.inf)]},
-            "h at the predicted state: got NaN",
+            {"step": lambda x, a: x + 2.0, "barriers": [FunctionBarrier(lambda x: 0.4 if x[0] < 1.0 else math.inf)]},
+            "no finite number for any action",
         ),
         ({"barriers": 7}, "TypeError"),
     ],
@@ -209,6 +207,23 @@ def test_failing_functions_of_the_user(changes: dict[str, Any], reason: str) -> 
     assert verdict.status is Status.fallback
     assert reason in verdict.reason
     np.testing.assert_array_equal(verdict.action, [0.0])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"step": lambda x, a: x + a, "affine": lambda x: (x, np.full((1, 1), math.nan))},
+        {"step": lambda x, a: x + a if a[0] < 0.5 else x * math.nan},
+        {"barriers": [FunctionBarrier(lambda x: 1.0 - x[0] if x[0] < 0.5 else math.inf, lambda x: [-1.0])]},
+    ],
+)
+def test_where_the_way_from_the_wish_has_no_numbers_another_is_gone(changes: dict[str, Any]) -> None:
+    """Slopes, a next state or an h at the wish that are no numbers: other actions are predicted and kept."""
+    verdict = scalar_filter(**changes).decide(np.zeros(1), [1.0])
+    assert verdict.status is Status.corrected
+    assert verdict.known
+    assert 0.0 <= verdict.action[0] <= 0.2
+    assert verdict.h_next == 1.0 - verdict.action[0]
 
 
 def test_failure_half_way_still_reports_h() -> None:
@@ -305,7 +320,7 @@ def test_search_that_finds_nothing_goes_from_the_backup_towards_the_wish(monkeyp
     program_says(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "Between the backup action and the wish."
+    assert verdict.reason == "Found from another start than the wish."
     assert 0.15 < verdict.action[0] <= 0.2
 
 
@@ -315,7 +330,7 @@ def test_a_backup_that_breaks_the_condition_is_no_place_to_go_from(monkeypatch: 
     program_says(monkeypatch, safe, solution(0.9))
     verdict = safe.decide(np.zeros(1), [1.0])
     assert verdict.status is Status.corrected
-    assert verdict.reason == "Found from a corner of the actions' range."
+    assert verdict.reason == "Found from another start than the wish."
     assert verdict.action[0] <= 0.2
 
 
@@ -330,7 +345,7 @@ def test_second_search_from_the_backup(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(decision_module, "search", first_fails)
     verdict = scalar_filter().decide(np.zeros(1), [1.0])
-    assert verdict.reason == "Found from the backup action."
+    assert verdict.reason == "Found from another start than the wish."
     assert verdict.action[0] == pytest.approx(0.2)
     assert calls[0] == 1.0
     assert 0.15 < calls[1] <= 0.2  # towards the wish as far as is kept: tangents there are those of the nearest action

@@ -72,8 +72,10 @@ class Problem:
 
     @property
     def scale(self) -> Values:
+        """Of a row that no action moves it is what h is then, if that is more."""
         reach = np.abs(self.slopes) @ (self.high - self.low)
-        return np.asarray(np.maximum.reduce([np.abs(self.now), self.epsilon, reach, np.full(len(self.now), 1e-300)]))
+        then = np.where(reach > 0.0, 0.0, np.abs(self.base))
+        return np.asarray(np.maximum.reduce([np.abs(self.now), self.epsilon, reach, then, np.full(len(then), 1e-300)]))
 
     def after(self, action: Values) -> Values:
         """(m,) h_i(x+)."""
@@ -196,12 +198,12 @@ def test_the_nearest_of_equally_unsafe_actions_is_taken(seed: int) -> None:
     assert verdict.action[1] == pytest.approx(wish[1], abs=1e-6)
 
 
-def test_where_the_least_h_leaves_room_the_wish_decides() -> None:
-    """h_0 cannot be helped; the others keep their conditions, and of that the nearest to the wish is taken."""
+def test_where_the_least_h_leaves_room_the_backup_decides() -> None:
+    """h_0 cannot be helped within one step; the other keeps its condition, as near to the backup (0, 0) as it can."""
     problem = Problem(
         now=np.array([0.5, 1.0]),
-        base=np.array([-0.2, 1.0]),
-        slopes=np.array([[0.0, 0.0], [1.0, 0.0]]),
+        base=np.array([-0.2, 0.4]),
+        slopes=np.array([[0.0, 0.0], [1.0, -1.0]]),
         low=np.array([-1.0, -1.0]),
         high=np.array([1.0, 1.0]),
         wish=np.array([-0.9, 0.3]),
@@ -211,4 +213,5 @@ def test_where_the_least_h_leaves_room_the_wish_decides() -> None:
     )
     verdict = problem.decide()
     assert verdict.status is Status.relaxed
-    np.testing.assert_allclose(verdict.action, [-0.2, 0.3], atol=0.02)
+    np.testing.assert_allclose(verdict.action, [0.2, -0.2], atol=0.02)
+    assert verdict.reason.endswith("No action moves h0 within one step: the backup is taken for the wish.")

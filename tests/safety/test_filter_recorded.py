@@ -5,6 +5,7 @@ Run this file as a script to write the recording anew, after a change that is me
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,12 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
-from safedpa.safety import FilterSettings, SafetyFilter, Verdict, car_barriers
+from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, Verdict, car_barriers
 
 RECORDING = Path(__file__).with_name("recorded_verdicts.json")
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
-SCENES, CASES = 30, 10
+SCENES, CASES, TIGHT = 30, 10, 7
 
 
 def verdict_on(safe: SafetyFilter, scene: list[list[float]], case: dict[str, Any]) -> Verdict:
@@ -39,8 +40,17 @@ def answer(verdict: Verdict) -> dict[str, Any]:
     }
 
 
+def drawn_state(random: np.random.Generator, barriers: Sequence[AbstractBarrier], tight: bool) -> list[float]:
+    """Anywhere; or ``tight``: where the least h is 0 to 0.05, the margin's own boundary layer."""
+    while True:
+        state = np.round(random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0)), 3)
+        if not tight or 0.0 <= min(part.values(state).min() for part in barriers) < 0.05:
+            return list(state.tolist())
+
+
 def record() -> None:
-    """Random scenes of 6 to 8 obstacles, random states inside and outside the safe set, ordinary and extreme wishes."""
+    """Random scenes of 6 to 8 obstacles, random states inside, outside and at the edge of the safe set, ordinary and
+    extreme wishes."""
     random, safe = np.random.default_rng(20), SafetyFilter.for_model(load_model("car"), FilterSettings())
     scenes = []
     for index in range(SCENES):
@@ -48,10 +58,11 @@ def record() -> None:
         obstacles = np.column_stack([random.uniform(-3.5, 3.5, (count, 2)), random.uniform(0.2, 0.35, count)])
         scene = np.round(obstacles, 3).tolist()
         cases = []
-        for _ in range(CASES):
+        barriers = car_barriers(safe.settings, FOOTPRINT, scene, FIELD)
+        for number in range(CASES + TIGHT):
             spread = 1.0 if random.random() < 0.7 else 1.4
             case: dict[str, Any] = {
-                "state": np.round(random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0)), 3).tolist(),
+                "state": drawn_state(random, barriers, number >= CASES),
                 "wish": np.round(random.uniform((-0.6, -0.34), (2.0, 0.34)) * spread, 3).tolist(),
                 "latent": np.round(random.uniform((0.0, 0.0), (1.0, 4.0)), 3).tolist(),
             }
@@ -80,9 +91,9 @@ def test_decisions_are_those_recorded(recorded: list[dict[str, Any]]) -> None:
 
 def test_the_recording_holds_every_kind_of_decision(recorded: list[dict[str, Any]]) -> None:
     verdicts = [case["verdict"] for scene in recorded for case in scene["cases"]]
-    assert len(verdicts) == SCENES * CASES
+    assert len(verdicts) == SCENES * (CASES + TIGHT)
     kinds = Counter(verdict["status"] for verdict in verdicts)
-    assert set(kinds) == {"passed", "corrected", "relaxed"}
+    assert set(kinds) == {"passed", "corrected", "relaxed", "violated"}
     assert min(kinds.values()) >= 30
     reasons = {verdict["reason"] for verdict in verdicts}
     assert len(reasons) >= 4

@@ -16,6 +16,7 @@ from safedpa.safety.search import (
     _furthest_back,
     _posed,
     _same,
+    overshot,
     search,
     towards,
 )
@@ -103,11 +104,29 @@ def test_slopes_that_served_well_are_used_again_with_the_true_residual() -> None
     assert scripted.limits[0] == 10.0
 
 
-def test_each_round_asks_for_a_quarter_more_of_what_is_missing() -> None:
-    """What curvature took away once it takes away again."""
-    scripted = Scripted((-8.0,), (-8.0,), (-8.0,), (-8.0,))
+def test_more_is_asked_for_the_less_a_solution_brought() -> None:
+    """Of the 8 missing 6 are left, then 3, then nothing is gained: shares 0.75, 0.5 and 1, which counts as 0.75."""
+    scripted = Scripted((-6.0,), (-3.0,), (-3.0,), (-3.0,))
     scripted.run(outcome(0.0, -8.0))
-    assert scripted.limits == [8.0, 1.0 + 1.25 * 8.0, 2.0 + 1.5 * 8.0, 3.0 + 1.75 * 8.0]
+    assert scripted.limits == [8.0, 1.0 + (1.0 + 3.75) * 6.0, 2.0 + (1.0 + 1.25) * 3.0, 3.0 + (1.0 + 3.75) * 3.0]
+
+
+@pytest.mark.parametrize(
+    ("solutions", "last", "missing", "share"),
+    [
+        (1, 8.0, 0.0, 0.25),
+        (3, 8.0, 0.0, 0.75),
+        (1, 8.0, 0.4, 0.25),
+        (1, 8.0, 4.0, 1.25),
+        (8, 8.0, 4.0, 2.0),
+        (1, 8.0, 6.0, 3.75),
+        (1, 8.0, 7.9, 3.75),
+        (1, 8.0, 80.0, 3.75),
+        (1, 0.0, 3.0, 0.25),
+    ],
+)
+def test_what_is_asked_for_on_top(solutions: int, last: float, missing: float, share: float) -> None:
+    assert overshot(solutions, last, missing) == pytest.approx(share)
 
 
 @pytest.mark.parametrize("residual", [(-1.0,), (-1.1,), (0.3,)])
@@ -223,7 +242,8 @@ def solver_says(*solutions: Solution) -> tuple[Outcome, str]:
     conditions: Any = Scripted()
     conditions.outcome = lambda taken: about(*taken)
     given: Any = Given()
-    return _posed(conditions, given, [0.0] * count, outcome(0.0, -1.0), len(solutions))
+    found, _, word = _posed(conditions, given, [0.0] * count, outcome(0.0, -1.0), len(solutions))
+    return found, word
 
 
 def solution(*action: float) -> Solution:
@@ -283,21 +303,21 @@ class Line:
 def test_the_way_is_gone_as_far_as_a_straight_residual_allows_but_for_a_tenth() -> None:
     """On 8 to 0 there is room for 5: 4.5 are gone, then 0.45 of the 0.5 left, and so on."""
     line: Any = Line(3.0, 8.0)
-    found = towards(line, (0.0,), outcome(8.0, 5.0))
+    found = towards(line, line.outcome((0.0,)), outcome(8.0, 5.0))
     assert line.tried == pytest.approx([0.0, 3.5, 3.05])
     assert found.action[0] == pytest.approx(3.05)
 
 
 def test_a_way_that_is_free_is_gone_to_its_end() -> None:
     line: Any = Line(0.0, 8.0)
-    assert towards(line, (0.0,), outcome(8.0, 8.0)).action == (0.0,)
+    assert towards(line, line.outcome((0.0,)), outcome(8.0, 8.0)).action == (0.0,)
     assert line.tried == [0.0]
 
 
 def test_a_way_that_no_action_allows_leads_nowhere() -> None:
     line: Any = Line(8.0, 8.0)
     kept = outcome(8.0, 0.0)
-    assert towards(line, (0.0,), kept) is kept
+    assert towards(line, line.outcome((0.0,)), kept) is kept
     assert line.tried == [0.0]
 
 
@@ -308,7 +328,7 @@ def test_a_residual_that_bends_is_followed_between_the_last_kept_and_the_last_br
         line.outcome = lambda action, bent=bent, line=line: (
             line.tried.append(action[0]) or outcome(action[0], bent(action[0]))
         )
-        found = towards(line, (0.0,), outcome(9.0, bent(9.0)))
+        found = towards(line, line.outcome((0.0,)), outcome(9.0, bent(9.0)))
         assert found.kept
         assert edge <= found.action[0] < edge + 0.3
         assert len(line.tried) <= TRIES + 1
@@ -320,7 +340,7 @@ def test_the_first_residual_that_is_used_up_ends_the_way_and_one_that_grows_does
     line.outcome = lambda action: outcome(
         action[0], 90.0 + 10.1 * (action[0] - 9.0), 0.01 - (action[0] - 8.0), action[0] - 4.0
     )
-    found = towards(line, (0.0,), outcome(8.0, 79.9, 0.01, 4.0))
+    found = towards(line, line.outcome((0.0,)), outcome(8.0, 79.9, 0.01, 4.0))
     assert found.action[0] == pytest.approx(4.04, abs=0.001)
 
 
@@ -328,7 +348,7 @@ def test_a_residual_that_is_broken_by_rounding_ends_the_way() -> None:
     """What is kept may miss its condition by rounding errors: there is no room in it."""
     line: Any = Line(8.0, 8.0)
     kept = Outcome((8.0,), [0.0], [0.0], [-1e-13], [])
-    assert towards(line, (0.0,), kept) is kept
+    assert towards(line, line.outcome((0.0,)), kept) is kept
 
 
 def test_what_binds_is_not_looked_at_again() -> None:
@@ -395,3 +415,36 @@ def test_what_is_broken_is_not_brought_nearer() -> None:
     assert not found.kept
     assert found.action == (8.0,)
     assert line.asked == 4
+
+
+def test_a_long_last_step_from_a_broken_action_is_gone_back() -> None:
+    """From 3 to 8 at once, though all from 3.5 on is kept."""
+    line: Any = Line(3.5, 3.0, 8.0)
+    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.outcome = lambda action: line.tried.append(action[0]) or outcome(action[0], 0.01 if action[0] > 3.5 else -0.01)
+    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert line.tried[2] == pytest.approx(8.0 - 0.9 * 2.5)
+    assert 3.5 < found.action[0] < 4.5
+    assert found.kept
+
+
+@pytest.mark.parametrize("last", [3.4, 4.4])
+def test_a_short_last_step_is_left(last: float) -> None:
+    """A tenth of the range, which is 9."""
+    line: Any = Line(3.3, 3.0 if last == 3.4 else 4.0, last)
+    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.outcome = lambda action: (
+        line.tried.append(action[0]) or outcome(action[0], 0.01 if action[0] == last else -1.0)
+    )
+    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert found.action == (last,)
+    assert len(line.tried) == 2
+
+
+def test_the_first_step_is_left_however_long_it_is() -> None:
+    """The start is where the wish was: the program has the way from there."""
+    line: Any = Line(3.5, 8.0)
+    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    line.outcome = lambda action: line.tried.append(action[0]) or outcome(action[0], 0.01)
+    found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
+    assert (found.action, line.tried) == ((8.0,), [8.0])

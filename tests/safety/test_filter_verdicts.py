@@ -254,11 +254,12 @@ def test_violated_takes_the_action_that_raises_h_most_whatever_the_backup(backup
 
 
 @pytest.mark.parametrize(("start", "status"), [(5.0, Status.relaxed), (-2.0, Status.violated)])
-def test_where_no_action_helps_the_wish_is_left(start: float, status: Status) -> None:
-    """All are equally unsafe: then the least change of the wish, which is none."""
+def test_where_no_action_helps_within_one_step_the_backup_is_taken(start: float, status: Status) -> None:
+    """All are equally unsafe by then: the backup is what is known to be good beyond."""
     verdict = infeasible(start, backup=lambda state: np.array([0.25]), gain=0.0)
     assert verdict.status is status
-    assert verdict.action[0] == -0.5
+    assert verdict.action[0] == 0.25
+    assert verdict.reason.endswith(" No action moves h within one step: the backup is taken for the wish.")
 
 
 @pytest.mark.parametrize(

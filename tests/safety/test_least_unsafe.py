@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from safedpa.safety import Barriers, FunctionBarrier, Prediction, QuadraticProgram
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
+from safedpa.safety.lattice import lattice
 from safedpa.safety.least_unsafe import TOLERANCE, least_unsafe
+from safedpa.safety.search import DecisionError
 
 Values = NDArray[np.float64]
 
@@ -30,10 +32,13 @@ class Case:
         eta: float = 1.0,
         epsilon: float = 0.0,
         limit: float = 1.0,
+        affine: bool = True,
+        backup: Sequence[float] | None = None,
         program: Any = None,
         highest: Any = None,
     ) -> None:
         self.h, self.wish, actions = h, tuple(wish), len(wish)
+        self.affine, self.resting, self.stuck = affine, backup, ("not run",)
         self.asked: list[tuple[float, ...]] = []
         start = (9.0,) * actions
 
@@ -61,12 +66,16 @@ class Case:
         self.asked.append(tuple(action.tolist()))
         return action
 
-    def outcome(self, *action: float) -> Outcome:
-        return self.conditions.outcome(action)
+    @property
+    def backup(self) -> Outcome:
+        return self.conditions.outcome(tuple(self.wish if self.resting is None else self.resting))
 
     def run(self, *known: Sequence[float]) -> Outcome:
         begun = [self.conditions.outcome(tuple(action)) for action in known or [self.wish]]
-        return least_unsafe(self.conditions, self.program, self.highest, self.wish, begun)
+        spread = [self.conditions.outcome(action) for action in lattice(self.conditions._sides, affine=self.affine)]
+        known = [*begun, *spread]
+        found, self.stuck = least_unsafe(self.conditions, self.program, self.highest, self.wish, self.backup, known)
+        return found
 
 
 def test_the_highest_is_taken_though_the_wish_is_far() -> None:
@@ -121,6 +130,16 @@ def test_the_next_ones_are_raised_to_their_conditions_and_no_higher() -> None:
         assert found.action == pytest.approx((1.0, asked), abs=0.02)
         kept = Case(lambda a: [a[0] - 5.0, a[1] + 3.0], [-5.0, 3.0 + asked], [-1.0, 0.8], eta=0.0).run()
         assert kept.action == pytest.approx((1.0, 0.8), abs=0.02)
+
+
+def test_a_condition_below_the_least_of_all_lowers_it_no_further() -> None:
+    """h_1 asks for -3 of its 4 only, -0.75; but the least of all is -2 of 3, and is not given away for the wish."""
+    found = Case(lambda a: [a[0] - 3.0, 2.0 * a[1] - 2.0], [-3.0, -3.0], [-1.0, -1.0], eta=0.0).run()
+    assert found.action == pytest.approx((1.0, -1.0 / 3.0), abs=0.02)
+    both = Case(
+        lambda a: [a[0] - 3.0, -a[0] + 3.0 * a[1] - 2.0, a[1] + 9.0], [-3.0, -7.0, 9.5], [-1.0, -1.0], eta=0.0
+    ).run()
+    assert both.action == pytest.approx((1.0, 0.5), abs=0.02)
 
 
 def test_of_three_the_third_follows_the_second() -> None:
@@ -226,7 +245,7 @@ def test_what_was_foretold_needs_no_second_round() -> None:
     """Affine: 4 corners, the wish, the highest and the nearest as high."""
     case = Case(lambda a: [a[0] - 3.0, a[1] - 2.0], [-3.0, -2.0], [0.0, 0.0])
     case.run()
-    assert len(case.asked) == 4 + 1 + 2
+    assert len(case.asked) == 4 + 1 + 1 + 2
 
 
 def test_never_below_zero_where_all_can_be_kept_above() -> None:
@@ -257,3 +276,39 @@ def test_it_is_the_same_in_any_unit() -> None:
 
     for unit, limit in product((1e-12, 1e12), (1e-6, 1e6)):
         np.testing.assert_allclose(decided(unit, limit), decided(1.0, 1.0), atol=1e-6)
+
+
+def test_what_no_action_moves_within_one_step_brings_the_backup_for_the_wish() -> None:
+    """h_0 is below 0 and does not depend on the action yet; h_1 is free, h_2 asks for a_1 >= 0.25."""
+    case = Case(lambda a: [-7.0, a[0] + 9.0, a[1] + 1.0], [-7.0, 1.0, 1.25], [-1.0, -1.0], eta=0.0, backup=[0.5, -0.5])
+    found = case.run()
+    assert case.stuck == ("h0",)
+    assert found.action == pytest.approx((0.5, 0.25), abs=0.02)
+
+
+def test_what_no_action_moves_but_is_well_brings_no_backup() -> None:
+    case = Case(lambda a: [3.0, a[0] - 3.0], [3.0, -3.0], [0.0, 0.7], backup=[0.5, -0.5])
+    assert case.run().action == pytest.approx((1.0, 0.7), abs=0.02)
+    assert case.stuck == ()
+
+
+@pytest.mark.parametrize(("now", "required", "stuck"), [(1.0, 1.0, ()), (1.0, 1.5, ("h0",)), (-1.0, 0.0, ("h0",))])
+def test_stuck_is_what_is_below_zero_or_not_kept(now: float, required: float, stuck: tuple[str, ...]) -> None:
+    """h_0 is 1 after any action."""
+    case = Case(lambda a: [1.0, a[0] - 3.0], [now, -3.0], [0.0], eta=1.0 if required < 1.0 else 0.0)
+    case.conditions.required[0] = required
+    case.run()
+    assert case.stuck == stuck
+
+
+def test_actions_without_a_finite_prediction_are_left_out() -> None:
+    """h is a number for actions below 0.5 alone: of these the highest that is found."""
+    case = Case(lambda a: [a[0] - 3.0 if a[0] < 0.5 else np.nan], [-3.0], [-1.0], affine=False)
+    found = case.run()
+    assert found.usable
+    assert 0.0 <= found.action[0] < 0.5
+
+
+def test_without_any_finite_prediction_there_is_no_decision() -> None:
+    with pytest.raises(DecisionError, match="no finite number for any action"):
+        Case(lambda a: [np.nan], [-3.0], [-1.0]).run()

@@ -11,7 +11,7 @@ from safedpa.errors import did_you_mean
 __all__ = ["EXPERIMENTS", "command"]
 
 EXPERIMENTS = (
-    "car", "controllers", "faults", "fleet-diagnosis", "hidden-effects", "live", "long-logs", "pendulum",
+    "adversary", "car", "controllers", "faults", "fleet-diagnosis", "hidden-effects", "live", "long-logs", "pendulum",
     "pendulum-story", "point", "point-heat-map", "point-story", "real-logs", "safety", "safety-pays",
 )  # fmt: skip
 """One file each in the folder ``experiments``, with options of its own; imported when it is called."""

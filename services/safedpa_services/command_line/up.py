@@ -256,7 +256,7 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     if robot.pid == 0:
         raise SafedpaError("ended before the robot was started; nothing was driven")
     health = {name: message for name, (message, _) in watch.health.items()}
-    return summary_of(plan.summary, watch.verdicts, [robot, *services], health, plan.recording)
+    return summary_of(plan.summary, watch.verdicts, [robot, *services], health, plan.recording, watch.standstills)
 
 
 def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -> Any:
@@ -278,6 +278,8 @@ def _tell(summary: dict[str, Any]) -> None:
     latency = summary["latency_us"]
     click.echo(f"{summary['ticks']} ticks, {summary['goals_reached']} goals, {summary['collisions']} collisions")
     click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
+    for stand in summary["standstills"]:
+        click.echo(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
     if latency["p50"] is not None:
         click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
     restarts = {service["name"]: service["restarts"] for service in summary["services"] if service["restarts"]}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from safedpa.bus import HealthMessage
 from safedpa.errors import SafedpaError
+from safedpa.safety.standstill import Stand
 from safedpa_services.supervisor.child import Child
 
 __all__ = ["summary_of"]
@@ -22,8 +24,9 @@ def summary_of(
     children: list[Child],
     health: dict[str, HealthMessage],
     recording: Path,
+    standstills: Sequence[Stand] = (),
 ) -> dict[str, Any]:
-    """The robot's own account, verdicts per status, interventions, services with restarts, and the recording.
+    """The robot's own account, verdicts per status, stands, interventions, services with restarts, and the recording.
 
     Raises SafedpaError when the robot left no account.
     """
@@ -36,6 +39,7 @@ def summary_of(
     return {
         **account,
         "verdicts": dict(sorted(verdicts.items())),
+        "standstills": list(standstills),
         "interventions": sum(count for status, count in verdicts.items() if status not in _UNTOUCHED),
         "services": [{"name": child.name, "pid": child.pid, "restarts": child.restarts} for child in children],
         "recording": str(recording),

@@ -26,6 +26,7 @@ def view_of(
     """A headline, the table of processes, hints where to look, and the newest warnings."""
     return Group(
         _headline(watch),
+        *_standing(watch),
         _finding(watch),
         _processes(watch, services, robot),
         *(Text(hint, style=_hint_style(hint)) for hint in hints),
@@ -35,6 +36,14 @@ def view_of(
 
 def _hint_style(hint: str) -> str:
     return "bold cyan" if hint.startswith("live view") else "dim"
+
+
+def _standing(watch: Watch) -> list[Text]:
+    """For how long the robot has stood and why, once that is told."""
+    verdict = watch.verdict
+    if verdict is None or not verdict.standstill:
+        return []
+    return [Text(f"stands for {verdict.stands:.0f} s, {verdict.standstill}", style="yellow")]
 
 
 def _headline(watch: Watch) -> Text:

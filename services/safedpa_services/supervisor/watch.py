@@ -21,6 +21,7 @@ from safedpa.bus import (
 )
 from safedpa.bus.requests import ORDER
 from safedpa.errors import SafedpaError
+from safedpa.safety.standstill import Stand, note_standstill
 
 __all__ = ["Watch"]
 
@@ -43,6 +44,8 @@ class Watch:
     verdict: VerdictMessage | None = None
     state: StateMessage | None = None
     finding: FindingMessage | None = None
+    standstills: list[Stand] = field(default_factory=list)
+    """Every stand of more than 5 s while something was wished."""
 
     def __post_init__(self) -> None:
         self._inbox = self.bus.inbox((HEALTH, VERDICT, STATE, FINDING))
@@ -93,3 +96,4 @@ class Watch:
             self._last = (message.epoch, message.tick)
             self.verdict = message
             self.verdicts[message.status] += 1
+            note_standstill(self.standstills, message)

@@ -88,6 +88,10 @@ class StateMessage(Message):
     corridor: Vector = ()
     """(2,) the angles between which the first entry of the state must stay, whose rate is the second; in rad, turns
     counted. Empty of a robot without one."""
+    towed: Vector = ()
+    """(3,) of what hangs on a hitch at the footprint's rear end: the net ways driven backwards after which it begins to
+    leave the footprint, and after which it may stand at any angle, and how far it reaches from the hitch, in m. Empty
+    of a robot that tows nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,6 +174,10 @@ class VerdictMessage(ComputedMessage):
     """Fingerprint of the model in force; empty: not told."""
     ordered: str = ""
     """Why the robot was ordered to stop; empty: it may drive."""
+    stands: Number = 0.0
+    """s for which the robot has not moved though something is wished; 0: it moves, nothing is wished, or not told."""
+    standstill: str = ""
+    """Why it stands, once it has for more than 5 s; empty before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

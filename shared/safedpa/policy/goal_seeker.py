@@ -6,7 +6,9 @@ Towards the goal it follows an arc (pure pursuit): with the goal at distance d a
 
 A goal inside the turning circle of its side (radius wheelbase / tan(steer limit)) would be circled for ever; there it
 first makes room, backwards with the wheels turned away. Where it makes no headway (the filter holds it back, or it
-stands against a wall) it backs off, then heads past the goal's direction to one side, to the other side the next time.
+stands against a wall) it backs off, by a way and not by a time: a robot that tows is slow in reverse. Then it heads
+past the goal's direction to one side, to the other side the next time; but where the goal lies abeam or behind, it
+turns round in several moves, always to the same side. Held back again meanwhile, it tries the next thing at once.
 Source of pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
 """
 
@@ -33,6 +35,8 @@ class GoalSeekerSettings:
     slowest_target: float = -0.6
     fastest_target: float = 2.0
     """Limits of the robot's speed command, within which a load may be made up for."""
+    lookahead: float = 1.2
+    """m; a goal farther away is steered for as if it were so near: turned towards at once, then straight ahead."""
     approach_gain: float = 1.5
     """1/s; target speed per metre to the goal."""
     slowest_share: float = 0.35
@@ -41,9 +45,20 @@ class GoalSeekerSettings:
     """Without headway for so long, it backs off."""
     headway: float = 0.12
     """m within the patience that count as headway."""
+    reverse_headway: float = 0.04
+    """The same backwards, where what it tows is slow to move."""
     back_off_seconds: float = 1.4
+    """At least, unless it makes no headway backwards either."""
+    back_off_way: float = 0.6
+    """m from where it was held back that it makes at the first attempt, and as much more at each of the next two."""
+    back_off_longest: float = 5.0
+    """s for each such way."""
     room_seconds: float = 4.0
     """Longest time to make room; then something is behind it, and it tries a detour."""
+    turning_bearing: float = 1.3
+    """rad from the heading to the goal, beyond which it turns round in several moves."""
+    turning_moves: int = 6
+    """So many at most for one goal; then it tries detours."""
     reach: float = 0.2
     """m; how near the turning circle a goal may lie and is still reached on it."""
     detour_seconds: float = 1.6
@@ -70,9 +85,11 @@ class GoalSeeker:
 
     def __post_init__(self) -> None:
         self._mode = _Mode.SEEK
-        self._mode_ends = 0.0
+        self._mode_ends = self._earliest = 0.0
+        self._held_at = (0.0, 0.0)
         self._side = 1.0
-        self._attempts = 0
+        self._attempts = self._moves = 0
+        self._turns_round = False
         self._goal: tuple[float, ...] = ()
         self._trail: deque[tuple[float, float, float]] = deque()
 
@@ -85,7 +102,7 @@ class GoalSeeker:
         """(target_speed [m/s], steer [rad]) at robot time [s] for state (x, y, yaw, speed) and goal (x, y)."""
         x, y, yaw, _ = state
         if goal != self._goal:
-            self._goal, self._attempts, self._mode = goal, 0, _Mode.SEEK
+            self._goal, self._attempts, self._moves, self._mode = goal, 0, 0, _Mode.SEEK
             self._trail.clear()
         distance = math.hypot(goal[0] - x, goal[1] - y)
         bearing = _wrapped(math.atan2(goal[1] - y, goal[0] - x) - yaw)
@@ -98,7 +115,8 @@ class GoalSeeker:
 
     def _pursue(self, distance: float, bearing: float) -> tuple[float, float]:
         settings = self.settings
-        steer = math.atan(2.0 * settings.wheelbase * math.sin(bearing) / max(distance, 0.05))
+        ahead = min(max(distance, 0.05), settings.lookahead)
+        steer = math.atan(2.0 * settings.wheelbase * math.sin(bearing) / ahead)
         if abs(bearing) > math.pi / 2:
             steer = math.copysign(settings.steer_limit, bearing)
         speed = min(settings.cruise_speed, settings.approach_gain * distance)
@@ -106,29 +124,48 @@ class GoalSeeker:
         return speed, max(-settings.steer_limit, min(settings.steer_limit, steer))
 
     def _change_mode(self, time: float, x: float, y: float, distance: float, bearing: float) -> None:
+        stuck, mode = self._is_stuck(time, x, y), self._mode
         outside = self._outside_circle(distance, bearing)
-        if self._mode is _Mode.SEEK:
-            if self._is_stuck(time, x, y):
-                self._attempts += 1
-                self._side = _side_of(bearing) if self._attempts == 1 else -self._side
-                self._enter(_Mode.BACK_OFF, time + self.settings.back_off_seconds)
-            elif outside < -self.settings.reach:
-                self._side = _side_of(bearing)
-                self._enter(_Mode.MAKE_ROOM, time + self.settings.room_seconds)
-        elif self._mode is _Mode.MAKE_ROOM:
-            if outside > 0.0:
-                self._enter(_Mode.SEEK, time)
-            elif time >= self._mode_ends:
-                self._attempts += 1
-                self._enter(_Mode.DETOUR, time + self.settings.detour_seconds)
-        elif time >= self._mode_ends:
-            if self._mode is _Mode.BACK_OFF:
-                self._enter(_Mode.DETOUR, time + self.settings.detour_seconds * min(self._attempts, 4))
-            else:
-                self._enter(_Mode.SEEK, time)
+        if stuck and mode in (_Mode.SEEK, _Mode.DETOUR):
+            self._choose_side(bearing)
+            self._held_at = x, y
+            longest = self.settings.back_off_longest * self._persistence
+            self._enter(_Mode.BACK_OFF, time + longest, time + self.settings.back_off_seconds)
+        elif mode is _Mode.SEEK and outside < -self.settings.reach:
+            self._side = _side_of(bearing)
+            self._enter(_Mode.MAKE_ROOM, time + self.settings.room_seconds)
+        elif mode is _Mode.MAKE_ROOM and outside > 0.0:
+            self._enter(_Mode.SEEK, time)
+        elif mode is _Mode.MAKE_ROOM and (stuck or time >= self._mode_ends):
+            self._attempts += 1
+            self._enter(_Mode.DETOUR, time + self.settings.detour_seconds)
+        elif mode is _Mode.BACK_OFF and (stuck or time >= self._mode_ends or self._is_back(time, x, y)):
+            ahead = 0.0 if self._turns_round else self.settings.detour_seconds * min(self._attempts, 4)
+            self._enter(_Mode.SEEK if self._turns_round else _Mode.DETOUR, time + ahead)
+        elif mode is _Mode.DETOUR and time >= self._mode_ends:
+            self._enter(_Mode.SEEK, time)
 
-    def _enter(self, mode: _Mode, ends: float) -> None:
-        self._mode, self._mode_ends = mode, ends
+    def _choose_side(self, bearing: float) -> None:
+        """Which way the nose turns while it backs off, and whether it goes on turning afterwards."""
+        self._turns_round = abs(bearing) > self.settings.turning_bearing and self._moves < self.settings.turning_moves
+        if self._turns_round:
+            self._moves += 1
+            self._side = _side_of(bearing)
+            return
+        self._attempts += 1
+        self._side = _side_of(bearing) if self._attempts == 1 else -self._side
+
+    def _is_back(self, time: float, x: float, y: float) -> bool:
+        """Whether it has backed off for long enough and far enough."""
+        way = math.hypot(x - self._held_at[0], y - self._held_at[1])
+        return time >= self._earliest and way >= self.settings.back_off_way * self._persistence
+
+    @property
+    def _persistence(self) -> int:
+        return 1 if self._turns_round else min(self._attempts, 3)
+
+    def _enter(self, mode: _Mode, ends: float, earliest: float = 0.0) -> None:
+        self._mode, self._mode_ends, self._earliest = mode, ends, earliest
         self._trail.clear()
 
     def _outside_circle(self, distance: float, bearing: float) -> float:
@@ -143,7 +180,9 @@ class GoalSeeker:
             self._trail.popleft()
         oldest, past_x, past_y = self._trail[0]
         watched = time - oldest >= 0.9 * self.settings.patience_seconds
-        return watched and math.hypot(x - past_x, y - past_y) < self.settings.headway
+        backwards = self._mode in (_Mode.BACK_OFF, _Mode.MAKE_ROOM)
+        headway = self.settings.reverse_headway if backwards else self.settings.headway
+        return watched and math.hypot(x - past_x, y - past_y) < headway
 
 
 def _side_of(bearing: float) -> float:

@@ -14,6 +14,7 @@ from typing import Final, final
 from safedpa.safety.braking import Braking
 from safedpa.safety.chain_rule import chain_rule
 from safedpa.safety.obstacle_barrier import SMALLEST_DISTANCE
+from safedpa.safety.towed_reach import TowedReach
 
 __all__ = ["CarGeometry", "Row"]
 
@@ -33,7 +34,8 @@ class CarGeometry:
     """h and its slopes as in ``ObstacleBarrier``, ``FieldBarrier`` and ``SpeedBarrier``, in this order.
 
     ``obstacles``: x, y [m] and what the distance has to exceed [m]; ``field``: lowest and highest x, y of both ends of
-    the swept segment [m], or None; ``limits``: lowest and highest speed [m/s]; ``body``: rear and front end [m].
+    the swept segment [m], or None; ``limits``: lowest and highest speed [m/s]; ``body``: rear and front end [m];
+    ``towed``: what hangs at the rear end, if anything.
     """
 
     def __init__(
@@ -43,7 +45,9 @@ class CarGeometry:
         limits: tuple[float, float],
         body: tuple[float, float],
         braking: Braking,
+        towed: TowedReach | None = None,
     ) -> None:
+        self._towed = towed
         self._places_x: list[float] = [x for x, _, _ in obstacles]
         self._places_y: list[float] = [y for _, y, _ in obstacles]
         self._reaches: list[float] = [reach for _, _, reach in obstacles]
@@ -91,10 +95,72 @@ class CarGeometry:
                 h.append(self._high_y - end_y)
         h.append(self._highest - speed)
         h.append(speed - self._lowest)
+        towed = self._towed
+        if towed is not None:
+            growth: float = towed.growth(x, y, speed)
+            if growth > 0.0:
+                self._lower(h, (x, y, cosine, sine), rear, growth)
         return h
+
+    def _lower(self, h: list[float], pose: Row, rear: float, growth: float) -> None:
+        """To what the larger radius from ``rear`` to the hitch leaves, at ``pose`` (x, y, cos yaw, sin yaw)."""
+        x, y, cosine, sine = pose
+        count = len(self._reaches)
+        for row in range(count):
+            apart_x, apart_y = self._places_x[row] - x, self._places_y[row] - y
+            h[row] = min(
+                h[row], _to_hitch(apart_x, apart_y, cosine, sine, rear, -self._rear) - self._reaches[row] - growth
+            )
+        if self._walled:
+            sides = self._sides(x - self._rear * cosine, y - self._rear * sine)
+            for wall in range(4):
+                row = count + 4 + wall
+                h[row] = min(h[row], sides[wall]) - growth
+
+    def _sides(self, x: float, y: float) -> Row:
+        """How far a point lies within each of the four walls [m]."""
+        return x - self._low_x, self._high_x - x, y - self._low_y, self._high_y - y
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[Row]:
         """d(h_i)/d(state) of the rows asked for."""
+        towed = self._towed
+        if towed is not None:
+            growth: float = towed.growth(state[0], state[1], state[3])
+            if growth > 0.0:
+                return [self._slope_towing(state, row, growth, towed) for row in rows]
+        return self._slopes(state, rows)
+
+    def _slope_towing(self, state: Sequence[float], row: int, growth: float, towed: TowedReach) -> Row:
+        """The slope of one row where the radius at the hitch is the larger one."""
+        x: float = state[0]
+        y: float = state[1]
+        yaw: float = state[2]
+        speed: float = state[3]
+        slope: Row = self._slopes(state, (row,))[0]
+        cosine, sine = cos(yaw), sin(yaw)
+        rear, front = self._ends(speed)
+        hitch, count = -self._rear, len(self._reaches)
+        if row < count:
+            apart_x, apart_y = self._places_x[row] - x, self._places_y[row] - y
+            whole = _to_hitch(apart_x, apart_y, cosine, sine, rear, front)
+            if not _to_hitch(apart_x, apart_y, cosine, sine, rear, hitch) - growth < whole:
+                return slope
+            change = self._braking.slope(speed) if speed < 0.0 else 0.0
+            slope = _obstacle_slopes(apart_x, apart_y, cosine, sine, rear, hitch, min(speed, -0.0), change)
+        elif self._walled and 4 <= row - count < _WALLS:
+            wall = row - count - 4
+            if (
+                self._sides(x + hitch * cosine, y + hitch * sine)[wall]
+                < self._sides(x + rear * cosine, y + rear * sine)[wall]
+            ):
+                slope = _wall_slopes(wall + 4, cosine, sine, hitch, front, speed, 0.0)
+        else:
+            return slope
+        grows = towed.slopes(x, y, speed)
+        return slope[0] - grows[0], slope[1] - grows[1], slope[2], slope[3] - grows[2]
+
+    def _slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[Row]:
+        """The same without what is towed."""
         x: float = state[0]
         y: float = state[1]
         yaw: float = state[2]
@@ -127,7 +193,17 @@ class CarGeometry:
         ends = self._ends(speed)
         slope = self._braking.slope(speed)
         rear, front = abs(ends[0]), abs(ends[1])
-        return 1.0, 1.0, rear if rear > front else front, slope if slope > 1.0 else 1.0
+        towed = self._towed
+        rate: float = 0.0 if towed is None else towed.rate
+        steepest = slope * (1.0 + rate)
+        return 1.0 + rate, 1.0 + rate, rear if rear > front else front, steepest if steepest > 1.0 else 1.0
+
+
+def _to_hitch(apart_x: float, apart_y: float, cosine: float, sine: float, rear: float, front: float) -> float:
+    """Distance [m] of a point (apart_x, apart_y) from the robot to the segment from ``rear`` to ``front``."""
+    along, across = cosine * apart_x + sine * apart_y, cosine * apart_y - sine * apart_x
+    nearest = rear if along < rear else front if along > front else along
+    return hypot(along - nearest, across)
 
 
 def _obstacle_slopes(

@@ -85,7 +85,12 @@ class CarStack(AbstractStack):
         walls = None if field is None else (field.low_x, field.high_x, field.low_y, field.high_y)
         places = list(zip(*obstacles.centres.tolist(), obstacles.reach.tolist(), strict=True))
         self._geometry = CarGeometry(
-            places, walls, (speed.low, speed.high), (obstacles.rear, obstacles.front), obstacles.braking
+            places,
+            walls,
+            (speed.low, speed.high),
+            (obstacles.rear, obstacles.front),
+            obstacles.braking,
+            obstacles.towed,
         )
 
     def values(self, state: Values) -> Values:  # noqa: D102

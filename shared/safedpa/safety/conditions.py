@@ -18,7 +18,7 @@ from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
-from safedpa.safety.tangent import Tangent
+from safedpa.safety.tangent import NotFiniteError, Tangent
 
 __all__ = ["NO_INFLUENCE", "ROUNDING", "Conditions", "Outcome", "Plain"]
 
@@ -176,7 +176,8 @@ class Conditions:
         else:
             g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
-            _finite("g of the model", row)
+            if not _is_finite(row):
+                raise NotFiniteError("g of the model: got NaN or infinity, wanted finite numbers")
         return g if self._prediction.affine else self._unsaturated(g, about)
 
     def _following(self, action: Plain) -> list[float]:

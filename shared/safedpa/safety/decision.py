@@ -176,6 +176,9 @@ class Decision:
         if other.kept:
             return self._verdict(Status.corrected, other, "Found from another start than the wish.", solver)
         best, said = self._least_unsafe(conditions, backup, [asked, found, other, *spread])
+        if best.kept:
+            other, solver = self._from_elsewhere(conditions, wish, asked, [best])
+            return self._verdict(Status.corrected, other, "Found among the least unsafe actions.", solver)
         return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
 
     def _from_elsewhere(

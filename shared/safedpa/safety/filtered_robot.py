@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -16,8 +17,10 @@ from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.held_model import HeldModel
 from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
+from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.scenes import Scene, scene_of
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.standstill import Standstill, places_of
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
 
@@ -46,12 +49,13 @@ def _late(state: StateMessage, known: LatentMessage) -> bool:
     return (state.tick - known.tick) * state.period > _LATENT_PATIENCE + 0.5 * state.period
 
 
-def _walked(step: StraightStep, state: StateMessage, verdict: Verdict, latent: Values, steps: int) -> Rows:
-    """The next states by the model's straight line; empty where it refuses a number, or one is not finite.
+def _walked(step: StraightStep, state: StateMessage, held: Values, latent: Values, steps: int) -> Rows:
+    """The next states under an action by the model's straight line; empty where it refuses a number, or one is not
+    finite.
 
-    ``held`` does the same with arrays at both ends, and answers then.
+    The model's ``held`` does the same with arrays at both ends, and answers then.
     """
-    rows, entries, action, free = [], state.values, verdict.action.tolist(), latent.tolist()
+    rows, entries, action, free = [], state.values, held.tolist(), latent.tolist()
     try:
         for _ in range(steps):
             entries = tuple(step(entries, action, free, 0.0))
@@ -82,6 +86,11 @@ class FilteredRobot:
     """What the actuators remember, as the model has it."""
     expected_memory: Any = None
     """The same one period later, if the robot does what it is told."""
+    standing: Standstill = field(init=False)
+    """How long it has stood, and whether an action failed to move it."""
+
+    def __post_init__(self) -> None:
+        self.standing = Standstill(places_of(self.held.model.system))
 
     @classmethod
     def begun(cls, held: HeldModel, settings: FilterSettings) -> FilteredRobot:
@@ -121,6 +130,11 @@ class FilteredRobot:
             self.scene.learn(latent)
         return latent, []
 
+    def remember_way(self, former: FilteredRobot | None) -> None:
+        """How far the robot was driven backwards does not depend on who held the model until now."""
+        if former is not None and isinstance(former.scene, SceneBarriers) and isinstance(self.scene, SceneBarriers):
+            self.scene.way = former.scene.way
+
     def remember_actuators(self, state: StateMessage) -> None:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
         if len(state.applied) != len(self.held.model.system.action):
@@ -142,11 +156,62 @@ class FilteredRobot:
             return (), None
         step = model.straight(state.period)
         free = model.latent if latent is None else latent
-        if step is not None and (rows := _walked(step, state, verdict, free, steps)):
+        if step is not None and (rows := _walked(step, state, verdict.action, free, steps)):
             return rows, self.memory
         values = np.array(state.values)
         found, memory = model.held(values, verdict.action, self.memory, latent, steps, period=state.period)
         return (tuple(map(tuple, found)), memory) if np.isfinite(found).all() else ((), None)
+
+    def watch_standing(self, state: StateMessage, predicted: Rows) -> None:
+        """Keeps what the model promises under the wish, and under the action that went out."""
+        assert self.decision is not None
+        _, latent, verdict = self.decision
+        wish = verdict.wish
+        if wish is None or not predicted or verdict.status is Status.stopped:
+            self.standing.interrupted()
+            return
+        wished = predicted[:1]
+        if verdict.status not in (Status.passed, Status.disabled):
+            wished = self._next(state, np.clip(wish, self.filter.settings.low, self.filter.settings.high), latent)
+        if not wished or np.array_equal(wish, self.filter.settings.resting_action):
+            self.standing.interrupted()
+        else:
+            self.standing.promise(state.values, wished[0], predicted[0])
+
+    def out_of_dead_band(
+        self, state: StateMessage, verdict: Verdict, latent: Values | None, rest: Callable[[], Verdict]
+    ) -> Verdict:
+        """A correction that is known not to move the robot is given up for the resting action, if that is safe.
+
+        What stands and is pushed in vain learns nothing but a wrong load. ``rest`` decides about the resting action.
+        """
+        if verdict.status is not Status.corrected or self.standing.failed == 0.0:
+            return verdict
+        predicted = self._next(state, verdict.action, latent)
+        if not predicted or not self.standing.would_fail(self.standing.way(state.values, predicted[0])):
+            return verdict
+        resting = rest()
+        if resting.status is not Status.passed:
+            return verdict
+        said = "The correction lay in the dead band, where the robot did not move before: it rests instead."
+        return replace(resting, status=Status.corrected, wish=verdict.wish, active=verdict.active, reason=said)
+
+    def _next(self, state: StateMessage, action: Values, latent: Values | None) -> Rows:
+        """One predicted state under an action; empty where there is none."""
+        model = self.held.model
+        if len(state.values) != len(model.system.state):
+            return ()
+        free = model.latent if latent is None else latent
+        step = model.straight(state.period)
+        if step is not None and (rows := _walked(step, state, action, free, 1)):
+            return rows
+        found, _ = model.held(np.array(state.values), action, self.memory, latent, 1, period=state.period)
+        return tuple(map(tuple, found)) if np.isfinite(found).all() else ()
+
+    def standstill(self, verdict: Verdict) -> str:
+        """Why it stands, once it has stood for long; empty before."""
+        eta = self.filter.settings.eta
+        return self.standing.reason(verdict.status.value, verdict.active, eta * verdict.h_now < verdict.margin)
 
     def try_out(self, decided: Decided, barriers: AbstractStack | str) -> None:
         """Decides once more what another model decided. Raises InputError where only this one has to fall back."""

@@ -17,13 +17,12 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.errors import InputError
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
 from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError
-from safedpa.safety.tangent import Tangent
+from safedpa.safety.tangent import NotFiniteError, Tangent
 
 __all__ = ["TOLERANCE", "least_unsafe"]
 
@@ -92,6 +91,8 @@ class _Lift:
         self._given = np.maximum(TOLERANCE * reach / self._scales, _ROUNDING)
         self._decided = float((np.array(usable[0].h_next) / self._scales)[~self._moved].min(initial=np.inf))
         """Least h_i(x+) / scale_i of those that no action moves."""
+        self._held = float((np.array(conditions.h_now) / self._scales)[self._moved].min(initial=np.inf))
+        """Least height now."""
         unkept = (np.array(conditions.h_now) < 0.0) | (np.array(usable[0].residual) < -_ROUNDING * self._scales)
         stuck = unkept & ~self._moved
         names = conditions.barriers.names
@@ -107,6 +108,18 @@ class _Lift:
         return np.asarray(np.abs(np.array(rows)) @ self._range)
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
+        """The least unsafe of what is known and found.
+
+        Where another barrier is the least whatever is done, the others need no more than their conditions; but where
+        these cannot all be kept either, the least of them is raised as if there were no other.
+        """
+        best = self._searched(known)
+        if np.isfinite(self._decided) and self._missing(best) > _TRUE:
+            self._decided = np.inf
+            best = self._searched([best, *known])
+        return best
+
+    def _searched(self, known: Sequence[Outcome]) -> Outcome:
         best = self._best(known[0], known[1:])
         for _ in range(_ROUNDS):
             if best.kept and self._safe:
@@ -122,7 +135,7 @@ class _Lift:
         best, foretells = about, []
         try:
             tangent = self._conditions.linearised(about)
-        except InputError:  # no slopes there
+        except NotFiniteError:  # no slopes there
             return about, False
         for proposed, foretold in self._proposals(tangent, about):
             found = self._conditions.outcome(proposed)
@@ -159,7 +172,7 @@ class _Lift:
         wanted = self._required / self._scales
         levels, u = np.full(len(heights), np.nan), None
         levels[~moved] = -np.inf
-        decided = self._decided
+        lowest, floor = self._decided, None
         for _ in range(_LEVELS):
             free = np.isnan(levels)
             if not free.any():
@@ -173,18 +186,20 @@ class _Lift:
             least = float(reached[free].min())
             given = 0.5 * (np.minimum(self._given, least) if least > 0.0 else self._given)
             binding = free & (reached <= least + given)
-            levels[binding] = _lowered(least, given)[binding]
-            if decided <= least:  # the least of all is another one: of these no more is wanted than their conditions
-                levels[binding] = np.minimum(levels, wanted)[binding]
-            decided = min(decided, least)
+            level = self._lowered(least, given)
+            if floor is not None or lowest <= least:  # the least of all is another one: conditions are enough
+                level = np.minimum(level, wanted)
+            if floor is None:
+                floor = self._lowered(min(lowest, least), given)
+            levels[binding] = np.maximum(level, floor)[binding]
             free = np.isnan(levels)
             if (reached >= wanted)[free].all():
                 break
-        if u is None:
+        if u is None or floor is None:
             return None
         reached = heights + slopes @ u
         free = np.isnan(levels)
-        levels[free] = np.minimum(wanted, reached)[free]
+        levels[free] = np.minimum(np.maximum(wanted, floor), reached)[free]
         return u, levels
 
     def _best(self, best: Outcome, others: Iterable[Outcome]) -> Outcome:
@@ -193,7 +208,7 @@ class _Lift:
         if self._safe:  # what keeps all is no longer a question of less or more
             compared = [one for one in compared if one.kept] or compared
         heights = [self._wanted_height(one) for one in compared]
-        level = _lowered(max([float(rows.min(initial=np.inf)) for rows in heights]), self._given[self._moved])
+        level = self._lowered(max([float(rows.min(initial=np.inf)) for rows in heights]), self._given[self._moved])
         good = [one for one, rows in zip(compared, heights, strict=True) if (rows >= level).all()]
         missing = [self._missing(one) for one in good]
         limit = min(missing) + float(self._given.max())
@@ -211,13 +226,23 @@ class _Lift:
         fewer = self._missing(about) - self._missing(best)
         return float(max(higher, fewer) / self._given.max()) if np.isfinite(higher) else 0.0
 
+    def _lowered(self, height: float, given: Values) -> Values:
+        """(rows,) the least as good as ``height``: not below what the robot has now, nor below 0 where that is reached.
+
+        Else what is given away would add up from one decision to the next. Missed by rounding alone is reached.
+        """
+        if -_TRUE < height <= 0.0:
+            return np.full(len(given), height)
+        kept = min(height, self._held)
+        return np.maximum(height - given if height < 0.0 else np.maximum(0.0, height - given), kept)
+
     def _height(self, one: Outcome) -> Values:
         """(rows,) h_i(x+) / scale_i."""
         return np.asarray(np.array(one.h_next) / self._scales)
 
     def _missing(self, one: Outcome) -> float:
-        """Sum over the rows of what their conditions miss, each as a share of its scale."""
-        return float(np.maximum(0.0, -np.array(one.residual) / self._scales).sum())
+        """Sum over the rows moved of what their conditions miss, each as a share of its scale."""
+        return float(np.maximum(0.0, -np.array(one.residual) / self._scales)[self._moved].sum())
 
     def _between(self, one: Outcome, other: Outcome, share: float) -> Action:
         return tuple([a + share * (b - a) for a, b in zip(one.action, other.action, strict=True)])
@@ -232,10 +257,3 @@ def _matters(slopes: Values, heights: Values, levels: Values) -> NDArray[np.bool
     highest = heights + np.maximum(slopes, 0.0).sum(axis=1)
     free = np.isnan(levels)
     return np.asarray(lowest <= np.where(free, highest[free].min(), levels))
-
-
-def _lowered(height: float, given: Values) -> Values:
-    """(rows,) the least as good as ``height``: not below 0 where that is reached, or missed by rounding alone."""
-    if -_TRUE < height <= 0.0:
-        return np.full(len(given), height)
-    return height - given if height < 0.0 else np.maximum(0.0, height - given)

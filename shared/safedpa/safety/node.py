@@ -80,8 +80,7 @@ class SafetyFilterNode(AbstractNode):
         """Of robots whose last step failed: their margin goes on."""
 
     def prepare(self, robot: str, state: StateMessage) -> None:  # noqa: D102
-        if self._versions.begin(robot, state):
-            self._robots.pop(robot, None)
+        former = self._robots.pop(robot, None) if self._versions.begin(robot, state) else None
         memory = self._robots.get(robot)
         if memory is None:
             memory = FilteredRobot.begun(self._versions.of(robot), self._settings)
@@ -89,10 +88,12 @@ class SafetyFilterNode(AbstractNode):
             if broken is not None and broken.held is memory.held:
                 memory.margin = broken.margin
                 memory.margin.expect(None)
+            memory.remember_way(broken or former)
             self._robots[robot] = memory
         memory.remember_actuators(state)
         memory.barriers = memory.scene.of(state)
         memory.watch_margin(state)
+        memory.standing.measure(state.values, state.period)
         memory.prepared = (state.epoch, state.tick)
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
@@ -123,6 +124,12 @@ class SafetyFilterNode(AbstractNode):
         else:
             wished = wish.values if isinstance(wish, WishMessage) else None
             verdict = memory.filter.decide(state.values, wished, latent, **known)
+            verdict = memory.out_of_dead_band(
+                state,
+                verdict,
+                latent,
+                lambda: memory.filter.decide(state.values, self._settings.resting_action, latent, **known),
+            )
         memory.decision = Decided(state, latent, verdict)
         return {ACTION: _action(state, tuple(verdict.action.tolist()))}
 
@@ -133,6 +140,7 @@ class SafetyFilterNode(AbstractNode):
         state, latent, verdict = memory.decision
         predicted, memory.expected_memory = memory.predicted(state, verdict, latent)
         memory.margin.expect(predicted[0] if predicted else None)
+        memory.watch_standing(state, predicted)
         outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory)}
         answer = self._versions.answer(robot, state)
         return outputs if answer is None else {**outputs, TAKEOVER: answer}
@@ -200,13 +208,15 @@ def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
 def _report(
     state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot | None = None
 ) -> VerdictMessage:
+    standstill = memory.standstill(verdict) if memory else ""
+    stands = f" The robot has stood for {memory.standing.seconds:.1f} s. {standstill}." if memory and standstill else ""
     return VerdictMessage(
         epoch=state.epoch,
         tick=state.tick,
         robot_time=state.robot_time,
         publish_time=time.time(),
         status=verdict.status.value,
-        sentence=verdict.sentence,
+        sentence=verdict.sentence + stands,
         action=tuple(verdict.action.tolist()),
         wish=() if verdict.wish is None else tuple(verdict.wish.tolist()),
         slack=verdict.slack,
@@ -221,4 +231,6 @@ def _report(
         promised=memory.margin.promised if memory else -1.0,
         model=memory.held.fingerprint if memory else "",
         ordered=memory.ordered if memory else "",
+        stands=memory.standing.seconds if memory else 0.0,
+        standstill=standstill,
     )

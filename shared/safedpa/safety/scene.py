@@ -11,6 +11,7 @@ from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
 from safedpa.safety.car_barriers import car_barriers
 from safedpa.safety.car_stack import stacked
 from safedpa.safety.corridor_barrier import CorridorBarrier
+from safedpa.safety.reversed_way import ReversedWay
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems import CAR, PENDULUM, POINT, System
 
@@ -31,11 +32,13 @@ class SceneBarriers:
     """Builds barriers from state messages, and keeps them while the scene stays as it is.
 
     A car tells of obstacles, a field and its footprint, a pendulum of its corridor. Which of them a robot is follows
-    from its states and actions. Raises InputError for every other one: its barriers would have to be written first.
+    from its states and actions. Of a robot that tows something the barriers are others with every state: ``way`` tells
+    how far it was driven backwards. Raises InputError for every other system: its barriers would have to be written
+    first.
     """
 
-    def __init__(self, settings: FilterSettings, system: System) -> None:
-        self._settings = settings
+    def __init__(self, settings: FilterSettings, system: System, way: ReversedWay | None = None) -> None:
+        self._settings, self.way = settings, way or ReversedWay()
         self._build = _builder(system)
         self.stands = is_of(system, CAR)
         """Whether the backup action brings the robot to rest."""
@@ -44,27 +47,30 @@ class SceneBarriers:
 
     def of(self, state: StateMessage) -> AbstractStack | str:
         """The barriers around this robot, or a sentence about what cannot be a scene of it."""
-        scene = (state.obstacles, state.field, state.footprint, state.corridor)
+        self.way.follow(state)
+        towing = (self.way.way, state.values) if state.towed else ()
+        scene = (state.obstacles, state.field, state.footprint, state.corridor, state.towed, towing)
         if scene != self._scene:
             try:
-                self._barriers = self._build(state, self._settings)
+                self._barriers = self._build(state, self._settings, self.way)
             except InputError as error:
                 return f"scene ({error})"
             self._scene = scene
         return self._barriers
 
 
-def _of_car(state: StateMessage, settings: FilterSettings) -> AbstractStack:
+def _of_car(state: StateMessage, settings: FilterSettings, way: ReversedWay) -> AbstractStack:
     if state.corridor:  # a car must not get rid of its obstacles by naming a corridor
         raise InputError("corridor: got one of a robot that drives between obstacles; wanted these, and no corridor")
     if len(state.obstacles) > _MOST_OBSTACLES:
         raise InputError(f"obstacles: got {len(state.obstacles)}, wanted at most {_MOST_OBSTACLES}; send the nearest")
-    found = car_barriers(settings, state.footprint, state.obstacles, state.field)
+    towed = way.reach(state, settings.braking)
+    found = car_barriers(settings, state.footprint, state.obstacles, state.field, towed)
     return RememberingStack(stacked(found))
 
 
-def _of_pendulum(state: StateMessage, settings: FilterSettings) -> AbstractStack:
-    if state.obstacles or state.field or state.footprint:
+def _of_pendulum(state: StateMessage, settings: FilterSettings, way: ReversedWay) -> AbstractStack:
+    if state.obstacles or state.field or state.footprint or state.towed:
         raise InputError("corridor: got obstacles, a field or a footprint of a robot that does not drive; wanted none")
     if len(state.corridor) != 2:
         raise InputError(f"corridor: got {len(state.corridor)} numbers, wanted 2: lower and upper edge")
@@ -72,7 +78,7 @@ def _of_pendulum(state: StateMessage, settings: FilterSettings) -> AbstractStack
     return Barriers((CorridorBarrier(low, high, settings.corridor_seconds),))
 
 
-_Builder: TypeAlias = Callable[[StateMessage, FilterSettings], AbstractStack]
+_Builder: TypeAlias = Callable[[StateMessage, FilterSettings, ReversedWay], AbstractStack]
 _BUILDERS: Final[tuple[tuple[System, _Builder], ...]] = ((CAR, _of_car), (PENDULUM, _of_pendulum))
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Protocol
 
-from safedpa.errors import InputError
 from safedpa.safety.conditions import Outcome, Plain
 from safedpa.safety.program_rows import Side, within
 from safedpa.safety.solution import Solution
+from safedpa.safety.tangent import NotFiniteError
 
 __all__ = ["DOUBTFUL", "FAR", "NEEDLESS", "SAME", "SERVED_WELL", "DecisionError", "overshot", "search", "towards"]
 
@@ -115,14 +115,15 @@ def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
     room = conditions.tightest(best)
     if room > NEEDLESS:
         nearer = towards(conditions, conditions.outcome(within(wish, program.sides)), best)
-        again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
-        return _better(conditions, program, wish, nearer, again), status
-    if room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
+    elif room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
         back = _furthest_back(program, within(wish, program.sides), best.action)
-        return towards(conditions, conditions.outcome(back), best), status
-    if before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
+        nearer = towards(conditions, conditions.outcome(back), best)
+    elif before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
         return towards(conditions, before, best), status
-    return best, status
+    else:
+        return best, status
+    again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
+    return _better(conditions, program, wish, nearer, again), status
 
 
 def towards(conditions: _Posed, last: Outcome, kept: Outcome) -> Outcome:
@@ -211,7 +212,7 @@ def _tangent(conditions: _Posed, about: Outcome) -> _Drawn | None:
     """None where the model or a barrier has no numbers there, or no slopes."""
     try:
         return conditions.linearised(about) if about.usable else None
-    except InputError:
+    except NotFiniteError:
         return None
 
 

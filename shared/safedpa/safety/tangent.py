@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 from safedpa.errors import InputError
 
-__all__ = ["MARK", "Tangent"]
+__all__ = ["MARK", "NotFiniteError", "Tangent"]
 
 Plain = Sequence[float]
 
@@ -18,6 +18,10 @@ _ROUNDING: Final = 1e-9
 MARK: Final = 1e-10
 """Share of a row's reach by which a solution shall exceed its condition: more than the rounding errors of the program's
 solution, so that it keeps the condition, not almost."""
+
+
+class NotFiniteError(InputError):
+    """Model or barrier have no finite slopes there: no tangent, though there may be one elsewhere."""
 
 
 @final
@@ -110,4 +114,4 @@ class Tangent:
 
 def _refuse_infinite(row: list[float]) -> None:
     if not all(map(isfinite, row)):
-        raise InputError("gradient of h: got NaN or infinity, wanted finite numbers")
+        raise NotFiniteError("gradient of h: got NaN or infinity, wanted finite numbers")

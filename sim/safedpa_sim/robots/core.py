@@ -11,7 +11,7 @@ from safedpa.bus.messages import StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.contacts import Collision
-from safedpa_sim.robots.footprint import footprint
+from safedpa_sim.robots.footprint import footprint, towed_reach
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.robot import SimulatedRobot
@@ -48,7 +48,7 @@ class CarRobot(SimulatedRobot):
         self.changed_at: int | None = None
         """Tick in which the planned change was made."""
         self._change = change
-        self._taken = scene.load, footprint(scene.load)
+        self._taken = scene.load, footprint(scene.load), towed_reach(scene.load)
         """What it tows, and the room that it takes with it."""
         self._goals = scene.goals()
         self.goal = next(self._goals)
@@ -88,13 +88,14 @@ class CarRobot(SimulatedRobot):
         towed = self.world.towed
         load = towed.load if towed else None
         if load is not self._taken[0]:
-            self._taken = load, footprint(load)
+            self._taken = load, footprint(load), towed_reach(load)
         return self._state(
             goal=self.goal,
             obstacles=self.scene.obstacles,
             field=self.scene.field,
             footprint=self._taken[1],
             load_pose=towed.pose if towed else (),
+            towed=self._taken[2],
         )
 
     def _watchdog_action(self) -> tuple[float, float]:

@@ -7,7 +7,11 @@ from math import ceil, hypot, sqrt, tan
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, CarParameters
 from safedpa_sim.robots.loads import Load
 
-__all__ = ["footprint"]
+__all__ = ["footprint", "towed_reach"]
+
+_BEGINS, _ENDS = 0.2, 0.8
+"""Of the reach: pushed back by less, a load does not leave the footprint; by more, it may stand anywhere around the
+hitch. Measured with random programmes of forwards and backwards: docs/robot.md."""
 
 
 def footprint(load: Load | None, parameters: CarParameters = CAR_PARAMETERS) -> tuple[float, float, float]:
@@ -30,3 +34,16 @@ def footprint(load: Load | None, parameters: CarParameters = CAR_PARAMETERS) -> 
         cut = tightest - sqrt(tightest**2 - behind**2)
         radius = max(radius, ceil(100 * (cut + hypot(load.side, load.side) / 2)) / 100)
     return car.rear, car.front, radius
+
+
+def towed_reach(load: Load | None) -> tuple[float, ...]:
+    """(begin, end, reach) [m] as a state message tells them; empty without a load.
+
+    The farthest corner is ``reach`` = hypot(drawbar + side, side / 2) from the hitch, rounded up to 1 cm: a disc of
+    that radius holds the load at any angle. The whole of it is claimed after ``end``, nearly its own reach: pushed back
+    by so much, it has left the place where it was.
+    """
+    if load is None:
+        return ()
+    reach = ceil(100 * hypot(load.drawbar + load.side, load.side / 2)) / 100
+    return _BEGINS * reach, _ENDS * reach, reach

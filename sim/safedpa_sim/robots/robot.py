@@ -99,6 +99,7 @@ class SimulatedRobot(ABC):
         footprint: Numbers = (),
         load_pose: Numbers = (),
         corridor: Numbers = (),
+        towed: Numbers = (),
     ) -> StateMessage:
         """The message of this tick, with these surroundings."""
         return StateMessage(
@@ -119,6 +120,7 @@ class SimulatedRobot(ABC):
             goals_reached=self.goals_reached,
             collisions=len(self.collisions),
             corridor=corridor,
+            towed=towed,
         )
 
     def _record(self) -> None:

@@ -1,0 +1,132 @@
+"""A robot that stands though something is wished: noticed by what its model says it would do, and told with a reason.
+
+No robot is known here: what should move is what the model moves. Over a stand, from the state x0 where it began,
+
+    promised = sum over ticks of |x(t+1 predicted under the wish) - x(t)|,   moved = |x(t) - x0|,
+
+both over the places of the state: its positions in m, else the entries that are no rates. The robot stands while moved
+stays below a tenth of what was promised. Beside it the same sum for the action that went out: where that is large, the
+model says that the robot is driven, and it is not: the action lies in a dead band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import hypot
+from typing import Final
+
+from safedpa.bus import VerdictMessage
+from safedpa.systems import System
+
+__all__ = ["DEAD_BAND_SECONDS", "TOLD_SECONDS", "Stand", "Standstill", "note_standstill", "places_of"]
+
+Stand = dict[str, float | str]
+"""``from`` [s, by the robot's clock], ``seconds``, ``reason``."""
+
+TOLD_SECONDS: Final = 5.0
+"""s; a longer stand is told in the verdict."""
+DEAD_BAND_SECONDS: Final = 0.5
+"""s; an action that has not moved the robot for so long, though the model says it would, does not move it."""
+_STILL: Final = 0.1
+"""Of the way promised; less is none."""
+_DRIVEN: Final = 0.02
+"""Of the way promised under the wish; with less the action that went out is not meant to move the robot either."""
+
+
+def places_of(system: System) -> tuple[int, ...]:
+    """Which entries of the state tell where the robot is: those in m, else those whose unit is not per second."""
+    lengths = tuple(index for index, variable in enumerate(system.state) if variable.unit == "m")
+    if lengths:
+        return lengths
+    still = tuple(index for index, variable in enumerate(system.state) if "/s" not in variable.unit)
+    return still or tuple(range(len(system.state)))
+
+
+@dataclass
+class Standstill:
+    """What is remembered of one robot's standing; ``measure`` with each state, ``promise`` after each decision."""
+
+    places: tuple[int, ...]
+    seconds: float = 0.0
+    """s for which it has stood though something was wished."""
+    failed: float = 0.0
+    """Largest way promised in one tick that has not moved it in this stand; 0: none."""
+    _begun: tuple[float, ...] = ()
+    _wished: float = 0.0
+    _driven: float = 0.0
+    _promise: tuple[float, float] | None = None
+    _pushed: list[float] = field(default_factory=list)
+    """Ways promised under the last actions that should have moved it, one a tick."""
+
+    def measure(self, values: Sequence[float], period: float) -> None:
+        """Holds what was promised for the last tick against the measured state (states,)."""
+        promise, self._promise = self._promise, None
+        if promise is None or max(self.places) >= len(values):
+            self._begin(())
+            return
+        here = tuple(values[index] for index in self.places)
+        self._wished += promise[0]
+        self._driven += promise[1]
+        moved = hypot(*(now - then for now, then in zip(here, self._begun, strict=False)))
+        if not self._begun or promise[0] <= 0.0 or not moved <= _STILL * self._wished:
+            self._begin(here)
+            return
+        self.seconds += period
+        self._push(promise, period)
+
+    def promise(self, state: Sequence[float], wished: Sequence[float], expected: Sequence[float]) -> None:
+        """What the model predicts from ``state`` under the wish and under the action that went out, (states,) each."""
+        if not self._begun:
+            self._begun = tuple(state[index] for index in self.places)
+        self._promise = self.way(state, wished), self.way(state, expected)
+
+    def way(self, state: Sequence[float], following: Sequence[float]) -> float:
+        """How far the robot's place moves from the one state to the other."""
+        return hypot(*(following[index] - state[index] for index in self.places))
+
+    def interrupted(self) -> None:
+        """Nothing is wished, or nothing is known."""
+        self._begin(())
+
+    def would_fail(self, way: float) -> bool:
+        """Whether an action that promises this way in a tick promises no more than what has not moved the robot."""
+        return self.failed > 0.0 and way <= self.failed
+
+    def reason(self, status: str, active: Sequence[str], margin_binds: bool) -> str:
+        """Why it stands, in words; empty while it has not stood for longer than 5 s."""
+        if self.seconds <= TOLD_SECONDS:
+            return ""
+        if self.failed > 0.0 or (self._driven > _DRIVEN * self._wished and status in ("passed", "disabled")):
+            return "dead band: the model says that such an action moves it, and it does not move"
+        held = " and ".join(active) if active else "what it has to keep"
+        if status in ("fallback", "stopped"):
+            return "no decision: the backup action holds it"
+        if status in ("relaxed", "violated") or margin_binds:
+            return f"margin: {held} leave less room than the margin asks for"
+        return f"boxed in: {held} allow no action that would move it"
+
+    def _push(self, promise: tuple[float, float], period: float) -> None:
+        if promise[1] <= _DRIVEN * promise[0]:
+            self._pushed.clear()
+            return
+        self._pushed.append(promise[1])
+        if len(self._pushed) * period >= DEAD_BAND_SECONDS:
+            self.failed = max(self.failed, *self._pushed)
+
+    def _begin(self, here: tuple[float, ...]) -> None:
+        self._begun, self.seconds, self.failed = here, 0.0, 0.0
+        self._wished = self._driven = 0.0
+        self._pushed.clear()
+
+
+def note_standstill(found: list[Stand], verdict: VerdictMessage) -> None:
+    """Adds a stand that a verdict tells of to those found, or lengthens the last one; the newest reason counts."""
+    if not verdict.standstill:
+        return
+    begun = round(verdict.robot_time - verdict.stands, 6)
+    told: Stand = {"from": begun, "seconds": round(verdict.stands, 6), "reason": verdict.standstill}
+    if found and abs(float(found[-1]["from"]) - begun) < 1e-3:
+        found[-1] = told
+    else:
+        found.append(told)

@@ -1,0 +1,1 @@
+"""Attacks on the safety filter, judged by what shares no code with it: grids, linear programs, least squares."""

@@ -1,0 +1,103 @@
+"""What an attack is: pieces of work for any number of processes, and rows of what was asked and what was measured."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+__all__ = ["AbstractAttack", "Result", "Row", "WholeAttack"]
+
+
+@final
+@dataclass(frozen=True)
+class Row:
+    """One figure. ``most`` and ``least`` are what was asked of it; without either it is only told."""
+
+    what: str
+    measured: float
+    of: int | None = None
+    """How many were looked at, where the figure counts some of them."""
+    most: float | None = None
+    least: float | None = None
+    unit: str = ""
+
+    @property
+    def held(self) -> bool | None:
+        """Whether the figure is as asked; None where nothing was asked, or nothing was there to look at."""
+        if (self.most is None and self.least is None) or self.of == 0:
+            return None
+        low = -float("inf") if self.least is None else self.least
+        high = float("inf") if self.most is None else self.most
+        return low <= self.measured <= high
+
+    @property
+    def asked(self) -> str:
+        """What was asked, in words."""
+        if self.most is None and self.least is None:
+            return ""
+        if self.most is not None and self.least is not None:
+            return f"{self.least:g} to {self.most:g} {self.unit}".strip()
+        words = f"at most {self.most:g}" if self.most is not None else f"at least {self.least:g}"
+        return f"{words} {self.unit}".strip()
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "what": self.what,
+            "measured": self.measured,
+            "of": self.of,
+            "asked": self.asked,
+            "unit": self.unit,
+            "held": self.held,
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Result:
+    """The rows of one attack, and its worst cases with all that is needed to repeat them."""
+
+    rows: Sequence[Row]
+    worst: Sequence[dict[str, Any]] = ()
+
+
+class AbstractAttack(ABC):
+    """``pieces`` are divided among processes, ``work`` answers one of them, ``told`` makes rows of all answers.
+
+    Everything that travels is picklable; the same seed gives the same pieces, whatever the number of processes.
+    """
+
+    name: str
+    sentence: str
+
+    @abstractmethod
+    def pieces(self, seed: int, small: bool) -> Sequence[Any]:
+        """What is to be done; ``small`` takes seconds."""
+
+    @abstractmethod
+    def work(self, piece: Any) -> Any:
+        """The answer to one piece."""
+
+    @abstractmethod
+    def told(self, answers: Sequence[Any]) -> Result:
+        """Rows and worst cases of all answers, in the order of their pieces."""
+
+
+@final
+class WholeAttack(AbstractAttack):
+    """An attack that another experiment carries out as a whole: ``run(seed, small) -> Result``, one piece."""
+
+    def __init__(self, name: str, sentence: str, run: Callable[[int, bool], Result]) -> None:
+        self.name, self.sentence, self._run = name, sentence, run
+
+    def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
+        return [(seed, small)]
+
+    def work(self, piece: Any) -> Result:  # noqa: D102
+        return self._run(*piece)
+
+    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+        rows = [row for answer in answers for row in answer.rows]
+        return Result(rows, [case for answer in answers for case in answer.worst])

@@ -1,0 +1,102 @@
+"""Does the car get on for minutes? Random scenes, every load, the shipped loop; stands and goals are counted.
+
+A drive is 120 s long: a car that is caught between the filter and its policy after half a minute shows only there.
+Stands are counted twice: as the verdicts tell them, and as the positions show them, whatever the verdicts say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.dynamics import load_model
+from safedpa.policy import PolicyNode
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.standstill import Stand, note_standstill
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.scene import Scene
+
+__all__ = ["LONG", "LongDrive", "LongOutcome", "long_summary", "run_long_drive"]
+
+LONG = 10.0
+"""s; a stand of so long is one too many."""
+_PERIOD = 0.05
+_STILL = 0.02
+"""m within which a car stands."""
+
+
+@dataclass(frozen=True)
+class LongDrive:
+    """One drive: scene by load and seed."""
+
+    load: str
+    seed: int
+    seconds: float = 120.0
+    model: str = "car"
+    controller: str | None = None
+
+
+@dataclass(frozen=True)
+class LongOutcome:
+    """What became of a drive."""
+
+    load: str
+    seed: int
+    seconds: float
+    collisions: int
+    goals: int
+    standstills: tuple[Stand, ...]
+    """As the verdicts told them."""
+    longest_stand: float
+    """s within 2 cm of one place, measured."""
+    statuses: dict[str, int]
+
+
+def run_long_drive(long: LongDrive) -> LongOutcome:
+    """Drives once; the same drive gives the same outcome, bit for bit."""
+    model = load_model(long.model)
+    policy = PolicyNode(model, controller=long.controller)
+    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings_named("car"), margin_for(model))]
+    robot = CarRobot(Scene.random(long.seed, long.load), _PERIOD)
+    statuses: Counter[str] = Counter()
+    told: list[Stand] = []
+    longest, since, place = 0.0, 0.0, robot.values[:2]
+    for tick in drive(robot, nodes, round(long.seconds / _PERIOD)):
+        statuses[tick.verdict.status] += 1
+        note_standstill(told, tick.verdict)
+        x, y = tick.state.values[:2]
+        if math.hypot(x - place[0], y - place[1]) > _STILL:
+            since, place = tick.state.robot_time, (x, y)
+        longest = max(longest, tick.state.robot_time - since)
+    return LongOutcome(
+        long.load,
+        long.seed,
+        long.seconds,
+        len(robot.collisions),
+        robot.goals_reached,
+        tuple(told),
+        longest,
+        dict(statuses),
+    )
+
+
+def long_summary(outcomes: Iterable[LongOutcome]) -> dict[str, Any]:
+    """Drives, collisions, goals a minute (mean over drives), drives with a long stand, and those of them untold."""
+    drives = list(outcomes)
+    long = [item for item in drives if item.longest_stand >= LONG]
+    return {
+        "drives": len(drives),
+        "collisions": sum(item.collisions for item in drives),
+        "goals_a_minute": round(sum(60.0 * item.goals / item.seconds for item in drives) / max(len(drives), 1), 2),
+        "stands": len(long),
+        "untold": sum(not item.standstills for item in long),
+        "standstills": [
+            {"load": item.load, "seed": item.seed, **stand} for item in drives for stand in item.standstills
+        ],
+    }

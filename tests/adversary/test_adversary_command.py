@@ -1,0 +1,88 @@
+"""``safedpa experiment adversary``: it tells what it finds, repeats by its seed, and says what it ran."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.experiments.adversary.campaign import adversary, all_attacks, attacks_named
+from safedpa_sim.experiments.adversary.linear_problem import LinearProblem
+from safedpa_sim.experiments.adversary.report import adversary_markdown
+
+
+def run(*arguments):
+    return safedpa.run(["experiment", "adversary", *map(str, arguments)])
+
+
+def test_the_attacks_are_listed(capsys):
+    assert run("--list") == 0
+    shown = capsys.readouterr().out
+    assert [line.split()[0] for line in shown.splitlines()] == [attack.name for attack in all_attacks()]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--only", "programms"], "did you mean 'programs'"),
+        (["--workers", 0], "wanted at least 1"),
+        (["--seed", -1], "--seed"),
+    ],
+)
+def test_what_does_not_belong_is_refused(arguments, told, capsys):
+    assert run(*arguments) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert told in shown.err
+    assert shown.err.count("\n") == 1
+
+
+def test_one_attack_is_told_as_a_document_and_in_files(tmp_path, capsys):
+    out = tmp_path / "found"
+    assert run("--only", "programs", "--small", "--seed", 4, "--workers", 1, "--out", out, "--json") == 0
+    shown = capsys.readouterr()
+    found = json.loads(shown.out)
+    assert shown.err == ""
+    assert found == json.loads((out / "adversary.json").read_text())
+    assert found["command"] == "safedpa experiment adversary --only programs --small --seed 4"
+    assert (found["seed"], found["small"], len(found["code"])) == (4, True, 12)
+    (attack,) = found["attacks"]
+    assert attack["name"] == "programs"
+    assert attack["held"] + attack["failed"] == sum(row["held"] is not None for row in attack["rows"])
+    assert sum(row["measured"] for row in attack["rows"] if row["what"].startswith("answers ")) == 330
+    page = (out / "adversary.md").read_text()
+    assert "| passed or corrected, condition broken |" in page
+    assert found["code"] in page
+
+
+def test_the_same_seed_finds_the_same_with_any_number_of_processes():
+    def figures(workers, seed):
+        found = adversary(attacks_named(["programs"]), seed, small=True, workers=workers)
+        return [(row["what"], row["measured"]) for row in found["attacks"][0]["rows"]]
+
+    assert figures(1, 2) == figures(2, 2)
+    assert figures(1, 2) != figures(1, 3)
+
+
+def test_what_is_found_does_not_change_the_exit_code(monkeypatch, capsys):
+    def raises(self):
+        raise RuntimeError("planted")
+
+    monkeypatch.setattr(LinearProblem, "decide", raises)
+    assert run("--only", "programs", "--small", "--workers", 1) == 0
+    assert "| raised an exception | 330 | 330 | at most 0 | **not held** |" in capsys.readouterr().out
+
+
+def test_progress_is_told_piece_by_piece():
+    told = []
+    adversary(attacks_named(["car"]), 0, small=True, tell=lambda done, everything: told.append((done, everything)))
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+def test_a_page_says_which_figures_held():
+    rows = [{"what": "a", "measured": 1.0, "of": 2000, "asked": "at most 0", "unit": "", "held": False}]
+    attack = {"name": "n", "sentence": "what it is", "seconds": 1.0, "held": 0, "failed": 1, "rows": rows}
+    page = adversary_markdown({"date": "d", "seed": 1, "small": False, "code": "c", "attacks": [attack]})
+    assert "What it is. 0 of 1 figures are as asked (1 s)." in page
+    assert "| a | 1 | 2,000 | at most 0 | **not held** |" in page

@@ -1,0 +1,52 @@
+"""Small versions of the drives in reverse and of the long drives."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from safedpa_sim.experiments.long_drives import LongDrive, LongOutcome, long_summary, run_long_drive
+from safedpa_sim.experiments.reversing_drives import ReversingDrive, run_reversing_drive
+from safedpa_sim.robots import core
+
+ONCE_COLLIDED = (("box", 510), ("chair", 502))
+
+
+@pytest.mark.parametrize(("load", "seed"), [*ONCE_COLLIDED, ("large_chair", 503)])
+def test_no_load_collides_while_it_is_reversed_at_the_nearest_obstacle(load: str, seed: int) -> None:
+    outcome = run_reversing_drive(ReversingDrive(load, seed))
+    assert outcome.collisions == 0
+    assert outcome.reversed_metres > 0.3
+    assert outcome.least_h > -0.01
+
+
+def test_a_robot_that_does_not_tell_what_it_tows_collides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the footprint alone leaves open; were it closed some other way, the growth would not be needed."""
+    monkeypatch.setattr(core, "towed_reach", lambda load: ())
+    assert sum(run_reversing_drive(ReversingDrive(*drive)).collisions for drive in ONCE_COLLIDED) > 0
+
+
+def test_a_drive_is_the_same_every_time() -> None:
+    drive = ReversingDrive("chair", 7, seconds=4.0)
+    assert run_reversing_drive(drive) == run_reversing_drive(drive)
+    long = LongDrive("large_chair", 9003, seconds=12.0)
+    assert run_long_drive(long) == run_long_drive(long)
+
+
+def test_the_heaviest_load_gets_on_where_it_once_stood() -> None:
+    outcome = run_long_drive(LongDrive("large_chair", 9003, seconds=60.0))
+    assert outcome.collisions == 0
+    assert outcome.longest_stand < 10.0
+    assert sum(outcome.statuses.values()) == 1200
+
+
+def test_the_summary_counts_long_stands_and_those_that_nobody_told() -> None:
+    stand = {"from": 1.0, "seconds": 12.0, "reason": "margin: ..."}
+    told = LongOutcome("box", 1, 60.0, 0, 7, (stand,), 12.0, {"passed": 1200})
+    untold = LongOutcome("box", 2, 60.0, 1, 5, (), 11.0, {"passed": 1200})
+    summary = long_summary([told, untold])
+    assert json.loads(json.dumps(summary)) == summary
+    assert (summary["drives"], summary["stands"], summary["untold"], summary["collisions"]) == (2, 2, 1, 1)
+    assert summary["goals_a_minute"] == 6.0
+    assert summary["standstills"] == [{"load": "box", "seed": 1, **stand}]

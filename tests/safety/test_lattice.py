@@ -1,0 +1,36 @@
+"""Actions spread over the whole of their range."""
+
+import numpy as np
+import pytest
+
+from safedpa.safety.lattice import lattice
+
+SIDE = (-1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize(("actions", "points"), [(1, 9), (2, 5), (3, 3), (4, 2)])
+def test_evenly_spread_with_all_corners(actions: int, points: int) -> None:
+    found = lattice((SIDE,) * actions, affine=False)
+    assert len(found) == len(set(found)) == points**actions
+    for entry in range(actions):
+        values = sorted({action[entry] for action in found})
+        np.testing.assert_allclose(values, np.linspace(-1.0, 2.0, points), atol=1e-15)
+        assert (values[0], values[-1]) == (-1.0, 2.0)  # bit for bit: within the bounds
+
+
+@pytest.mark.parametrize("actions", [1, 2, 3, 4])
+def test_of_an_affine_model_the_corners_alone(actions: int) -> None:
+    found = lattice((SIDE,) * actions, affine=True)
+    assert len(found) == 2**actions
+    assert {value for action in found for value in action} == {-1.0, 2.0}
+
+
+@pytest.mark.parametrize("affine", [False, True])
+def test_of_many_actions_none(affine: bool) -> None:
+    assert lattice((SIDE,) * 5, affine=affine) == []
+
+
+def test_the_highest_value_is_the_bound_itself() -> None:
+    """0.1 + 0.2 * 3 / 3 would be beyond 0.3."""
+    assert max(lattice(((0.1, 0.3, 0.2),), affine=False)) == (0.3,)
+    assert lattice(((0.1, 0.3, 0.2), (0.0, 1.0, 1.0)), affine=True) == [(0.1, 0.0), (0.1, 1.0), (0.3, 0.0), (0.3, 1.0)]
