@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, St
 from safedpa.diagnosis.live.versions import Candidate
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.policy import PolicyNode
-from safedpa.safety.margin_text import margin_text
+from safedpa.safety.margin_text import margin_from_text, margin_text
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.closed_loop import Tick, drive
@@ -59,7 +60,7 @@ def _source(model: Any) -> Any:
 class Drive:
     """A car with a chair; something may be asked at a tick."""
 
-    def __init__(self, changing_node: Any, name: str = "car", at: int = -1, do: Any = None) -> None:
+    def __init__(self, changing_node: Any, name: str = "car", at: int = -1, do: Any = None, ticks: int = TICKS) -> None:
         model = load_model(name)
         self.changing = changing_node(model)
         self.ear = Ear()
@@ -67,7 +68,7 @@ class Drive:
         self.services = (AdaptationNode(model), PolicyNode(model), filtering)
         self.robot = CarRobot(Scene.random(3, "chair"), 0.05)
         self.ticks: list[Tick] = []
-        for tick in drive(self.robot, [*self.services, self.changing, self.ear], TICKS):
+        for tick in drive(self.robot, [*self.services, self.changing, self.ear], ticks):
             self.ticks.append(tick)
             if tick.state.tick == at:
                 do(self.changing.changes)
@@ -150,3 +151,32 @@ def test_an_offer_that_is_dropped_changes_nothing(changing_node: Any, untouched:
     assert "safety_filter refused it: margin: calibrated for model 0123456789ab" in run.changing.changes.sentence
     assert run.robot.trajectory_hash == untouched.robot.trajectory_hash
     assert {service.model_of("r1") for service in run.services} == {fingerprint(load_model("car"))}
+
+
+def longest_stand(run: Drive) -> float:
+    """s without a speed of 2 cm/s."""
+    stands = (sum(1 for _ in group) for still, group in itertools.groupby(run.ticks, key=_stands) if still)
+    return 0.05 * max(stands, default=0)
+
+
+def _stands(tick: Tick) -> bool:
+    return abs(tick.state.values[3]) < 0.02
+
+
+def test_a_car_drives_on_behind_a_margin_that_its_place_does_not_allow(changing_node: Any) -> None:
+    """At h = 0.07 a margin of 0.115 comes; all of it at once, or as much as h ever allowed, made it stand for good."""
+    narrow = offset_candidate("car")
+    margin = margin_from_text(narrow.margin)
+    wide = dataclasses.replace(margin, epsilon=dict.fromkeys(margin.epsilon, 0.115))
+    run = Drive(changing_node, "car", 160, accept(dataclasses.replace(narrow, margin=margin_text(wide))), 500)
+    before = run.ticks[166].verdict
+    assert before.h_now < 0.115 / 0.35
+    assert run.changing.spoken[1].from_tick == 167
+    assert "at once it would stop the robot here" in run.changing.changes.sentence
+    assert longest_stand(run) < 4.0
+    after = [tick.verdict.status for tick in run.ticks[167:]]
+    assert after.count("relaxed") < 0.05 * len(after)
+    assert run.robot.collisions == []
+    held = [tick.verdict for tick in run.ticks[167:] if "Not the whole margin" in tick.verdict.sentence]
+    assert held
+    assert all(verdict.margin >= before.margin for verdict in held)

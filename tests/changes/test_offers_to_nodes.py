@@ -312,17 +312,22 @@ def test_without_a_usable_answer_it_begins_with_its_own_model(driving_state: Any
 
 
 def test_the_filter_falls_back_while_the_latent_is_of_another_model(driving_state: Any) -> None:
+    """Of one that it had in force a second ago it takes the latent with that model, of no other."""
     ticking = Ticking(node_named("safety_filter"), driving_state)
     before = ticking.turn()
     ticking.node.hear("r1", offer())
     ticking.turn()
     ticking.node.hear("r1", decision("take"))
+    changing = ticking.turn()
+    ticking.latents_of = "0123456789ab"
     during = ticking.turn()
     ticking.latents_of = NEW
     after = ticking.turn()
-    verdicts = [next(m for t, m in outputs.items() if t.name == "verdict") for outputs in (before, during, after)]
-    assert [verdict.status == "fallback" for verdict in verdicts] == [False, True, False]
-    assert f"the filter has {NEW}" in verdicts[1].sentence
+    turns = (before, changing, during, after)
+    verdicts = [next(m for t, m in outputs.items() if t.name == "verdict") for outputs in turns]
+    assert [verdict.status == "fallback" for verdict in verdicts] == [False, False, True, False]
+    assert [verdict.model == NEW for verdict in verdicts] == [False, False, True, True]
+    assert f"the filter has {NEW}" in verdicts[2].sentence
 
 
 def test_a_user_s_effect_that_fails_is_refused_not_fatal(ticking: Ticking, monkeypatch: pytest.MonkeyPatch) -> None:

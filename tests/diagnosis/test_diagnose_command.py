@@ -71,7 +71,7 @@ def still(model, seconds, action):
 def test_two_seconds_are_no_evidence(log):
     model = load_model(str(log.model))
     report = diagnose(model, [still(model, 2.0, [1.0, 0.1])])
-    assert report.verdict == "unexplained"
+    assert report.verdict == "undecided"
     assert report.added == ()
     assert any(item["kind"] == "no_verdict" for item in report.data_quality)
 
@@ -79,7 +79,7 @@ def test_two_seconds_are_no_evidence(log):
 def test_constant_inputs_are_no_evidence(log):
     model = load_model(str(log.model))
     report = diagnose(model, [still(model, 40.0, [1.0, 0.1])])
-    assert report.verdict == "unexplained"
+    assert report.verdict == "undecided"
     assert report.added == ()
     assert {"constant_input", "no_verdict"} <= {item["kind"] for item in report.data_quality}
 

@@ -45,6 +45,9 @@ def diagnosed(log, paths, folder, capsys):
     return code, json.loads(shown.out) if shown.out else None, shown.err
 
 
+TOO_LITTLE = ("too little to judge", "no input ever changes")
+
+
 def swap(one, other):
     def change(table):
         table[one], table[other] = table[other], table[one]
@@ -80,7 +83,7 @@ def constant(table):
 def test_no_verdict_and_the_reason(change, said, log, tmp_path, capsys):
     code, report, _ = diagnosed(log, changed(log, tmp_path, change), tmp_path, capsys)
     assert code == 0
-    assert report["verdict"] == "unexplained"
+    assert report["verdict"] == ("undecided" if said in TOO_LITTLE else "unexplained")
     assert report["added"] == []
     assert report["unexplained"]["depends_on"] == []
     assert said in report["unexplained"]["expression"]

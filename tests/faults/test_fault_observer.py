@@ -36,14 +36,16 @@ class Fleet:
         self.bus = Bus(MemoryTransport(broker), "test")
         self.observer = Observer(Bus(MemoryTransport(broker), "test"), "r1")
 
-    def tick(self, tick: int, epoch: int = 5, model: str = "old", status: str = "passed") -> None:
+    def tick(
+        self, tick: int, epoch: int = 5, model: str = "old", status: str = "passed", by: str | None = None
+    ) -> None:
         stamp = {"epoch": epoch, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
         state = CarRobot(Scene.random(1), epoch=epoch).state_message()
         self.bus.publish(STATE, "r1", replace(state, tick=tick, applied_by="filter"))
         self.bus.publish(LATENT, "r1", LatentMessage(**stamp, model=model, values=(), deviations=()))
         verdict = VerdictMessage(
             **stamp, status=status, sentence="", action=(), wish=(), slack=0.0, active=(), h_now=0.0, h_next=0.0,
-            margin=0.0, solver="", microseconds=0.0,
+            margin=0.0, solver="", microseconds=0.0, model=model if by is None else by,
         )  # fmt: skip
         self.bus.publish(VERDICT, "r1", verdict)
         self.bus.publish(ACTION, "r1", ActionMessage(**stamp, values=(1.0, 0.0)))
@@ -84,15 +86,16 @@ def test_a_gap_in_the_ticks_is_no_driving(fleet: Fleet) -> None:
 def test_models_are_mixed_only_where_the_filter_decided_by_another_one_than_the_latents(fleet: Fleet) -> None:
     for tick in range(3):
         fleet.tick(tick, model="old")
-    fleet.tick(3, model="old", status="fallback")
-    fleet.taken(3, "new")
+    fleet.tick(3, model="old", by="new", status="fallback")
     fleet.tick(4, model="new")
     fleet.tick(1, epoch=2, model="new")  # the robot starts anew, with an epoch that is no larger
     assert mixed_in(fleet.observer) == []
-    fleet.tick(5, model="old")
-    assert mixed_in(fleet.observer) == [(5, 5)]
-    fleet.tick(2, epoch=2, model="old")
-    assert mixed_in(fleet.observer) == [(5, 5), (2, 2)]
+    fleet.tick(5, model="old", by="new")  # with the latent of tick 4
+    assert mixed_in(fleet.observer) == []
+    fleet.tick(6, model="old", by="new")
+    assert mixed_in(fleet.observer) == [(5, 6)]
+    fleet.tick(2, epoch=2, model="new", by="old")
+    assert mixed_in(fleet.observer) == [(5, 6), (2, 2)]
 
 
 def test_heartbeats_tell_who_was_heard_and_what_is_on_the_disk(fleet: Fleet) -> None:

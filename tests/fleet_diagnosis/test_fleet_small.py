@@ -180,7 +180,7 @@ def test_a_fleet_without_a_usable_recording_is_bad_input(small_fleet, tmp_path, 
         (["car", "--anew", "a.csv"], "--anew: got no fleet"),
         (["car", "--fleet", "nowhere"], "is no folder"),
         (["car", "--fleet", ".", "a.csv", "--out", "out"], "leave one of the two out"),
-        (["car", "--fleet", "."], "choose another one for the results"),
+        (["car", "--fleet", ".", "--out", "."], "choose another one for the results"),
     ],
 )
 def test_what_makes_no_fleet_is_told_in_one_line(arguments, told, tmp_path, monkeypatch, capsys):
@@ -195,7 +195,8 @@ def test_the_given_model_is_not_overwritten(small_fleet, tmp_path, monkeypatch, 
     shutil.copy(small_fleet.folder / "model.toml", tmp_path / "model.toml")
     monkeypatch.chdir(tmp_path)
     before = Path("model.toml").read_bytes()
-    assert safedpa.run(["diagnose", "model.toml", "--fleet", str(small_fleet.folder / "recordings")]) == 2
+    arguments = ["diagnose", "model.toml", "--fleet", str(small_fleet.folder / "recordings")]
+    assert safedpa.run([*arguments, "--out", "."]) == 2
     assert "the given model's own folder" in capsys.readouterr().err
     assert Path("model.toml").read_bytes() == before
 

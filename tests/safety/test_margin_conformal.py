@@ -264,3 +264,53 @@ def test_two_hundred_errors_are_kept_unless_told_otherwise() -> None:
     assert online.coverage == 1.0 - 1 / 200
     online.update(0.0)
     assert online.coverage == 1.0
+
+
+def misses_of(online: OnlineMargin, errors: np.ndarray) -> int:
+    return int(run(online, errors).sum())
+
+
+@pytest.mark.parametrize("growth", [1.5, 2.0, 3.0, 7.9])
+def test_errors_that_grow_without_end_are_missed_as_seldom_as_stated(growth: float) -> None:
+    """Twice the largest error of the window, and no more, misses errors that treble in every single step."""
+    alpha, rate, doublings = 0.01, 0.002, math.ceil(math.log2(growth))
+    errors = 0.011 * growth ** np.arange(13)
+    online = OnlineMargin(0.01, 1.0 - alpha, rate, 500)
+    run(online, np.full(4000, 0.005))  # a calm hour is no credit
+    assert misses_of(online, errors) < alpha * len(errors) + alpha / rate + max(doublings, 1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_in_no_stretch_are_more_errors_missed_than_stated(seed: int) -> None:
+    """Calm, bursts and errors that grow by up to a factor of four over the largest of the window, in any order."""
+    random, alpha, rate, window, doublings = np.random.default_rng(seed), 0.05, 0.01, 40, 2
+    online, missed, kept = OnlineMargin(0.01, 1.0 - alpha, rate, window), [], [0.0]
+    for _ in range(1500):
+        largest = max(0.01, *kept[-window:])
+        beyond = min(1.001 * online.value, 4.0 * largest)  # the margin, as far as the statement allows
+        error = beyond if random.uniform() < 0.3 else random.uniform(0.0, 0.02)
+        missed.append(error > online.value)
+        online.update(error)
+        kept.append(error)
+        if largest > 1e9:
+            break
+    total = np.concatenate([[0], np.cumsum(missed)])
+    assert sum(missed) > doublings
+    for length in (1, 10, len(missed) // 4, len(missed)):
+        worst = (total[length:] - total[:-length]).max()
+        assert worst < alpha * length + alpha / rate + doublings
+
+
+def test_the_margin_falls_back_to_its_quantile_once_misses_are_allowed_again() -> None:
+    online = OnlineMargin(0.01, 0.5, rate=0.5, window=4)
+    assert [online.update(error) for error in (0.02, 0.1, 0.3)] == [pytest.approx(0.02), 0.2, 1.2]
+    assert online.update(0.01) == pytest.approx(1.2)  # alpha is 0 still
+    assert online.update(0.01) == 0.3
+    assert online.value < 0.31
+
+
+def test_a_margin_of_messages_stays_a_number_that_they_carry() -> None:
+    online = OnlineMargin(1.0, 0.5, rate=1.0, window=2)
+    for power in range(80):
+        online.update(10.0**power)
+    assert online.value == 1e12

@@ -370,26 +370,29 @@ def test_the_point_robots_stopping_manoeuvre_is_a_rollout() -> None:
     motion, hazards = Motion(np.array([0.7, -0.4]), 1.9, 2.9, 3.0), np.array([[0.4, 0.0, 0.2], [-0.5, 0.3, 0.2]])
     stopping, random = StoppingBarrier(hazards, motion), np.random.default_rng(6)
 
-    def manoeuvre(x: np.ndarray) -> np.ndarray:
-        """Thrust, turn, and the end that pushes, which the sixth state remembers."""
-        thrust, turn, end = stopping_action(x[:5, np.newaxis], motion, x[5:])
-        return np.concatenate((thrust, turn, end))
-
     def step(x: np.ndarray, a: np.ndarray) -> np.ndarray:
         middle = x[2] + 0.5 * STEP_SECONDS * a[1]
-        push = a[0] * np.array([np.cos(middle), np.sin(middle)]) + motion.wind - motion.drag * x[3:5]
-        place = x[:2] + STEP_SECONDS * (x[3:5] + 0.5 * STEP_SECONDS * push)
-        return np.array([*place, x[2] + STEP_SECONDS * a[1], *(x[3:5] + STEP_SECONDS * push), a[2]])
+        push = a[0] * np.array([np.cos(middle), np.sin(middle)]) + motion.wind - motion.drag * x[3:]
+        place = x[:2] + STEP_SECONDS * (x[3:] + 0.5 * STEP_SECONDS * push)
+        return np.array([*place, x[2] + STEP_SECONDS * a[1], *(x[3:] + STEP_SECONDS * push)])
 
     def room_left(x: np.ndarray) -> np.ndarray:
         return np.hypot(*(hazards[:, :2] - x[:2]).T) - hazards[:, 2]
 
-    rolled = RolloutBarrier(step, manoeuvre, room_left, STEPS, ("hazard 0", "hazard 1"))
+    def rolled(end: float) -> RolloutBarrier:
+        """Nose first or tail first."""
+        return RolloutBarrier(
+            step,
+            lambda x: np.concatenate(stopping_action(x[:, np.newaxis], motion, np.array([end]))),
+            room_left,
+            STEPS,
+            ("hazard 0", "hazard 1"),
+        )
+
     for _ in range(40):
         x = np.array([*random.uniform(-0.8, 0.8, 2), random.uniform(-3.0, 3.0), *random.uniform(-0.8, 0.8, 2)])
-        start = np.array([*x, stopping.best_end(x)])
-        at_ticks = np.min([room_left(state) for state in rolled.path(start)], axis=0)
+        barrier = rolled(stopping.best_end(x))
+        at_ticks = np.min([room_left(state) for state in barrier.path(x)], axis=0)
         np.testing.assert_allclose(at_ticks, stopping.values(x), atol=1e-9)
-        swept = rolled.values(start)
-        np.testing.assert_array_less(swept, at_ticks + 1e-12)
-        np.testing.assert_allclose(swept, at_ticks, atol=4e-3)
+        np.testing.assert_array_less(barrier.values(x), at_ticks + 1e-12)
+        np.testing.assert_allclose(barrier.values(x), at_ticks, atol=4e-3)

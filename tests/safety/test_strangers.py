@@ -20,8 +20,11 @@ from safedpa.safety import (
     CorridorBarrier,
     FilterSettings,
     FunctionBarrier,
+    HigherOrderBarrier,
     ObstacleBarrier,
+    PendingActions,
     Plausible,
+    RolloutBarrier,
     SafetyFilter,
     SpeedBarrier,
     Status,
@@ -389,3 +392,30 @@ def replace_system(model: PhysicsModel, system: System) -> Any:
     renamed = Renamed()
     renamed.system = system  # type: ignore[attr-defined]
     return renamed
+
+
+def test_barriers_that_are_made_of_others_read_what_these_read(strangers: dict[str, PhysicsModel]) -> None:
+    model, drone = load_model("car"), strangers["drone"]
+    obstacles = ObstacleBarrier([(2.0, 0.0, 0.3)], FOOTPRINT, FilterSettings().braking)
+    rollout = RolloutBarrier(model, (0.0, 0.0), obstacles, 5, latent=model.latent)
+    assert rollout.reads == rollout.since(np.zeros(4)).reads == CAR.state_names
+    assert RolloutBarrier(drone, (0.0, 0.0), lambda x: 1.0 - x[0], 5).reads == drone.system.state_names
+    late = PendingActions(model, 2, (0.0, 0.0))
+    assert late.barrier(obstacles).reads == CAR.state_names
+    assert PendingActions(lambda x: (x, np.eye(4)[:, :2]), 2, (0.0, 0.0)).barrier(obstacles).reads == ()
+    assert HigherOrderBarrier([lambda x: x[0], lambda x: x[1]], [1.0], reads=("s", "v")).reads == ("s", "v")
+    for wrong in (
+        lambda: RolloutBarrier(drone, (0.0, 0.0), obstacles, 5),
+        lambda: PendingActions(drone, 2, (0.0, 0.0)).barrier(obstacles),
+        lambda: SafetyFilter.for_model(drone, FilterSettings(**BOUNDS), [rollout]),
+    ):
+        with pytest.raises(InputError, match="reads the states x, y, yaw, speed, the model has x, y, z"):
+            wrong()
+
+
+def test_a_filter_over_pending_actions_is_of_its_models_system() -> None:
+    late = PendingActions(load_model("car"), 2, (0.0, 0.0))
+    with pytest.raises(InputError, match="made for the system 'pendulum', the model is of 'car'"):
+        SafetyFilter(late.prediction, None, settings_named("pendulum"))
+    safe = SafetyFilter(late.prediction, [late.barrier(part) for part in car_scene()], FilterSettings())
+    assert safe.decide(late.state(np.zeros(4)), [0.1, 0.0], load_model("car").latent).status is Status.passed

@@ -64,6 +64,34 @@ def test_both_margins_are_written_with_their_coverage_on_fresh_steps(recording: 
     assert found.constants["step"] > 0.0
 
 
+def test_with_enough_drives_the_margins_are_over_drives(tmp_path: Path) -> None:
+    """Ten short drives of one robot, each a start of its own; the order of the file is that of nothing."""
+    path, file = tmp_path / "recording.mcap", McapRecorder(tmp_path / "recording.mcap")
+    for epoch in range(1, 11):
+        listener = AdaptationNode(MODEL)
+        nodes = [AdaptationNode(MODEL), PolicyNode(MODEL), SafetyFilterNode(MODEL, settings_named("car"), None)]
+        robot = CarRobot(Scene.random(epoch, "box"), 0.05, epoch=epoch)
+        for tick in drive(robot, nodes, 40):
+            latent = listener.step("r1", tick.state, {})[LATENT]
+            listener.afterwards("r1")
+            at = 10**9 + tick.state.tick * 50_000_000
+            file.write(key_of("fleet", "r1", STATE), encode(tick.state), at, at)
+            file.write(key_of("fleet", "r1", LATENT), encode(latent), at, at)
+    file.close()
+    out = tmp_path / "margin.toml"
+    result = CliRunner().invoke(command, [str(path), "--out", str(out), "--coverage", "0.85"])
+    assert result.exit_code == 0, result.output
+    found = MarginCalibration.load(out)
+    assert (found.drives, found.transitions) == (8, 8 * 39)
+    assert set(found.drive) == set(found.epsilon) == {"obstacle", "field", "speed"}
+    assert all(found.drive[kind] >= epsilon for kind, epsilon in found.epsilon.items())
+    assert {f"drive.{kind}" for kind in found.epsilon} <= set(found.covered)
+    assert "312 transitions of 8 drives" in result.output
+    few = CliRunner().invoke(command, [str(path), "--out", str(out), "--coverage", "0.9"])
+    assert "too few drives to say anything about drives" in few.output
+    assert MarginCalibration.load(out).drives == 0
+
+
 def test_constants_of_a_model_without_networks_are_refused(recording: Path, tmp_path: Path) -> None:
     arguments = [str(recording), "--simulator", "car_small", "--out", str(tmp_path / "margin.toml")]
     result = CliRunner().invoke(command, arguments)

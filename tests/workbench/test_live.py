@@ -134,6 +134,12 @@ def test_services_with_different_models_are_named(book):
     refusal = TakeoverMessage(**stamp(3), service="policy", change=2, fingerprint="cccc", state="refused", reason="bad")
     book.take(refusal, 1.0)
     assert "policy refuses change 2: bad" in change_lines(book)
+    words = "the margin of obstacle goes from 0.03 to 0.115 where h is 0.08"
+    ready = TakeoverMessage(
+        **stamp(4), service="safety_filter", change=3, fingerprint="dddd", state="ready", foretold=words
+    )
+    book.take(ready, 1.0)
+    assert f"change 3: {words}" in change_lines(book)
 
 
 @pytest.mark.parametrize("report", ["no json", "[]", '{"candidates": 3}'])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from safedpa_services.command_line.options import given_model, loaded_runs, run_options
+from safedpa_services.command_line.options import force_option, given_model, inputs_of, loaded_runs, run_options
 
 __all__ = ["command"]
 
@@ -17,6 +17,7 @@ __all__ = ["command"]
 @click.argument("effect")
 @run_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="MODEL2.toml", help="The new model.")
+@force_option
 def command(
     model: str,
     effect: str,
@@ -26,17 +27,19 @@ def command(
     horizon: float,
     effects: Path | None,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Add one EFFECT to MODEL, fitted to recorded RUNs, whatever the ranking says.
 
     Prints the fitted numbers and the error on data that was not used for fitting, before and after.
     """
-    from safedpa.diagnosis.diagnose import add_effect
-    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.addition import add_effect
+    from safedpa.diagnosis.output import refuse_inputs, writable
     from safedpa.dynamics import save_model
     from safedpa_services.command_line.diagnose import value_text
 
     loaded = given_model(model, effects)
+    refuse_inputs([out], inputs_of(model, runs, columns, effects), force)
     writable(out.absolute().parent)
     found = add_effect(loaded, effect, loaded_runs(loaded, runs, columns), horizon)
     save_model(found.model, out)

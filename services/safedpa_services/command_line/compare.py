@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from safedpa_services.command_line.options import folder_option, given_model, loaded_runs, run_options
+from safedpa_services.command_line.options import (
+    folder_option,
+    force_option,
+    given_model,
+    inputs_of,
+    loaded_runs,
+    run_options,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from safedpa.diagnosis.comparison import Comparison
@@ -26,14 +33,18 @@ NAME = 20
 @click.argument("model")
 @run_options
 @folder_option("compare.html and compare.json")
+@click.option("--before", metavar="MODEL", help="An earlier model: say which state gets worse in which run.")
+@force_option
 def command(
     model: str,
     runs: tuple[str, ...],
     columns: str | None,
     horizon: float,
-    out: Path,
+    out: Path | None,
     effects: Path | None,
     as_json: bool,
+    before: str | None,
+    force: bool,
 ) -> None:
     """Hold MODEL against recorded RUNs: how large its error is, and where.
 
@@ -41,38 +52,46 @@ def command(
     compare.html (readable offline) with compare.json beside it.
     """
     from safedpa.diagnosis.comparison import compare_model
-    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.output import results_folder
     from safedpa.diagnosis.page import write_comparison
     from safedpa.diagnosis.summary import as_json as document_of
+    from safedpa.diagnosis.summary import worse_sentence
     from safedpa_services.progress import progress
 
     loaded = given_model(model, effects)
-    writable(out, create=True)
+    earlier = None if before is None else given_model(before, None)
+    names = ("compare.html", "compare.json")
+    folder = results_folder(out, "compare", model, names, inputs_of(model, runs, columns, effects, before), force)
     recorded = loaded_runs(loaded, runs, columns)
     with progress("comparing") as tell:
         tell(0, 2)
         comparison = compare_model(loaded, recorded, horizon)
         tell(1, 2)
-        page, _ = write_comparison(comparison, out, Path(model).stem)
+        change = "" if earlier is None else worse_sentence(compare_model(earlier, recorded, horizon), comparison)
+        page, _ = write_comparison(comparison, folder, Path(model).stem)
     if as_json:
-        click.echo(json.dumps(document_of(comparison), allow_nan=False))
+        click.echo(json.dumps(document_of(comparison) | ({"change": change} if change else {}), allow_nan=False))
     else:
-        _show(comparison, page)
+        _show(comparison, page, change)
 
 
-def _show(comparison: Comparison, page: Path) -> None:
+def _show(comparison: Comparison, page: Path, change: str) -> None:
     from rich.console import Console
 
-    from safedpa.diagnosis.summary import naive_sentence, state_sentence, where_sentence
+    from safedpa.diagnosis.summary import naive_sentence, run_sentence, state_sentence, where_sentence
 
     console = Console(highlight=False, soft_wrap=False)
     console.print()
     console.print(where_sentence(comparison), style="bold", markup=False)
     console.print(f"{state_sentence(comparison)} {naive_sentence(comparison)}", markup=False)
+    for text in (run_sentence(comparison), change):
+        if text:
+            console.print(text, markup=False)
     console.print(_error_table(comparison))
     console.print(_where_table(comparison))
     if len(comparison.runs) > 1:
         console.print(_run_table(comparison))
+        console.print(_state_table(comparison))
     _show_findings(console, comparison)
     console.print(f"Page: {page}", markup=False, soft_wrap=True)
 
@@ -126,6 +145,19 @@ def _run_table(comparison: Comparison) -> Any:
     for run in comparison.runs:
         numbers = (f"{run.duration:.1f}", f"{run.period:.4g} s", str(run.windows), f"{run.error:.2f}")
         table.add_row(shortened(run.name, NAME), *numbers)
+    return table
+
+
+def _state_table(comparison: Comparison) -> Any:
+    from safedpa.diagnosis.summary import shortened
+
+    names = comparison.windows.system.state_names
+    table = _table("Error by run and state", "run")
+    for name in names:
+        table.add_column(name, justify="right")
+    for run in comparison.runs:
+        values = (f"{run.per_state[name]:.2f}" if name in run.per_state else "" for name in names)
+        table.add_row(shortened(run.name, NAME), *values)
     return table
 
 

@@ -16,8 +16,10 @@ from safedpa_services.command_line.options import (
     columns_option,
     effects_option,
     folder_option,
+    force_option,
     given_model,
     horizon_option,
+    inputs_of,
     loaded_runs,
 )
 
@@ -29,12 +31,16 @@ if TYPE_CHECKING:
 
 __all__ = ["command", "story_lines", "value_text"]
 
+WRITTEN = ("report.json", "report.html", "diagnosis.rrd", "model.toml", "margin.toml")
+"""Files of a diagnosis."""
 BAR = 40
 """Characters of the longest bar."""
 COVERAGE = 0.99
 """Share of steps that the margin beside the diagnosed model covers."""
 ROWS = 60_000
 """Rows, evenly spread, from which the margin is taken: an actuator's memory is followed along all of them."""
+WORSE = 3
+"""States that got worse in a run that are printed; all stand in the report."""
 FINDINGS = 6
 """Findings about the data that are printed; all stand in the report."""
 
@@ -47,6 +53,8 @@ FINDINGS = 6
 @effects_option
 @as_json_option
 @folder_option("report.json, report.html, diagnosis.rrd, model.toml and margin.toml")
+@click.option("--check", is_flag=True, help="Only say what these runs could show, in seconds; writes nothing.")
+@force_option
 @fleet_options
 def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
     """Find out which physical effect MODEL lacks, by recorded RUNs.
@@ -54,9 +62,14 @@ def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
     Fits every effect of the library, alone and in pairs, and adds those that predict data which the fit did not see.
     Says as well when nothing is missing, when the data cannot tell effects apart, and when no effect explains the rest.
 
+    With --check: says in seconds which effects these runs could show and from which size on, and searches nothing.
+
     With --fleet FOLDER, or runs of many robots and --by: one diagnosis a robot, and which effect is missing in which
     robots. Writes fleet.html, fleet.json and a folder for each robot; what was done before is not done again.
     """
+    if options["check"]:
+        _checked(model, runs, options)
+        return 0
     if wants_fleet(options["fleet"], options["by"]):
         return diagnosed_fleet(model, runs, **options)
     unused = [name for name in ("jobs", "ray") if options[name] is not None] + ["anew"] * options["anew"]
@@ -64,39 +77,47 @@ def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
         raise InputError(f"--{unused[0]}: got no fleet; name its folder with --fleet, or what a robot is with --by")
     if not runs:
         raise InputError("runs: got none; wanted recordings of a robot, or --fleet FOLDER")
-    _diagnosed(
-        model, runs, options["columns"], options["horizon"], options["out"], options["effects"], options["as_json"]
-    )
+    _diagnosed(model, runs, options)
     return 0
 
 
-def _diagnosed(
-    model: str,
-    runs: tuple[str, ...],
-    columns: str | None,
-    horizon: float,
-    out: Path,
-    effects: Path | None,
-    as_json: bool,
-) -> None:
+def _checked(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
+    """What the runs could show."""
+    from safedpa.diagnosis.check import as_document, check_lines, checked
+    from safedpa_services.progress import progress
+
+    if not runs:
+        raise InputError("--check: got no runs; wanted recordings of a robot")
+    loaded = given_model(model, options["effects"])
+    recorded = loaded_runs(loaded, runs, options["columns"])
+    with progress("checking"):
+        found = checked(loaded, recorded)
+    if options["as_json"]:
+        click.echo(json.dumps(as_document(found), allow_nan=False))
+    else:
+        click.echo("\n".join(check_lines(found)))
+
+
+def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
     """One robot's diagnosis: read, searched, written, told."""
     from safedpa.diagnosis.diagnose import diagnose
-    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.output import results_folder
     from safedpa.diagnosis.report import as_document
     from safedpa_services.progress import progress
 
-    loaded = given_model(model, effects)
-    writable(out, create=True)
-    recorded = loaded_runs(loaded, runs, columns)
+    loaded = given_model(model, options["effects"])
+    read = inputs_of(model, runs, options["columns"], options["effects"])
+    out = results_folder(options["out"], "diagnose", model, WRITTEN, read, options["force"])
+    recorded = loaded_runs(loaded, runs, options["columns"])
     with progress("diagnosing") as tell:
-        report = diagnose(loaded, recorded, horizon, tell)
+        report = diagnose(loaded, recorded, options["horizon"], tell)
     document = as_document(report)
     with progress("writing") as tell:
         tell(0, 2)
         _write(document, report, recorded, out, Path(model).stem)
         tell(1, 2)
         margin = _margin(report, recorded, out)
-    if as_json:
+    if options["as_json"]:
         click.echo(json.dumps(document, allow_nan=False))
     else:
         _show(report, out, margin)
@@ -116,7 +137,7 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
 
     path, model = out / "margin.toml", report.models[-1]
     path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
-    judged = report.verdict != "unexplained" or (report.unexplained is not None and report.unexplained.depends_on)
+    judged = report.verdict != "unexplained" if report.unexplained is None else report.unexplained.depends_on
     if not judged or model.system.action_names != ("target_speed", "steer"):
         return None
     # phi tells a learned latent tick by tick, in the filter as here
@@ -170,6 +191,7 @@ def _show(report: Report, out: Path, margin: Path | None) -> None:
 def story_lines(report: Report) -> list[tuple[str, str]]:
     """The diagnosis as lines and their styles: error, where, what is missing, the falling error, what remains, next."""
     from safedpa.diagnosis.report import as_document
+    from safedpa.diagnosis.report_open import closest_rows
     from safedpa.diagnosis.report_story import story_of
 
     story = story_of(as_document(report))
@@ -181,6 +203,9 @@ def story_lines(report: Report) -> list[tuple[str, str]]:
         lines.append((f"Worst at {place}: {worst['ratio']:.1f} times the average error.", ""))
     lines += [(f"  {line}", "green") for line in _found(report)]
     lines += _bars(report)
+    for lost in report.worse[:WORSE]:
+        text = f"  {lost.state} got worse in {lost.run}: {lost.before:.3g} to {lost.after:.3g}, though the mean fell"
+        lines.append((text, "yellow"))
     lines += [
         (f"  Cannot be told apart: {name} and {', '.join(others)}.", "yellow") for name, others in _groups(report)
     ]
@@ -188,6 +213,10 @@ def story_lines(report: Report) -> list[tuple[str, str]]:
         lines.append((story.remains, "yellow"))
         lines.append((f"  {story.formula_title}: {report.unexplained.expression}", "yellow"))
         lines.append((f"  {story.formula_note}", "dim"))
+    for effect, numbers, fall, drive in closest_rows(as_document(report)):
+        off = f"; would take {fall} off the error" if fall else ""
+        lines.append((f"  Likely, not proven: {effect} ({numbers}{off})", "yellow"))
+        lines += [(f"    Drive to know: {drive}.", "cyan")] if drive else []
     if report.next_experiment is not None:
         item = report.next_experiment
         lines.append((f"Next: {item.manoeuvre}; {item.why}.", "cyan"))

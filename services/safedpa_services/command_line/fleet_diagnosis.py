@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from safedpa.errors import InputError
+from safedpa_services.command_line.options import inputs_of
 
 if TYPE_CHECKING:
     from safedpa.diagnosis.fleet import Found, Workers
@@ -66,19 +67,20 @@ def wants_fleet(fleet: Path | None, by: str) -> bool:
 def diagnosed_fleet(model: str, runs: Sequence[str], **options: Any) -> int:
     """Diagnoses a fleet and tells; the exit code: 0, or 2 where no robot's recordings could be used."""
     from safedpa.diagnosis.fleet import Fleet, Options, diagnose_fleet
-    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.output import results_folder
     from safedpa_services.progress import progress
 
-    out: Path = options["out"]
+    given: Path | None = options["out"]
     effects: Path | None = options["effects"]
     if effects is not None:
         from safedpa.dynamics import load_own_everywhere
 
         load_own_everywhere(effects)
-    if options["fleet"] is not None and out.resolve() == options["fleet"].resolve():
-        raise InputError(f"--out {out}: got the folder of the recordings; choose another one for the results")
+    if given is not None and options["fleet"] is not None and given.resolve() == options["fleet"].resolve():
+        raise InputError(f"--out {given}: got the folder of the recordings; choose another one for the results")
     found = _found(runs, options)
-    writable(out, create=True)
+    read = inputs_of(model, [path for robot in found.robots for path in map(str, robot.files)], effects)
+    out = results_folder(given, "fleet", model, ("fleet.html", "fleet.json"), read, options["force"])
     columns = _absolute(options["columns"]) if options["columns"] else None
     own = str(effects.resolve()) if effects else None
     known = Options(_absolute(model), columns, options["horizon"], own)

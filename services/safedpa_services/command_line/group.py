@@ -13,8 +13,8 @@ __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
     "accept", "add", "bench", "calibrate", "certificates", "compare", "diagnose", "effects", "experiment", "export",
-    "go", "predict", "reject", "replay", "roll-back", "screenshot", "status", "stop", "train", "train-baselines", "up",
-    "workbench",
+    "go", "predict", "rehearse", "reject", "replay", "roll-back", "screenshot", "status", "stop", "train",
+    "train-baselines", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 

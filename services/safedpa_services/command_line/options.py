@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from safedpa.records.run import Run
 
 __all__ = [
-    "as_json_option", "columns_option", "effects_option", "folder_option", "given_model", "horizon_option",
-    "loaded_runs", "run_options", "runs_argument",
+    "as_json_option", "columns_option", "effects_option", "folder_option", "force_option", "given_model",
+    "horizon_option", "inputs_of", "loaded_runs", "run_options", "runs_argument",
 ]  # fmt: skip
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -26,6 +26,7 @@ columns_option = click.option(
 effects_option = click.option(
     "--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own."
 )
+force_option = click.option("--force", is_flag=True, help="Write even over a file that was read.")
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 
 
@@ -40,9 +41,9 @@ def folder_option(what: str) -> Callable[[Command], Command]:
     return click.option(
         "--out",
         type=click.Path(path_type=Path),
-        default=Path(),
+        default=None,
         metavar="DIR",
-        help=f"Folder for {what}; by default the current one.",
+        help=f"Folder for {what}; by default a new one, named by model and time.",
     )
 
 
@@ -51,6 +52,11 @@ def run_options(command: Command) -> Command:
     for option in (as_json_option, effects_option, horizon_option(), columns_option, runs_argument):
         command = option(command)
     return command
+
+
+def inputs_of(model: str, runs: Sequence[str], *others: str | Path | None) -> list[str | Path]:
+    """Everything that a command reads."""
+    return [model, *runs, *(item for item in others if item is not None)]
 
 
 def given_model(name: str, effects: Path | None) -> PhysicsModel:

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import click
 
-from safedpa_services.command_line.options import columns_option, effects_option, given_model, horizon_option
+from safedpa_services.command_line.options import (
+    columns_option,
+    effects_option,
+    force_option,
+    given_model,
+    horizon_option,
+    inputs_of,
+)  # fmt: skip
 
 __all__ = ["command"]
 
@@ -18,17 +25,21 @@ __all__ = ["command"]
 @horizon_option(None)
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="FILE.csv", help="Where to write.")
 @effects_option
-def command(model: str, run: str, columns: str | None, horizon: float, out: Path, effects: Path | None) -> None:
+@force_option
+def command(
+    model: str, run: str, columns: str | None, horizon: float, out: Path, effects: Path | None, force: bool
+) -> None:
     """Predict RUN with MODEL, open loop, from every tenth row of it.
 
     Each prediction starts at the measured state and sees only the run's own actions; FILE.csv has the columns start_t,
     t and the states, one line per measured row up to the horizon.
     """
-    from safedpa.diagnosis.output import writable
+    from safedpa.diagnosis.output import refuse_inputs, writable
     from safedpa.diagnosis.predict import predict_run
     from safedpa.records import load_column_map, load_run
     from safedpa.records.write import write_columns
 
+    refuse_inputs([out], inputs_of(model, [run], columns, effects), force)
     loaded = given_model(model, effects)
     recorded = load_run(run, loaded.system, load_column_map(columns) if columns else None)
     writable(out.parent)

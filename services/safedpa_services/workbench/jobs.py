@@ -63,7 +63,7 @@ def opened(model: PhysicsModel, runs: Sequence[Run], horizon: float, tell: Tell)
     """
     step = first_step(model, runs, horizon)
     tell(0.4)
-    windows = step.heldout.windows
+    windows = step.shown.windows
     given = compared(model, runs, horizon)
     tell(0.8)
     error = rollout_error(model, windows)

@@ -141,6 +141,8 @@ class RobotBook:
         if message.state == "refused":
             text = f"{message.service} refuses change {message.change}: {message.reason}"
             self.marks.append(Mark(message.robot_time, "model", text))
+        elif message.foretold:
+            self.marks.append(Mark(message.robot_time, "model", f"change {message.change}: {message.foretold}"))
         elif message.state == "taken":
             self.models[message.service] = message.fingerprint
 

@@ -92,6 +92,10 @@ class StateMessage(Message):
     """(3,) of what hangs on a hitch at the footprint's rear end: the net ways driven backwards after which it begins to
     leave the footprint, and after which it may stand at any angle, and how far it reaches from the hitch, in m. Empty
     of a robot that tows nothing."""
+    until_action: Number = 0.0
+    """s from the moment to which ``values`` belong until this tick's action is put in force, by the robot's own clock:
+    how old the measurement is, and the time from sense to act. The last command stays until then. 0: none, as in
+    lockstep, or not told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,8 +170,8 @@ class VerdictMessage(ComputedMessage):
     predicted: Rows = ()
     """(steps, states) predicted under the action held, one period apart; more than the next one not with every tick."""
     coverage: Number = -1.0
-    """Share of the last 500 steps at most after which no barrier value lay below its prediction by more than the
-    margin, the least of all kinds of barrier; -1: no step was watched yet."""
+    """Share of the last 500 steps at most near a boundary after which the least barrier value of a kind lay not below
+    its prediction by more than the margin, the least of all kinds; -1: no such step was watched yet."""
     promised: Number = -1.0
     """Share that the margin was calibrated for; -1: not told."""
     model: str = ""
@@ -279,6 +283,8 @@ class TakeoverMessage(Message):
     """``ready`` (loaded and checked), ``taken`` (in use from the stamp's tick on) or ``refused``."""
     reason: str = ""
     """Why it was refused."""
+    foretold: str = ""
+    """With ``ready``: what the change will do, such as to the filter's margin; empty: nothing to be told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -47,7 +47,7 @@ class _Robot(Generic[Held]):
     take: ModelMessage | None = None
     """For the prepared version: from when on it is used."""
     answers: deque[tuple[ModelMessage, str, str]] = field(default_factory=deque)
-    """(message that is answered, state, reason), to be sent one a tick."""
+    """(message that is answered, state, why it is refused or what it will do), to be sent one a tick."""
 
 
 @final
@@ -55,11 +55,19 @@ class ModelVersions(Generic[Held]):
     """Keeps the model of every robot, and the one that was offered, through the steps of a change.
 
     ``load(robot, offer)`` makes of an offered model what the service needs, and raises whatever it likes when it
-    cannot: the offer is refused with that reason then. ``first`` is what every robot begins with.
+    cannot: the offer is refused with that reason then. ``foretell(robot, made)`` says what the change will do, before
+    it is decided. ``first`` is what every robot begins with.
     """
 
-    def __init__(self, service: str, first: Held, fingerprint: str, load: Callable[[str, ModelMessage], Held]) -> None:
-        self._service, self._load = service, load
+    def __init__(
+        self,
+        service: str,
+        first: Held,
+        fingerprint: str,
+        load: Callable[[str, ModelMessage], Held],
+        foretell: Callable[[str, Held], str] | None = None,
+    ) -> None:
+        self._service, self._load, self._foretell = service, load, foretell
         self._first = _Version(first, fingerprint)
         self._robots: dict[str, _Robot[Held]] = {}
 
@@ -149,7 +157,7 @@ class ModelVersions(Generic[Held]):
         self._prepare(robot, known)
         if not known.answers:
             return None
-        message, outcome, reason = known.answers.popleft()
+        message, outcome, said = known.answers.popleft()
         return TakeoverMessage(
             epoch=state.epoch,
             tick=state.tick,
@@ -159,7 +167,8 @@ class ModelVersions(Generic[Held]):
             change=message.change,
             fingerprint=message.fingerprint,
             state=outcome,
-            reason=reason,
+            reason=said if outcome == "refused" else "",
+            foretold=said if outcome == "ready" else "",
         )
 
     def forget(self, robot: str) -> None:
@@ -197,7 +206,8 @@ class ModelVersions(Generic[Held]):
             return
         known.prepared = self._made(robot, known, offer)
         if known.prepared is not None:
-            known.answers.append((offer, "ready", ""))
+            told = "" if self._foretell is None else self._foretell(robot, known.prepared.held)
+            known.answers.append((offer, "ready", told[:_LONGEST_REASON]))
 
     def _made(self, robot: str, known: _Robot[Held], offer: ModelMessage) -> _Version[Held] | None:
         for version in (known.version, self._first):

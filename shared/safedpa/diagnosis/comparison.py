@@ -53,6 +53,10 @@ class RunError:
     stretches: int
     windows: int
     error: float
+    per_state: dict[str, float]
+    """Scaled error of each state that changed."""
+    no_change: dict[str, float]
+    """What "no change" earns there, by state."""
 
 
 @dataclass(frozen=True)
@@ -140,13 +144,25 @@ def _errors(windows: Windows, rows: Rows, predicted: Floats) -> dict[str, Rollou
 
 def _by_run(runs: Sequence[Run], windows: Windows, errors: Floats, scale: Floats) -> tuple[RunError, ...]:
     found = []
+    still = prediction_errors(windows, windows.end, no_change(windows, windows.end))
     for index, run in enumerate(runs):
         own = windows.run == index
-        error = scaled_error(trimmed_rms(errors[own]), scale).value if own.any() else float("nan")
+        error = scaled_error(trimmed_rms(errors[own]), scale) if own.any() else None
+        value = float("nan") if error is None else error.value
+        parts = [_named(windows, part[own], scale) for part in (errors, still)]
         rows = sum(len(part) for part in run.stretches)
         stretches = len(run.stretches)
-        found.append(RunError(run.name, rows, run.duration, run.period, stretches, int(own.sum()), error))
+        found.append(RunError(run.name, rows, run.duration, run.period, stretches, int(own.sum()), value, *parts))
     return tuple(found)
+
+
+def _named(windows: Windows, errors: Floats, scale: Floats) -> dict[str, float]:
+    """Scaled errors by state, of those that changed."""
+    if not len(errors):
+        return {}
+    per_state = scaled_error(trimmed_rms(errors), scale).per_state
+    names = windows.system.state_names
+    return {name: float(value) for name, value in zip(names, per_state, strict=True) if not np.isnan(value)}
 
 
 def _findings(runs: Sequence[Run], windows: Windows, errors: Floats, scale: Floats) -> tuple[tuple[str, Finding], ...]:

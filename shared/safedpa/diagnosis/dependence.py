@@ -95,7 +95,23 @@ def profile_of(
         tuple(values.tolist()),
         tuple(errors.tolist()),
         None if formula is None else tuple(float(value) for value in formula),
+        _rows_about(dependences.knots[variable], variable, shooting),
     )
+
+
+def _rows_about(knots: Floats, variable: str, shooting: Shooting) -> tuple[int, ...]:
+    """Measured rows nearer to each knot than to its neighbours, those beyond half a step outside the outer ones not."""
+    windows = shooting.windows
+    names = (*windows.system.state_names, *windows.system.action_names)
+    if variable in names:
+        values = np.concatenate([windows.states, windows.actions], axis=1)[:, names.index(variable)]
+    else:
+        values = windows.time
+    if variable in {item.name for item in windows.system.state if item.angle}:
+        values = (values + np.pi) % (2 * np.pi) - np.pi
+    middles = 0.5 * (knots[1:] + knots[:-1])
+    ends = (2.0 * knots[0] - middles[0], 2.0 * knots[-1] - middles[-1])
+    return tuple(np.histogram(values, np.concatenate([ends[:1], middles, ends[1:]]))[0].tolist())
 
 
 def _knots(values: Floats, angle: bool) -> Floats:

@@ -1,48 +1,37 @@
-"""The diagnosis from runs to report: quality, search, what remains, the next experiment."""
+"""The diagnosis from runs to report: quality, search, what remains, what comes closest, the next experiment."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from safedpa.diagnosis.addition import Addition, add_effect
+from safedpa.diagnosis.by_name import Names
+from safedpa.diagnosis.closest import closest_effects, likely_effects, nearest_effects
+from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
+from safedpa.diagnosis.evidence import Evidence, evidence_at, evidence_beside, shown_of
 from safedpa.diagnosis.experiment_choice import chosen_experiment
-from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.heldout import HeldoutError, error_with, heldout_of
+from safedpa.diagnosis.fitted_values import values_of
+from safedpa.diagnosis.heldout import Heldout, error_with
+from safedpa.diagnosis.readiness import MOST_ROWS, Judgeable, judgeable, prepared, row_of
 from safedpa.diagnosis.remaining import formula_instead, remaining
-from safedpa.diagnosis.report import Candidate, Experiment, Report, Unexplained, Value, Verdict
-from safedpa.diagnosis.report_excerpt import excerpt
+from safedpa.diagnosis.report import Candidate, Detectable, Experiment, Report, Unexplained, Verdict
 from safedpa.diagnosis.search import Judged, Search, searched
-from safedpa.diagnosis.shooting import Shooting, shooting_of
 from safedpa.diagnosis.stages import stages_of
 from safedpa.diagnosis.summary import worst_bins
-from safedpa.diagnosis.trial import Trial, trial_of
 from safedpa.dynamics import PhysicsModel
-from safedpa.effects import AbstractEffect, effect, effects_of
-from safedpa.errors import InputError, RunError
+from safedpa.effects import AbstractEffect, effects_of
 from safedpa.records.run import Finding, Run
 
-__all__ = [
-    "Addition",
-    "add_effect",
-    "candidate_of",
-    "diagnose",
-    "experiment_for",
-    "judgeable",
-    "library_for",
-    "prepared",
-    "values_of",
-]
+__all__ = ["Addition", "add_effect", "candidate_of", "diagnose", "experiment_for", "library_for"]
 
-_MOST_ROWS = 40_000
-"""Of longer logs evenly spread pieces are used."""
-_FEWEST_WINDOWS = 10
-_FEWEST_SECONDS = 5.0
-_SEVERE = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "steer_inconsistent")
-"""Findings with which no verdict about physics is possible."""
-_LONGEST_WINDOW = 2.0
-"""s; disturbances add up over longer ones."""
+_MOST_ROWS = MOST_ROWS
+_MOST_SHOWN = 0.5
+"""Share of the library's numbers of which an ordinary size would have been found, without which "nothing is missing"
+would say more than the data do."""
 
 Tell = Callable[[int, int], None]
 
@@ -60,88 +49,76 @@ def diagnose(
 ) -> Report:
     """Which effects of the library the model lacks, by runs that it should predict.
 
-    Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
+    The data choose the horizons at which is decided; ``horizon`` [s] is that of the errors that are shown. Raises
+    InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
-    used, quality = prepared(model, runs, horizon)
-    heldout = heldout_of(used, horizon)
-    shooting = shooting_of(used, min(horizon, _LONGEST_WINDOW))
-    enough, why = judgeable(shooting, used, runs)
-    library = library_for(model) if enough else []
-    if not enough:
-        quality.append(_row("all", Finding("no_verdict", why)))
-    search = searched(model, library, shooting, heldout, tell)
-    quality += _too_bad(search)
-    rest = (formula_instead(search) or remaining(search.current, search.shooting, search.patch)) if enough else None
-    stages, models = stages_of(search, heldout)
+    usable = prepared(model, runs, _MOST_ROWS)
+    evidence = evidence_at(usable.runs, usable.seconds)
+    shown = shown_of(usable.runs, horizon, evidence)
+    judge = judgeable(evidence.shooting, usable.runs, runs)
+    library = library_for(model)
+    if not judge.enough:
+        usable.quality.append(row_of("all", Finding("no_verdict", judge.why_not)))
+    asked: list[float] = []
+
+    def beside() -> list[Evidence]:
+        found = list(evidence_beside(usable.runs, usable.seconds))
+        asked.extend(item.seconds for item in found if item.seconds not in asked)
+        return found
+
+    search = searched(model, library if judge.enough else [], evidence.shooting, evidence.heldout, tell, beside)
+    usable.quality.extend(_too_bad(search))
+    found = _rest_of(search, judge, Names(search, library, evidence.heldout))
+    sizes = with_manoeuvres(_sizes(search, library), search.current, library) if judge.enough else ()
+    told = stages_of(search, evidence.heldout, shown)
     return Report(
         robot=model.system.name,
         horizon=horizon,
-        verdict=_verdict(search, rest, enough),
+        verdict=_verdict(search, found, judge, sizes),
         added=tuple(search.added),
-        stages=tuple(stages),
-        candidates=tuple(candidate_of(item, search) for item in search.candidates),
-        where=_where(model, used, horizon),
-        unexplained=rest if enough else Unexplained((), why, 0.0),
+        stages=tuple(told.stages),
+        candidates=_candidates(search, evidence.heldout, shown),
+        where=_where(model, usable.runs, horizon),
+        unexplained=found.unexplained,
         next_experiment=experiment_for(search),
-        data_quality=tuple(quality),
+        data_quality=tuple(usable.quality),
         parameters=values_of(search.current, search.shooting),
-        models=tuple(models),
+        models=tuple(told.models),
+        closest=closest_effects(
+            found.likely,
+            search,
+            [values_of(item.trial, search.shooting) for item in found.likely],
+            sizes,
+            np.maximum(search.current.fit.scale, 1e-9),
+        ),
+        detectable=tuple(sizes),
+        worse=told.worse,
+        evidence=(usable.seconds, *asked),
     )
 
 
-def prepared(model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0) -> tuple[list[Run], list[dict[str, Any]]]:
-    """Runs that can be used, thinned to what fits in memory, and what is to be said about them."""
-    quality = [_row(run.name, finding) for run in runs for finding in run.findings]
-    rows = sum(len(part) for run in runs for part in run.stretches)
-    used = excerpt(runs, _MOST_ROWS, horizon)
-    if rows > _MOST_ROWS:
-        kept = sum(len(part) for run in used for part in run.stretches)
-        message = f"of {rows} rows, {kept} in evenly spread pieces were used for fitting and judging"
-        quality.append(_row("all", Finding("thinned", message, rows - kept)))
-    for run in used:
-        quality += [_row(run.name, item) for item in _inputs(run)]
-    return used, quality
+@dataclass(frozen=True)
+class _Rest:
+    """What no effect explains, and effects that may be missing."""
+
+    unexplained: Unexplained | None
+    likely: list[Judged]
 
 
-def _inputs(run: Run) -> list[Finding]:
-    """Inputs that never change say nothing about what they do."""
-    actions = np.concatenate([part for _, _, part in run.parts()])
-    known = {finding.kind for finding in run.findings}
-    if "constant_input" in known or not len(actions):
-        return []
-    still = [v.name for v, size in zip(run.system.action, np.ptp(actions, axis=0), strict=True) if size < 1e-9]
-    message = f"{', '.join(still)} never changes: effects on it cannot be told from constants"
-    return [Finding("constant_input", message, len(actions))] if still else []
+def _rest_of(search: Search, judge: Judgeable, names: Names) -> _Rest:
+    if not judge.enough:
+        near = [] if judge.wrong else nearest_effects(search, names.library, names.heldout)
+        return _Rest(Unexplained((), judge.why_not, 0.0), near)
+    rest = formula_instead(search, names) or remaining(search.current, search.shooting, search.patch, names)
+    named = {item.trial.effects for item in names.found}
+    others = [item for item in likely_effects(search) if item.trial.effects not in named]
+    return _Rest(rest, [*names.found, *others])
 
 
-def _row(run: str, finding: Finding) -> dict[str, Any]:
-    return {"run": run, **vars(finding)}
-
-
-def judgeable(shooting: Shooting, used: Sequence[Run], runs: Sequence[Run]) -> tuple[bool, str]:
-    """Whether the data allow a verdict about physics, and why not: ``used`` is what was taken of ``runs``."""
-    wrong = _wrong(runs)
-    return (False, wrong) if wrong else _enough(shooting, used)
-
-
-def _enough(shooting: Shooting, runs: Sequence[Run]) -> tuple[bool, str]:
-    """Whether there is enough to judge anything, and why not."""
-    seconds = sum(run.duration for run in runs)
-    if len(shooting.windows) < _FEWEST_WINDOWS or seconds < _FEWEST_SECONDS:
-        return False, (
-            f"{seconds:.1f} s in {len(shooting.windows)} independent windows are too little to judge an effect; "
-            f"record at least {_FEWEST_SECONDS:g} s and {_FEWEST_WINDOWS} times the horizon, better a minute"
-        )
-    actions = np.concatenate([part for run in runs for _, _, part in run.parts()])
-    if actions.shape[1] and (np.ptp(actions, axis=0) < 1e-9).all():
-        return False, "no input ever changes: nothing can be told from a constant; record a drive with steps in it"
-    return True, ""
-
-
-def _wrong(runs: Sequence[Run]) -> str:
-    """What makes recordings something else than they say, empty where nothing does."""
-    found = [f"{run.name}: {item.message}" for run in runs for item in run.findings if item.kind in _SEVERE]
-    return found[0] if found else ""
+def _sizes(search: Search, library: Sequence[AbstractEffect]) -> list[Detectable]:
+    have = {item.name for item in search.current.fit.model.effects}
+    rest = [item for item in library if item.name not in have]
+    return detectable_sizes(search.current, rest, search.shooting, search.error)
 
 
 def _too_bad(search: Search) -> list[dict[str, Any]]:
@@ -152,15 +129,31 @@ def _too_bad(search: Search) -> list[dict[str, Any]]:
         f"even with all that was found the error is {search.error.value:.2f}, more than assuming no change would have: "
         "look for wrong units (degrees), swapped columns or another robot's model before believing any effect"
     )
-    return [_row("all", Finding("implausible", message))]
+    return [row_of("all", Finding("implausible", message))]
 
 
-def _verdict(search: Search, rest: Unexplained | None, enough: bool) -> Verdict:
-    if not enough or search.error.value > 1.5 or not np.isfinite(search.error.value):
+def _verdict(search: Search, found: _Rest, judge: Judgeable, sizes: Sequence[Detectable]) -> Verdict:
+    if not judge.enough:
+        return "unexplained" if judge.wrong else "undecided"
+    if search.error.value > 1.5 or not np.isfinite(search.error.value):
         return "unexplained"
     if search.added:
         return "effect_missing"
-    return "nothing_missing" if rest is None else "unexplained"
+    if found.unexplained is not None:
+        return "unexplained"
+    if found.likely or sum(size.shown for size in sizes) < _MOST_SHOWN * len(sizes):
+        return "undecided"
+    return "nothing_missing"
+
+
+def _candidates(search: Search, heldout: Heldout, shown: Heldout) -> tuple[Candidate, ...]:
+    found = []
+    for item in search.candidates:
+        made = candidate_of(item, search)
+        if item.error is not None and shown is not heldout:
+            made = replace(made, heldout_error=error_with(item.trial.fit, search.shooting, shown).value)
+        found.append(made)
+    return tuple(found)
 
 
 def candidate_of(item: Judged, search: Search) -> Candidate:
@@ -178,16 +171,6 @@ def candidate_of(item: Judged, search: Search) -> Candidate:
         decision=item.decision,  # type: ignore[arg-type]
         reason=item.reason,
     )
-
-
-def values_of(trial: Trial, shooting: Shooting) -> dict[str, Value]:
-    """The fitted numbers of a trial by path."""
-    model, deviations = trial.fit.model, trial.fit.deviations(shooting)
-    found = {}
-    for path, value, std in zip(trial.fit.paths, trial.fit.values, deviations, strict=True):
-        spread = float(std) if np.isfinite(std) else None
-        found[path] = Value(float(value), spread, model.parameters[path].unit)
-    return found
 
 
 def _where(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> tuple[dict[str, Any], ...]:
@@ -217,34 +200,3 @@ def _survivors(item: Judged, search: Search) -> dict[str, PhysicsModel]:
         if other.trial.name in item.equals and len(models) < 4:
             models[other.trial.name] = other.trial.fit.model
     return models
-
-
-class Addition:
-    """One effect by choice: the fitted model, its numbers, and the held-out errors before and after."""
-
-    def __init__(
-        self, model: PhysicsModel, values: dict[str, Value], before: HeldoutError, after: HeldoutError
-    ) -> None:
-        self.model, self.values, self.before, self.after = model, values, before, after
-
-
-def add_effect(model: PhysicsModel, name: str, runs: Sequence[Run], horizon: float = 1.0) -> Addition:
-    """Fits one effect on top of a model, whatever the ranking says.
-
-    Raises InputError for an unknown effect or one that the model has, RunError for unusable runs.
-    """
-    from safedpa.diagnosis.trial import tried
-
-    item = effect(model.system.name, name)
-    if name in {own.name for own in model.effects}:
-        raise InputError(f"effect '{name}': the model has it already; mark its parameters free to refit them")
-    used, _ = prepared(model, runs, horizon)
-    heldout = heldout_of(used, horizon)
-    shooting = shooting_of(used, min(horizon, _LONGEST_WINDOW))
-    if len(shooting.windows) < 3:
-        raise RunError(f"runs: got {len(shooting.windows)} windows of {horizon:g} s, wanted at least 3; record more")
-    search = searched(model, [], shooting, heldout)
-    trial = tried(search.current, [item], search.shooting)
-    again = search.shooting.around(trial.fit.model)
-    final = trial_of(fit(trial.fit.model, trial.fit.paths, again, trial.fit.scale), again, (name,), None)
-    return Addition(final.fit.model, values_of(final, again), search.error, error_with(final.fit, again, heldout))

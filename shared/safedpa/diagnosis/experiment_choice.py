@@ -10,7 +10,7 @@ from safedpa.diagnosis.report import Experiment
 from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
 
-__all__ = ["chosen_experiment", "manoeuvres"]
+__all__ = ["chosen_experiment", "manoeuvres", "telling_manoeuvre"]
 
 _SECONDS = 6.0
 _AFTER = 1.0
@@ -83,6 +83,18 @@ def chosen_experiment(
         return _by_hand(names)
     why = f"the predictions of {_joined(names)} differ there by {best[0]:.0f} times the noise"
     return Experiment(best[1], tuple(names), why)
+
+
+def telling_manoeuvre(model: PhysicsModel, other: PhysicsModel, noise: Floats) -> str:
+    """The manoeuvre in which two models differ most in units of the ``noise`` (states,); empty where none is known."""
+    best = (0.0, "")
+    for text, (start, actions) in manoeuvres(model).items():
+        with np.errstate(all="ignore"):
+            apart = (_driven(model, start, actions) - _driven(other, start, actions)) / noise
+        size = float(np.sqrt(np.mean(apart**2)))
+        if np.isfinite(size) and size > best[0]:
+            best = (size, text)
+    return best[1] if best[0] >= 1.0 else ""
 
 
 def _by_hand(names: Sequence[str]) -> Experiment:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from safedpa.diagnosis.fitting import Fit
+from safedpa.diagnosis.fitting import Fit, bounds_of
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.refinement import refined
 from safedpa.diagnosis.shooting import Shooting
@@ -17,6 +18,8 @@ _WORSE = 0.02
 """Share by which the held-out error may grow: rollouts from a measured start reward what a lasting push makes of it."""
 
 
+_MOST = 3.0
+"""Deviations of the windows' number that the difference to the filter counts at most."""
 _FAR = 0.5
 """Share of a free number of the base that the filter may move: further off, much is missing, and lasting disturbances
 stand for it."""
@@ -27,6 +30,8 @@ def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tupl
 
     Elsewhere, and where the filter moves a free number of the base far, the windows' numbers stay, and half of what
     both ways differ by counts as uncertain: the model's form is then wrong in something that the two weigh differently.
+    At most three times what blocks and runs say, though, and nothing where the filter ran to a bound: a filter that is
+    lost says nothing about a number.
     """
     before = error_with(found, shooting, heldout)
     if not found.free.any():
@@ -34,12 +39,21 @@ def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tupl
     final = refined(found.model, found.paths, found.free, shooting.windows)
     if final is None:
         return found, before
-    moved = replace(found, model=final.model, stated=final.deviations)
+    stated = np.where(np.isfinite(final.deviations), final.deviations, found.deviations(shooting))
+    moved = replace(found, model=final.model, stated=stated)
     after = error_with(moved, shooting, heldout)
     if after.value <= (1.0 + _WORSE) * before.value and not _far(found, moved):
         return moved, after
-    apart = 0.5 * (moved.values - found.values)
-    return replace(found, stated=np.hypot(found.deviations(shooting), apart)), before
+    own = found.deviations(shooting)
+    apart = np.where(_lost(moved), 0.0, 0.5 * np.abs(moved.values - found.values))
+    return replace(found, stated=np.hypot(own, np.minimum(apart, _MOST * own))), before
+
+
+def _lost(moved: Fit) -> NDArray[np.bool_]:
+    """Numbers that the filter put on a bound, (paths,)."""
+    low, high = bounds_of(moved.model, moved.paths)
+    edge = 1e-6 * (high - low)
+    return np.asarray((moved.values <= low + edge) | (moved.values >= high - edge))
 
 
 def _far(before: Fit, after: Fit) -> bool:

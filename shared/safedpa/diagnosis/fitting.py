@@ -65,29 +65,43 @@ class Fit:
         return np.array([(5.0 * size_of(self.model.parameters[path])) ** -2 for path in self.paths])
 
     def deviations(self, shooting: Shooting) -> Floats:
-        """One standard deviation of each parameter (paths,), NaN at a bound: jackknife over blocks of time.
+        """One standard deviation of each parameter (paths,).
 
-        (B - 1) / B sum over the blocks of (parameters without the block - parameters)^2, to first order; at least what
-        white residuals would give.
+        The larger of jackknives over blocks of time and over runs, where there are four; at least what white residuals
+        would give.
+
+        (B - 1) / B sum over the blocks of (parameters without the block - parameters)^2, to first order. At a bound the
+        distance into the allowed side over which the squares grow by one unit of the noise (profile likelihood); NaN
+        where the data say nothing.
         """
         if self.stated is not None:
             return self.stated
-        found = np.full(len(self.paths), np.nan)
+        found = self._at_bounds()
         if not self.free.any():
             return found
         columns = self.columns[..., self.free]
-        size = columns.shape[-1]
-        count = int(shooting.block.max()) + 1
-        curvature, slope = np.zeros((count, size, size)), np.zeros((count, size))
         products, slopes = products_of(columns, self.residual)
-        np.add.at(curvature, shooting.block, products)
-        np.add.at(slope, shooting.block, slopes)
-        whole, total = curvature.sum(axis=0), slope.sum(axis=0)
-        shifts = (inverse_of(whole - curvature) @ (total - slope)[..., None])[..., 0]
-        spread = ((shifts - shifts.mean(axis=0)) ** 2).sum(axis=0) * (count - 1) / max(count, 1)
-        white = np.diag(inverse_of(whole)) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
-        found[self.free] = np.sqrt(np.maximum(np.maximum(spread, white), 0.0))
+        whole = products.sum(axis=0)
+        squares = np.diag(inverse_of(whole)) * (self.residual**2).sum() / max(shooting.size.sum(), 1.0)
+        for group in (shooting.block, shooting.windows.run):
+            count = len(np.unique(group))
+            if group is shooting.block or count >= _FEWEST_RUNS:
+                squares = np.maximum(squares, _jackknife(products, slopes, group))
+        found[self.free] = np.sqrt(np.maximum(squares, 0.0))
         return found
+
+    def _at_bounds(self) -> Floats:
+        """One-sided deviations of what is not free (paths,), else NaN: d with 2 |g| d + h d^2 = 1.
+
+        g and h are slope and curvature of half the squares in units of the noise.
+        """
+        flat = self.columns.reshape(self.residual.size, len(self.paths))
+        slope, curvature = np.abs(flat.T @ self.residual.reshape(-1)), (flat**2).sum(axis=0)
+        low, high = bounds_of(self.model, self.paths)
+        with np.errstate(all="ignore"):
+            distance = (np.sqrt(slope**2 + curvature) - slope) / curvature
+        told = ~self.free & np.isfinite(distance) & (distance > 0) & (distance < high - low)
+        return np.where(told, distance, np.nan)
 
     def without(self, shooting: Shooting) -> dict[int, Floats]:
         """Parameters (paths,) fitted without each fold, to first order, by fold."""
@@ -110,6 +124,21 @@ class Fit:
         return np.asarray(shooting.squares(residual) * self.scale**2)
 
 
+def _jackknife(products: Floats, slopes: Floats, group: NDArray[np.int64]) -> Floats:
+    """Squares of the deviations (paths,) by what each group of windows moves, to first order."""
+    count, size = int(group.max()) + 1, products.shape[-1]
+    curvature, slope = np.zeros((count, size, size)), np.zeros((count, size))
+    np.add.at(curvature, group, products)
+    np.add.at(slope, group, slopes)
+    there = np.unique(group)
+    whole, total = curvature.sum(axis=0), slope.sum(axis=0)
+    shifts = (inverse_of(whole - curvature[there]) @ (total - slope[there])[..., None])[..., 0]
+    share = (len(there) - 1) / max(len(there), 1)
+    return np.asarray(((shifts - shifts.mean(axis=0)) ** 2).sum(axis=0) * share)
+
+
+_FEWEST_RUNS = 4
+"""Runs whose differences say how sure a number is."""
 _SETTLED = 3e-3
 """Share of the curvature below which a direction stays where all folds put it: valleys of a fit are bent, and a
 straight step along one leaves it."""

@@ -24,6 +24,13 @@ class Judged:
     decision: str
     reason: str
     equals: tuple[str, ...]
+    before: float = float("nan")
+    """Held-out error of the model that it was tried beside."""
+
+    @property
+    def fall(self) -> float | None:
+        """Share that it takes off the held-out error; None where that was not worked out."""
+        return None if self.error is None or not self.before > 0 else 1.0 - self.error.value / self.before
 
 
 @dataclass

@@ -31,12 +31,14 @@ class Heldout:
 class HeldoutError:
     """value: mean over the states; per_state (states,); by_run (runs,), on the scale of all runs, NaN without windows.
 
-    ``errors`` (windows, states): predicted - measured at the windows' ends.
+    ``by_run_and_state`` (runs, states): the same state by state. ``errors`` (windows, states): predicted - measured at
+    the windows' ends.
     """
 
     value: float
     per_state: Floats
     by_run: Floats
+    by_run_and_state: Floats
     errors: Floats
 
 
@@ -65,8 +67,10 @@ def error_with(fitted: Fit, shooting: Shooting, heldout: Heldout) -> HeldoutErro
     scale = change_scale(windows, windows.end)
     found = scaled_error(trimmed_rms(errors), scale)
     by_run = np.full(len(windows.names), np.nan)
+    by_state = np.full((len(windows.names), errors.shape[1]), np.nan)
     for run in range(len(windows.names)):
         own = np.flatnonzero(windows.run == run)
         if len(own):
-            by_run[run] = scaled_error(trimmed_rms(errors[own]), scale).value
-    return HeldoutError(found.value, found.per_state, by_run, errors)
+            one = scaled_error(trimmed_rms(errors[own]), scale)
+            by_run[run], by_state[run] = one.value, one.per_state
+    return HeldoutError(found.value, found.per_state, by_run, by_state, errors)

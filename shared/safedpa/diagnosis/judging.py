@@ -14,8 +14,8 @@ from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, likeness
 
 __all__ = [
-    "MOST_MISSING", "SAME", "SIMPLER", "Stage", "farthest", "inside", "judged", "likely", "passes", "preferred",
-    "with_reason",
+    "ALIKE", "FALL", "LIKELY", "LITTLE_FALL", "MOST_MISSING", "SAME", "SIMPLER", "SURE", "VERY_SURE", "Stage",
+    "farthest", "inside", "judged", "likely", "passes", "preferred", "with_reason",
 ]  # fmt: skip
 
 SURE = 3.0
@@ -110,12 +110,12 @@ def inside(trial: Trial, search: Search) -> bool:
 def judged(search: Search, stage: Stage, trial: Trial, best: Trial | None, passed: bool) -> Judged:
     """The verdict on one trial of a stage, ``best`` being what is added if it ``passed``."""
     gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
-    taken = _taken_up(trial, search.current)
+    before, taken = search.error.value, _taken_up(trial, search.current)
     if taken:
-        return Judged(stage.number, trial, gain, error, "rejected", f"the free {taken} does the same", (taken,))
+        return Judged(stage.number, trial, gain, error, "rejected", f"the free {taken} does the same", (taken,), before)
     equals = _equals(trial, stage.trials[:10], search.shooting, search.current) if gain > 1.5 else ()
     decision, reason = _decision(search, stage, trial, best, passed, equals)
-    return Judged(stage.number, trial, gain, error, decision, reason, equals)
+    return Judged(stage.number, trial, gain, error, decision, reason, equals, before)
 
 
 def _decision(

@@ -1,13 +1,16 @@
-"""Folders into which results go."""
+"""Where results go: into new folders, or where one says, and never over what was read."""
 
 from __future__ import annotations
 
+import datetime
 import os
+from collections.abc import Iterable
+from itertools import count
 from pathlib import Path
 
 from safedpa.errors import InputError
 
-__all__ = ["writable"]
+__all__ = ["new_folder", "refuse_inputs", "results_folder", "writable"]
 
 
 def writable(folder: Path, *, create: bool = False) -> Path:
@@ -27,3 +30,34 @@ def writable(folder: Path, *, create: bool = False) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"{folder}: must not be written to; choose another place with --out")
     return folder
+
+
+def results_folder(
+    out: Path | None, command: str, model: str, names: Iterable[str], inputs: Iterable[str | Path], force: bool
+) -> Path:
+    """``out``, or a new folder named by command, model and time where there is none; it exists afterwards.
+
+    ``names`` are the files that will be written there. Raises InputError where the folder cannot be written to, and
+    where one of the files is an input, unless ``force``.
+    """
+    folder = new_folder(command, model) if out is None else out
+    refuse_inputs([folder / name for name in names], inputs, force)
+    return writable(folder, create=True)
+
+
+def new_folder(command: str, model: str, now: datetime.datetime | None = None) -> Path:
+    """A folder of the current one that is not there yet: diagnose-my_car-2026-11-22-150102."""
+    stamp = (now or datetime.datetime.now()).strftime("%Y-%m-%d-%H%M%S")
+    name = f"{command}-{Path(model).stem}-{stamp}"
+    return next(path for path in (Path(name if n == 1 else f"{name}-{n}") for n in count(1)) if not path.exists())
+
+
+def refuse_inputs(outputs: Iterable[Path], inputs: Iterable[str | Path], force: bool) -> None:
+    """Raises InputError where writing one of ``outputs`` would replace one of ``inputs``, unless ``force``."""
+    read = {Path(item).resolve() for item in inputs if Path(item).exists()}
+    for path in outputs:
+        if path.resolve() in read and not force:
+            raise InputError(
+                f"{path}: is an input of this command and would be replaced; choose another place with --out, "
+                "or say --force"
+            )

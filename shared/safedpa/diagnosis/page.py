@@ -17,7 +17,7 @@ from safedpa.diagnosis.figures import (
     where_figure,
 )
 from safedpa.diagnosis.overlays import overlay_figures
-from safedpa.diagnosis.summary import as_json, bin_text, naive_sentence, state_sentence, where_sentence, worst_bins
+from safedpa.diagnosis.summary import as_json, bin_text, worst_bins
 from safedpa.records.atomic import atomic_path
 
 __all__ = ["compare_page", "embedded", "rendered", "write_comparison"]
@@ -46,7 +46,7 @@ def compare_page(comparison: Comparison, title: str) -> str:
         "page.html",
         title=title,
         comparison=comparison,
-        sentences=[where_sentence(comparison), state_sentence(comparison), naive_sentence(comparison)],
+        sentences=as_json(comparison)["summary"],
         tiles=_tiles(comparison),
         states=comparison.windows.system.state,
         horizons=_table_horizons(comparison),

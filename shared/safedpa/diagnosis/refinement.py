@@ -4,7 +4,8 @@ minimise sum over the rows of e' S^-1 e + log det S, e the innovations, S their 
 measurement and lasting disturbances of the rates are estimated beside the parameters. Windows with starts of their own,
 on which the search works, mistake part of a lasting disturbance for a parameter: a window's start already shows it.
 
-Source: Ljung, System Identification, 2nd ed., 1999, sections 7.4 and 9.4 (covariance of prediction-error estimates).
+Source: Ljung, System Identification, 2nd ed., 1999, sections 7.4 and 9.4 (covariance of prediction-error estimates);
+Liang and Zeger, Biometrika 73, 1986 (sandwiches over groups).
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ _SUBSTEPS = (4, 4, 16)
 _MOST_ROWS = 16_000
 """Of longer logs evenly spread pieces are used."""
 _TANGENT = 1e-4
+_FEWEST_RUNS = 4
+"""Runs whose differences say how sure a number is."""
 _NUMERICAL = 2e-4
 """Share of a number that integration leaves open: long quiet recordings put dead zones, forces and frictions within
 5e-5 of themselves, and 1.3e-4 to 2.3e-4 off."""
@@ -92,7 +95,9 @@ def _refined(
         if turn > 1 and _settled(before, model, chosen, found):
             break
     deviations = np.full(len(paths), np.nan)
-    deviations[np.asarray(free, dtype=bool)] = np.hypot(_deviations(model, chosen, found), _numerical(model, chosen))
+    deviations[np.asarray(free, dtype=bool)] = np.hypot(
+        _deviations(model, chosen, found, _runs_of(pieces, windows)), _numerical(model, chosen)
+    )
     return Refined(model, tuple(paths), deviations, noise)
 
 
@@ -288,10 +293,27 @@ def _numerical(model: PhysicsModel, paths: Sequence[str]) -> Floats:
     return _NUMERICAL * np.abs([value - (at or 0.0) for value, at in zip(values, neutral, strict=True)])
 
 
-def _deviations(model: PhysicsModel, paths: Sequence[str], found: Innovations) -> Floats:
-    """One standard deviation (paths,): the larger of the filter's own and the sandwich over the pieces."""
+def _runs_of(pieces: _Pieces, windows: Windows) -> Rows:
+    """The run of each piece (pieces,); a stretch without a window counts as a run of its own."""
+    known = dict(zip(windows.begin.tolist(), windows.run.tolist(), strict=True))
+    stretch = np.searchsorted(windows.bounds[:, 1], pieces.rows[:, 0], side="right")
+    begins = windows.bounds[stretch, 0].tolist()
+    return np.array([known.get(begin, len(windows.names) + begin) for begin in begins], dtype=np.int64)
+
+
+def _deviations(model: PhysicsModel, paths: Sequence[str], found: Innovations, runs: Rows | None = None) -> Floats:
+    """One standard deviation (paths,): the largest of the filter's own and of sandwiches over the pieces and the runs.
+
+    Sandwich: C (sum over the groups of s s') C, C the filter's covariance, s (paths,) the score of a group, times
+    R / (R - 1) for R runs. Pieces of one run may all be wrong to one side, which only runs show.
+    """
     curvature = np.einsum("wip,wiq->pq", found.columns, found.columns)
     information = inverse_of(curvature + _prior(model, paths), 1e-12)
     scores = np.einsum("wip,wi->wp", found.columns, found.white)
-    sandwich = information @ (scores.T @ scores) @ information
-    return np.sqrt(np.maximum(np.maximum(np.diag(information), np.diag(sandwich)), 0.0))
+    squares = [np.diag(information), np.diag(information @ (scores.T @ scores) @ information)]
+    groups = np.unique(runs) if runs is not None else np.zeros(0)
+    if len(groups) >= _FEWEST_RUNS:
+        sums = np.stack([scores[runs == group].sum(axis=0) for group in groups])
+        share = len(groups) / (len(groups) - 1.0)
+        squares.append(share * np.diag(information @ (sums.T @ sums) @ information))
+    return np.asarray(np.sqrt(np.maximum(np.max(squares, axis=0), 0.0)))

@@ -19,16 +19,17 @@ from safedpa.diagnosis.patch import Patch, best_patch
 from safedpa.diagnosis.remaining_rates import map_of, rate_states, rate_unit_of, remaining_rates
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, with_start
-from safedpa.diagnosis.unexplained import Dependence, FormulaTerm, Unexplained
+from safedpa.diagnosis.unexplained import Dependence, FormulaTerm, Profile, Unexplained
 from safedpa.diagnosis.weak_form import Selected, selected_terms, sure_enough
 from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats
 from safedpa.operations import NUMPY
 
 if TYPE_CHECKING:
+    from safedpa.diagnosis.by_name import Names
     from safedpa.diagnosis.search import Search
 
-__all__ = ["formula_instead", "remaining"]
+__all__ = ["formula_instead", "peak_of", "remaining"]
 
 _SHARE = 0.03
 """Of the squares of the residual, noise included."""
@@ -37,6 +38,10 @@ _LASTING = 4.0
 _PLACE_SHARE = 0.02
 _FEWEST = 40
 """Windows."""
+_HEADLINE = 2.0
+"""Of its own deviations that a number needs to be told by itself."""
+_FEWEST_ROWS = 20
+"""About a knot whose value is told by itself."""
 _AHEAD = 3.0
 """Standard errors by which a formula has to be better than the effects that were found, to take their place."""
 _LITTLE = 0.03
@@ -45,21 +50,26 @@ _LITTLE_WITH_FEWER = 0.01
 """The same where the formula has fewer numbers."""
 
 
-def remaining(trial: Trial, shooting: Shooting, patch: Patch | None) -> Unexplained | None:
-    """The structure of what remains, or None where unseen blocks confirm none."""
+def remaining(trial: Trial, shooting: Shooting, patch: Patch | None, names: Names | None = None) -> Unexplained | None:
+    """The structure of what remains, or None where unseen blocks confirm none.
+
+    Neither is there where ``names`` have an effect that says the same.
+    """
     place = patch or best_patch(trial, shooting)
-    if place is not None and place.share > _PLACE_SHARE:
-        return _of_place(place, trial, shooting)
+    if place is not None and place.share > _PLACE_SHARE and _certain(place, shooting):
+        named = names is not None and names.of_formula(place.trial)
+        return None if named else _of_place(place, trial, shooting)
     if len(shooting.windows) < _FEWEST:
         return None
     dependences = dependences_of(trial, shooting)
     fitted = _formula(trial, shooting)
     if fitted is not None and not _better_as_function(dependences, fitted[1]):
-        return _of_formula(*fitted, trial, dependences, shooting)
-    return _of_dependence(trial, dependences, shooting)
+        named = names is not None and names.of_formula(fitted[1])
+        return None if named else _of_formula(*fitted, trial, dependences, shooting)
+    return _of_dependence(trial, dependences, shooting, names)
 
 
-def formula_instead(search: Search) -> Unexplained | None:
+def formula_instead(search: Search, names: Names | None = None) -> Unexplained | None:
     """A formula of at most as many numbers that explains more than all effects that were found; None otherwise.
 
     Effects that only resemble what acts (a drag that grows with the cube of the speed looks like quadratic drag) are
@@ -78,10 +88,12 @@ def formula_instead(search: Search) -> Unexplained | None:
     little = _LITTLE if len(selected.terms) == most else _LITTLE_WITH_FEWER
     if trial.loss > found.loss - little or block_gain(found, trial, shooting) < _AHEAD:
         return None
-    names = ", ".join(search.added)
+    if names is not None and names.of_formula(trial):
+        return None
+    taken_back = ", ".join(search.added)
     for index, item in enumerate(search.candidates):
         if item.decision == "accepted":
-            reason = f"{item.reason}; but a formula of no more numbers explains more than {names}"
+            reason = f"{item.reason}; but a formula of no more numbers explains more than {taken_back}"
             search.candidates[index] = replace(item, decision="suspected", reason=reason)
     search.added, search.current, search.error = [], search.first, search.first_error
     return _of_formula(selected, trial, null, dependences_of(null, shooting), shooting)
@@ -181,7 +193,15 @@ def _at(knots: Floats, variable: str, state: str, selected: Selected, values: Fl
     return [float(value) for value in np.broadcast_to(sums, knots.shape)]
 
 
-def _of_dependence(trial: Trial, dependences: Dependences, shooting: Shooting) -> Unexplained | None:
+def _certain(place: Patch, shooting: Shooting) -> bool:
+    """Whether the resistance of a place is more than two of its own deviations."""
+    size, std = _size(place, shooting)
+    return std is not None and abs(size) > _HEADLINE * std
+
+
+def _of_dependence(
+    trial: Trial, dependences: Dependences, shooting: Shooting, names: Names | None
+) -> Unexplained | None:
     """A variable of which some function predicts unseen blocks, though no short formula does."""
     sure = [item for item in dependences.found if item.share > _SHARE and sure_enough(item.standard_errors, item.share)]
     if not sure:
@@ -190,18 +210,30 @@ def _of_dependence(trial: Trial, dependences: Dependences, shooting: Shooting) -
     close = tuple(dict.fromkeys(item.variable for item in sure if item.share > 0.7 * best.share))
     first, second = _axes(close, best.state, dependences.found)
     profile = profile_of(dependences, first, best.state, None, shooting)
-    peak = int(np.argmax(np.abs(profile.values)))
+    peak = peak_of(profile)
+    if peak is None:
+        return None
+    if names is not None and names.of_function(dependences.unseen[best.variable, best.state], dependences.scale):
+        return None
     unit = "" if profile.unit == "1" else f" {profile.unit}"
     return Unexplained(
         depends_on=close,
         expression=f"d({best.state})/dt += a function of {first} that no short formula gives; it is largest, "
-        f"{profile.values[peak]:.2g} {profile.rate_unit}, at {first} {profile.knots[peak]:.2g}{unit}",
+        f"{profile.values[peak]:.2g} +- {profile.errors[peak]:.1g} {profile.rate_unit}, at {first} "
+        f"{profile.knots[peak]:.2g}{unit}",
         share=best.share,
         kind="dependence",
         dependence=dependences.found,
         profile=profile,
         map=map_of(first, second, best.state, remaining_rates(trial, shooting), shooting),
     )
+
+
+def peak_of(profile: Profile) -> int | None:
+    """The knot with the largest value that is more than two of its own deviations, and about which there are rows."""
+    values, errors = np.array(profile.values), np.array(profile.errors)
+    sure = (np.abs(values) > _HEADLINE * errors) & (np.array(profile.rows) >= _FEWEST_ROWS)
+    return int(np.argmax(np.where(sure, np.abs(values), -1.0))) if sure.any() else None
 
 
 def _axes(variables: Sequence[str], state: str, dependence: Sequence[Dependence]) -> tuple[str, str]:

@@ -9,9 +9,12 @@ from typing import Any, Literal
 from safedpa.diagnosis.unexplained import Unexplained
 from safedpa.dynamics import PhysicsModel
 
-__all__ = ["Candidate", "Decision", "Experiment", "Report", "Stage", "Unexplained", "Value", "Verdict", "as_document"]
+__all__ = [
+    "Candidate", "Close", "Decision", "Detectable", "Experiment", "Report", "Stage", "Unexplained", "Value", "Verdict",
+    "Worse", "as_document",
+]  # fmt: skip
 
-Verdict = Literal["nothing_missing", "effect_missing", "unexplained"]
+Verdict = Literal["nothing_missing", "effect_missing", "unexplained", "undecided"]
 Decision = Literal["accepted", "suspected", "rejected"]
 
 
@@ -33,6 +36,17 @@ class Stage:
     per_state: dict[str, float]
     runs_improved: str
     """In how many runs the error fell against the stage before: ``9/9``; empty for the first."""
+
+
+@dataclass(frozen=True)
+class Worse:
+    """A state that a stage predicts worse in one run than the given model does, whatever the mean says."""
+
+    stage: int
+    run: str
+    state: str
+    before: float
+    after: float
 
 
 @dataclass(frozen=True)
@@ -61,6 +75,46 @@ class Experiment:
 
 
 @dataclass(frozen=True)
+class Close:
+    """An effect that may be missing, but of which the data are not sure."""
+
+    effect: str
+    parameters: dict[str, Value]
+    """By path."""
+    heldout_fall: float | None
+    """Share that it would take off the held-out error at the search's own horizon."""
+    score: float
+    """Held-out gain in standard errors of independent time blocks."""
+    smallest_detectable: dict[str, Value]
+    """By path: the change from doing nothing that these logs would have shown."""
+    drive: str
+    """What to drive to know; empty where no manoeuvre of the list tells."""
+    reason: str
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """What these logs could show of one parameter of an effect that the model lacks."""
+
+    effect: str
+    parameter: str
+    unit: str
+    smallest: float | None
+    """Change from doing nothing that would have been found in nineteen of twenty cases; None: none within bounds."""
+    ordinary: float
+    """The change that is ordinary."""
+    only_with: tuple[str, ...]
+    """Effects or free numbers that displace the predictions in the same way: only their sum can be told."""
+    drive: str = ""
+    """The manoeuvre that shows it most, where these logs do not show an ordinary size."""
+
+    @property
+    def shown(self) -> bool:
+        """Whether an ordinary size would have been found."""
+        return self.smallest is not None and self.smallest <= self.ordinary
+
+
+@dataclass(frozen=True)
 class Report:
     """Everything that a diagnosis found; ``models`` are those of the stages, the given one (refitted) first."""
 
@@ -78,6 +132,14 @@ class Report:
     parameters: dict[str, Value]
     """Fitted numbers of the last model, by path, the base's free ones as well."""
     models: tuple[PhysicsModel, ...] = field(repr=False)
+    closest: tuple[Close, ...] = ()
+    """Where the data are not sure: the effects that come closest, the best first; "likely, not proven"."""
+    detectable: tuple[Detectable, ...] = ()
+    """For each number of each effect that the model lacks the smallest change that these logs would have shown."""
+    worse: tuple[Worse, ...] = ()
+    """States that the last stage predicts worse in a run than the given model, the worst first."""
+    evidence: tuple[float, ...] = ()
+    """s; the horizons at which was decided, the search's own first: they follow from the data."""
 
 
 def as_document(report: Report) -> dict[str, Any]:
@@ -85,7 +147,7 @@ def as_document(report: Report) -> dict[str, Any]:
     plain: dict[str, Any] = {"format": 1}
     for name in (
         "robot", "horizon", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
-        "data_quality", "parameters",
+        "data_quality", "parameters", "closest", "detectable", "worse", "evidence",
     ):  # fmt: skip
         plain[name] = _plain(getattr(report, name))
     return plain

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from safedpa.diagnosis.report_open import nothing_sentence, undecided_sentence
+
 __all__ = ["Found", "Stage", "Story", "number", "parameters_text", "step_text", "story_of"]
 
 
@@ -71,7 +73,8 @@ _TELLS = 0.02
 _FORMULA = {
     "place": (
         "A place where the floor is different",
-        "Fitted like an effect, but it is none: it holds in this room. Look at the floor there.",
+        "Fitted like an effect, but it is none: it holds in one room. If all recordings were made there, look at the "
+        "floor in that place; if not, give those of one room at a time.",
     ),
     "formula": (
         "Best short formula for the remaining rate",
@@ -140,10 +143,13 @@ def _lead(document: Mapping[str, Any]) -> str:
             f"The model lacks {_joined(added)}. With {'it' if len(added) == 1 else 'them'} the error on data that was "
             f"not used for fitting {verb} from {first:.3g} to {last:.3g}, by {abs(fall):.0f} %."
         )
+    if document["verdict"] == "undecided":
+        return undecided_sentence(document)
     if document["verdict"] == "nothing_missing":
+        told = nothing_sentence(document)
         return (
             f"Nothing is missing: no effect of the library predicts unseen data better than chance would have it. "
-            f"The error is {first:.3g}."
+            f"The error is {first:.3g}.{' ' if told else ''}{told}"
         )
     if document["unexplained"] is not None and not document["unexplained"]["depends_on"]:
         return f"No verdict: {document['unexplained']['expression']}."
@@ -159,7 +165,8 @@ def _remains(document: Mapping[str, Any]) -> str:
     size = f"{100.0 * share:.0f} % of what remains" if isinstance(share, int | float) else "A part of what remains"
     if unexplained.get("kind") == "place":
         return (
-            f"{size} lies in one place of the plane: the floor is different there, which no effect of the library has."
+            f"{size} lies in one place of the plane: if these recordings are of one room, the floor is different "
+            "there, which no effect of the library has."
         )
     return f"{size} depends on {variables} in a way that no effect of the library has."
 

@@ -12,13 +12,13 @@ import numpy as np
 
 from safedpa.diagnosis.fitting import fit, inverse_of, objectives
 from safedpa.diagnosis.found import Judged, Search, given_names
-from safedpa.diagnosis.heldout import Heldout, error_with
+from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
 from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
-__all__ = ["bounded", "exchange", "removals", "united"]
+__all__ = ["bounded", "exchange", "removals", "unhelpful", "united"]
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
@@ -102,6 +102,27 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         _take_back(search, group)
     if search.added != before:
         _left_over(search, heldout)
+
+
+def unhelpful(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Accepted effects that lower the held-out error of no run are taken out: a stage has to help somewhere."""
+    by_name = {item.name: item for item in library}
+    for name in list(search.added):
+        if len(search.added) < 2:
+            return
+        less = _refit(search, [by_name[other] for other in search.added if other != name])
+        error = error_with(less.fit, search.shooting, heldout)
+        if _helps(error, search.error):
+            continue
+        search.added = [other for other in search.added if other != name]
+        search.current, search.error = less, error
+        _take_back(search, (name,), "lowers the held-out error of no run")
+
+
+def _helps(before: HeldoutError, after: HeldoutError) -> bool:
+    """Whether some run, or the mean over all, is predicted better."""
+    fell = after.by_run < (1.0 - _ROUNDING) * before.by_run
+    return bool(fell.any()) or after.value < (1.0 - _ROUNDING) * before.value
 
 
 def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:

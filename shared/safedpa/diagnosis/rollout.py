@@ -19,8 +19,11 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.effects import CommandEffect
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, NUMPY
+from safedpa.systems import System
 
-__all__ = ["common_period", "felt_actions", "felt_columns", "rollout", "rollout_at", "rollout_steps"]
+__all__ = [
+    "check_system", "common_period", "felt_actions", "felt_columns", "rollout", "rollout_at", "rollout_steps",
+]  # fmt: skip
 
 Columns = dict[str, Floats]
 """One action's value in every row, by the action's name."""
@@ -62,7 +65,7 @@ def rollout_steps(model: PhysicsModel, windows: Windows) -> Iterator[tuple[int, 
 
     Raises InputError when model and runs are of different systems.
     """
-    _check_system(model, windows)
+    check_system(model.system, windows.system, windows.names[0])
     mechanics, felt = SideBySide([model]), felt_columns(model, windows)
     order = np.argsort(-windows.steps, kind="stable")
     start, steps = windows.start[order], windows.steps[order]
@@ -136,10 +139,10 @@ def common_period(windows: Windows) -> float | None:
     return middle if np.ptp(windows.period) <= _SAME * middle else None
 
 
-def _check_system(model: PhysicsModel, windows: Windows) -> None:
-    mine, theirs = model.system, windows.system
+def check_system(mine: System, theirs: System, run: str) -> None:
+    """Raises InputError when the model's system is another one than that of a run."""
     if (mine.name, mine.state_names, mine.action_names) != (theirs.name, theirs.state_names, theirs.action_names):
         raise InputError(
-            f"{windows.names[0]}: a run of robot '{theirs.name}' with actions {', '.join(theirs.action_names)}; the "
+            f"{run}: a run of robot '{theirs.name}' with actions {', '.join(theirs.action_names)}; the "
             f"model is of robot '{mine.name}' with actions {', '.join(mine.action_names)}; choose a model of that robot"
         )

@@ -6,11 +6,13 @@ Surveys 4, 2010); forward and backward steps as in Miller, Subset Selection in R
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from safedpa.diagnosis.elsewhere import Passing, passing_elsewhere
+from safedpa.diagnosis.evidence import Evidence
 from safedpa.diagnosis.final_numbers import with_final_numbers
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.found import Judged, Search
@@ -18,8 +20,8 @@ from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.judging import MOST_MISSING, Stage, farthest, inside, judged, likely, preferred
 from safedpa.diagnosis.pairs import pairs_of
 from safedpa.diagnosis.patch import Patch, best_patch
-from safedpa.diagnosis.revision import bounded, exchange, removals, united
-from safedpa.diagnosis.second_opinion import agrees, certain, clear
+from safedpa.diagnosis.revision import bounded, exchange, removals, unhelpful, united
+from safedpa.diagnosis.second_opinion import CLEAR_FALL, agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
 from safedpa.diagnosis.windows import Floats
@@ -37,6 +39,8 @@ _FAR = 0.5
 """Share of a free number."""
 
 Tell = Callable[[int, int], None]
+Beside = Callable[[], Iterable[Evidence]]
+"""Makes the same recordings at other horizons; asked only where one horizon leaves a question open."""
 
 
 def searched(
@@ -45,6 +49,7 @@ def searched(
     shooting: Shooting,
     heldout: Heldout,
     tell: Tell = lambda _done, _all: None,
+    beside: Beside = lambda: (),
 ) -> Search:
     """Free parameters refitted, then additions until nothing passes, second thoughts, and the final numbers."""
     search = begun(model, shooting, heldout)
@@ -53,12 +58,13 @@ def searched(
         rest = [item for item in library if item.name not in {own.name for own in search.current.fit.model.effects}]
         trials = tried_in_turn(search.current, rest, search.shooting, before, _later(tell, stage, len(library)))
         before = {trial.effects[0]: trial for trial in trials}
-        if not addition(search, stage, trials, rest, heldout):
+        if not addition(search, stage, trials, rest, heldout, beside):
             break
     exchange(search, library, heldout)
     removals(search, library, heldout)
     if united(search, library, heldout):
         removals(search, library, heldout)  # what took the place of two may do what a third did
+    unhelpful(search, library, heldout)
     if search.first_error.value > MOST_MISSING:
         bounded(search, library, heldout)
     if library:
@@ -94,7 +100,12 @@ def _far(before: Floats, after: Floats) -> bool:
 
 
 def addition(
-    search: Search, number: int, trials: list[Trial], rest: Sequence[AbstractEffect], heldout: Heldout
+    search: Search,
+    number: int,
+    trials: list[Trial],
+    rest: Sequence[AbstractEffect],
+    heldout: Heldout,
+    beside: Beside = lambda: (),
 ) -> bool:
     """Judges the trials of a stage; adds the best that passes and says whether there was one."""
     null, shooting = search.current, search.shooting
@@ -104,17 +115,22 @@ def addition(
         pairs = pairs_of(null, trials, rest, shooting)
         two = _stage(search, number, pairs, heldout, at_most=len(pairs))
         good = [t for t in pairs if inside(t, search) and two.passes(t, search.error)]
-        chosen, refused = _agreed(search, two, sorted(good, key=lambda trial: trial.loss))
+        good = farthest(sorted(good, key=lambda trial: trial.loss), two, search.error)
+        chosen, refused = _agreed(search, two, good)
+        chosen = _far_better(search, two, chosen) or chosen
         best, passed, doubted = chosen or best, chosen is not None, doubted | refused
         every = sorted([*trials, *pairs], key=lambda trial: trial.loss)
         stage = Stage(number, every, stage.gains | two.gains, stage.errors | two.errors)
     stage = replace(stage, doubted=doubted)
     if not passed and best is not None and best.effects not in doubted and likely(best, stage, search.error):
         passed = certain(best, search)
+    elsewhere = None if passed else passing_elsewhere(search, stage, rest, beside)
+    if elsewhere is not None:
+        best, passed = elsewhere.trial, True
     if passed and best is not None:
         search.patch = _place_instead(null, best, shooting)
         passed = search.patch is None
-    search.candidates += [judged(search, stage, trial, best, passed) for trial in stage.trials]
+    search.candidates += [_with(elsewhere, judged(search, stage, trial, best, passed)) for trial in stage.trials]
     if not passed or best is None:
         return False
     for name in best.effects:
@@ -122,6 +138,13 @@ def addition(
         search.rivals[name] = [other for other in singles if other not in best.effects][:12]
     accept(search, best, heldout)
     return True
+
+
+def _with(elsewhere: Passing | None, item: Judged) -> Judged:
+    """The verdict on a trial, with what another horizon says about it."""
+    if elsewhere is None or item.trial is not elsewhere.trial:
+        return item
+    return replace(item, reason=f"{item.reason}; {elsewhere.reason}")
 
 
 def _stage(search: Search, number: int, trials: list[Trial], heldout: Heldout, at_most: int = 6) -> Stage:
@@ -143,6 +166,23 @@ def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool, frozenset[t
     passing = farthest(passing, stage, search.error)
     chosen, doubted = _agreed(search, stage, passing)
     return chosen or best, chosen is not None, doubted
+
+
+def _far_better(search: Search, stage: Stage, chosen: Trial | None) -> Trial | None:
+    """A pair that blocks find likely only, but that takes far more off the held-out error than the chosen one, and of
+    which the filter is certain."""
+    error = search.error if chosen is None else stage.errors[chosen.effects]
+    enough = error.value - CLEAR_FALL * search.error.value
+    open_ones = [
+        trial
+        for trial in stage.trials
+        if trial is not chosen
+        and inside(trial, search)
+        and likely(trial, stage, search.error)
+        and stage.errors[trial.effects].value < enough
+    ]
+    best = min(open_ones, key=lambda trial: stage.errors[trial.effects].value, default=None)
+    return best if best is not None and certain(best, search) else None
 
 
 def _agreed(search: Search, stage: Stage, passing: Sequence[Trial]) -> tuple[Trial | None, frozenset[tuple[str, ...]]]:

@@ -23,7 +23,7 @@ from safedpa.diagnosis.refinement import Refined, refined
 from safedpa.diagnosis.trial import Trial
 from safedpa.diagnosis.windows import Floats
 
-__all__ = ["CLEAR_FALL", "MUCH", "agrees", "certain", "clear"]
+__all__ = ["CERTAIN", "CLEAR_FALL", "CORNERED", "MUCH", "agrees", "certain", "clear"]
 
 CLEAR_GAIN = 8.0
 """Standard errors of gain on unseen blocks from which nobody else is asked: feedback was not seen to give half."""

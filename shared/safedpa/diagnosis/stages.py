@@ -3,39 +3,69 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from safedpa.diagnosis.fitting import Fit, fit
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.report import Stage
+from safedpa.diagnosis.report import Stage, Worse
 from safedpa.diagnosis.search import Search
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import effect
 
-__all__ = ["stages_of"]
+__all__ = ["Told", "stages_of"]
+
+_WORSE, _NOTHING = 0.05, 0.01
+"""Share by which, and size from which, an error that grew is told."""
 
 _Step = tuple[Fit, HeldoutError]
 
 
-def stages_of(search: Search, heldout: Heldout) -> tuple[list[Stage], list[PhysicsModel]]:
+@dataclass(frozen=True)
+class Told:
+    """The stages, their models, and states that the last stage predicts worse in a run than the first does."""
+
+    stages: list[Stage]
+    models: list[PhysicsModel]
+    worse: tuple[Worse, ...]
+
+
+def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> Told:
     """The given model refitted, then one stage per accepted effect, each refitted on the same windows.
 
-    Effects stand in the order in which they were accepted. Where one helps only beside a later one, they are put in
-    the order in which the error falls most, and ``search.added`` with them.
+    ``heldout`` has the search's own horizon, which gives the order; the errors are those of ``shown``. Effects stand
+    in the order in which they were accepted. Where one helps only beside a later one, they are put in the order in
+    which the error falls most, and ``search.added`` with them.
     """
     first = (search.first.fit, error_with(search.first.fit, search.shooting, heldout))
     steps = [first, *(_step(search, search.added[: count + 1], heldout) for count in range(len(search.added)))]
     if any(later[1].value > earlier[1].value for earlier, later in pairwise(steps)) and len(search.added) > 2:
         search.added, steps = _by_fall(search, first, heldout)
     names = heldout.windows.system.state_names
+    errors = [error if shown is heldout else error_with(fitted, search.shooting, shown) for fitted, error in steps]
     found = []
-    for number, (_, error) in enumerate(steps):
-        before = steps[number - 1][1] if number else None
+    for number, error in enumerate(errors):
+        before = errors[number - 1] if number else None
         per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
         found.append(Stage(tuple(search.added[:number]), error.value, per_state, _improved(before, error)))
-    return found, [item.model for item, _ in steps]
+    return Told(found, [item.model for item, _ in steps], _worse(errors, shown))
+
+
+def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[Worse, ...]:
+    """What the mean over states and runs hides."""
+    if len(errors) < 2:
+        return ()
+    before, after = errors[0].by_run_and_state, errors[-1].by_run_and_state
+    with np.errstate(invalid="ignore"):
+        rows, states = np.nonzero((after > (1.0 + _WORSE) * before) & (after > before + _NOTHING))
+    names, runs = shown.windows.system.state_names, shown.windows.names
+    found = [
+        Worse(len(errors) - 1, runs[row], names[state], float(before[row, state]), float(after[row, state]))
+        for row, state in zip(rows.tolist(), states.tolist(), strict=True)
+    ]
+    return tuple(sorted(found, key=lambda item: item.before - item.after))
 
 
 def _by_fall(search: Search, first: _Step, heldout: Heldout) -> tuple[list[str], list[_Step]]:

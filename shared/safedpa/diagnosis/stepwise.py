@@ -8,25 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from safedpa.diagnosis.diagnose import candidate_of, experiment_for, judgeable, library_for, prepared, values_of
+from safedpa.diagnosis.diagnose import candidate_of, experiment_for, library_for
+from safedpa.diagnosis.evidence import evidence_at, shown_of
 from safedpa.diagnosis.final_numbers import with_final_numbers
+from safedpa.diagnosis.fitted_values import values_of
 from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with, heldout_of
+from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.readiness import judgeable, prepared
 from safedpa.diagnosis.remaining import remaining
 from safedpa.diagnosis.report import Candidate, Experiment, Unexplained, Value
 from safedpa.diagnosis.rollout_error import rollout_error
 from safedpa.diagnosis.search import Search, accept, addition, begun
-from safedpa.diagnosis.shooting import shooting_of
 from safedpa.diagnosis.trial import trial_of, tried_in_turn
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, did_you_mean
 from safedpa.records.run import Run
 
 __all__ = [
-    "LONGEST_WINDOW",
     "Proposal",
     "Step",
     "first_step",
@@ -36,8 +38,6 @@ __all__ = [
     "with_final",
 ]
 
-LONGEST_WINDOW = 2.0
-"""s; disturbances add up over longer ones."""
 _ROUNDS = 2
 """Fits about the model with an effect: the trial was one about the model without it, to first order, and a large effect
 lies beyond that."""
@@ -49,6 +49,9 @@ class Step:
 
     search: Search
     heldout: Heldout
+    """Of the horizon that the data choose: it decides."""
+    shown: Heldout
+    """Of the horizon that is asked for."""
     why_not: str
     """Why the data allow no verdict about physics; empty where they do."""
     improved: str = ""
@@ -59,10 +62,11 @@ class Step:
         """The fitted model."""
         return self.search.current.fit.model
 
-    @property
+    @cached_property
     def error(self) -> HeldoutError:
-        """On data that the fit did not see."""
-        return self.search.error
+        """On data that the fit did not see, after the horizon that is shown."""
+        same = self.shown is self.heldout
+        return self.search.error if same else error_with(self.search.current.fit, self.search.shooting, self.shown)
 
     @property
     def values(self) -> dict[str, Value]:
@@ -89,15 +93,16 @@ def first_step(model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0) -
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
-    used, _ = prepared(model, runs, horizon)
-    heldout, shooting = heldout_of(used, horizon), shooting_of(used, min(horizon, LONGEST_WINDOW))
-    enough, why = judgeable(shooting, used, runs)
-    return Step(begun(model, shooting, heldout), heldout, "" if enough else why)
+    usable = prepared(model, runs)
+    evidence = evidence_at(usable.runs, usable.seconds)
+    shown = shown_of(usable.runs, horizon, evidence)
+    judge = judgeable(evidence.shooting, usable.runs, runs)
+    return Step(begun(model, evidence.shooting, evidence.heldout), evidence.heldout, shown, judge.why_not)
 
 
 def given_error(model: PhysicsModel, step: Step) -> float:
     """The error of the model as its file stands, on the windows of the held-out error."""
-    return rollout_error(model, step.heldout.windows).value
+    return rollout_error(model, step.shown.windows).value
 
 
 def proposal(step: Step, tell: Callable[[int, int], None] = lambda _done, _all: None) -> Proposal:
@@ -130,7 +135,8 @@ def with_candidate(step: Step, proposed: Proposal, name: str) -> Step:
     accept(search, tried[name], step.heldout)
     for _ in range(_ROUNDS):
         _settle(search, step.heldout)
-    return replace(step, search=search, improved=_improved(step.error, search.error))
+    found = replace(step, search=search)
+    return replace(found, improved=_improved(step.error, found.error))
 
 
 def with_final(step: Step) -> Step:

@@ -16,12 +16,20 @@ __all__ = [
     "bin_text",
     "decisive",
     "naive_sentence",
+    "run_sentence",
     "shortened",
     "state_sentence",
     "where_sentence",
+    "worse_sentence",
     "worst_bins",
 ]
 
+_ODD = 2.0
+"""Times the usual error of a state, from which a run stands out."""
+_NOTHING = 0.01
+_GREW = 0.05
+_TOLD = 4
+"""States in runs that a sentence names."""
 _PLACE_AND_TIME = ("place", "time")
 
 
@@ -84,6 +92,43 @@ def state_sentence(comparison: Comparison) -> str:
     )
 
 
+def run_sentence(comparison: Comparison) -> str:
+    """One sentence: in which run a state is far worse than elsewhere, or worse than "no change"; else empty."""
+    rows = [(run, name, value) for run in comparison.runs for name, value in run.per_state.items()]
+    if len(comparison.runs) < 2 or not rows:
+        return ""
+    lost = [(run, name, value) for run, name, value in rows if value > max(run.no_change[name], _NOTHING)]
+    usual = {name: float(np.median([value for _, own, value in rows if own == name])) for _, name, _ in rows}
+    odd = [item for item in rows if item[2] > _ODD * usual[item[1]] and item[2] > _NOTHING]
+    parts = []
+    if odd:
+        run, name, value = max(odd, key=lambda item: item[2] / max(usual[item[1]], 1e-12))
+        parts.append(f"{name} is far worse in {run.name} than elsewhere: {value:.2f} where {usual[name]:.2f} is usual")
+    if lost and len(lost) < len(rows):
+        told = ", ".join(f"{name} in {run.name} ({value:.2f})" for run, name, value in lost[:_TOLD])
+        more = f" and {len(lost) - _TOLD} more" if len(lost) > _TOLD else ""
+        parts.append(f"worse than assuming no change: {told}{more}")
+    return (parts[0][0].upper() + "; ".join(parts)[1:] + ".") if parts else ""
+
+
+def worse_sentence(before: Comparison, after: Comparison) -> str:
+    """One sentence: which states one model predicts worse in which runs than another; both of the same windows."""
+    pairs = [
+        (run.name, name, old.per_state[name], value)
+        for old, run in zip(before.runs, after.runs, strict=True)
+        for name, value in run.per_state.items()
+        if name in old.per_state
+    ]
+    worse = [item for item in pairs if item[3] > (1.0 + _GREW) * item[2] and item[3] > item[2] + _NOTHING]
+    change = f"The mean error goes from {before.error.value:.3g} to {after.error.value:.3g}"
+    if not worse:
+        return f"{change}; no state gets worse in any run."
+    worse.sort(key=lambda item: item[2] - item[3])
+    told = ", ".join(f"{name} in {run} ({old:.2g} to {new:.2g})" for run, name, old, new in worse[:_TOLD])
+    more = f" and {len(worse) - _TOLD} more" if len(worse) > _TOLD else ""
+    return f"{change}; what gets worse: {told}{more}."
+
+
 def naive_sentence(comparison: Comparison) -> str:
     """One sentence: the model beside the predictors that know no physics."""
     errors = {name: item.value for name, item in comparison.horizons[-1].errors.items()}
@@ -120,7 +165,16 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
         "parameters": {path: setting.value for path, setting in comparison.model.settings.items()},
         "horizon": comparison.horizon,
         "windows": len(windows),
-        "summary": [where_sentence(comparison), state_sentence(comparison), naive_sentence(comparison)],
+        "summary": [
+            text
+            for text in (
+                where_sentence(comparison),
+                state_sentence(comparison),
+                naive_sentence(comparison),
+                run_sentence(comparison),
+            )
+            if text
+        ],
         "error": _number(comparison.error.value),
         "per_state": _named(names, comparison.error.per_state),
         "scale": _named(names, comparison.error.scale),
@@ -132,10 +186,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
         "where": [_bin(item) for item in worst_bins(comparison)],
         "explained": {item.variable: _number(item.explained) for item in comparison.factors},
         "place": [{key: _number(value) for key, value in vars(cell).items()} for cell in comparison.cells],
-        "runs": [
-            {key: value if isinstance(value, str) else _number(value) for key, value in vars(run).items()}
-            for run in comparison.runs
-        ],
+        "runs": [{key: _plain(value) for key, value in vars(run).items()} for run in comparison.runs],
         "data_quality": [{"run": run, **vars(finding)} for run, finding in comparison.findings],
     }
 
@@ -155,6 +206,13 @@ def _bin(item: Bin) -> dict[str, Any]:
 
 def _named(names: tuple[str, ...], values: Any) -> dict[str, float | int | None]:
     return {name: _number(float(value)) for name, value in zip(names, values, strict=True)}
+
+
+def _plain(value: Any) -> Any:
+    """A run's entry: text, a number, or numbers by name."""
+    if isinstance(value, dict):
+        return {name: _number(item) for name, item in value.items()}
+    return value if isinstance(value, str) else _number(value)
 
 
 def _percent(share: float) -> str:

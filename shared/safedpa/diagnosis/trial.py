@@ -19,6 +19,7 @@ from safedpa.effects.parameter import Parameter
 __all__ = [
     "Trial",
     "block_gain",
+    "deviate_of",
     "likeness",
     "paths_of",
     "starts_of",
@@ -173,7 +174,11 @@ def block_gain(one: Trial, other: Trial, shooting: Shooting) -> float:
     the typical.
     """
     scale = np.maximum(np.minimum(one.heldout.sum(axis=0), other.heldout.sum(axis=0)) / shooting.size, 1e-12)
-    difference = ((one.heldout - other.heldout) / scale).sum(axis=1)
+    return deviate_of(((one.heldout - other.heldout) / scale).sum(axis=1), shooting)
+
+
+def deviate_of(difference: Floats, shooting: Shooting) -> float:
+    """The gain of differences (windows,) of squares in units of the noise, as ``block_gain`` has it."""
     most = 20.0 * float(np.median(np.abs(difference))) + 1e-12
     sums = np.zeros(int(shooting.block.max()) + 1)
     np.add.at(sums, shooting.block, np.clip(difference, -most, most))

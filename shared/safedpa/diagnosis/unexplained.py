@@ -47,6 +47,8 @@ class Profile:
     """One standard deviation of each value."""
     formula: tuple[float, ...] | None
     """What the formula gives at the knots, where it depends on this variable alone."""
+    rows: tuple[int, ...] = ()
+    """Measured rows between the neighbours of each knot."""
 
 
 @dataclass(frozen=True)

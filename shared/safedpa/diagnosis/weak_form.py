@@ -36,7 +36,8 @@ SURE = 5.0
 LARGE = 0.2
 """Share of the squares of unseen blocks with which it may be FEW standard errors: where a few blocks hold all of it,
 their differences are as large as their sum."""
-FEW = 2.5
+FEW = 3.0
+"""As many as a named effect needs."""
 MORE = 3.0
 """Standard errors that each further term needs."""
 _SHARE = 0.02

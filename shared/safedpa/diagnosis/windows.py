@@ -14,7 +14,7 @@ from safedpa.errors import InputError, RunError
 from safedpa.records.run import Run
 from safedpa.systems import System
 
-__all__ = ["Windows", "windows_of"]
+__all__ = ["Windows", "check_runs", "windows_of"]
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -95,7 +95,7 @@ def windows_of(
     """
     if not (math.isfinite(horizon) and horizon > 0):
         raise InputError(f"horizon: got {horizon} s, wanted a positive number of seconds; choose 1, say")
-    _check_runs(runs)
+    check_runs(runs)
     table = _table(runs, horizon)
     strides = [stride if every is None else max(1, round(every / run.period)) for run in runs]
     counts = [sum(len(part) for part in run.stretches) for run in runs]
@@ -115,7 +115,8 @@ def windows_of(
     return replace(table, start=rows[kept], steps=steps[kept], begin=begin[kept], run=run[kept])
 
 
-def _check_runs(runs: Sequence[Run]) -> None:
+def check_runs(runs: Sequence[Run]) -> None:
+    """Raises RunError for runs of different systems, without rows, or with numbers that are not finite."""
     if not runs:
         raise RunError("runs: got none, wanted at least one recording")
     for run in runs:

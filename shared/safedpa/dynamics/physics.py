@@ -129,6 +129,15 @@ class PhysicsModel(AbstractDynamics):
         entries, memory = self._advance(true, named, memory, values, used, time, operations)
         return joined(entries, operations), memory
 
+    def felt(
+        self, action: Sequence[float], memory: Any, latent: Sequence[float] | None = None, *, period: float
+    ) -> tuple[list[float], Any]:
+        """What one robot's mechanics feel of an action (actions,), the mean over a period, and the memory after it."""
+        named = dict(zip(self.system.action_names, action, strict=True))
+        values = self._fixed if latent is None else self._with_free(latent)
+        after, remembered = self._felt(named, memory, values, period, FLOATS)
+        return list(after.values()), remembered
+
     def straight(self, period: float) -> StraightStep | None:
         """One robot's step as a function of plain numbers, for who takes thousands; None: use ``advance``.
 

@@ -58,6 +58,7 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
     """Rows in SI units under the system's names; derived states are NaN until ``derive_states``."""
     keep = _kept(table, columns)
     values = {name: _values(table, columns, system, name)[keep] for name in columns.columns}
+    values = {name: _aligned(values["t"], part, columns.columns[name]) for name, part in values.items()}
     count = int(keep.sum())
     states = np.stack([values[name] for name in system.state_names], axis=1) if count else np.empty((0, 0))
     actions = np.array([values[name] for name in system.action_names]).reshape(len(system.action), count).T
@@ -69,6 +70,19 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
         states[:, at[1]] -= point.ahead * np.sin(yaw) + point.left * np.cos(yaw)
         states[:, at[2]] = yaw
     return Rows(values["t"], states, actions)
+
+
+def _aligned(
+    t: NDArray[np.float64], values: NDArray[np.float64], column: SourceColumn | DerivedColumn
+) -> NDArray[np.float64]:
+    """A column that comes late, at the times to which it belongs; NaN where the log does not reach.
+
+    The one place where values between rows are made, straight between two: because the map asks for it.
+    """
+    if isinstance(column, DerivedColumn) or column.shift == 0.0 or len(t) < 2:
+        return values
+    order = np.argsort(t, kind="stable")
+    return np.interp(t + column.shift, t[order], values[order], left=np.nan, right=np.nan)
 
 
 def _unit(system: System, target: str) -> str:

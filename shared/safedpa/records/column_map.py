@@ -7,21 +7,38 @@ from dataclasses import dataclass
 
 from safedpa.systems import System
 
-__all__ = ["DERIVATIONS", "ColumnMap", "DerivedColumn", "SkipRows", "SourceColumn", "TrackedPoint", "native_map"]
+__all__ = [
+    "DERIVATIONS",
+    "KEEPABLE",
+    "ColumnMap",
+    "DerivedColumn",
+    "SkipRows",
+    "SourceColumn",
+    "TrackedPoint",
+    "native_map",
+]
 
 DERIVATIONS = {"speed_from_position": ("speed", ("x", "y", "yaw")), "rate_from_angle": ("rate", ("angle",))}
 """What can be derived: its target, and the targets that it is derived from."""
 
 
+KEEPABLE = ("dead_command", "frozen", "out_of_bounds")
+"""Findings whose rows are cut unless a map keeps them."""
+
+
 @dataclass(frozen=True)
 class SourceColumn:
-    """value = (-1 if flip else 1) scale factor(unit) raw + offset; the offset is in SI units."""
+    """value(t) = (-1 if flip else 1) scale factor(unit) raw(t + shift) + offset; the offset is in SI units.
+
+    ``shift`` [s]: how late the column comes.
+    """
 
     source: str
     unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
     flip: bool = False
+    shift: float = 0.0
 
     def gain(self, factor: float) -> float:
         """What the raw value is multiplied with, given the unit's factor to SI."""
@@ -75,6 +92,9 @@ class ColumnMap:
     tracked_point: TrackedPoint | None = None
     keep_period: float | None = None
     """s; of a faster log only the row nearest to each multiple is kept, with the action averaged up to the next one."""
+
+    keep: tuple[str, ...] = ()
+    """Kinds of findings of which the rows are kept all the same."""
 
     @property
     def sources(self) -> tuple[str, ...]:

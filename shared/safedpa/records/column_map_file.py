@@ -12,6 +12,7 @@ from typing import Any
 from safedpa.errors import ColumnMapError, did_you_mean
 from safedpa.records.column_map import (
     DERIVATIONS,
+    KEEPABLE,
     ColumnMap,
     DerivedColumn,
     SkipRows,
@@ -23,8 +24,8 @@ from safedpa.records.units import UNITS
 __all__ = ["load_column_map", "parse_column_map", "shipped_column_maps"]
 
 FORMAT = 1
-_TOP = ("format", "robot", "columns", "unwrap", "skip_first_rows", "skip_where", "tracked_point", "keep_period")
-_SOURCE_KEYS = ("from", "unit", "scale", "offset", "flip")
+_TOP = ("format", "robot", "columns", "unwrap", "skip_first_rows", "skip_where", "tracked_point", "keep_period", "keep")
+_SOURCE_KEYS = ("from", "unit", "scale", "offset", "flip", "shift")
 _DERIVED_KEYS = ("derive", "window")
 
 
@@ -78,6 +79,7 @@ def parse_column_map(text: str, name: str = "map") -> ColumnMap:
         skip_where=_skip_where(table.get("skip_where", [])),
         tracked_point=_tracked_point(table.get("tracked_point")),
         keep_period=_positive("keep_period", table["keep_period"]) if "keep_period" in table else None,
+        keep=_keep(table.get("keep", [])),
     )
 
 
@@ -120,6 +122,7 @@ def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
         scale=scale,
         offset=_number(f"{key}.offset", table.get("offset", 0.0)),
         flip=_boolean(f"{key}.flip", table.get("flip", False)),
+        shift=_number(f"{key}.shift", table.get("shift", 0.0)),
     )
 
 
@@ -171,6 +174,15 @@ def _skip_where(entries: Any) -> tuple[SkipRows, ...]:
         )
         for rule in rules
     )
+
+
+def _keep(names: Any) -> tuple[str, ...]:
+    if not isinstance(names, list):
+        raise ColumnMapError(f"keep: got {names!r}, wanted a list of findings whose rows are kept")
+    for name in names:
+        if name not in KEEPABLE:
+            raise ColumnMapError(f"keep: got {name!r}; {did_you_mean(str(name), KEEPABLE)}")
+    return tuple(names)
 
 
 def _tracked_point(table: Any) -> TrackedPoint | None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +24,9 @@ __all__ = ["read_csv_table"]
 _DELIMITERS = ",;\t"
 _NULLS = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-nan"]
 _LONGEST_HEADER = 1 << 16
+_FIRST = 60
+"""Lines among which the header is looked for."""
+_COMMENTS = ("#", "%", "//")
 
 
 def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
@@ -33,58 +38,115 @@ def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
     import pyarrow
 
     require_file(path)
-    header, delimiter = _header(path)
-    require_columns(path, wanted, header)
-    if not _has_rows(path):
-        return Table({name: np.empty(0) for name in wanted})
+    layout = _layout(path, wanted)
+    require_columns(path, wanted, layout.header)
+    if not _has_rows(path, layout):
+        return Table({name: np.empty(0) for name in wanted}, layout.findings)
     malformed: list[tuple[int, int]] = []
     try:
-        columns = _numbers(_parse(path, wanted, delimiter, pyarrow.float64(), malformed), wanted)
+        columns = _numbers(_parse(path, wanted, layout, pyarrow.float64(), malformed), wanted)
     except pyarrow.ArrowInvalid:
         malformed.clear()
-        columns = _numbers_of_texts(path, _texts(path, wanted, delimiter, malformed), wanted, malformed)
-    findings = (_malformed_finding(malformed, len(header)),) if malformed else ()
-    return Table(columns, findings)
+        columns = _numbers_of_texts(path, _texts(path, wanted, layout, malformed), wanted, malformed, layout)
+    findings = (_malformed_finding(malformed, len(layout.header)),) if malformed else ()
+    return Table(columns, (*layout.findings, *findings))
 
 
-def _header(path: Path) -> tuple[list[str], str]:
+@dataclass(frozen=True)
+class _Layout:
+    """How a file is written: lines before the header's, the columns' names, what separates cells, the decimal mark."""
+
+    before: int
+    header: list[str]
+    delimiter: str
+    point: str
+    findings: tuple[Finding, ...]
+
+
+def _layout(path: Path, wanted: Sequence[str]) -> _Layout:
     try:
-        text = _first_line(path).decode("utf-8-sig").strip()
+        lines = [line.decode("utf-8-sig").strip() for line in _first_lines(path)]
     except UnicodeDecodeError as error:
         raise RunError(f"{path}: the first line is no text; wanted a CSV file with a header line") from error
+    before = _lines_before(lines, wanted)
+    text = lines[before].lstrip("".join(_COMMENTS)).strip() if before or _commented(lines[0]) else lines[0]
     if not text:
         raise RunError(f"{path}: the first line is empty; wanted a header line with the columns' names")
     delimiter = max(_DELIMITERS, key=text.count)
+    header = _cells(path, text, delimiter)
+    findings = []
+    if before:
+        said = f"{before} {'line' if before == 1 else 'lines'} before the header were taken for comments and left out"
+        findings.append(Finding("comment_lines", f"{said}; the header is line {before + 1}", before))
+    point = "." if delimiter == "," else _decimal_mark(lines[before + 1 :])
+    if point == ",":
+        text = "numbers have decimal commas; they were read as such; write points to be understood everywhere"
+        findings.append(Finding("decimal_comma", text))
+    elif delimiter == "," and _twice_as_many(lines[before + 1 :], len(header)):
+        raise RunError(
+            f"{path}: rows have twice as many cells as the header's {len(header)}: decimal commas in a file that "
+            "commas separate; save it with decimal points, or with semicolons between the cells"
+        )
+    return _Layout(before, header, delimiter, point, tuple(findings))
+
+
+def _cells(path: Path, text: str, delimiter: str) -> list[str]:
     try:
-        return next(csv.reader([text], delimiter=delimiter)), delimiter
+        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
     except csv.Error as error:
         raise RunError(f"{path}: the first line cannot be read ({error}); wanted the columns' names") from error
 
 
-def _first_line(path: Path) -> bytes:
-    """Up to the first line end of any kind."""
-    with path.open("rb") as file:
-        return file.readline(_LONGEST_HEADER).splitlines()[0]
+def _lines_before(lines: Sequence[str], wanted: Sequence[str]) -> int:
+    """How many lines stand before the header: none where the first one is no comment and no other has the names."""
+    for number, line in enumerate(lines):
+        text = line.lstrip("".join(_COMMENTS)).strip()
+        if text and set(wanted) <= {cell.strip() for cell in text.split(max(_DELIMITERS, key=text.count))}:
+            return number
+    return next((number for number, line in enumerate(lines) if line and not _commented(line)), 0)
 
 
-def _has_rows(path: Path) -> bool:
+def _commented(line: str) -> bool:
+    return line.startswith(_COMMENTS)
+
+
+def _decimal_mark(rows: Sequence[str]) -> str:
+    """A comma where cells look like 1,5 and none like 1.5."""
+    text = " ".join(rows)
+    return "," if re.search(r"\d,\d", text) and not re.search(r"\d\.\d", text) else "."
+
+
+def _twice_as_many(rows: Sequence[str], cells: int) -> bool:
+    """Whether every row has twice the header's cells, whole numbers all: 0,05,1,25 for 0.05 and 1.25."""
+    filled = [row for row in rows if row][:-1]  # the last one may be cut off
+    numbers = all(re.fullmatch(r"[-+\d, ]+", row) for row in filled)
+    return bool(filled) and numbers and all(row.count(",") + 1 == 2 * cells for row in filled)
+
+
+def _first_lines(path: Path) -> list[bytes]:
+    """The lines among which the header is looked for, up to line ends of any kind."""
     with path.open("rb") as file:
-        file.seek(len(_first_line(path)))
+        return file.read(_LONGEST_HEADER).splitlines()[:_FIRST] or [b""]
+
+
+def _has_rows(path: Path, layout: _Layout) -> bool:
+    with path.open("rb") as file:
+        file.seek(sum(len(line) for line in _first_lines(path)[: layout.before + 1]))
         return any(line.strip() for line in file)
 
 
-def _texts(path: Path, wanted: Sequence[str], delimiter: str, malformed: list[tuple[int, int]]) -> pyarrow.Table:
+def _texts(path: Path, wanted: Sequence[str], layout: _Layout, malformed: list[tuple[int, int]]) -> pyarrow.Table:
     import pyarrow
 
     try:
-        return _parse(path, wanted, delimiter, pyarrow.string(), malformed)
+        return _parse(path, wanted, layout, pyarrow.string(), malformed)
     except pyarrow.ArrowInvalid as error:
         reason = str(error).splitlines()[0]
         raise RunError(f"{path}: cannot be read as CSV ({reason}); wanted a header line and rows of numbers") from error
 
 
 def _parse(
-    path: Path, wanted: Sequence[str], delimiter: str, kind: pyarrow.DataType, malformed: list[tuple[int, int]]
+    path: Path, wanted: Sequence[str], layout: _Layout, kind: pyarrow.DataType, malformed: list[tuple[int, int]]
 ) -> pyarrow.Table:
     from pyarrow import csv as arrow_csv
 
@@ -94,10 +156,17 @@ def _parse(
 
     return arrow_csv.read_csv(
         path,
-        read_options=arrow_csv.ReadOptions(use_threads=False),  # with threads the reader does not know line numbers
-        parse_options=arrow_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=skip),
+        read_options=arrow_csv.ReadOptions(
+            use_threads=False,  # with threads the reader does not know line numbers
+            skip_rows=layout.before + 1,
+            column_names=layout.header,
+        ),
+        parse_options=arrow_csv.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=skip),
         convert_options=arrow_csv.ConvertOptions(
-            include_columns=list(wanted), column_types=dict.fromkeys(wanted, kind), null_values=_NULLS
+            include_columns=list(wanted),
+            column_types=dict.fromkeys(wanted, kind),
+            null_values=_NULLS,
+            decimal_point=layout.point,
         ),
     )
 
@@ -107,14 +176,14 @@ def _numbers(table: pyarrow.Table, wanted: Sequence[str]) -> dict[str, NDArray[n
 
 
 def _numbers_of_texts(
-    path: Path, texts: pyarrow.Table, wanted: Sequence[str], malformed: list[tuple[int, int]]
+    path: Path, texts: pyarrow.Table, wanted: Sequence[str], malformed: list[tuple[int, int]], layout: _Layout
 ) -> dict[str, NDArray[np.float64]]:
     """The slow road, when some cell is no number: finds the first; forgives it in a last line that was cut off."""
     rows = texts.num_rows
-    cells = {name: texts.column(name).to_pylist() for name in wanted}
+    cells = {name: _pointed(texts.column(name).to_pylist(), layout.point) for name in wanted}
     bad = min((_first_bad(cells[name]), name) for name in wanted)
     row, name = bad
-    line = _line_of(row, malformed)
+    line = _line_of(row, malformed) + layout.before
     if row < rows - 1 or _ends_with_newline(path):
         raise RunError(
             f"{path}: line {line}, column '{name}': got '{cells[name][row]}', wanted a number; "
@@ -124,7 +193,11 @@ def _numbers_of_texts(
     return {name: np.array([_number(cell) for cell in column[:-1]]) for name, column in cells.items()}
 
 
-def _first_bad(cells: list[str]) -> int:
+def _pointed(cells: list[str | None], point: str) -> list[str | None]:
+    return cells if point == "." else [cell and cell.replace(",", ".") for cell in cells]
+
+
+def _first_bad(cells: Sequence[str | None]) -> int:
     for row, cell in enumerate(cells):
         try:
             _number(cell)

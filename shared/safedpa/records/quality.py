@@ -5,6 +5,9 @@ Cut means: rows with defects end one stretch, the next begins behind them. Nothi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,20 +15,27 @@ from safedpa.records.apply_map import Rows
 from safedpa.records.column_map import ColumnMap, SourceColumn
 from safedpa.records.consistency import consistency_findings
 from safedpa.records.degrees import degrees_for_radians
+from safedpa.records.driven import drive_findings
+from safedpa.records.frozen import dead_rows, frozen_rows
 from safedpa.records.held import held_findings
 from safedpa.records.jumps import jump_rows
+from safedpa.records.late import late_findings
 from safedpa.records.run import Finding, Stretch
-from safedpa.records.sampling import gap_rows, reset_rows, sampling_finding, without_repeats
+from safedpa.records.sampling import gap_rows, rates_finding, reset_rows, sampling_finding, without_repeats
 from safedpa.records.sentences import counted, finding
 from safedpa.records.values import constant_findings, not_a_number, out_of_bounds
+from safedpa.records.wrong_units import other_units
 from safedpa.systems import System
 
-__all__ = ["SHORTEST_STRETCH", "judged"]
+__all__ = ["SHORTEST_STRETCH", "judged", "judged_whole"]
 
 SHORTEST_STRETCH = 5
 """Rows; a shorter one says nothing about dynamics."""
 
 Mask = NDArray[np.bool_]
+
+_WRONG = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent", "yaw_offset", "angle_zero")
+"""Findings with which columns are not what they seem."""
 
 
 def judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[Stretch], list[Finding]]:
@@ -36,30 +46,82 @@ def judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[S
     measured = [isinstance(mapping.columns[name], SourceColumn) for name in system.state_names]
     rows = Rows(*(np.where(np.isfinite(part), part, np.nan) for part in (rows.t, rows.states, rows.actions)))
     rows, findings = without_repeats(rows)
-    bad = np.zeros(len(rows.t), dtype=bool)
-    for mask, found in (
-        not_a_number(rows, system, measured),
-        degrees_for_radians(rows, system),
-        out_of_bounds(rows, system, measured),
-    ):
-        bad |= mask
-        findings += found
+    bad, found = _bad_values(rows, mapping, system, measured)
+    findings += found
     breaks = np.zeros(len(rows.t), dtype=bool)
     for mask, found in (reset_rows(rows.t), gap_rows(rows.t)):
         breaks |= mask
         findings += found
-    findings += sampling_finding(rows.t)
+    findings += [*sampling_finding(rows.t), *rates_finding(rows.t)]
     rows = Rows(rows.t, _unwrapped(rows.states, bad, system, mapping), rows.actions)
     stretches = _stretches(bad, breaks)
     mask, found = jump_rows(rows, stretches, system, measured)
     breaks |= mask
     findings += found
-    every = _stretches(bad, breaks)
-    stretches = [stretch for stretch in every if len(stretch) >= SHORTEST_STRETCH]
-    findings += held_findings(rows, stretches, system, measured)
-    findings += constant_findings(rows, stretches, system)
-    findings += consistency_findings(rows, stretches, system, measured)
+    stretches = _long_enough(bad, breaks)
+    if stretches:
+        mask, found = frozen_rows(rows, stretches, system, measured)
+        bad, findings = _cut(bad, findings, "frozen", mask, found, mapping)
+        stretches = _long_enough(bad, breaks)
+    findings += _said(rows, stretches, system, measured)
     return rows, stretches, [*findings, *_cut_finding(rows.t, stretches)]
+
+
+def _bad_values(rows: Rows, mapping: ColumnMap, system: System, measured: list[bool]) -> tuple[Mask, list[Finding]]:
+    """Rows whose numbers cannot be used as they are, and why."""
+    bad, findings = not_a_number(rows, system, measured)
+    for mask, found in (other_units(rows, system, mapping), degrees_for_radians(rows, system)):
+        bad = bad | mask
+        findings = [*findings, *found]
+    if bad.all():
+        return bad, findings
+    mask, found = out_of_bounds(rows, system, measured)
+    return _cut(bad, findings, "out_of_bounds", mask, found, mapping)
+
+
+def _cut(
+    bad: Mask, findings: list[Finding], kind: str, mask: Mask, found: list[Finding], mapping: ColumnMap
+) -> tuple[Mask, list[Finding]]:
+    """Bad rows and findings with one more kind, whose rows stay where the map keeps them."""
+    if kind not in mapping.keep:
+        return bad | mask, [*findings, *found]
+    kept = [replace(item, message=f"{item.message.split('; cut out')[0]}; kept, as the map says") for item in found]
+    return bad, [*findings, *kept]
+
+
+def _said(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """What nothing is cut for."""
+    found = [*held_findings(rows, stretches, system, measured), *constant_findings(rows, stretches, system)]
+    disagree = consistency_findings(rows, stretches, system, measured)
+    if disagree or not stretches:
+        return [*found, *disagree]  # with wrong columns nothing can be said about signs and times
+    return [*found, *late_findings(rows, stretches, system, measured)]
+
+
+def judged_whole(
+    rows: Rows, stretches: list[Stretch], mapping: ColumnMap, system: System, before: Sequence[Finding]
+) -> tuple[list[Stretch], list[Finding]]:
+    """What needs every state, derived ones as well: commands that are dead, or drive the other way.
+
+    With wrong columns (``before``) nothing can be said about either.
+    """
+    if not stretches or {item.kind for item in before} & set(_WRONG):
+        return stretches, []
+    mask, found = dead_rows(rows, stretches, system)
+    bad, findings = _cut(np.zeros(len(rows.t), dtype=bool), [], "dead_command", mask, found, mapping)
+    if bad.any():
+        parts = [_stretches(bad[part.start : part.stop], np.zeros(len(part), dtype=bool)) for part in stretches]
+        moved = [
+            Stretch(part.start + own.start, part.start + own.stop)
+            for part, inner in zip(stretches, parts, strict=True)
+            for own in inner
+        ]
+        stretches = [stretch for stretch in moved if len(stretch) >= SHORTEST_STRETCH]
+    return stretches, [*findings, *(drive_findings(rows, stretches, system) if stretches else [])]
+
+
+def _long_enough(bad: Mask, breaks: Mask) -> list[Stretch]:
+    return [stretch for stretch in _stretches(bad, breaks) if len(stretch) >= SHORTEST_STRETCH]
 
 
 def _unwrapped(states: NDArray[np.float64], bad: Mask, system: System, mapping: ColumnMap) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numpy as np
 from safedpa.errors import RunError
 from safedpa.records.apply_map import Rows, derive_states, keep_rows
 from safedpa.records.column_map import ColumnMap
-from safedpa.records.quality import judged
+from safedpa.records.quality import judged, judged_whole
 from safedpa.records.run import Finding, Run, Stretch
 from safedpa.systems import System
 
@@ -22,10 +22,11 @@ def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, find
         raise RunError(f"{path}: no rows" + _listed(findings) + "; wanted at least two")
     rows, stretches, found = judged(rows, mapping, system)
     rows, stretches, derived = derive_states(rows, stretches, mapping, system)
+    stretches, whole = judged_whole(rows, stretches, mapping, system, found)
     if mapping.keep_period is not None:
         rows, stretches = keep_rows(rows, stretches, mapping.keep_period)
     rows, stretches = _compact(rows, stretches)
-    every = (*findings, *found, *derived)
+    every = (*findings, *found, *derived, *whole)
     if not stretches:
         raise RunError(f"{path}: no usable stretch of rows" + _listed(every))
     return Run(path.stem, system, rows.t, rows.states, rows.actions, tuple(stretches), every)

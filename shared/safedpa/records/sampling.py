@@ -9,11 +9,18 @@ from safedpa.records.apply_map import Rows
 from safedpa.records.run import Finding
 from safedpa.records.sentences import counted, finding
 
-__all__ = ["gap_rows", "reset_rows", "sampling_finding", "without_repeats"]
+__all__ = ["gap_rows", "rates_finding", "reset_rows", "sampling_finding", "without_repeats"]
 
 Mask = NDArray[np.bool_]
 Found = tuple[Mask, list[Finding]]
 
+_NEIGHBOURS = 7
+"""Steps on either side that say how long a step is usual there."""
+_BLOCK = 100_000
+_LASTING = 40
+"""Steps over which a rate has to last."""
+_OTHER_RATE = 1.6
+"""Ratio of the longest to the shortest lasting step from which they are two rates."""
 _IRREGULAR_SHARE = 0.2
 """Sampling is called irregular when one step in ten differs from the median by more than this share of it."""
 
@@ -46,7 +53,10 @@ def reset_rows(t: NDArray[np.float64]) -> Found:
 
 
 def gap_rows(t: NDArray[np.float64]) -> Found:
-    """Rows behind a gap: a step longer than 1.75 times the median step and beyond its usual spread."""
+    """Rows behind a gap: a step longer than 1.75 times the median step and beyond its usual spread.
+
+    Where the steps around are as long, the log has another rate there, and no gap.
+    """
     steps = np.diff(t)
     forward = steps[steps > 0.0]
     mask = np.zeros(len(t), dtype=bool)
@@ -54,13 +64,41 @@ def gap_rows(t: NDArray[np.float64]) -> Found:
         return mask, []
     median = float(np.median(forward))
     spread = 1.4826 * float(np.median(np.abs(forward - median)))
-    mask[1:] = steps > max(1.75 * median, median + 8.0 * spread)
+    long = np.flatnonzero(steps > max(1.75 * median, median + 8.0 * spread))
+    mask[1 + long[steps[long] > 1.75 * _around(steps, long)]] = True
     count = int(mask.sum())
     if not count:
         return mask, []
     longest = float(steps[mask[1:]].max())
     text = f"{counted(count, 'gap', 'gaps')} in time, the longest {longest:.4g} s where {median:.4g} s is usual"
     return mask, [finding("gap", text, count, t[np.flatnonzero(mask)[0] - 1], "cut there")]
+
+
+def _around(steps: NDArray[np.float64], at: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Median of the steps on either side of some, at least the usual step, in blocks to bound the memory."""
+    if not len(at):
+        return np.empty(0)
+    padded = np.pad(steps, _NEIGHBOURS, mode="reflect" if len(steps) > _NEIGHBOURS else "edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
+    return np.concatenate([np.median(windows[at[k : k + _BLOCK]], axis=1) for k in range(0, len(at), _BLOCK)])
+
+
+def rates_finding(t: NDArray[np.float64]) -> list[Finding]:
+    """Whether the log changes to another rate on the way and stays there for long."""
+    steps = np.diff(t[np.isfinite(t)])
+    if len(steps) < 2 * _LASTING:
+        return []
+    usual = np.array([np.median(part) for part in np.array_split(steps, max(2, len(steps) // _LASTING))])
+    low, high = float(usual.min()), float(usual.max())
+    if not (low > 0.0 and high > _OTHER_RATE * low):
+        return []
+    middle = np.sqrt(low * high)
+    share = float(steps[steps > middle].sum() / steps[steps > 0].sum())
+    text = (
+        f"two rates in one file: rows are {low:.4g} s apart, and {high:.4g} s for {share:.0%} of the time; both were "
+        "used, each step as long as it was; give two files to judge them apart"
+    )
+    return [finding("two_rates", text, len(steps))]
 
 
 def sampling_finding(t: NDArray[np.float64]) -> list[Finding]:

@@ -54,7 +54,11 @@ def out_of_bounds(rows: Rows, system: System, measured: list[bool]) -> Found:
                 f"{counted(count, 'row', 'rows')} with {variable.name} outside {variable.low:g} .. {variable.high:g} "
                 f"{variable.unit}, the worst {worst:.4g}"
             )
-            found.append(finding("out_of_bounds", text, count, _time_at(rows.t, int(np.argmax(mask))), "cut out"))
+            done = (
+                "cut out; if the robot does that, widen the bound in its system, or say "
+                'keep = ["out_of_bounds"] in a column map; else name the unit or scale there'
+            )
+            found.append(finding("out_of_bounds", text, count, _time_at(rows.t, int(np.argmax(mask))), done))
             bad |= mask
     return bad, found
 

@@ -18,14 +18,21 @@ from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.margin import smallest_sample, split_conformal_margin
 from safedpa.safety.prediction import Prediction
 
-__all__ = ["MarginCalibration", "calibrate_margin", "calibration_from_errors", "one_step_errors"]
+__all__ = [
+    "MarginCalibration",
+    "calibrate_margin",
+    "calibration_from_errors",
+    "one_step_errors",
+]
 
 Values = NDArray[np.float64]
 Scene = Sequence[AbstractBarrier] | Callable[[int], Sequence[AbstractBarrier]]
 """The barriers, the same for all transitions or one scene for each transition's index."""
 
 _KEYS = ("format", "coverage", "transitions", "date", "fingerprint", "epsilon")
-_OPTIONAL = ("theorem", "constants", "covered")
+_OPTIONAL = ("drive", "theorem", "constants", "covered")
+_SAID = ("drives", "origin")
+"""Optional as well, but no tables."""
 
 
 @final
@@ -36,7 +43,8 @@ class MarginCalibration:
     epsilon: dict[str, float]
     """By kind, >= 0, in the unit of h."""
     coverage: float
-    """Probability with which no barrier of a kind falls short of its prediction by more than epsilon in one step."""
+    """Probability with which no barrier of a kind falls short of its prediction by more than epsilon in one step: a
+    step of a fresh drive where there are ``drives``, else one like the steps that were used."""
     transitions: int
     """How many were used."""
     date: str
@@ -49,7 +57,15 @@ class MarginCalibration:
     constants: dict[str, float] = field(default_factory=dict)
     """What the bound was made of, scaled; for people."""
     covered: dict[str, float] = field(default_factory=dict)
-    """Share of fresh transitions that each margin covered: ``conformal.obstacle``, ``theorem.obstacle``, ..."""
+    """Share of fresh transitions that each margin covered: ``conformal.obstacle``, ``theorem.obstacle``, ...; of fresh
+    drives that ``drive`` covered in every step: ``drive.obstacle``, ..."""
+    drive: dict[str, float] = field(default_factory=dict)
+    """By kind, the margin that no step of a fresh drive exceeds, with probability ``coverage``; empty: too few drives
+    to say."""
+    drives: int = 0
+    """How many drives the margins are over; 0: the transitions were taken for exchangeable."""
+    origin: str = ""
+    """The command that made it, with its seeds and the version; empty: not told."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.epsilon, dict) or not self.epsilon:
@@ -63,25 +79,27 @@ class MarginCalibration:
         if not 0.0 < self.coverage < 1.0:
             raise InputError(f"coverage: got {self.coverage}, wanted more than 0 and less than 1")
         _check_number("transitions", self.transitions, 1)
-        for name in ("date", "fingerprint"):
+        _check_number("drives", self.drives, 0)
+        for name in ("date", "fingerprint", "origin"):
             if not isinstance(getattr(self, name), str):
                 raise InputError(f"{name}: got {getattr(self, name)!r}, wanted a string")
 
     def chosen(self, margin: str | float) -> MarginCalibration:
         """The calibration whose ``epsilon`` is what the settings' ``margin`` names: a table, or one number for all.
 
-        Raises InputError for ``theorem`` when that margin is not in the calibration.
+        Raises InputError for ``theorem`` and ``drive`` when that margin is not in the calibration.
         """
         if margin == "conformal":
             return self
-        if margin != "theorem":
+        if margin not in ("theorem", "drive"):
             return replace(self, epsilon=dict.fromkeys(self.epsilon, float(margin)))
-        if set(self.theorem) != set(self.epsilon):
+        table = self.theorem if margin == "theorem" else self.drive
+        if set(table) != set(self.epsilon):
             raise InputError(
-                f"margin 'theorem': the calibration has it for {', '.join(self.theorem) or 'no kind'}, wanted "
+                f"margin '{margin}': the calibration has it for {', '.join(table) or 'no kind'}, wanted "
                 f"{', '.join(self.epsilon)}; write it with 'safedpa calibrate'"
             )
-        return replace(self, epsilon=dict(self.theorem))
+        return replace(self, epsilon=dict(table))
 
     def write(self) -> str:
         """The TOML text that ``parse`` reads back."""
@@ -92,6 +110,8 @@ class MarginCalibration:
             f'date = "{self.date}"',
             f'fingerprint = "{self.fingerprint}"',
         ]
+        lines += [f"drives = {self.drives}"] if self.drives else []
+        lines += [f'origin = "{self.origin}"'] if self.origin else []
         for name in ("epsilon", *_OPTIONAL):
             if table := getattr(self, name):
                 lines += ["", f"[{name}]", *(f'"{kind}" = {float(value)!r}' for kind, value in table.items())]
@@ -105,8 +125,8 @@ class MarginCalibration:
         except tomllib.TOMLDecodeError as error:
             raise InputError(f"not TOML: {error}") from error
         for key in table:
-            if key not in (*_KEYS, *_OPTIONAL):
-                raise InputError(f"{key}: unknown key; {did_you_mean(key, (*_KEYS, *_OPTIONAL))}")
+            if key not in (known := (*_KEYS, *_SAID, *_OPTIONAL)):
+                raise InputError(f"{key}: unknown key; {did_you_mean(key, known)}")
         for key in _KEYS:
             if key not in table:
                 raise InputError(f"{key}: missing; wanted the keys {', '.join(_KEYS)}")
@@ -152,8 +172,8 @@ def calibrate_margin(
 def calibration_from_errors(
     errors: Mapping[str, Values], coverage: float, date: str, model_fingerprint: str
 ) -> MarginCalibration:
-    """Margins from errors by kind (n,), as ``one_step_errors`` has them; raises InputError when n is too small."""
-    count = len(next(iter(errors.values())))
+    """Margins from errors by kind (n,), as ``one_step_errors`` has them; raises InputError when some n is too small."""
+    count = min(map(len, errors.values()), default=0)
     if count < smallest_sample(coverage):
         raise InputError(
             f"transitions: got {count}, wanted at least {smallest_sample(coverage)} for a coverage of {coverage}; "

@@ -29,7 +29,7 @@ __all__ = [
     "check_settings_of_functions",
 ]
 
-KINDS = ("corridor", "field", "function", "obstacle", "speed")
+KINDS = ("corridor", "field", "function", "obstacle", "rollout", "speed")
 """Kinds of the barriers that ship: settings may hold margins for those that are not in sight."""
 
 

@@ -16,6 +16,7 @@ from typing import Any, Final, final
 from safedpa.errors import InputError
 from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
+from safedpa.safety.on_its_way import Along, Pending
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
 from safedpa.safety.tangent import NotFiniteError, Tangent
@@ -92,13 +93,31 @@ class Conditions:
         self.barriers, self._prediction = barriers, prediction
         plain = barriers.since(state).plain(len(state))
         self._plain: Any = plain
-        self._state, self._latent, self._memory = state, latent, memory
+        self._state, self._latent = state, latent
+        self._memory = memory.memory if isinstance(memory, Pending) else memory
         self._sides = sides
         self._widths: list[float] = [width for _, _, width in sides]
-        self._motion: AffineMotion | None = prediction.affine_motion(state, latent) if prediction.affine else None
         h_now: list[float] = plain.heights(state)
         self.h_now = h_now
         _finite("h at the state", h_now)
+        self.least_now: float = min(h_now)
+        """Smallest h_i at the state."""
+        self.least_pending: float = inf
+        """Smallest h_i on the way to where an action begins to act, which no action can change; infinity: at once."""
+        self._begin = begin = prediction.begin(state, latent, memory)
+        if begin is not None:
+            for passed in begin.path:
+                on_the_way: list[float] = plain.heights(passed)
+                _finite("h on the way to where the action acts", on_the_way)
+                self.least_pending = min(self.least_pending, *on_the_way)
+            if begin.rows > 1:
+                self._plain = plain = Along(plain, begin.rows, len(state))
+                epsilon = [*epsilon] * begin.rows
+            self._state, h_now = begin.state, plain.heights(begin.state)
+            _finite("h where the action begins to act", h_now)
+        self.h_begin = h_now
+        """(rows,) h where the action begins to act; several times the barriers where it is judged in several states."""
+        self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
         share = 1.0 - eta
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
@@ -116,8 +135,6 @@ class Conditions:
         """(m,) max(|h_i(x)|, epsilon_i)."""
         self.scales = scales
         """(m,) in the unit of each h; of what the actions can change as far as tangents were drawn."""
-        self.least_now: float = min(h_now)
-        """Smallest h_i at the state."""
         self._last_g: list[list[float]] | None = None
 
     def outcome(self, action: Plain) -> Outcome:
@@ -166,13 +183,15 @@ class Conditions:
             return ()
         near.sort()
         names = self.barriers.names
-        return tuple([names[row] for _, row in near])
+        return tuple(dict.fromkeys([names[row % len(names)] for _, row in near]))
 
     def _slopes(self, about: Outcome) -> list[list[float]]:
         """g (states, actions) about an action."""
         g: list[list[float]]
         if self._motion is not None:
             g = self._motion.slopes()
+        elif self._begin is not None:
+            g = self._prediction.slopes_after(self._begin, about.action, self._latent)
         else:
             g = self._prediction.slopes_of_one(self._state, about.action, self._latent, self._memory)
         for row in g:
@@ -184,6 +203,8 @@ class Conditions:
         found: list[float]
         if self._motion is not None:
             found = self._motion.after(action)
+        elif self._begin is not None:
+            found = self._prediction.after(self._begin, action, self._latent)
         else:
             found = self._prediction.following(self._state, action, self._latent, self._memory)
         return found

@@ -242,8 +242,14 @@ class Decision:
     def _verdict(self, status: Status, outcome: Outcome, reason: str, solver: str) -> Verdict:
         if not outcome.usable:
             return self._answer(status, outcome.action, reason, solver)
-        active = () if self._conditions is None else self._conditions.binding(outcome, _BINDING)
-        return self._answer(status, outcome.action, reason, solver, outcome.violation, active, outcome.least)
+        conditions = self._conditions
+        active = () if conditions is None else conditions.binding(outcome, _BINDING)
+        least = outcome.least
+        if conditions is not None and conditions.least_pending < least:
+            least = conditions.least_pending
+            if least < 0.0 and status in (Status.passed, Status.corrected):
+                status, reason = Status.relaxed, "Some h falls below 0 before this action can act."
+        return self._answer(status, outcome.action, reason, solver, outcome.violation, active, least)
 
     def _answer(
         self,

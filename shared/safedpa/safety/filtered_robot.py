@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any, NamedTuple
@@ -14,17 +14,20 @@ from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
 from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
+from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.held_model import HeldModel
+from safedpa.safety.margin_change import PhasedMargin
 from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.scenes import Scene, scene_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.standstill import Standstill, places_of
+from safedpa.safety.trail import LONGEST_AGE, Trail
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
 
-__all__ = ["NO_BARRIERS", "Decided", "FilteredRobot"]
+__all__ = ["NO_BARRIERS", "Decided", "FilteredRobot", "too_late"]
 
 Values = NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]
@@ -45,8 +48,24 @@ class Decided(NamedTuple):
     verdict: Verdict
 
 
+def too_late(state: StateMessage) -> list[str]:
+    """What is wrong with a state that is too old where its action acts."""
+    if 0.0 <= state.until_action <= LONGEST_AGE:
+        return []
+    return [f"the state (its action acts {state.until_action:g} s later, wanted 0 to {LONGEST_AGE:g} s)"]
+
+
 def _late(state: StateMessage, known: LatentMessage) -> bool:
     return (state.tick - known.tick) * state.period > _LATENT_PATIENCE + 0.5 * state.period
+
+
+def _same_scene(one: StateMessage, other: StateMessage) -> bool:
+    return (one.obstacles, one.field, one.footprint, one.corridor) == (
+        other.obstacles,
+        other.field,
+        other.footprint,
+        other.corridor,
+    )
 
 
 def _walked(step: StraightStep, state: StateMessage, held: Values, latent: Values, steps: int) -> Rows:
@@ -73,7 +92,10 @@ class FilteredRobot:
     filter: SafetyFilter
     scene: Scene
     margin: WatchedMargin
+    trail: Trail
     tick: int = -1
+    changed_at: int = -1
+    """First tick from which another model is to be used; -1: of none."""
     prepared: tuple[int, int] = (0, -1)
     """Epoch and tick of the state that the fields below belong to."""
     barriers: AbstractStack | str = NO_BARRIERS
@@ -84,6 +106,10 @@ class FilteredRobot:
     """Why the robot was to stop at the last decision."""
     memory: Any = None
     """What the actuators remember, as the model has it."""
+    former: Trail | None = None
+    """What was sent while another model was in force, until it was taken up."""
+    pending: Any = ()
+    """What is on its way; empty where an action acts at once."""
     expected_memory: Any = None
     """The same one period later, if the robot does what it is told."""
     standing: Standstill = field(init=False)
@@ -93,27 +119,58 @@ class FilteredRobot:
         self.standing = Standstill(places_of(self.held.model.system))
 
     @classmethod
-    def begun(cls, held: HeldModel, settings: FilterSettings) -> FilteredRobot:
-        """For a robot that was not filtered before, or not with this model.
+    def begun(
+        cls, held: HeldModel, settings: FilterSettings, before: Mapping[str, float] | None = None
+    ) -> FilteredRobot:
+        """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now.
 
         Raises InputError where the settings are another robot's, or nobody wrote barriers for this one.
         """
         scene = scene_of(held.model, settings)
         backup = scene.backup if isinstance(scene, PointScene) else None
         filtering = SafetyFilter.for_model(held.model, settings, backup=backup)
-        return cls(held, filtering, scene, WatchedMargin(held.calibration))
+        phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
+        margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased)
+        return cls(held, filtering, scene, margin, Trail(held.model))
 
     @property
     def speeds(self) -> tuple[int, ...]:
         """Which entries of the state are a speed that braking takes away."""
         return tuple(index for index, name in enumerate(self.held.model.system.state_names) if name == "speed")
 
+    def take_up(self, state: StateMessage) -> None:
+        """What a state tells before anything else is known."""
+        self.remember_actuators(state)
+        self.barriers = self.scene.of(state)
+        self.watch_margin(state)
+        self.standing.measure(state.values, state.period)
+        self.prepared = (state.epoch, state.tick)
+
     def watch_margin(self, state: StateMessage) -> None:
-        """Holds the last prediction against the measured state."""
+        """Holds the last prediction against the measured state, and lets a new model's margin rise."""
         if state.tick != self.tick + 1 or state.applied_by != "filter":
             self.margin.expect(None)  # what was predicted is not what was done
         self.tick = state.tick
-        self.margin.observe(state.values, NO_BARRIERS if isinstance(self.barriers, str) else self.barriers)
+        barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
+        last = None if self.decision is None else self.decision.state
+        same = last is not None and _same_scene(last, state)
+        late = self.trail.foretold(state.until_action) if self.pending and state.applied_by == "filter" else None
+        self.margin.observe(state.values, barriers, same_scene=same, late=late)
+        if barriers.names:
+            self.margin.rise(state.values, barriers, state.period)
+
+    def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
+        """``predicted``, kept for the next tick."""
+        predicted, self.expected_memory = self.predicted(state, verdict, latent)
+        if self.pending:
+            self.trail.decided(None if latent is None else tuple(latent.tolist()))
+        barriers = None if isinstance(self.barriers, str) else self.barriers
+        self.margin.expect(predicted[0] if predicted else None, barriers)
+        return predicted
+
+    def may_wait(self, state: StateMessage) -> bool:
+        """Whether this model may decide although another one is in force: until a latent of that one comes."""
+        return self.changed_at >= 0 and 0.0 <= (state.tick - self.changed_at) * state.period <= _LATENT_PATIENCE
 
     def usable_latent(self, state: StateMessage, inputs: Inputs) -> tuple[Values | None, list[str]]:
         """The latent to use, and what is wrong with it."""
@@ -131,7 +188,8 @@ class FilteredRobot:
         return latent, []
 
     def remember_way(self, former: FilteredRobot | None) -> None:
-        """How far the robot was driven backwards does not depend on who held the model until now."""
+        """How far the robot was driven backwards, and what was sent, do not depend on who held the model until now."""
+        self.former = None if former is None else former.trail
         if former is not None and isinstance(former.scene, SceneBarriers) and isinstance(self.scene, SceneBarriers):
             self.scene.way = former.scene.way
 
@@ -139,12 +197,22 @@ class FilteredRobot:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
         if len(state.applied) != len(self.held.model.system.action):
             return  # the filter refuses such a state for its own reasons; nothing to learn here
-        told, expected = self.decision, self.expected_memory
-        obeyed = told is not None and state.tick == told.state.tick + 1 and state.applied_by == "filter"
-        if obeyed and expected is not None:
+        model, told, expected = self.held.model, self.decision, self.expected_memory
+        follows = told is not None and (state.epoch, state.tick) == (told.state.epoch, told.state.tick + 1)
+        if follows and expected is not None and state.applied_by == "filter":
             self.memory = expected
+        elif follows and self.memory:  # the watchdog's action: what was sent before is still on its way
+            self.memory = model.felt(state.applied, self.memory, period=state.period)[1]
         else:
-            self.memory = self.held.model.initial_memory(np.array(state.applied))
+            before = None if self.former is None else self.former.commands(state.tick, state.applied)
+            oldest, *sent = before or (state.applied,)
+            self.memory = model.initial_memory(np.array(oldest))
+            for command in sent if self.memory else ():
+                self.memory = model.felt(command, self.memory, period=state.period)[1]
+        self.former = None
+        self.trail.add(state.tick, state.values, state.applied, self.memory)
+        late = (self.memory or state.until_action > 0.0) and not too_late(state)
+        self.pending = self.trail.pending(state.until_action) if late else ()
 
     def predicted(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> tuple[Rows, Any]:
         """The next states (steps, states) that the model expects under the action held; actuators' memory after one.
@@ -154,6 +222,11 @@ class FilteredRobot:
         model, steps = self.held.model, _PATH_STEPS if state.tick % _PATH_EVERY == 0 else 1
         if len(state.values) != len(model.system.state):
             return (), None
+        if self.pending and self.pending.sent:
+            known, action = None if latent is None else tuple(latent.tolist()), tuple(verdict.action.tolist())
+            ahead = self.trail.expected(action, known, self.pending, steps)
+            after = model.felt(action, self.memory, known, period=state.period)[1] if self.memory else self.memory
+            return (tuple(map(tuple, ahead)), after) if np.isfinite(ahead).all() else ((), None)
         step = model.straight(state.period)
         free = model.latent if latent is None else latent
         if step is not None and (rows := _walked(step, state, verdict.action, free, steps)):
@@ -222,7 +295,7 @@ class FilteredRobot:
             state.values,
             decided.verdict.action if decided.verdict.status is Status.stopped else decided.verdict.wish,
             latent,
-            memory=self.memory,
+            memory=self.pending,
             barriers=barriers,
             epsilon=self.margin.epsilon,
         )

@@ -91,12 +91,12 @@ class _Lift:
         self._given = np.maximum(TOLERANCE * reach / self._scales, _ROUNDING)
         self._decided = float((np.array(usable[0].h_next) / self._scales)[~self._moved].min(initial=np.inf))
         """Least h_i(x+) / scale_i of those that no action moves."""
-        self._held = float((np.array(conditions.h_now) / self._scales)[self._moved].min(initial=np.inf))
+        self._held = float((np.array(conditions.h_begin) / self._scales)[self._moved].min(initial=np.inf))
         """Least height now."""
-        unkept = (np.array(conditions.h_now) < 0.0) | (np.array(usable[0].residual) < -_ROUNDING * self._scales)
+        unkept = (np.array(conditions.h_begin) < 0.0) | (np.array(usable[0].residual) < -_ROUNDING * self._scales)
         stuck = unkept & ~self._moved
         names = conditions.barriers.names
-        self.stuck: tuple[str, ...] = tuple([names[row] for row in np.flatnonzero(stuck).tolist()])
+        self.stuck: tuple[str, ...] = tuple([names[row % len(names)] for row in np.flatnonzero(stuck).tolist()])
         self._wish = tuple(backup.action) if self.stuck else wish
 
     def _measured_reach(self, usable: Sequence[Outcome]) -> Values:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left, insort
+from collections.abc import Sequence
 from math import ceil, inf, isfinite
 from typing import final
 
@@ -12,10 +13,15 @@ from numpy.typing import ArrayLike
 
 from safedpa.errors import InputError
 
-__all__ = ["OnlineMargin", "smallest_sample", "split_conformal_margin"]
+__all__ = ["OnlineMargin", "margins_over_drives", "smallest_sample", "split_conformal_margin"]
 
 _ROUNDING = 1e-9
 """Keeps (n + 1) coverage from being rounded up when it is a whole number but for rounding errors."""
+
+_WIDER = 2.0
+"""Factor of the margin with every miss once no more misses are allowed."""
+_WIDEST = 1e12
+"""No quantity of a robot comes near it, and messages carry no larger number."""
 
 
 def split_conformal_margin(errors: ArrayLike, coverage: float) -> float:
@@ -34,6 +40,35 @@ def split_conformal_margin(errors: ArrayLike, coverage: float) -> float:
     return inf if rank > len(ordered) else float(ordered[rank - 1])
 
 
+def margins_over_drives(drives: Sequence[ArrayLike], coverage: float) -> tuple[float, float]:
+    """Two margins from the errors (steps,) of each of n drives: (for a step, for a whole drive).
+
+    Neighbouring steps are alike, and steps of one drive share its scene and its load: what is exchangeable is drives.
+    The second is the ceil((n + 1) coverage)-th smallest of the drives' largest errors: a fresh drive has no error above
+    it with that probability. The first is the smallest q with
+
+        1 / (n + 1) sum over drives of (share of the drive's errors <= q) >= coverage:
+
+    a step drawn at random from a fresh drive exceeds it with probability at most 1 - coverage. Either is infinite with
+    fewer than ``smallest_sample`` drives. Sources: Vovk et al., Algorithmic Learning in a Random World, 2005; Lee,
+    Barber, Willett, Distribution-free inference with hierarchical data, 2023. Raises InputError for a coverage outside
+    (0, 1), errors that are not finite, and a drive without one.
+    """
+    _check_coverage(coverage)
+    tables = [np.asarray(errors, dtype=np.float64) for errors in drives]
+    for table in tables:
+        if table.ndim != 1 or not len(table) or not np.isfinite(table).all():
+            raise InputError(f"errors of a drive: got shape {table.shape} or NaN, wanted one axis of finite numbers")
+    if not tables:
+        return inf, inf
+    largest = split_conformal_margin([float(table.max()) for table in tables], coverage)
+    every = np.concatenate(tables)
+    shares = np.concatenate([np.full(len(table), 1.0 / len(table)) for table in tables])
+    order = np.argsort(every, kind="stable")
+    reached = np.cumsum(shares[order]) >= (len(tables) + 1) * coverage - _ROUNDING
+    return (float(every[order[int(reached.argmax())]]) if reached.any() else inf), largest
+
+
 def smallest_sample(coverage: float) -> int:
     """The smallest n from which a finite margin of this coverage follows: ceil(coverage / (1 - coverage))."""
     _check_coverage(coverage)
@@ -44,12 +79,19 @@ def smallest_sample(coverage: float) -> int:
 class OnlineMargin:
     """Adaptive conformal inference: the margin widens while coverage is lost and falls back to the calibrated one.
 
-    With target alpha = 1 - coverage, alpha[t+1] = alpha[t] + rate (alpha - miss[t]), where miss[t] says that the error
-    exceeded the margin; the margin is the (1 - alpha[t])-quantile of the last ``window`` errors, never below the
-    calibrated margin. A window that is not full yet is taken as filled up by the calibration, with errors within its
-    margin: one miss in the first second says no more than one miss later. Where alpha[t] <= 0 the paper takes infinity,
-    which would stop a robot for good: here it is twice the largest error of the window. The share of misses over T
-    steps then stays near alpha whatever the errors do.
+    With target alpha = 1 - coverage, alpha[t+1] = min(alpha, alpha[t] + rate (alpha - miss[t])), where miss[t] says
+    that the error exceeded the margin; the margin is the (1 - alpha[t])-quantile of the last ``window`` errors, never
+    below the calibrated margin. A window that is not full yet is taken as filled up by the calibration, with errors
+    within its margin: one miss in the first second says no more than one miss later. Where alpha[t] <= 0 the paper
+    takes infinity, which would stop a robot for good: here it is the larger of the window's largest error and the
+    calibrated margin, times 2, and times 2 again with every further miss until alpha[t] > 0.
+
+    What holds: if no error is more than 2^k times the larger of the calibrated margin and the largest of the window
+    before it, fewer than alpha n + alpha / rate + max(k, 1) of any n successive errors exceed the margin. Proof: since
+    alpha[t] <= alpha, the misses of n steps are at most alpha n + (alpha - alpha[t+n]) / rate. alpha[t] falls to 0 or
+    below with one miss, and from there on each miss doubles the factor; after k - 1 of them no error is beyond it, so
+    that alpha[t] > -rate max(k, 1). Errors that grow faster than any k, or are not finite, can miss always: no finite
+    margin is wider than what it has not seen. Nothing follows about which steps miss, and that they may come together.
     Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, 2021. Raises InputError for numbers
     out of range.
     """
@@ -61,7 +103,7 @@ class OnlineMargin:
         if not 0.0 < rate <= 1.0 or window < 1:
             raise InputError(f"rate {rate}, window {window}: wanted 0 < rate <= 1 and window >= 1")
         self.calibrated, self._target, self._rate = calibrated, 1.0 - coverage, rate
-        self._level = self._target
+        self._level, self._factor = self._target, _WIDER
         self._window = window
         self._errors, self._oldest = array("d"), 0
         """The last ones; once there are ``window``, the oldest is overwritten."""
@@ -82,12 +124,22 @@ class OnlineMargin:
         missed = not error <= self.value
         if missed or self._misses or len(self._missed) < self._window:
             self._count(missed)
-        self._level += self._rate * (self._target - missed)
+        self._use_up(missed, isfinite(error))
         if isfinite(error):
             self._keep(error)
         quantile = self._quantile()
         self.value = quantile if quantile > self.calibrated else self.calibrated
         return self.value
+
+    def _use_up(self, missed: bool, finite: bool) -> None:
+        """The level after one more step. Calm steps save nothing up: it would have to be used up before help came."""
+        spent = self._level <= 0.0
+        level = self._level + self._rate * (self._target - missed)
+        self._level = level if level < self._target else self._target
+        if self._level > 0.0:
+            self._factor = _WIDER
+        elif spent and missed and finite:
+            self._factor *= _WIDER
 
     def _count(self, missed: bool) -> None:
         if len(self._missed) < self._window:
@@ -112,7 +164,7 @@ class OnlineMargin:
         if not self._errors:
             return self.calibrated
         if self._level <= 0.0:
-            return 2.0 * self._ordered[-1]
+            return min(self._factor * max(self._ordered[-1], self.calibrated), _WIDEST)
         from_above = self._window - _rank(self._window, 1.0 - self._level)
         if from_above >= len(self._errors):
             return self.calibrated

@@ -20,6 +20,7 @@ from safedpa.bus import (
     ActionMessage,
     Answer,
     Inputs,
+    LatentMessage,
     Message,
     ModelMessage,
     Outputs,
@@ -32,8 +33,9 @@ from safedpa.bus import (
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.filtered_robot import NO_BARRIERS, Decided, FilteredRobot
+from safedpa.safety.filtered_robot import NO_BARRIERS, Decided, FilteredRobot, too_late
 from safedpa.safety.held_model import HeldModel, checked_calibration, held_offer, uncalibrated
+from safedpa.safety.margin_change import least_by_kind, margin_change
 from safedpa.safety.orders import Orders
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status, Verdict, resting_verdict
@@ -74,44 +76,62 @@ class SafetyFilterNode(AbstractNode):
         known = calibration or uncalibrated(self._settings, fingerprint(model))
         first = HeldModel(model, fingerprint(model), checked_calibration(known, fingerprint(model), self._settings))
         FilteredRobot.begun(first, self._settings)  # refuses another robot now, and not at its first tick
-        self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
+        self._versions = ModelVersions(self.name, first, first.fingerprint, self._load, self._foretold)
         self._robots: dict[str, FilteredRobot] = {}
         self._broken: dict[str, FilteredRobot] = {}
         """Of robots whose last step failed: their margin goes on."""
 
     def prepare(self, robot: str, state: StateMessage) -> None:  # noqa: D102
-        former = self._robots.pop(robot, None) if self._versions.begin(robot, state) else None
+        if self._versions.begin(robot, state) and robot in self._robots:
+            self._robots[robot].changed_at = state.tick
         memory = self._robots.get(robot)
         if memory is None:
-            memory = FilteredRobot.begun(self._versions.of(robot), self._settings)
             broken = self._broken.pop(robot, None)
+            before = None if broken is None else broken.margin.epsilon
+            memory = FilteredRobot.begun(self._versions.of(robot), self._settings, before)
             if broken is not None and broken.held is memory.held:
                 memory.margin = broken.margin
                 memory.margin.expect(None)
-            memory.remember_way(broken or former)
+            memory.remember_way(broken)
             self._robots[robot] = memory
-        memory.remember_actuators(state)
-        memory.barriers = memory.scene.of(state)
-        memory.watch_margin(state)
-        memory.standing.measure(state.values, state.period)
-        memory.prepared = (state.epoch, state.tick)
+        memory.take_up(state)
+
+    def _with_latent(self, robot: str, state: StateMessage, inputs: Inputs) -> FilteredRobot:
+        """The robot's memory with the model to decide with: a new one from the first latent of it on.
+
+        The latent that a tick gets may be one tick old, and then it is of the old model: model, latent and margin of
+        until now belong together, and decide once more. For so long as a missing latent is waited for, and no longer.
+        """
+        memory, held = self._robots[robot], self._versions.of(robot)
+        if memory.held is held:
+            return memory
+        latent = inputs[LATENT]
+        of_before = not isinstance(latent, LatentMessage) or latent.model == memory.held.fingerprint
+        if of_before and memory.held.fingerprint != held.fingerprint and memory.may_wait(state):
+            return memory
+        begun = FilteredRobot.begun(held, self._settings, memory.margin.epsilon)
+        begun.remember_way(memory)
+        self._robots[robot] = begun
+        self.prepare(robot, state)
+        return self._robots[robot]
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         memory = self._robots.get(robot)
         if memory is None or memory.prepared != (state.epoch, state.tick):
             self.prepare(robot, state)
-            memory = self._robots[robot]
+        memory = self._with_latent(robot, state, inputs)
         wish = inputs[WISH]
         latent, stale = memory.usable_latent(state, inputs)
         absent = f"the wish ({wish.sentence})" if isinstance(wish, Stale) else ""
         holds = bool(absent and not memory.scene.stands)
         if absent and not holds:
             stale.append(absent)
+        stale.extend(too_late(state))
         if isinstance(memory.barriers, str):
             stale.append(f"the {memory.barriers}")
         barriers = NO_BARRIERS if isinstance(memory.barriers, str) else memory.barriers
         known: dict[str, Any] = {
-            "memory": memory.memory,
+            "memory": memory.pending,
             "barriers": barriers,
             "epsilon": memory.margin.epsilon,
             "stale": stale,
@@ -138,8 +158,7 @@ class SafetyFilterNode(AbstractNode):
         memory = self._robots[robot]
         assert memory.decision is not None
         state, latent, verdict = memory.decision
-        predicted, memory.expected_memory = memory.predicted(state, verdict, latent)
-        memory.margin.expect(predicted[0] if predicted else None)
+        predicted = memory.foresee(state, verdict, latent)
         memory.watch_standing(state, predicted)
         outputs: dict[Any, Message] = {VERDICT: _report(state, verdict, predicted, memory)}
         answer = self._versions.answer(robot, state)
@@ -198,6 +217,14 @@ class SafetyFilterNode(AbstractNode):
             trial.try_out(memory.decision, memory.barriers)
         return held
 
+    def _foretold(self, robot: str, held: HeldModel) -> str:
+        """What the margin of an offered model would do where the robot is now."""
+        memory, current = self._robots.get(robot), self._versions.of(robot).calibration.epsilon
+        if memory is None or memory.decision is None or isinstance(memory.barriers, str):
+            return margin_change(current, held.calibration.epsilon, {}, self._settings.eta)
+        h = least_by_kind(memory.barriers, memory.decision.state.values)
+        return margin_change(memory.margin.epsilon, held.calibration.epsilon, h, self._settings.eta)
+
 
 def _action(state: StateMessage, values: tuple[float, ...]) -> ActionMessage:
     return ActionMessage(
@@ -216,7 +243,7 @@ def _report(
         robot_time=state.robot_time,
         publish_time=time.time(),
         status=verdict.status.value,
-        sentence=verdict.sentence + stands,
+        sentence=f"{verdict.sentence} {memory.margin.remark if memory else ''}".strip() + stands,
         action=tuple(verdict.action.tolist()),
         wish=() if verdict.wish is None else tuple(verdict.wish.tolist()),
         slack=verdict.slack,

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.closed_loop import Model, fixed, prediction_of
+from safedpa.safety.compatibility import check_reads
 from safedpa.safety.differences import central_slopes
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.prediction import Prediction
@@ -61,6 +62,7 @@ class PendingActions:
         self._inner = prediction_of(model)
         self.prediction = Prediction(self.affine, self.step)
         """What the filter takes in place of a model."""
+        self.prediction.system = self._inner.system
         self.state_range = self._range()
         """What is believed of xi, with the names of its entries, for a model of this project; else None."""
 
@@ -116,7 +118,11 @@ class PendingActions:
         return f, g
 
     def barrier(self, barrier: AbstractBarrier, latent: ArrayLike | None = None) -> AbstractBarrier:
-        """A barrier of x as one of xi, judged where the action begins to act; ``latent``: with which it gets there."""
+        """A barrier of x as one of xi, judged where the action begins to act; ``latent``: with which it gets there.
+
+        Raises InputError where it reads other states than the model's.
+        """
+        check_reads([barrier], () if self._inner.system is None else self._inner.system.state_names)
         return _Pending(self, barrier, None if latent is None else fixed(np.asarray(latent, dtype=np.float64)))
 
     def _range(self) -> Plausible | None:
@@ -146,7 +152,7 @@ class _Pending(AbstractBarrier):
 
     def __init__(self, late: PendingActions, barrier: AbstractBarrier, latent: Values | None) -> None:
         self.names, self.kind = barrier.names, barrier.kind
-        self.reads = barrier.reads if late.state_range is not None else ()
+        self.reads = () if late.prediction.system is None else barrier.reads
         self._late, self._barrier, self._latent = late, barrier, latent
 
     def values(self, state: Values) -> Values:

@@ -21,7 +21,7 @@ from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.stopping_barrier import Motion, StoppingBarrier, stopping_action
+from safedpa.safety.stopping_barrier import Motion, StoppingBarrier, nearer_end, stopping_action
 
 __all__ = ["PointScene", "motion_of"]
 
@@ -68,7 +68,6 @@ class PointScene:
         self._latent: Values | None = None
         self._motion: Motion | None = None
         self._barrier: StoppingBarrier | None = None
-        self._end = np.ones(1)
 
     def learn(self, latent: Values | None) -> None:
         """The latent that was used last; none: that of the model's file."""
@@ -87,9 +86,8 @@ class PointScene:
         motion, barrier = self._motion, self._barrier
         if state is None or motion is None:
             return self._settings.resting_action
-        if barrier is not None:
-            self._end = np.array([barrier.best_end(state)])
-        thrust, turn, self._end = stopping_action(np.reshape(state, (5, 1)), motion, self._end)
+        end = nearer_end(state, motion) if barrier is None else barrier.best_end(state)
+        thrust, turn = stopping_action(np.reshape(state, (5, 1)), motion, np.array([end]))
         scale = self._settings.action_high[0] / float(motion.strongest)
         return np.array([scale * float(thrust[0]), float(turn[0])])
 

@@ -13,6 +13,7 @@ from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.errors import InputError
 from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.numbers_returned import numbers_returned
+from safedpa.safety.on_its_way import Actuators, Begin
 from safedpa.systems import System
 
 __all__ = ["Prediction"]
@@ -39,6 +40,7 @@ class Prediction:
         self._physics: PhysicsModel | None = None
         self._fixed: tuple[float, ...] = ()
         self._learned: LearnedBase | None = None
+        self._actuators: Actuators | None = None
         self.affine = step is None and "around" not in self._affine_words
         """Whether the model is known to be affine in the action: then its slopes are the same about every action."""
 
@@ -49,10 +51,27 @@ class Prediction:
         prediction._model, prediction.system, prediction.affine = model, model.system, False
         if isinstance(model, PhysicsModel):
             prediction._physics, prediction._fixed = model, tuple(model.latent.tolist())
+            prediction._actuators = Actuators(model)
             if isinstance(model.base, LearnedBase) and not model.effects:
                 prediction.affine = True
                 prediction._learned = model.base if model.base.is_latent(model.latent_names) else None
         return prediction
+
+    def begin(self, state: tuple[float, ...], latent: tuple[float, ...] | None, memory: Any) -> Begin | None:
+        """Where an action that is chosen at ``state`` begins to act; None: there and then."""
+        return None if self._actuators is None or not memory else self._actuators.begin(state, latent, memory)
+
+    def after(self, begin: Begin, action: Sequence[float], latent: tuple[float, ...] | None) -> list[float]:
+        """(begin.rows * states,) what is judged of ``action``: the state after each period from ``begin.near`` on."""
+        assert self._actuators is not None
+        return self._actuators.after(begin, action, latent)
+
+    def slopes_after(
+        self, begin: Begin, around: Sequence[float], latent: tuple[float, ...] | None
+    ) -> list[list[float]]:
+        """d(after)/d(action) (begin.rows * states, actions) about the action ``around``."""
+        assert self._actuators is not None
+        return self._actuators.slopes(begin, around, latent)
 
     @property
     def of_this_project(self) -> bool:

@@ -4,30 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safedpa.bus import LatentMessage, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.records import read_messages
-from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.calibration import MarginCalibration, calibration_from_errors, one_step_errors
-from safedpa.safety.point_scene import PointScene
-from safedpa.safety.scenes import scene_of
+from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
+from safedpa.safety.ceiling import Ceiling
+from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.drive_heights import DrivenTick, drive_heights
+from safedpa.safety.margin import smallest_sample
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.theory_recorded import recorded_bound
 
 __all__ = ["RecordedTransitions", "calibration_from_recordings"]
 
+Values = NDArray[np.float64]
+
 _BLOCK = 100
 """Transitions that stay together, 5 s at 20 Hz: neighbours are too much alike for one to be fresh to the other."""
 _SHARE = 5
 
-_Stamp = tuple[str, int, int]
-"""Robot, epoch, tick."""
+_Start = tuple[str, int]
+"""Robot and epoch."""
 
 
 @dataclass(frozen=True)
@@ -35,25 +40,23 @@ class _Transition:
     before: StateMessage
     after: StateMessage
     latent: tuple[float, ...]
+    drive: int
 
 
 @final
 class RecordedTransitions:
-    """The n transitions of recordings in which the robot did what the filter said, as arrays, with their scenes.
+    """The n transitions of drives in which the robot did what the filter said, as arrays, with the drive of each.
 
-    ``state`` (n, states), ``action`` (n, actions), ``following`` (n, states), ``latent`` (n, latents).
+    ``state`` (n, states), ``action`` (n, actions), ``following`` (n, states), ``latent`` (n, latents), ``drive`` (n,).
 
-    Raises InputError when there are none, latents of another model, or settings of another robot.
+    Raises InputError when there are none.
     """
 
-    def __init__(self, model: PhysicsModel, settings: FilterSettings, recordings: Sequence[Path]) -> None:
-        self._scenes = scene_of(model, settings)
-        found = [transition for path in recordings for transition in _transitions(path, fingerprint(model))]
+    def __init__(self, drives: Sequence[Sequence[DrivenTick]]) -> None:
+        found = [transition for number, ticks in enumerate(drives) for transition in _transitions(number, ticks)]
         if not found:
-            raise InputError(
-                f"{recordings[0]}: got no transition under an action of the filter with a latent; record more"
-            )
-        self._found = found
+            raise InputError("recordings: got no transition under an action of the filter with a latent; record more")
+        self.drive = np.array([transition.drive for transition in found])
         self.state = np.array([transition.before.values for transition in found])
         self.action = np.array([transition.after.applied for transition in found])
         self.following = np.array([transition.after.values for transition in found])
@@ -61,16 +64,7 @@ class RecordedTransitions:
         self.footprints = {transition.before.footprint for transition in found}
 
     def __len__(self) -> int:
-        return len(self._found)
-
-    def barriers(self, row: int) -> Sequence[AbstractBarrier]:
-        """Of the scene in which a transition began. Raises InputError when it is none."""
-        if isinstance(self._scenes, PointScene):
-            self._scenes.learn(self.latent[row])
-        scene = self._scenes.of(self._found[row].before)
-        if isinstance(scene, str):
-            raise InputError(f"the {scene}")
-        return scene
+        return len(self.drive)
 
 
 def calibration_from_recordings(
@@ -81,41 +75,90 @@ def calibration_from_recordings(
     date: str,
     constants: Mapping[str, float] | None = None,
 ) -> MarginCalibration:
-    """Both margins by kind, and what share of fresh transitions each covers; ``constants`` are added to its own.
+    """The margins by kind, and what share of fresh data each covers; ``constants`` are added to its own.
 
-    Every fifth block of 5 s is fresh: not used for the margins. Raises InputError when the recordings hold too few
-    transitions, or latents of another model.
+    With enough drives (a drive is one start of one robot) every fifth drive is fresh, and the margins are over drives:
+    for a step near a boundary, and for a whole drive. With fewer, every fifth block of 5 s is fresh, transitions are
+    taken for exchangeable, all of them count, near a boundary or not, and nothing is said about drives. Raises
+    InputError when the recordings hold too few transitions, or latents of another model.
     """
-    found = RecordedTransitions(model, settings, recordings)
-    fresh = np.arange(len(found)) // _BLOCK % _SHARE == _SHARE - 1
-    errors = one_step_errors(model, found.barriers, found.state, found.action, found.following, found.latent)
-    used = {kind: values[~fresh] for kind, values in errors.items()}
-    calibration = calibration_from_errors(used, coverage, date, fingerprint(model))
+    drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
+    walked = [(ticks, drive_heights(model, settings, ticks)) for ticks in drives]
+    along = [heights for _, heights in walked if heights]
+    found = RecordedTransitions([ticks for ticks, heights in walked if heights])
+    if by_drives := len(along) - len(along) // _SHARE >= smallest_sample(coverage):
+        made = _over_drives(along, settings, coverage, date, fingerprint(model))
+    else:
+        made = _over_blocks(along, settings.eta, coverage, date, fingerprint(model))
+    fresh = (found.drive if by_drives else np.arange(len(found)) // _BLOCK) % _SHARE == _SHARE - 1
     bound = recorded_bound(model, settings, found, ~fresh, coverage)
-    theorem = {kind: value for kind, value in bound.margins.items() if kind in errors}
-    covered = {
-        f"{name}.{kind}": float((errors[kind][fresh] <= epsilon).mean())
-        for name, table in (("conformal", calibration.epsilon), ("theorem", theorem))
-        for kind, epsilon in table.items()
-        if fresh.any()
+    theorem = {kind: value for kind, value in bound.margins.items() if kind in made.epsilon}
+    made = replace(made, theorem=theorem, constants={**made.constants, **bound.constants, **(constants or {})})
+    return replace(made, covered=_covered(made, along, Ceiling.of_settings(settings), by_drives=by_drives))
+
+
+def _over_drives(
+    along: Sequence[Mapping[str, Values]], settings: FilterSettings, coverage: float, date: str, own: str
+) -> MarginCalibration:
+    used = [heights for number, heights in enumerate(along) if number % _SHARE != _SHARE - 1]
+    return calibration_from_drives(used, coverage, date, own, Ceiling.of_settings(settings))
+
+
+def _over_blocks(
+    along: Sequence[Mapping[str, Values]], eta: float, coverage: float, date: str, own: str
+) -> MarginCalibration:
+    used = {kind: values[~fresh] for kind, (values, fresh) in _all_errors(along, eta).items()}
+    return calibration_from_errors(used, coverage, date, own)
+
+
+def _all_errors(along: Sequence[Mapping[str, Values]], eta: float) -> dict[str, tuple[Values, NDArray[np.bool_]]]:
+    """By kind the errors (steps,) of all drives, one after the other, and which of them are fresh."""
+    kinds = dict.fromkeys(kind for heights in along for kind in heights)
+    ceiling = Ceiling(eta)
+    joined = {kind: np.concatenate([heights[kind] for heights in along if kind in heights]) for kind in kinds}
+    return {
+        kind: (ceiling.errors(kind, rows), np.arange(len(rows)) // _BLOCK % _SHARE == _SHARE - 1)
+        for kind, rows in joined.items()
     }
-    return replace(calibration, theorem=theorem, constants={**bound.constants, **(constants or {})}, covered=covered)
 
 
-def _transitions(path: Path, model: str) -> Iterator[_Transition]:
-    """Pairs of consecutive states with the latent of the first; messages may stand in the file in any order."""
-    states: dict[_Stamp, StateMessage] = {}
-    latents: dict[_Stamp, LatentMessage] = {}
+def _covered(
+    made: MarginCalibration, along: Sequence[Mapping[str, Values]], ceiling: Ceiling, *, by_drives: bool
+) -> dict[str, float]:
+    """Share of the fresh steps that each margin covers, and of fresh drives that ``drive`` covers as a whole."""
+    told: dict[str, float] = {}
+    blocks, fresh = _all_errors(along, ceiling.eta), along[_SHARE - 1 :: _SHARE]
+    for name, table in (("conformal", made.epsilon), ("theorem", made.theorem), ("drive", made.drive)):
+        for kind, epsilon in table.items():
+            if by_drives:
+                shares = covered_shares(fresh, kind, epsilon, ceiling)
+                told[f"{name}.{kind}"] = float((shares == 1.0).mean() if name == "drive" else shares.mean())
+            elif (left := blocks[kind][0][blocks[kind][1]]).size:
+                told[f"{name}.{kind}"] = float((left <= epsilon).mean())
+    return told
+
+
+def _drives(path: Path, model: str) -> list[list[DrivenTick]]:
+    """One list for each start of a robot; messages may stand in the file in any order."""
+    states: dict[_Start, dict[int, StateMessage]] = {}
+    latents: dict[_Start, dict[int, LatentMessage]] = {}
     for key, _, message in read_messages(path):
-        stamp = (key.split("/")[2], message.epoch, message.tick)
+        start = (key.split("/")[2], message.epoch)
         if isinstance(message, LatentMessage):
             if message.model != model:
                 raise InputError(f"{path}: latents of model {message.model}, wanted {model}; drive with that model")
-            latents[stamp] = message
+            latents.setdefault(start, {})[message.tick] = message
         elif isinstance(message, StateMessage):
-            states[stamp] = message
-    for robot, epoch, tick in sorted(states):
-        before = states[robot, epoch, tick]
-        after, latent = states.get((robot, epoch, tick + 1)), latents.get((robot, epoch, tick))
-        if after is not None and latent is not None and after.applied_by == "filter":
-            yield _Transition(before, after, latent.values)
+            states.setdefault(start, {})[message.tick] = message
+    return [
+        [DrivenTick(known[tick], latents.get(start, {}).get(tick)) for tick in sorted(known)]
+        for start, known in sorted(states.items())
+    ]
+
+
+def _transitions(drive: int, ticks: Sequence[DrivenTick]) -> Iterator[_Transition]:
+    """Pairs of consecutive states with the latent of the first."""
+    for before, after in pairwise(ticks):
+        wanted = after.state.tick == before.state.tick + 1 and after.state.applied_by == "filter"
+        if wanted and before.latent is not None:
+            yield _Transition(before.state, after.state, before.latent.values, drive)

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.closed_loop import ClosedLoop, Model, fixed
+from safedpa.safety.compatibility import check_reads
 from safedpa.safety.differences import central_slopes
 from safedpa.safety.function_barrier import FunctionBarrier
 from safedpa.safety.swept import Least, Place, chord_point, least_along
@@ -44,17 +45,18 @@ class RolloutBarrier(AbstractBarrier):
 
     ``model``: a model of this project, a ``Prediction``, ``affine(x) -> f, g`` as the filter takes it, or
     ``step(x, a)``; it should be the filter's own. ``backup(x (states,)) -> action (actions,)``, or one constant action.
-    ``h(x) -> float or (m,)`` with ``names`` and the states that it ``reads``, or another barrier, whose names, kind
-    and states are taken. ``horizon``: ticks of
-    the model, 1 or more; those that lie beyond the backup's rest cost nothing. ``latent``: the model's, for all
-    ticks; a filter whose latent is estimated while it drives gets a new barrier with each decision.
+    ``h(x) -> float or (m,)`` with ``names`` and the states that it ``reads``, or another barrier, whose names, kind and
+    states are taken. ``horizon``: ticks of the model, 1 or more; those that lie beyond the backup's rest cost nothing.
+    ``latent``: the model's, for all ticks; a filter whose latent is estimated while it drives gets a new barrier with
+    each decision.
 
     The minimum is exact, not softened; the gradient is that of the place where it is taken: by the recorded equations
     where the model has them, the backup is constant and h knows its own gradient; else by central differences of the
     whole way to there, whose steps have no unit. Where two places are equally low it belongs to the earlier one:
     the filter evaluates H itself at every action that it hands out, so a kink costs it nearness to the wish, no safety.
 
-    Raises InputError for a horizon below 1, a model whose actuators remember, and at evaluation for a wrong shape.
+    Raises InputError for a horizon below 1, a model whose actuators remember, an h that reads other states than the
+    model's, and at evaluation for a wrong shape.
     """
 
     def __init__(
@@ -77,6 +79,10 @@ class RolloutBarrier(AbstractBarrier):
         self.names, self.kind, self.reads, self.horizon = own.names, own.kind, own.reads, int(horizon)
         self.loop = ClosedLoop(model, backup, latent)
         self._h = own
+        system = self.loop.prediction.system
+        if system is not None:
+            check_reads([own], system.state_names)
+        self.reads = own.reads if system is None else system.state_names
         self._knows_gradient = not isinstance(own, FunctionBarrier)
 
     def values(self, state: Values) -> Values:  # noqa: D102

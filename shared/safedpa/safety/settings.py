@@ -18,7 +18,7 @@ from safedpa.safety.braking import Braking
 __all__ = ["FilterSettings", "load_settings", "parse_settings", "save_settings", "write_settings"]
 
 FORMAT = 1
-MARGINS = ("conformal", "theorem")
+MARGINS = ("conformal", "drive", "theorem")
 """Names of margins in a calibration."""
 _DEFAULT_SYSTEM = "car"
 _DEFAULT_BOUNDS = {"action_low": (-0.6, -0.34), "action_high": (2.0, 0.34)}
@@ -51,7 +51,8 @@ class FilterSettings:
     epsilon: Mapping[str, float] = field(default_factory=lambda: {"obstacle": 0.01, "field": 0.01, "speed": 0.01})
     """Margin by kind of barrier, in the unit of h, >= 0; ``default`` for kinds not named, else 0."""
     margin: str | float = "conformal"
-    """Which epsilon a filter with a calibration uses: its ``conformal`` or ``theorem`` table, or this number."""
+    """Which epsilon a filter with a calibration uses: its ``conformal`` (for a step), ``drive`` or ``theorem`` one, or
+    this number."""
     action_low: tuple[float, ...] = _LEFT_OUT
     """(actions,) hard actuator bounds; left out, the car's: -0.6 m/s, -0.34 rad."""
     action_high: tuple[float, ...] = _LEFT_OUT

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier
 
-__all__ = ["ENDS", "Motion", "StoppingBarrier", "stopping_action", "stopping_path", "stopping_room"]
+__all__ = ["ENDS", "Motion", "StoppingBarrier", "nearer_end", "stopping_action", "stopping_path", "stopping_room"]
 
 Floats = NDArray[np.float64]
 
@@ -39,9 +39,9 @@ GAIN: Final = 12.0
 """1/s of the turning."""
 FAINT: Final = 0.05
 """m/s2 of wanted acceleration below which the turning fades: a robot at rest in still air need not turn."""
-FAR: Final = 0.5
-"""Cosine: the other end takes over when this one is more than 120 degrees from where it has to push."""
 _NUDGE = 1e-4
+_ALIKE = 1e-6
+"""m; where either end leaves the same room the one that has less to turn is taken."""
 
 
 @final
@@ -61,11 +61,12 @@ class Motion:
     """m by which the position of the state, the centre of mass, lies ahead of the middle, whose room counts."""
 
 
-def stopping_action(state: Floats, motion: Motion, end: Floats) -> tuple[Floats, Floats, Floats]:
-    """(thrust acceleration [m/s2], turn [rad/s]) of the manoeuvre for states (5, robots), and the end that pushes.
+def stopping_action(state: Floats, motion: Motion, end: Floats) -> tuple[Floats, Floats]:
+    """(thrust acceleration [m/s2], turn [rad/s]) of the manoeuvre for states (5, robots).
 
-    ``end`` (robots,): 1 where the nose shall point to where the robot has to push, -1 where the tail shall; it changes
-    once the other end is nearer by far.
+    ``end`` (robots,): 1 where the nose shall point to where the robot has to push, -1 where the tail shall. It is kept
+    all the way: where it changed along the way h would jump with the state, and with what is believed of the wind, from
+    one side of the change to the other.
     """
     ahead, aside = np.cos(state[2]), np.sin(state[2])
     wanted_x = -state[3] / STOP_SECONDS - motion.wind[0] + motion.drag * state[3]
@@ -73,10 +74,15 @@ def stopping_action(state: Floats, motion: Motion, end: Floats) -> tuple[Floats,
     along = wanted_x * ahead + wanted_y * aside
     across = wanted_y * ahead - wanted_x * aside
     size = np.sqrt(along * along + across * across)
-    end = np.where(end * along < -FAR * size, -end, end)
     error = np.arctan2(end * across, end * along) * size / (size + FAINT)
     thrust = np.clip(along, -motion.strongest, motion.strongest)
-    return thrust, np.clip(GAIN * error, -motion.fastest, motion.fastest), end
+    return thrust, np.clip(GAIN * error, -motion.fastest, motion.fastest)
+
+
+def nearer_end(state: Floats, motion: Motion) -> float:
+    """1 where the nose of one robot at ``state`` (5,) is nearer to where it has to push, else -1."""
+    wanted = [-state[3 + axis] / STOP_SECONDS - motion.wind[axis] + motion.drag * state[3 + axis] for axis in (0, 1)]
+    return 1.0 if wanted[0] * np.cos(state[2]) + wanted[1] * np.sin(state[2]) >= 0.0 else -1.0
 
 
 def stopping_path(state: Floats, motion: Motion, end: Floats) -> Floats:
@@ -88,7 +94,7 @@ def stopping_path(state: Floats, motion: Motion, end: Floats) -> Floats:
     path = np.empty((STEPS + 1, 2, now.shape[1]), dtype=now.dtype)
     path[0] = _middle(now, motion)
     for step in range(1, STEPS + 1):
-        thrust, turn, end = stopping_action(now, motion, end)
+        thrust, turn = stopping_action(now, motion, end)
         middle = now[2] + 0.5 * STEP_SECONDS * turn
         now[2] += STEP_SECONDS * turn
         for axis, heading in ((0, np.cos(middle)), (1, np.sin(middle))):
@@ -154,7 +160,8 @@ class StoppingBarrier(AbstractBarrier):
         from safedpa.safety.stopping_walk import least_rooms
 
         rooms = [least_rooms(state, self._motion, float(end), self._places, self._radii) for end in ENDS]
-        best = int(rooms[1].min() > rooms[0].min()) if self._radii.size else 0
+        more = float(rooms[1].min() - rooms[0].min()) if self._radii.size else 0.0
+        best = int(more > 0.0) if abs(more) > _ALIKE else int(nearer_end(state, self._motion) < 0.0)
         return rooms[best], float(ENDS[best])
 
     def _rooms(self, states: Floats, end: Floats) -> Floats:

@@ -7,7 +7,7 @@ from math import atan2, cos, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.stopping_barrier import FAINT, FAR, GAIN, STEP_SECONDS, STEPS, STOP_SECONDS, Motion
+from safedpa.safety.stopping_barrier import FAINT, GAIN, STEP_SECONDS, STEPS, STOP_SECONDS, Motion
 
 __all__ = ["least_rooms"]
 
@@ -35,8 +35,6 @@ def _places(state: list[float], motion: Motion, end: float) -> list[tuple[float,
         along = wanted_x * ahead + wanted_y * aside
         across = wanted_y * ahead - wanted_x * aside
         size = sqrt(along * along + across * across)
-        if end * along < -FAR * size:
-            end = -end
         error = atan2(end * across, end * along) * size / (size + FAINT)
         thrust = min(max(along, -strongest), strongest)
         turn = min(max(GAIN * error, -fastest), fastest)

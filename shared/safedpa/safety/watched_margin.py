@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import isfinite, isnan, nan
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.safety.barrier import AbstractBarrier, AbstractStack
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.car_stack import stacked
+from safedpa.safety.ceiling import NO_CEILING, Ceiling, Seen
 from safedpa.safety.margin import OnlineMargin
+from safedpa.safety.margin_change import PhasedMargin, least_by_kind
+from safedpa.safety.trail import Foretold
 
-__all__ = ["WatchedMargin"]
+__all__ = ["Seen", "WatchedMargin"]
 
 Values = NDArray[np.float64]
 
@@ -28,17 +31,33 @@ _WINDOW = 500
 class WatchedMargin:
     """epsilon by kind of barrier. After each period the prediction of h is held against the measurement:
 
-    error = max over the kind's barriers of h(x predicted) - h(x measured), positive where the model hoped too much.
+    error = min(h', H) - min(h, H),   h' = the least h of the kind at x predicted, h = the least at x measured,
+
+    positive where the model hoped too much (past a dead time see ``Seen``). The barriers of h' are those of the last
+    decision: other functions where they depend on the latent, which changed since. H is the ``Ceiling``: a step in
+    which both are above it says nothing about the boundary and is no error at all. The least counts, since it is what
+    has to stay above 0: a hazard that comes nearer than predicted behind another that is nearer still does no harm.
     """
 
-    def __init__(self, calibration: MarginCalibration) -> None:
+    def __init__(
+        self,
+        calibration: MarginCalibration,
+        ceiling: Ceiling = NO_CEILING,
+        phased: PhasedMargin | None = None,
+    ) -> None:
         self._margins = {
             kind: OnlineMargin(calibrated, calibration.coverage, _RATE, _WINDOW)
             for kind, calibrated in calibration.epsilon.items()
         }
         self.promised = calibration.coverage if calibration.date != "never" else -1.0
         """Share of the steps that the margin was calibrated for; -1 of one that no data stand behind."""
+        self._ceiling, self._phased = ceiling, phased
+        self.learns = True
+        """Whether errors move the margins."""
+        self.seen: dict[str, Seen] = {}
+        """By kind, what was predicted for the last state that was observed, and what came."""
         self._expected: Sequence[float] | None = None
+        self._then: Sequence[AbstractBarrier] | None = None
 
     @property
     def coverage(self) -> float:
@@ -53,28 +72,70 @@ class WatchedMargin:
     @property
     def epsilon(self) -> dict[str, float]:
         """The margins in force."""
-        return {kind: margin.value for kind, margin in self._margins.items()}
+        watched = {kind: margin.value for kind, margin in self._margins.items()}
+        return watched if self._phased is None else self._phased.limited(watched)
 
-    def expect(self, next_state: Sequence[float] | Values | None) -> None:
-        """Keeps the prediction (states,) for the next measurement; None: there is none."""
+    @property
+    def remark(self) -> str:
+        """What a verdict has to say about the margins in force; empty while they are what was calibrated, or wider."""
+        return "" if self._phased is None else self._phased.sentence
+
+    def rise(self, state: Sequence[float] | Values, barriers: Sequence[AbstractBarrier], period: float) -> None:
+        """Brings more of a new model's margins into force, as h at ``state`` (states,) allows; once per tick."""
+        if self._phased is None:
+            return
+        self._phased.rise(least_by_kind(stacked(barriers), _plain(state)), period)
+        if not self._phased.waiting:
+            self._phased = None
+
+    def expect(
+        self, next_state: Sequence[float] | Values | None, barriers: Sequence[AbstractBarrier] | None = None
+    ) -> None:
+        """Keeps the prediction (states,) for the next measurement; None: there is none.
+
+        ``barriers`` are those that the decision kept, for barriers that are others by the next period.
+        """
         self._expected = None if next_state is None else _plain(next_state)
+        self._then = barriers
 
-    def observe(self, state: Sequence[float] | Values, barriers: Sequence[AbstractBarrier]) -> None:
-        """Holds the last prediction against the measured ``state`` (states,); call it once per period."""
-        expected, self._expected = self._expected, None
-        if expected is None or len(expected) != len(state):
-            return
-        stack = stacked(barriers)
-        if not stack.names:
-            return
-        hoped, measured = stack.heights(expected), stack.heights(_plain(state))
-        errors = [before - after for before, after in zip(hoped, measured, strict=True)]
-        for kind, rows in stack.rows.items():
+    def observe(
+        self,
+        state: Sequence[float] | Values,
+        barriers: Sequence[AbstractBarrier],
+        *,
+        same_scene: bool = True,
+        late: Foretold | None = None,
+    ) -> None:
+        """Holds the last prediction against the measured ``state`` (states,); call it once per period.
+
+
+        ``late``: what was predicted past a dead time, in place of the last prediction. There a condition is posed at a
+        state that is predicted itself, so the error of h there counts as well, (1 - eta) times with the other sign.
+        Unless it is the ``same_scene`` the barriers of now stand for those of then: what else came into the scene no
+        model foresees.
+        """
+        self.seen = self._heights(_plain(state), stacked(barriers), late, same_scene=same_scene)
+        for kind, seen in self.seen.items():
             margin = self._margins.get(kind)
-            if margin is not None:
-                worst = _largest([errors[row] for row in rows])
-                if isfinite(worst):
-                    margin.update(worst)
+            if margin is not None and self.learns:
+                error = self._ceiling.error(kind, seen, margin.value)
+                if error is not None and isfinite(error):
+                    margin.update(error)
+
+    def _heights(
+        self, state: Sequence[float], stack: AbstractStack, late: Foretold | None, *, same_scene: bool
+    ) -> dict[str, Seen]:
+        expected, self._expected = self._expected, None
+        expected = expected if late is None else late.hoped
+        if expected is None or len(expected) != len(state) or not stack.names:
+            return {}
+        then = stacked(self._then) if self._then is not None and same_scene else stack
+        if then.names != stack.names:
+            then = stack
+        tables = [then.heights(expected), stack.heights(state)]
+        if late is not None:
+            tables += [then.heights(late.hoped_before), stack.heights(late.before)]
+        return {kind: Seen(*(_least(h, rows) for h in tables)) for kind, rows in stack.rows.items()}
 
 
 def _plain(state: Sequence[float] | Values) -> Sequence[float]:
@@ -82,6 +143,7 @@ def _plain(state: Sequence[float] | Values) -> Sequence[float]:
     return state.tolist() if isinstance(state, np.ndarray) else state
 
 
-def _largest(errors: list[float]) -> float:
+def _least(h: Sequence[float], rows: Iterable[int]) -> float:
     """NaN where one is: then the sum is none either."""
-    return max(errors) if isfinite(sum(errors)) or not any(map(isnan, errors)) else nan
+    values = [h[row] for row in rows]
+    return min(values) if not isnan(sum(values)) or not any(map(isnan, values)) else nan

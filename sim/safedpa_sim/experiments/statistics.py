@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["mean_interval", "ratio_interval", "wilson_interval"]
+__all__ = ["clopper_pearson_interval", "cluster_interval", "mean_interval", "ratio_interval", "wilson_interval"]
 
 _NORMAL_95 = 1.959963984540054
 
@@ -24,6 +24,36 @@ def wilson_interval(hits: int, trials: int) -> tuple[float, float]:
     spread = _NORMAL_95 * sqrt(share * (1 - share) / trials + square / (4 * trials**2))
     scale = 1 + square / trials
     return max(0.0, (centre - spread) / scale), min(1.0, (centre + spread) / scale)
+
+
+def clopper_pearson_interval(hits: int, trials: int) -> tuple[float, float]:
+    """95 % interval of the share hits / trials that covers at least as often as it says, for any share.
+
+    Source: Clopper and Pearson, Biometrika 26 (1934) 404. Raises ValueError unless 0 <= hits <= trials and trials > 0.
+    """
+    from scipy.stats import beta
+
+    if not 0 <= hits <= trials or trials == 0:
+        raise ValueError(f"got {hits} hits of {trials} trials, wanted 0 <= hits <= trials, trials > 0")
+    low = float(beta.ppf(0.025, hits, trials - hits + 1)) if hits else 0.0
+    high = float(beta.ppf(0.975, hits + 1, trials - hits)) if hits < trials else 1.0
+    return low, high
+
+
+def cluster_interval(shares: NDArray[np.float64], seed: int = 0, draws: int = 4000) -> tuple[float, float]:
+    """95 % interval of the mean of shares (drives,), one a drive, by drawing whole drives with replacement.
+
+    Steps of one drive are alike; an interval that counts them as independent is too narrow. Where all shares are 1 the
+    drives are counted instead: a share below 1 in none of n drives. Raises ValueError without a drive.
+    """
+    values = np.asarray(shares, dtype=np.float64)
+    if not len(values):
+        raise ValueError("got no drive, wanted one at least")
+    if values.min() == values.max():
+        return float(values[0]) * clopper_pearson_interval(len(values), len(values))[0], float(values[0])
+    picked = np.random.default_rng(seed).integers(0, len(values), (draws, len(values)))
+    low, high = np.quantile(values[picked].mean(axis=1), [0.025, 0.975])
+    return float(low), float(high)
 
 
 def mean_interval(values: NDArray[np.float64]) -> list[float]:

@@ -106,24 +106,16 @@ def _agreed_and_never_mixed(world: World, episode: Episode) -> str:
 def mixed_in(observer: Observer) -> list[Stamp]:
     """Periods in which the filter decided by another model than the latent's, and did not brake.
 
-    The filter's model at a tick is known from its own words: ``taken`` is stamped with the first tick of the new one.
+    The filter's model is the one that its verdict names. In real time its latent may be one tick old.
     """
-    taken = [
-        (at, message)
-        for at, message in observer.said
-        if isinstance(message, TakeoverMessage) and message.service == "safety_filter" and message.state == "taken"
-    ]
     found = []
     for stamp, model in observer.latent_models.items():
-        before = [message for at, message in taken if _is_before(at, message, stamp, observer.heard.get(stamp, 0.0))]
-        if before and _decided(observer.verdicts.get(stamp)) and model != before[-1].fingerprint:
+        verdict = observer.verdicts.get(stamp)
+        if verdict is None or not _decided(verdict) or not verdict.model:
+            continue
+        if verdict.model not in (model, observer.latent_models.get((stamp[0], stamp[1] - 1))):
             found.append(stamp)
     return found
-
-
-def _is_before(at: float, message: TakeoverMessage, stamp: Stamp, heard: float) -> bool:
-    """By ticks within one run of the robot, by the clock between two."""
-    return message.tick <= stamp[1] if message.epoch == stamp[0] else at < heard
 
 
 def _decided(verdict: VerdictMessage | None) -> bool:

@@ -135,7 +135,7 @@ def _corrected(state: Floats, wish: Floats, around: Around, needed: Floats) -> t
         action[holds & ~good] = found[holds & ~good]
         good |= holds
         place = found
-    thrust, turn, _ = stopping_action(state.T, around.believed.motion, around.end)
+    thrust, turn = stopping_action(state.T, around.believed.motion, around.end)
     manoeuvre = np.clip(np.stack((thrust, turn), axis=1) / around.believed.scale, -1.0, 1.0)
     action[~good] = manoeuvre[~good]
     lost = np.flatnonzero(~good & around.without_room)

@@ -13,6 +13,7 @@ from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.footprint import footprint, towed_reach
 from safedpa_sim.robots.guard import ActionGuard
+from safedpa_sim.robots.late_commands import LateCommands
 from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
@@ -39,6 +40,8 @@ class CarRobot(SimulatedRobot):
         epoch: int = 1,
         wall_clock: Callable[[], float] = time.time,
         change: PlannedChange | None = None,
+        late: LateCommands | None = None,
+        until_action: float = 0.0,
     ) -> None:
         if not 0.0 < period <= 1.0:
             raise InputError(f"period: got {period} s, wanted more than 0 and at most 1 s")
@@ -47,13 +50,13 @@ class CarRobot(SimulatedRobot):
         car = self.world.parameters
         self.changed_at: int | None = None
         """Tick in which the planned change was made."""
-        self._change = change
+        self._change, self._late = change, late
         self._taken = scene.load, footprint(scene.load), towed_reach(scene.load)
         """What it tows, and the room that it takes with it."""
         self._goals = scene.goals()
         self.goal = next(self._goals)
         guard = ActionGuard(epoch, (car.speed_low, -car.steer_limit), (car.speed_high, car.steer_limit))
-        super().__init__(guard, period, lockstep, wall_clock)
+        super().__init__(guard, period, lockstep, wall_clock, until_action)
 
     @property
     def values(self) -> tuple[float, float, float, float]:
@@ -104,7 +107,10 @@ class CarRobot(SimulatedRobot):
     def _live(self) -> None:
         if self._change is not None and self._change.made(self):
             self._change, self.changed_at = None, self.tick
-        self.world.advance(self._applied[0], self._applied[1], self.period)
+        drive, steer = self._applied
+        parts = ((drive, steer, self.period),) if self._late is None else self._late.felt((drive, steer), self.period)
+        for felt_drive, felt_steer, seconds in parts:
+            self.world.advance(felt_drive, felt_steer, seconds)
         x, y, _, _ = self.world.state
         if hypot(self.goal[0] - x, self.goal[1] - y) < GOAL_RADIUS:
             self.goals_reached += 1

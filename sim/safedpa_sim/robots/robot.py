@@ -20,11 +20,20 @@ Numbers = tuple[float, ...]
 class SimulatedRobot(ABC):
     """One period at a time: publish ``state_message()``, ``receive`` actions, ``advance``.
 
-    The action of tick k acts over the whole period that follows state k, in real time as in lockstep. Whoever inherits
+    The action of tick k acts over the whole period that follows state k, in real time as in lockstep; of a body that
+    gets its commands late, ``until_action`` seconds later is what it tells. Whoever inherits
     has a body before it calls this constructor, which takes up its first state.
     """
 
-    def __init__(self, guard: ActionGuard, period: float, lockstep: bool, wall_clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        guard: ActionGuard,
+        period: float,
+        lockstep: bool,
+        wall_clock: Callable[[], float],
+        until_action: float = 0.0,
+    ) -> None:
+        self._until_action = until_action
         self.guard, self.period, self.lockstep = guard, period, lockstep
         self.tick = self.goals_reached = self.watchdog_ticks = 0
         self._wall_clock = wall_clock
@@ -120,6 +129,7 @@ class SimulatedRobot(ABC):
             goals_reached=self.goals_reached,
             collisions=len(self.collisions),
             corridor=corridor,
+            until_action=self._until_action,
             towed=towed,
         )
 

@@ -132,22 +132,22 @@ def _over_length(folder: Path, effort: Effort) -> Curve:
 
 def _over_effects(log: Any, effort: Effort) -> Curve:
     """Seconds of our search over the number of candidates in the library."""
-    from safedpa.diagnosis.diagnose import library_for, prepared
-    from safedpa.diagnosis.heldout import heldout_of
+    from safedpa.diagnosis.diagnose import library_for
+    from safedpa.diagnosis.evidence import evidence_at
+    from safedpa.diagnosis.readiness import prepared
     from safedpa.diagnosis.search import searched
-    from safedpa.diagnosis.shooting import shooting_of
     from safedpa.dynamics import load_model
     from safedpa.records import load_run
 
     model = load_model(log.model)
-    used, _ = prepared(model, [load_run(path, model.system) for path in log.runs], _HORIZON)
-    heldout, shooting = heldout_of(used, _HORIZON), shooting_of(used, _HORIZON)
+    usable = prepared(model, [load_run(path, model.system) for path in log.runs])
+    evidence = evidence_at(usable.runs, usable.seconds)
     hidden = set(log.case.effects)
     library = sorted(library_for(model), key=lambda item: item.name not in hidden)
     counts, times = effort.of((2, 4), (2, 6, 12, len(library))), []
     for count in counts:
         began = time.process_time()
-        searched(model, library[:count], shooting, heldout)
+        searched(model, library[:count], evidence.shooting, evidence.heldout)
         times.append(time.process_time() - began)
     series: dict[str, tuple[float | None, ...]] = {"safedpa": tuple(times)}
     return Curve("diagnosis_effects", "candidate effects", "search [s of processor]", tuple(map(float, counts)), series)

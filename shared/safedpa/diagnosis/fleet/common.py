@@ -174,21 +174,22 @@ def mended_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Settin
 
 def mended_error(task: MendTask) -> tuple[str, float]:
     """The robot's name and its held-out error with the mended model; NaN where its data cannot be read any more."""
-    from safedpa.diagnosis.diagnose import prepared
-    from safedpa.diagnosis.heldout import heldout_of
+    from safedpa.diagnosis.evidence import evidence_at, shown_of
+    from safedpa.diagnosis.heldout import error_with
+    from safedpa.diagnosis.readiness import prepared
     from safedpa.diagnosis.search import begun
-    from safedpa.diagnosis.shooting import shooting_of
     from safedpa.dynamics import load_model
 
     model = mended_model(load_model(task.options.model), task.settings)
     try:
         runs, _ = read_runs(model, task.robot, task.options)
-        used, _ = prepared(model, runs, task.options.horizon)
-        heldout = heldout_of(used, task.options.horizon)
-        found = begun(model, shooting_of(used, min(task.options.horizon, 2.0)), heldout)
+        usable = prepared(model, runs)
+        evidence = evidence_at(usable.runs, usable.seconds)
+        shown = shown_of(usable.runs, task.options.horizon, evidence)
+        found = begun(model, evidence.shooting, evidence.heldout)
     except SafedpaError:
         return task.robot.name, math.nan
-    return task.robot.name, found.error.value
+    return task.robot.name, error_with(found.current.fit, found.shooting, shown).value
 
 
 def confirmed(before: Mapping[str, float], after: Mapping[str, float]) -> Confirmation:

@@ -103,11 +103,22 @@ def _diagnosed(
     texts = {"report.json": json.dumps(document, allow_nan=False, indent=1) + "\n"}
     texts |= _model_text(report.models[-1])
     texts["report.html"] = _page(document, runs, report, task)
-    none = report.verdict == "unexplained" and not (report.unexplained and report.unexplained.depends_on)
-    reason = report.unexplained.expression if none and report.unexplained else ""
-    reason = reason or ("the model predicts badly whatever is added" if none else "")
+    silent = not (report.unexplained and report.unexplained.depends_on)
+    none = report.verdict in ("unexplained", "undecided") and silent
+    reason = _why_none(report) if none else ""
     measured = sum(run.duration for run in runs)
     return "no_verdict" if none else "diagnosed", reason, (report, measured), texts, unread
+
+
+def _why_none(report: Report) -> str:
+    """Why there is no verdict."""
+    if report.unexplained is not None:
+        return report.unexplained.expression
+    if report.verdict != "undecided":
+        return "the model predicts badly whatever is added"
+    if report.closest:
+        return f"not enough data to tell; closest: {report.closest[0].effect}"
+    return "the data are too uniform to tell"
 
 
 def read_runs(model: PhysicsModel, robot: RobotLogs, options: Options) -> tuple[list[Run], list[dict[str, str]]]:

@@ -239,13 +239,13 @@ class ModelChanges:
         self._coming = change.version
         if not change.repair:
             self._candidates = {}  # they were sought for the model that goes
-        self.sentence = f"{change.name}: used from tick {change.from_tick} on"
+        self.sentence = f"{change.name}: used from tick {change.from_tick} on{change.consequence}"
         return change.message("take")
 
     def _collect(self, change: UnderWay) -> ModelMessage | None:
         late = bool(change.refused) or change.steps > self._settings.ahead + self._settings.taken
         if not change.unconfirmed and self._coming is None:
-            self._finish(f"{change.name}: taken by everyone")
+            self._finish(f"{change.name}: taken by everyone{change.consequence}")
             self._strays.mended()
         elif late and self._coming is None:
             self._finish(f"{change.name}: {change.unconfirmed} did not confirm it")

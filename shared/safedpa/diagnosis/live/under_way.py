@@ -38,6 +38,8 @@ class UnderWay:
     taken: set[str] = field(default_factory=set)
     refused: str = ""
     """Why it cannot be, before it was decided."""
+    foretold: str = ""
+    """What a service says that the change will do."""
     epoch: int = 0
     from_tick: int = 0
 
@@ -45,6 +47,11 @@ class UnderWay:
     def name(self) -> str:
         """For sentences."""
         return f"change {self.number} ({self.why})"
+
+    @property
+    def consequence(self) -> str:
+        """What it does, as the end of a sentence; empty where nothing was told."""
+        return f"; {self.foretold}" if self.foretold else ""
 
     @property
     def unconfirmed(self) -> str:
@@ -75,6 +82,7 @@ class UnderWay:
             self.refused = f"{message.service} refused it: {message.reason}"
         elif message.state in ("ready", "taken"):
             self.ready.add(message.service)
+            self.foretold = message.foretold or self.foretold
             if message.state == "taken":
                 self.taken.add(message.service)
 

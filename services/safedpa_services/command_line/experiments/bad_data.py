@@ -1,0 +1,27 @@
+"""``safedpa experiment bad-data``: twenty bad files from one good log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command(name="bad-data")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for the files.")
+def command(log: Path, out: Path) -> None:
+    """Spoil a good LOG of a car (CSV, native columns) in twenty ways.
+
+    Frozen sensors, dead commands, wrong signs, late channels, other units, decimal commas and more: one file each, and
+    what has to be said about it by compare and diagnose.
+    """
+    from safedpa.errors import InputError
+    from safedpa_sim.hidden.bad_data import BAD, write_bad_files
+
+    if not log.is_file():
+        raise InputError(f"{log}: no such file; wanted a good log of a car as CSV")
+    for name, path in write_bad_files(log, out).items():
+        click.echo(f"{path}: {BAD[name].kind}, '... {BAD[name].said} ...'")

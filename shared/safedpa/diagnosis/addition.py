@@ -1,0 +1,64 @@
+"""One effect by choice: fitted on top of a model, whatever the ranking says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from safedpa.diagnosis.evidence import evidence_at, shown_of
+from safedpa.diagnosis.final_numbers import with_final_numbers
+from safedpa.diagnosis.fitted_values import values_of
+from safedpa.diagnosis.fitting import fit
+from safedpa.diagnosis.heldout import HeldoutError, error_with
+from safedpa.diagnosis.readiness import prepared
+from safedpa.diagnosis.report import Value
+from safedpa.diagnosis.search import begun
+from safedpa.diagnosis.trial import Trial, trial_of, tried
+from safedpa.dynamics import PhysicsModel
+from safedpa.effects import effect
+from safedpa.errors import InputError, RunError
+from safedpa.records.run import Run
+
+__all__ = ["Addition", "add_effect"]
+
+_ROUNDS = 2
+"""Fits about the model with the effect: the trial was one about the model without it."""
+_FEWEST = 3
+"""Windows."""
+
+
+@dataclass(frozen=True)
+class Addition:
+    """The fitted model, its numbers by path, and the held-out errors before and after."""
+
+    model: PhysicsModel
+    values: dict[str, Value]
+    before: HeldoutError
+    after: HeldoutError
+
+
+def add_effect(model: PhysicsModel, name: str, runs: Sequence[Run], horizon: float = 1.0) -> Addition:
+    """Fits one effect on top of a model at the horizon that the data choose; the errors are those after ``horizon``.
+
+    Raises InputError for an unknown effect or one that the model has, RunError for unusable runs.
+    """
+    item = effect(model.system.name, name)
+    if name in {own.name for own in model.effects}:
+        raise InputError(f"effect '{name}': the model has it already; mark its parameters free to refit them")
+    usable = prepared(model, runs)
+    evidence = evidence_at(usable.runs, usable.seconds)
+    shown = shown_of(usable.runs, horizon, evidence)
+    if len(evidence.shooting.windows) < _FEWEST:
+        raise RunError(
+            f"runs: got {len(evidence.shooting.windows)} windows of {usable.seconds:g} s, wanted at least {_FEWEST}; "
+            "record more"
+        )
+    search = begun(model, evidence.shooting, evidence.heldout)
+    shooting, found = search.shooting, tried(search.current, [item], search.shooting).fit
+    for _ in range(_ROUNDS):
+        shooting = shooting.around(found.model)
+        found = fit(found.model, found.paths, shooting, found.scale)
+    found, _ = with_final_numbers(found, shooting, evidence.heldout)
+    final: Trial = trial_of(found, shooting, (name,), None)
+    before = error_with(search.current.fit, search.shooting, shown)
+    return Addition(found.model, values_of(final, shooting), before, error_with(found, shooting, shown))

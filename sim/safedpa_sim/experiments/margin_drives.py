@@ -1,0 +1,172 @@
+"""Drives on which margins are calibrated and counted: each shipped robot and model behind the filter of the bus.
+
+A drive is one scene, one load or wind, one start: what is drawn anew from drive to drive, and what makes drives, not
+steps, exchangeable.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import LATENT, LatentMessage, Received, StateMessage
+from safedpa.dynamics import load_model
+from safedpa.policy import PolicyNode
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.drive_heights import DrivenTick, drive_heights
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import settings_named
+from safedpa.safety.theory_layer import Stay, stays_in_layer
+from safedpa_sim.closed_loop import Robot, drive
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.pendulum_robot import PendulumRobot
+from safedpa_sim.robots.pendulum_task import TASKS
+from safedpa_sim.robots.pendulum_world import wind_towards
+from safedpa_sim.robots.point_robot import PointRobot, force_towards
+from safedpa_sim.robots.scene import Scene
+
+__all__ = ["DRIVERS", "DriveOrder", "DriveResult", "Driver", "driven"]
+
+Values = NDArray[np.float64]
+
+LOADS: Final = ("none", "box", "chair", "large_chair")
+_MOST_WIND: Final = 5.0
+"""m/s"""
+_MOST_FORCE: Final = 0.008
+"""N"""
+
+
+def _car(seed: int) -> Robot:
+    return CarRobot(Scene.random(seed, LOADS[seed % len(LOADS)]), 0.05)
+
+
+def _pendulum(seed: int) -> Robot:
+    speed, direction = _drawn(seed, _MOST_WIND)
+    return PendulumRobot(TASKS["balance"], wind_towards(speed, direction), seed)
+
+
+def _swinging(seed: int) -> Robot:
+    """Balancing and swinging up in turn: the learned policy does both."""
+    speed, direction = _drawn(seed, _MOST_WIND)
+    return PendulumRobot(TASKS["balance" if seed % 2 else "swing"], wind_towards(speed, direction), seed)
+
+
+def _point(seed: int) -> Robot:
+    newton, direction = _drawn(seed, _MOST_FORCE)
+    return PointRobot(force_towards(newton, direction), seed)
+
+
+def _drawn(seed: int, most: float) -> tuple[float, float]:
+    """A strength and a direction [degrees]."""
+    draw = np.random.default_rng([seed, 77])
+    return float(draw.uniform(0.0, most)), float(draw.uniform(0.0, 360.0))
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A model that ships, the settings of its filter, the robot that it drives and for how long."""
+
+    model: str
+    settings: str
+    robot: Callable[[int], Robot]
+    seconds: float
+    controller: str | None = None
+    """None: as the model allows."""
+
+
+DRIVERS: Final = {
+    "car": Driver("car", "car", _car, 20.0),
+    "car_learned": Driver("car_learned", "car", _car, 20.0),
+    "pendulum": Driver("pendulum", "pendulum", _pendulum, 6.0),
+    "pendulum_learned": Driver("pendulum_learned", "pendulum", _swinging, 6.0),
+    "point": Driver("point_wind", "point", _point, 10.0),
+    "point_learned": Driver("point_learned", "point", _point, 10.0, "goal_seeker"),
+}
+"""By name of the margin that ships."""
+
+
+@dataclass(frozen=True)
+class DriveOrder:
+    """One drive to be made; ``margin`` is what the filter has, None: that of its settings."""
+
+    driver: str
+    seed: int
+    margin: MarginCalibration | None
+    kind: str = "conformal"
+    """Which of the margins, as in the settings."""
+    seconds: float = 0.0
+    """0: as the driver has it."""
+
+
+@dataclass(frozen=True)
+class DriveResult:
+    """What became of a drive."""
+
+    seed: int
+    heights: dict[str, Values]
+    """By kind of barrier (steps, 4): the least h as it was predicted, and as it was measured."""
+    goals: int
+    collisions: int
+    ticks: int
+    statuses: dict[str, int]
+    least_h: float
+    layer: dict[str, float]
+    """Of the stays in the boundary layer: how many, the longest [ticks], by how much h fell at most, the largest sum of
+    errors, the least rise that an action promised, and the depth of the layer at most."""
+
+
+def driven(order: DriveOrder) -> DriveResult:
+    """Makes one drive in lockstep through the real nodes; the same order gives the same result, bit for bit."""
+    driver = DRIVERS[order.driver]
+    model = load_model(driver.model)
+    settings = replace(settings_named(driver.settings), margin=order.kind)
+    robot: Any = driver.robot(order.seed)
+    policy = PolicyNode(model, controller=driver.controller)
+    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings, order.margin)]
+    states: list[StateMessage] = []
+    latents: dict[int, LatentMessage] = {}
+    statuses: Counter[str] = Counter()
+    now: list[float] = []
+    hoped: list[float] = []
+    depth: list[float] = []
+
+    def hear(item: Received) -> None:
+        if item.topic is LATENT and isinstance(item.message, LatentMessage):
+            latents[item.message.tick] = item.message
+
+    ticks = round((order.seconds or driver.seconds) / model.period)
+    for tick in drive(robot, nodes, ticks, hear=hear):
+        states.append(tick.state)
+        statuses[tick.verdict.status] += 1
+        now.append(tick.verdict.h_now)
+        hoped.append(tick.verdict.h_next)
+        depth.append(tick.verdict.margin / settings.eta)
+    along = [DrivenTick(state, latents.get(state.tick)) for state in states]
+    heights = drive_heights(model, settings, along)
+    return DriveResult(
+        order.seed,
+        heights,
+        robot.goals_reached,
+        len(robot.collisions),
+        len(states),
+        dict(statuses),
+        min(now),
+        _layer(stays_in_layer(now, hoped, depth), max(depth)),
+    )
+
+
+def _layer(stays: Sequence[Stay], depth: float) -> dict[str, float]:
+    return {
+        "stays": len(stays),
+        "longest": max((stay.ticks for stay in stays), default=0),
+        "fall": max((stay.fall for stay in stays), default=0.0),
+        "errors": max((stay.errors for stay in stays), default=0.0),
+        "least_rise": min((stay.least_rise for stay in stays), default=0.0),
+        "depth": depth,
+    }

@@ -1,0 +1,29 @@
+"""Seeds by what they are for: nothing that is chosen, fitted or calibrated sees what is evaluated.
+
+Whoever tries things out takes seeds of ``development``; margins are calibrated on ``calibration``; what a page quotes
+is counted on ``evaluation``.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from safedpa.errors import InputError, did_you_mean
+
+__all__ = ["SEEDS", "seeds_for"]
+
+SEEDS: Final = {
+    "development": range(100_000),
+    "calibration": range(1_000_000, 1_100_000),
+    "evaluation": range(2_000_000, 2_100_000),
+}
+
+
+def seeds_for(purpose: str, count: int, skip: int = 0) -> range:
+    """``count`` seeds of one purpose, after the first ``skip``. Raises InputError beyond its range."""
+    if purpose not in SEEDS:
+        raise InputError(f"seeds for '{purpose}': {did_you_mean(purpose, SEEDS)}")
+    known = SEEDS[purpose]
+    if count < 0 or skip < 0 or skip + count > len(known):
+        raise InputError(f"seeds for {purpose}: got {skip} + {count}, wanted at most {len(known)}")
+    return known[skip : skip + count]

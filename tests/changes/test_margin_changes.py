@@ -1,0 +1,209 @@
+"""A new model's margin: told before it is used, never a reason to stand, and no tick without a decision."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+from safedpa.bus import (
+    LATENT,
+    TAKEOVER,
+    VERDICT,
+    WISH,
+    LatentMessage,
+    ModelMessage,
+    Request,
+    StateMessage,
+    TakeoverMessage,
+    WishMessage,
+)
+from safedpa.diagnosis.live.versions import Candidate
+from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
+from safedpa.safety.margin_change import PhasedMargin, margin_change
+from safedpa.safety.margin_text import margin_text
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+
+CAR = load_model("car")
+SETTINGS = settings_named("car")
+SHIPPED = margin_for(CAR)
+assert SHIPPED is not None
+OLD = dataclasses.replace(SHIPPED, epsilon={"obstacle": 0.03, "field": 0.03, "speed": 0.05})
+DOCUMENT = write_model(CAR) + '\n[[effects]]\nname = "steering_offset"\nangle = 0.01\n'
+NEW = fingerprint(parse_model(DOCUMENT))
+WIDE = dataclasses.replace(OLD, fingerprint=NEW, epsilon={"obstacle": 0.115, "field": 0.115, "speed": 0.05})
+TIGHT, ROOMY = 0.09, 0.5
+"""h of the obstacle: enough for a car that stands behind the old margin, 0.03 / 0.35, and for the new one."""
+
+
+def reach() -> float:
+    return 0.40 + 0.12 + SETTINGS.clearance
+
+
+class Standing:
+    """A car that stands before an obstacle, its filter, and a wish to go on standing."""
+
+    def __init__(self, **loop: Any) -> None:
+        self.node = SafetyFilterNode(CAR, SETTINGS, OLD)
+        self.tick, self.h, self.latents_of, self.loop = 0, TIGHT, CAR, {"lockstep": True, "latent_age": 0, **loop}
+        self.heard: list[Any] = []
+
+    def state(self) -> StateMessage:
+        return StateMessage(
+            epoch=1, tick=self.tick, robot_time=0.05 * self.tick, publish_time=0.0,
+            values=(0.0, 0.0, 0.0, 0.0), applied=(0.0, 0.0), applied_by="filter" if self.tick else "none",
+            period=0.05, lockstep=self.loop["lockstep"], goal=(3.0, 0.0),
+            obstacles=((reach() + 0.3 + self.h, 0.0, 0.3),), field=(-9.0, 9.0, -9.0, 9.0), footprint=(0.08, 0.40, 0.12),
+        )  # fmt: skip
+
+    def turn(self) -> Any:
+        state, model = self.state(), self.latents_of
+        stamp = {"epoch": 1, "robot_time": 0.0, "publish_time": 0.0}
+        values = tuple(model.latent.tolist())
+        age = self.loop["latent_age"]
+        latent = LatentMessage(
+            **stamp, tick=self.tick - age, model=fingerprint(model), values=values, deviations=values
+        )
+        wish = WishMessage(**stamp, tick=self.tick, values=(0.0, 0.0), controller="test")
+        self.node.prepare("r1", state)
+        outputs = dict(self.node.step("r1", state, {LATENT: latent, WISH: wish}))
+        outputs.update(self.node.afterwards("r1"))
+        self.tick += 1
+        if TAKEOVER in outputs:
+            self.heard.append(outputs[TAKEOVER])
+        return outputs[VERDICT]
+
+    def offer(self, margin: Any = WIDE) -> None:
+        self.node.hear("r1", self._message("offer", document=DOCUMENT, margin=margin_text(margin)))
+        self.turn()
+
+    def take(self) -> None:
+        self.node.hear("r1", self._message("take", from_tick=self.tick))
+
+    def _message(self, step: str, **more: Any) -> ModelMessage:
+        stamp = {"epoch": 1, "tick": self.tick, "robot_time": 0.0, "publish_time": 0.0}
+        return ModelMessage(**stamp, step=step, change=1, fingerprint=NEW, replaces=fingerprint(CAR), **more)
+
+
+def test_the_change_of_the_margin_is_told_before_it_is_used() -> None:
+    car = Standing()
+    car.turn()
+    car.offer()
+    assert car.heard[-1].state == "ready"
+    assert car.heard[-1].foretold == (
+        "the margin of obstacle goes from 0.03 to 0.115 where h is 0.09: at once it would stop the robot here, so it "
+        "follows h, all of it from 0.493 on; the margin of field goes from 0.03 to 0.115 where h is 8.43, at once"
+    )
+
+
+def test_a_wider_margin_does_not_stop_a_robot_where_it_stands_and_comes_with_the_room() -> None:
+    car = Standing()
+    before = car.turn()
+    assert (before.status, before.margin) == ("passed", 0.05)
+    car.offer()
+    car.take()
+    car.latents_of = parse_model(DOCUMENT)
+    verdicts = [car.turn() for _ in range(40)]
+    assert {verdict.status for verdict in verdicts} == {"passed"}
+    assert verdicts[-1].model == NEW
+    assert "Not the whole margin for 2.0 s, until h allows: obstacle 0.03 of 0.115." in verdicts[-1].sentence
+    car.h = 0.4
+    meanwhile = car.turn()
+    assert "obstacle 0.07 of 0.115" in meanwhile.sentence
+    car.h = TIGHT
+    assert car.turn().status == "passed", "and it goes back with h, down to the old one"
+    car.h = ROOMY
+    after = car.turn()
+    assert (after.status, after.margin) == ("passed", 0.115)
+    assert "margin" not in after.sentence
+    car.h = 0.33
+    assert car.turn().margin == 0.115, "what is in force stays"
+
+
+def test_without_a_margin_before_the_whole_one_is_in_force() -> None:
+    """A filter that was restarted knows nothing of the time before."""
+    car = Standing()
+    car.node = SafetyFilterNode(CAR, SETTINGS, dataclasses.replace(WIDE, fingerprint=fingerprint(CAR)))
+    assert (car.turn().status, car.node._robots["r1"].margin.epsilon["obstacle"]) == ("relaxed", 0.115)
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_no_tick_is_lost_to_a_change(lockstep: bool) -> None:
+    """In real time the latent of a tick may be one tick old, and so of the old model at the tick of the change."""
+    car = Standing(lockstep=lockstep, latent_age=0 if lockstep else 1)
+    car.turn()
+    car.offer(dataclasses.replace(OLD, fingerprint=NEW))
+    car.take()
+    if lockstep:
+        car.latents_of = parse_model(DOCUMENT)
+    verdicts = [car.turn()]
+    car.latents_of = parse_model(DOCUMENT)
+    verdicts += [car.turn() for _ in range(3)]
+    assert [verdict.status for verdict in verdicts] == ["passed"] * 4
+    assert [verdict.model == NEW for verdict in verdicts] == [lockstep, True, True, True]
+    assert [answer.state for answer in car.heard] == ["ready", "taken"]
+
+
+def test_the_old_model_decides_for_a_second_and_no_longer() -> None:
+    """As long as a latent that is missing is waited for."""
+    car = Standing()
+    car.turn()
+    car.offer()
+    car.take()
+    statuses = [car.turn().status for _ in range(25)]
+    assert statuses == ["passed"] * 21 + ["fallback"] * 4
+
+
+def test_a_margin_that_was_widened_by_errors_is_not_held_back() -> None:
+    phased = PhasedMargin({"a": 0.1}, {"a": 0.3, "b": 0.2}, eta=0.5)
+    phased.rise({"a": 0.4, "b": 0.1}, 0.05)
+    assert phased.limited({"a": 0.3, "b": 0.2}) == {"a": 0.1, "b": 0.025}
+    assert phased.limited({"a": 0.31, "b": 0.2, "c": 1.0}) == {"a": 0.31, "b": 0.025, "c": 1.0}
+    assert phased.waiting == ("a", "b")
+    phased.rise({"a": 0.9}, 0.05)
+    assert phased.limited({"a": 0.3, "b": 0.2}) == {"a": 0.3, "b": 0.2}, "where nothing of a kind is, nothing stops"
+
+
+@pytest.mark.parametrize("h", [0.0, 0.05, 0.2, 0.21, 0.89, 0.9, 1.0])
+@pytest.mark.parametrize("old", [0.0, 0.1, 0.4])
+def test_whoever_may_stand_before_a_change_may_stand_after_it(h: float, old: float) -> None:
+    eta, new = 0.5, 0.3
+    phased = PhasedMargin({"a": old}, {"a": new}, eta)
+    for room in (0.3 * h, h):
+        phased.rise({"a": room}, 0.05)
+    value = phased.limited({"a": new})["a"]
+    assert min(old, new) <= value <= new
+    assert value <= max(min(old, new), eta * h)
+    assert (phased.waiting == ()) is (new <= old or h >= 1.5 * new / eta)
+
+
+def test_what_is_told_of_a_narrower_margin_and_of_none() -> None:
+    assert margin_change({"a": 0.2}, {"a": 0.1}, {"a": 0.01}, 0.5) == (
+        "the margin of a goes from 0.2 to 0.1 where h is 0.01, at once"
+    )
+    assert margin_change({"a": 0.2}, {"a": 0.3}, {"a": 0.7}, 0.5).endswith(
+        "hardly any room, so it follows h, all of it from 0.9 on"
+    )
+    assert margin_change({"a": 0.2}, {"a": 0.3}, {}, 0.5) == "the margin of a goes from 0.2 to 0.3"
+    assert margin_change({"a": 0.2}, {"a": 0.2}, {"a": 0.0}, 0.5) == ""
+
+
+def test_command_and_page_hear_of_the_margin_before_it_is_used(changing_node: Any) -> None:
+    """With the decision, and in the answer to ``status`` until the next change."""
+    changes = changing_node(CAR).changes
+    changes.propose(1, {"steering_offset": Candidate("steering_offset", NEW, DOCUMENT, margin_text(WIDE))})
+    state = Standing().state()
+    assert changes.step(state) is None
+    asked = Request(do="accept", effect="steering_offset", model=changes.fingerprint, finding=1, who="test")
+    assert changes.answer(asked).ok
+    offered = changes.step(dataclasses.replace(state, tick=1))
+    stamp = {"epoch": 1, "tick": 1, "robot_time": 0.0, "publish_time": 0.0, "change": 1, "fingerprint": NEW}
+    for service in ("adaptation", "policy", "safety_filter"):
+        told = "the margin of a goes from 0.03 to 0.115" if service == "safety_filter" else ""
+        changes.hear(TakeoverMessage(**stamp, service=service, state="ready", foretold=told))
+    take = changes.step(dataclasses.replace(state, tick=2))
+    assert (offered.step, take.step) == ("offer", "take")
+    assert changes.sentence.endswith("used from tick 7 on; the margin of a goes from 0.03 to 0.115")
+    assert changes.fingerprint != NEW, "told before it is used"

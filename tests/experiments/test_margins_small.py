@@ -1,0 +1,91 @@
+"""The command that makes the margins that ship, in small: resumed, repeated, on seeds of its own."""
+
+from __future__ import annotations
+
+import json
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.stats import binom
+
+from safedpa.dynamics import fingerprint, load_model
+from safedpa.errors import InputError
+from safedpa.safety import MarginCalibration
+from safedpa_services.command_line.experiments.margins import command
+from safedpa_sim.experiments.margin_drives import DRIVERS, DriveOrder, driven
+from safedpa_sim.experiments.seeds import SEEDS, seeds_for
+from safedpa_sim.experiments.statistics import clopper_pearson_interval, cluster_interval
+
+SMALL = ["--robot", "pendulum", "--drives", "4", "--fresh", "2", "--coverage", "0.7", "--seconds", "1"]
+
+
+def test_seeds_of_one_purpose_are_those_of_no_other() -> None:
+    for one, other in combinations(SEEDS.values(), 2):
+        assert not set(one) & set(other)
+    assert seeds_for("calibration", 2, 3) == range(1_000_003, 1_000_005)
+    for bad in (("calibratio", 1, 0), ("evaluation", 100_001, 0), ("evaluation", -1, 0)):
+        with pytest.raises(InputError, match="seeds for"):
+            seeds_for(*bad)
+
+
+def test_intervals_over_drives() -> None:
+    low, high = clopper_pearson_interval(95, 100)
+    assert binom.sf(94, 100, low) == pytest.approx(0.025)
+    assert binom.cdf(95, 100, high) == pytest.approx(0.025)
+    assert clopper_pearson_interval(0, 10)[0] == 0.0
+    assert clopper_pearson_interval(10, 10)[1] == 1.0
+    shares = np.repeat([1.0, 0.5], [90, 10])
+    low, high = cluster_interval(shares)
+    assert (low, high) == pytest.approx((0.95 - 1.96 * 0.015, 0.95 + 1.96 * 0.015), abs=0.004)
+    assert cluster_interval(np.ones(100)) == (pytest.approx(0.9638, abs=1e-3), 1.0)
+    for bad in (lambda: clopper_pearson_interval(2, 1), lambda: cluster_interval(np.zeros(0))):
+        with pytest.raises(ValueError, match="got"):
+            bad()
+
+
+def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_path: Path) -> None:
+    asked = [*SMALL, "--processes", "1", "--out", str(tmp_path), "--json"]
+    cut = CliRunner().invoke(command, [*asked, "--minutes", "1e-9"])
+    assert cut.exit_code == 0, cut.output
+    assert json.loads(cut.output)["missing"] == 8
+    done = CliRunner().invoke(command, asked)
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.output)
+    assert result["missing"] == 0
+    row = result["robots"]["pendulum"]
+    margin = MarginCalibration.load(tmp_path / "pendulum" / "margin.toml")
+    assert margin.fingerprint == fingerprint(load_model("pendulum"))
+    assert (margin.drives, margin.coverage) == (4, 0.7)
+    assert "seeds 1000000 to 1000003" in margin.origin
+    assert 0.0 < margin.epsilon["corridor"] <= margin.drive["corridor"]
+    for kind in ("conformal", "drive"):
+        fresh = row[f"fresh_{kind}"]
+        assert fresh["drives"] == 2
+        assert 0.0 <= fresh["covered"]["corridor"][kind]["steps"] <= 1.0
+    page = (tmp_path / "margins.md").read_text()
+    assert "safedpa experiment margins --robot pendulum --drives 4 --fresh 2" in page
+    assert f"| pendulum | corridor | drive | {margin.drive['corridor']:.4f} |" in page
+    assert page.count("| pendulum |") == 6, "both margins in three tables"
+    before = {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
+    again = CliRunner().invoke(command, asked)
+    assert json.loads(again.output) == result, "nothing is driven twice, and the same comes out"
+    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")} == before
+
+
+@pytest.mark.parametrize("bad", [["--robot", "carr"], ["--kind", "both"], ["--drives", "0"], ["--minutes", "-1"]])
+def test_what_is_no_order_is_refused(bad: list[str], tmp_path: Path) -> None:
+    refused = CliRunner().invoke(command, [*bad, "--out", str(tmp_path)])
+    assert isinstance(refused.exception, InputError)
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_every_shipped_robot_can_be_driven_and_its_errors_are_numbers(name: str) -> None:
+    made = driven(DriveOrder(name, 1, None, seconds=0.6))
+    assert made.heights.keys() >= ({"corridor"} if "pendulum" in name else {"obstacle"})
+    assert all(np.isfinite(values).all() and values.shape[1] == 4 for values in made.heights.values())
+    assert made.ticks == round(0.6 / load_model(DRIVERS[name].model).period)
+    again = driven(DriveOrder(name, 1, None, seconds=0.6))
+    assert (again.goals, again.statuses, again.least_h) == (made.goals, made.statuses, made.least_h)

@@ -1,0 +1,111 @@
+"""Each of twenty bad files is noticed with the right sentence, and nothing is named because of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from safedpa.diagnosis.diagnose import diagnose
+from safedpa.dynamics import load_model
+from safedpa.effects import effect
+from safedpa.errors import RunError
+from safedpa.records import load_run
+from safedpa.records.column_map_file import parse_column_map
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.hidden import Case, write_case
+from safedpa_sim.hidden.bad_data import BAD, write_bad_files
+
+LIBRARY = ("understeer", "rolling_resistance", "drive_dead_zone", "drive_delay", "viscous_drag")
+
+
+@pytest.fixture(scope="module", params=["speed_servo", "throttle"])
+def good(request, tmp_path_factory):
+    """Logs of a car in which nothing is hidden, and the bad files made from the first."""
+    folder = tmp_path_factory.mktemp(request.param)
+    log = write_case(Case("test", 11, {}, drive=request.param, runs=2, seconds=40.0), folder)
+    return log, write_bad_files(log.runs[0], folder / "bad")
+
+
+def test_there_are_twenty():
+    assert len(BAD) == 20
+
+
+def noticed(name, good):
+    """(kinds, sentences) of what is said about a bad file; None for kinds where it is refused."""
+    log, files = good
+    model = load_model(log.model)
+    try:
+        runs = [load_run(files[name], model.system)]
+    except RunError as error:
+        return None, str(error)
+    if BAD[name].kind == "same_recording":
+        report = diagnose(model, [load_run(log.runs[0], model.system), *runs])
+        return [item["kind"] for item in report.data_quality], " ".join(i["message"] for i in report.data_quality)
+    return [item.kind for item in runs[0].findings], " ".join(item.message for item in runs[0].findings)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_each_is_noticed_with_the_right_sentence(name, good, monkeypatch):
+    _, files = good
+    if name not in files:
+        pytest.skip("a car with a speed servo has no command of which 1 is all")
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [])
+    kinds, said = noticed(name, good)
+    bad = BAD[name]
+    assert bad.said in said
+    if bad.kind == "refused":
+        assert kinds is None
+        assert said.count("\n") == 0
+    else:
+        assert bad.kind in kinds
+
+
+def test_a_good_log_is_left_alone(good):
+    log, _ = good
+    model = load_model(log.model)
+    for path in log.runs:
+        run = load_run(path, model.system)
+        assert [item.kind for item in run.findings] == []
+        assert len(run.stretches) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["frozen_speed", "dead_steer", "drive_flipped", "speed_late", "two_rates"])
+def test_no_effect_is_named_because_of_it(name, good, monkeypatch):
+    log, files = good
+    model = load_model(log.model)
+    own = [item for item in LIBRARY if set(effect("car", item).needs) <= set(model.system.action_names)]
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", item) for item in own])
+    runs = [load_run(path, model.system) for path in (files[name], log.runs[1])]
+    report = diagnose(model, runs)
+    assert report.added == ()
+    severe = name in ("drive_flipped", "speed_late")
+    assert report.verdict == ("unexplained" if severe else "nothing_missing")
+
+
+def test_what_comes_late_is_aligned_on_request(good, tmp_path):
+    log, files = good
+    model = load_model(log.model)
+    names = ("t", *model.system.state_names, *model.system.action_names)
+    lines = "\n".join(f'{name} = "{name}"' for name in names if name != "speed")
+    text = f'format = 1\nrobot = "car"\n[columns]\n{lines}\nspeed = {{ from = "speed", shift = 0.3 }}\n'
+    run = load_run(files["speed_late"], model.system, parse_column_map(text))
+    assert "time_offset" not in {item.kind for item in run.findings}
+
+
+def test_what_was_cut_is_kept_on_request(good):
+    log, files = good
+    model = load_model(log.model)
+    names = ("t", *model.system.state_names, *model.system.action_names)
+    lines = "\n".join(f'{name} = "{name}"' for name in names)
+    text = f'format = 1\nrobot = "car"\nkeep = ["frozen"]\n[columns]\n{lines}\n'
+    cut, kept = (load_run(files["frozen_speed"], model.system, item) for item in (None, parse_column_map(text)))
+    assert len(cut.t) < len(kept.t)
+    assert any("kept, as the map says" in item.message for item in kept.findings)
+
+
+def test_the_command_writes_them(good, tmp_path, capsys):
+    log, _ = good
+    assert safedpa.run(["experiment", "bad-data", str(log.runs[0]), "--out", str(tmp_path / "bad")]) == 0
+    told = capsys.readouterr().out
+    assert len(list((tmp_path / "bad").iterdir())) >= 19
+    assert all(path.stem in told for path in (tmp_path / "bad").iterdir())

@@ -1,0 +1,260 @@
+"""Where an action begins to act, against the model stepped by hand, and what the filter makes of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from safedpa.dynamics import PhysicsModel, Setting, load_model
+from safedpa.effects import effect
+from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, car_barriers
+from safedpa.safety.conditions import Conditions
+from safedpa.safety.on_its_way import Actuators, Along, Pending
+from safedpa.safety.prediction import Prediction
+from safedpa.safety.verdict import Status
+
+CAR = load_model("car")
+LATENT = tuple(CAR.latent.tolist())
+STATE = (0.3, -0.2, 0.4, 1.1)
+
+
+def late(name: str, seconds: float, model: PhysicsModel = CAR) -> PhysicsModel:
+    parameter = "time_constant" if name.endswith("lag") else "seconds"
+    return model.with_effect(effect("car", name), {parameter: Setting(seconds)})
+
+
+def sent(model: PhysicsModel, commands: list[tuple[float, float]]) -> tuple[object, list[tuple[float, ...]]]:
+    """What the actuators remember after some commands, the first of which was held for ever; and where the car went."""
+    memory, state, path = model.initial_memory(np.array(commands[0]), np.array(LATENT)), np.array(STATE), []
+    for command in commands:
+        state, memory = model.advance(state, np.array(command), memory, np.array(LATENT))
+        path.append(tuple(state.tolist()))
+    return memory, path
+
+
+def rolled(model: PhysicsModel, memory: object, commands: list[tuple[float, float]]) -> list[tuple[float, ...]]:
+    state, path = np.array(STATE), []
+    for command in commands:
+        state, memory = model.advance(state, np.array(command), memory, np.array(LATENT))
+        path.append(tuple(state.tolist()))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds", "reach"),
+    [
+        ("actuator_delay", 0.0, (0, 0)),
+        ("actuator_delay", 0.01, (0, 0)),  # four fifths of the action are felt in its own period
+        ("actuator_delay", 0.1, (2, 2)),
+        ("actuator_delay", 0.13, (2, 3)),  # partly felt in the third period
+        ("steering_delay", 0.2, (0, 4)),  # the drive acts at once
+        ("drive_delay", 0.4, (0, 8)),
+        ("steering_lag", 0.1, (0, 2)),  # mean delay of a first-order lag: its time constant
+        ("drive_lag", 0.3, (0, 6)),
+    ],
+)
+def test_dead_times_are_found_from_the_response(name: str, seconds: float, reach: tuple[int, int]) -> None:
+    assert tuple(Actuators(late(name, seconds)).reach(LATENT)) == reach
+
+
+def test_a_delay_that_is_estimated_counts_as_it_is_now() -> None:
+    model = CAR.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.1, free=True)})
+    actuators = Actuators(model)
+    index = model.latent_names.index("actuator_delay.seconds")
+    for seconds, whole in ((0.1, 2), (0.25, 5), (0.1, 2)):
+        latent = [*model.latent.tolist()]
+        latent[index] = seconds
+        assert tuple(actuators.reach(tuple(latent))) == (whole, whole)
+
+
+def test_two_delays_add_up() -> None:
+    both = late("drive_delay", 0.1, late("actuator_delay", 0.1))
+    assert tuple(Actuators(both).reach(LATENT)) == (2, 4)
+
+
+def test_a_pure_delay_is_judged_after_what_is_pending() -> None:
+    model, action = late("actuator_delay", 0.2), (0.4, -0.2)
+    memory, _ = sent(model, [(0.0, 0.0), (1.0, 0.3), (2.0, 0.1), (1.5, -0.3), (0.5, 0.2)])
+    actuators = Actuators(model)
+    begin = actuators.begin(STATE, LATENT, Pending(memory, (0.5, 0.2)))
+    assert begin is not None
+    expected = rolled(model, memory, [action] * 5)
+    other = rolled(model, memory, [(2.0, 0.34)] * 5)
+    assert expected[:4] == other[:4]  # nobody can change these any more
+    assert begin.path == tuple(expected[:4])
+    assert begin.state == expected[3]
+    assert begin.rows == 1
+    np.testing.assert_allclose(actuators.after(begin, action, LATENT), expected[4], rtol=0, atol=1e-12)
+    assert other[4] != expected[4]
+
+
+def test_channels_of_different_delays_are_judged_in_every_period() -> None:
+    model, action, last = late("steering_delay", 0.15), (0.2, -0.3), (1.5, 0.1)
+    memory, _ = sent(model, [(0.0, 0.0), (1.0, 0.3), (2.0, 0.2), last])
+    actuators = Actuators(model)
+    begin = actuators.begin(STATE, LATENT, Pending(memory, last))
+    assert begin is not None
+    assert (begin.path, begin.rows) == ((), 4)
+    held, changed = rolled(model, memory, [last] * 3), rolled(model, memory, [action] * 4)
+    assert begin.state == tuple(np.ravel([*held, held[-1]]))
+    np.testing.assert_allclose(actuators.after(begin, action, LATENT), np.ravel(changed), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", [late("actuator_delay", 0.13), late("steering_delay", 0.1), late("drive_lag", 0.1)])
+def test_slopes_are_those_of_the_outcome(model: PhysicsModel) -> None:
+    memory, _ = sent(model, [(0.0, 0.0), (1.0, 0.3), (1.0, 0.2)])
+    actuators = Actuators(model)
+    begin = actuators.begin(STATE, LATENT, Pending(memory, (1.0, 0.2)))
+    assert begin is not None
+    action, step = (1.2, 0.1), 1e-5
+    g = np.array(actuators.slopes(begin, action, LATENT))
+    for index in range(2):
+        ends = [np.array(action) + sign * step * np.eye(2)[index] for sign in (1.0, -1.0)]
+        above, below = (np.array(actuators.after(begin, end.tolist(), LATENT)) for end in ends)
+        np.testing.assert_allclose(g[:, index], (above - below) / (2 * step), rtol=1e-4, atol=1e-6)
+
+
+def test_of_commands_that_are_not_known_only_the_dead_time_is_passed() -> None:
+    model = late("actuator_delay", 0.13)
+    memory, _ = sent(model, [(1.0, 0.0)])
+    begin = Actuators(model).begin(STATE, LATENT, memory)
+    assert begin is not None
+    assert (len(begin.path), begin.rows) == (2, 1)
+
+
+@pytest.mark.parametrize("name", ["car", "car_learned"])
+def test_a_model_without_memory_is_judged_where_it_is(name: str) -> None:
+    model = load_model(name)
+    latent = tuple(model.latent.tolist())
+    prediction = Prediction.of_model(model)
+    assert prediction.begin(STATE, latent, ()) is None
+    assert prediction.begin(STATE, latent, Pending((), (1.0, 0.0))) is None
+    begin = prediction.begin(STATE, latent, Pending((), (1.0, 0.2), (((1.0, 0.2), 0.03),)))
+    assert begin is not None
+    aged = model.advance(np.array(STATE), np.array((1.0, 0.2)), (), np.array(latent), period=0.03)[0]
+    assert begin.state == tuple(aged.tolist())
+
+
+def test_several_states_in_a_row_are_the_same_barriers_at_each() -> None:
+    scene = car_barriers(FilterSettings(), (0.08, 0.4, 0.12), [(2.0, 0.3, 0.3), (1.0, -1.0, 0.2)], (-4, 4, -4, 4))
+    filter_ = SafetyFilter.for_model(CAR, FilterSettings(), scene)
+    plain = filter_.tools.stacks.of(scene, 4).plain(4)
+    random = np.random.default_rng(0)
+    states = random.uniform((-1, -1, -3, 0), (1, 1, 3, 2), (3, 4)).tolist()
+    g = random.normal(size=(12, 2)).tolist()
+    along = Along(plain, 3, 4)
+    flat = [value for state in states for value in state]
+    each = [plain.heights(tuple(state)) for state in states]
+    assert along.heights(flat) == [value for heights in each for value in heights]
+    count = len(each[0])
+    rows = list(range(3 * count))
+    expected = [
+        row
+        for part, state in enumerate(states)
+        for row in plain.along(tuple(state), g[4 * part : 4 * part + 4], [1.0, 1.0], list(range(count)))
+    ]
+    np.testing.assert_allclose(along.along(flat, g, [1.0, 1.0], rows), expected)
+    steepest = along.steepest(flat)
+    assert steepest is not None
+    assert len(steepest) == 12
+
+
+def scene_ahead(distance: float) -> list[object]:
+    settings = FilterSettings()
+    return list(car_barriers(settings, (0.08, 0.40, 0.12), [(distance, 0.0, 0.3)], (-20, 20, -20, 20)))
+
+
+def test_passed_never_hides_a_collision_that_is_on_its_way() -> None:
+    """The robot stands, but two metres a second are pending for 0.4 s: no wish is passed, and h_next says why."""
+    model = late("actuator_delay", 0.4)
+    latent = np.array(LATENT)
+    memory = model.initial_memory(np.array((0.0, 0.0)), latent)
+    for _ in range(8):
+        memory = model.felt((2.0, 0.0), memory, LATENT, period=model.period)[1]
+    filter_ = SafetyFilter.for_model(model, FilterSettings())
+    pending = Pending(memory, (2.0, 0.0))
+    state = (0.0, 0.0, 0.0, 0.0)
+    barriers = scene_ahead(0.95)
+    blind = filter_.decide(state, [0.0, 0.0], latent, barriers=barriers)
+    assert blind.status is Status.passed
+    verdict = filter_.decide(state, [0.0, 0.0], latent, memory=pending, barriers=barriers)
+    assert verdict.status is Status.relaxed
+    assert verdict.h_now > 0.0 > verdict.h_next
+    free = filter_.decide(state, [0.0, 0.0], latent, memory=pending, barriers=scene_ahead(5.0))
+    assert free.status is Status.passed
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.13, 0.3, 0.4])
+def test_a_known_delay_is_no_reason_to_relax(seconds: float) -> None:
+    """One step cannot see an action that acts later: every condition near an obstacle seemed impossible to keep."""
+    model, latent = late("actuator_delay", seconds), np.array(LATENT)
+    memory = model.initial_memory(np.array((1.0, 0.0)), latent)
+    filter_ = SafetyFilter.for_model(model, FilterSettings())
+    statuses = set()
+    for distance in np.linspace(1.7, 2.6, 10):
+        pending = Pending(memory, (1.0, 0.0))
+        barriers = scene_ahead(float(distance))
+        verdict = filter_.decide((0.0, 0.0, 0.0, 1.0), [2.0, 0.0], latent, memory=pending, barriers=barriers)
+        statuses.add(verdict.status)
+    assert Status.corrected in statuses
+    assert Status.relaxed not in statuses
+
+
+def test_braking_keeps_the_conditions_whatever_is_pending() -> None:
+    """Commands may still accelerate; all that counts is h >= epsilon / eta where the action begins to act."""
+    settings = FilterSettings()
+    random = np.random.default_rng(3)
+    kept = tried = 0
+    for _ in range(400):
+        seconds = random.choice([0.1, 0.2, 0.4])
+        model = late("actuator_delay", float(seconds))
+        memory = model.initial_memory(np.zeros(2), np.array(LATENT))
+        commands = random.uniform((-0.6, -0.34), (2.0, 0.34), (8, 2))
+        for command in commands:
+            memory = model.felt(command.tolist(), memory, LATENT, period=0.05)[1]
+        state = tuple(random.uniform((-3, -3, -3, -0.5), (3, 3, 3, 2.0)).tolist())
+        obstacles = np.column_stack([random.uniform(-3, 3, (4, 2)), random.uniform(0.2, 0.35, 4)])
+        scene = car_barriers(settings, (0.08, 0.40, 0.12), obstacles, (-4, 4, -4, 4))
+        filter_ = SafetyFilter.for_model(model, settings, scene)
+        tools = filter_.tools
+        stack = tools.stacks.of(scene, 4)
+        epsilon, _ = tools.margins.of(stack, {})
+        pending = Pending(memory, tuple(commands[-1].tolist()))
+        conditions = Conditions(
+            stack, tools.prediction, state, LATENT, pending, settings.eta, epsilon, tools.program.sides
+        )
+        begin = tools.prediction.begin(state, LATENT, pending)
+        assert begin is not None
+        h = np.array(stack.plain(4).heights(begin.state))
+        if (h >= np.array(epsilon) / settings.eta).all():
+            tried += 1
+            kept += conditions.outcome((0.0, 0.0)).kept
+    assert tried > 40
+    assert kept == tried
+
+
+def test_a_learned_model_with_a_delay_looks_as_far() -> None:
+    learned = load_model("car_learned")
+    model = learned.with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.2)})
+    latent = tuple(model.latent.tolist())
+    assert tuple(Actuators(model).reach(latent)) == (4, 4)
+    memory = model.initial_memory(np.array((1.0, 0.0)), np.array(latent))
+    filter_ = SafetyFilter.for_model(model, FilterSettings())
+    found = [
+        filter_.decide(
+            (0.0, 0.0, 0.0, 1.0),
+            [2.0, 0.0],
+            np.array(latent),
+            memory=Pending(memory, (1.0, 0.0)),
+            barriers=scene_ahead(float(distance)),
+        ).status
+        for distance in np.linspace(1.7, 2.6, 10)
+    ]
+    assert Status.corrected in found
+    assert Status.relaxed not in found
+
+
+def test_a_filter_without_a_model_of_ours_has_nothing_on_its_way() -> None:
+    barrier = FunctionBarrier(lambda x: 1.0 - x[0])
+    plain = SafetyFilter(lambda x: (x, np.eye(1)), [barrier], FilterSettings(action_low=(-1.0,), action_high=(1.0,)))
+    assert plain.decide([0.0], [0.05]).status is Status.passed

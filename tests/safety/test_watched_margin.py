@@ -1,0 +1,152 @@
+"""What the watch over the margin counts as an error, and that invariance follows from the errors that it counts."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa.bus import LatentMessage, StateMessage
+from safedpa.dynamics import fingerprint, load_model
+from safedpa.safety import FilterSettings, FunctionBarrier, MarginCalibration
+from safedpa.safety.barrier import Barriers
+from safedpa.safety.ceiling import NO_CEILING, Ceiling, Seen
+from safedpa.safety.drive_heights import DrivenTick, drive_heights
+from safedpa.safety.filtered_robot import FilteredRobot
+from safedpa.safety.held_model import HeldModel, uncalibrated
+from safedpa.safety.shipped import settings_named
+from safedpa.safety.watched_margin import WatchedMargin
+
+CALIBRATION = MarginCalibration({"function": 0.01}, 0.99, 500, "2026-11-21", "x")
+
+
+def at(latent: float) -> Barriers:
+    """h = x - latent."""
+    return Barriers((FunctionBarrier(lambda x: x[0] - latent),))
+
+
+def seen(watch: WatchedMargin, ceiling: Ceiling = NO_CEILING) -> float | None:
+    """The error that was observed last; None where nothing came near."""
+    errors = ceiling.errors("function", np.array([watch.seen["function"]]))
+    return float(errors[0]) if len(errors) else None
+
+
+def test_the_change_of_h_with_the_latent_is_in_the_error() -> None:
+    """The filter kept h by the latent of then, and asks for h by that of now: the next condition begins with it."""
+    watch = WatchedMargin(CALIBRATION)
+    watch.expect([0.3], at(0.1))
+    watch.observe([0.29], at(0.15))
+    assert seen(watch) == pytest.approx(0.3 - 0.1 - (0.29 - 0.15))
+    watch.expect([0.3], at(0.1))
+    watch.observe([0.29], at(0.15), same_scene=False)
+    assert seen(watch) == pytest.approx(0.01)
+    watch.expect([0.3])
+    watch.observe([0.29], at(0.15))
+    assert seen(watch) == pytest.approx(0.01)
+    watch.observe([0.29], at(0.15))
+    assert watch.seen == {}, "nothing was predicted"
+
+
+def test_errors_by_a_latent_that_jumps_widen_the_margin() -> None:
+    watch = WatchedMargin(CALIBRATION)
+    for tick in range(40):
+        watch.expect([0.3], at(0.1 * (tick % 2)))
+        watch.observe([0.3], at(0.1 * ((tick + 1) % 2)))
+    assert watch.epsilon["function"] >= 0.1
+
+
+def test_an_error_far_from_the_boundary_is_none_and_one_near_it_is_whole() -> None:
+    ceiling = Ceiling(0.2, {"function": 0.5})
+    watch = WatchedMargin(CALIBRATION, ceiling)
+    errors, shares = [], []
+    for hoped, measured in ((3.0, 0.6), (3.0, 0.4), (0.4, 0.6), (0.4, 0.1)):
+        watch.expect([hoped], at(0.0))
+        watch.observe([measured], at(0.0))
+        errors.append(seen(watch, ceiling))
+        shares.append(watch.coverage)
+    assert errors == [None, pytest.approx(0.1), pytest.approx(-0.1), pytest.approx(0.3)]
+    assert shares == [-1.0, 0.0, 0.5, pytest.approx(1 / 3)], "the first was none"
+
+
+def test_the_least_of_a_kind_counts() -> None:
+    """What comes nearer than predicted, behind another that is nearer still, is no error of the least."""
+    two = Barriers((FunctionBarrier(lambda x: [x[0], x[1]], names=("a", "b")),))
+    watch = WatchedMargin(CALIBRATION)
+    watch.expect([0.1, 0.9], two)
+    watch.observe([0.1, 0.5], two)
+    assert seen(watch) == 0.0
+
+
+def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
+    ceiling = Ceiling.of_settings(FilterSettings(eta=0.2, epsilon={"function": 0.01}))
+    assert ceiling.of("function", 0.01) == pytest.approx(0.5)
+    assert ceiling.of("function", 0.3) == pytest.approx(1.5)
+    assert ceiling.of("other", 0.3) == np.inf
+    assert NO_CEILING.of("function", 0.3) == np.inf
+    heights = np.array([Seen(0.6, 0.7), Seen(0.6, 0.4), Seen(0.3, 0.4)])
+    assert ceiling.errors("function", heights).tolist() == pytest.approx([0.1, -0.1])
+    assert NO_CEILING.errors("function", heights).tolist() == pytest.approx([-0.1, 0.2, -0.1])
+    late = Seen(0.3, 0.2, 0.4, 0.45)  # (1 - eta) times the error at the state at which the condition was posed
+    assert ceiling.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
+
+
+@given(
+    h=st.lists(st.floats(-1.0, 3.0), min_size=1, max_size=4),
+    predicted=st.lists(st.floats(-1.0, 3.0), min_size=4, max_size=4),
+    measured=st.lists(st.floats(-1.0, 3.0), min_size=4, max_size=4),
+    eta=st.floats(0.05, 1.0),
+    epsilon=st.floats(0.0, 0.3),
+)
+def test_a_step_within_the_margin_keeps_the_least_h_as_the_theory_says(
+    h: list[float], predicted: list[float], measured: list[float], eta: float, epsilon: float
+) -> None:
+    """min(h, H)[t+1] >= (1 - eta) min(h, H)[t], where the conditions held by the prediction and the error is within."""
+    count = len(h)
+    hoped = [max(value, (1.0 - eta) * now + epsilon) for value, now in zip(predicted, h, strict=False)]
+    rows = Barriers((FunctionBarrier(lambda x: x, names=tuple(map(str, range(count)))),))
+    ceiling = Ceiling(eta, {"function": 0.4})
+    watch = WatchedMargin(dataclasses.replace(CALIBRATION, epsilon={"function": epsilon}), ceiling)
+    top = ceiling.of("function", epsilon)
+    watch.expect(hoped, rows)
+    watch.observe(measured[:count], rows)
+    error = ceiling.errors("function", np.array([watch.seen["function"]]), epsilon).sum()  # none or one
+    if error <= epsilon:
+        assert min(*measured[:count], top) >= (1.0 - eta) * min(*h, top) - 1e-9
+
+
+def point_state(tick: int) -> StateMessage:
+    return StateMessage(
+        epoch=1, tick=tick, robot_time=0.02 * tick, publish_time=0.0, values=(0.01 * tick, 0.0, 0.0, 0.5, 0.0),
+        applied=(0.0, 0.0), applied_by="filter", period=0.02, lockstep=True, goal=(3.0, 0.0),
+        obstacles=((0.2, 0.3, 0.2),), field=(), footprint=(),
+    )  # fmt: skip
+
+
+def latent_message(tick: int, values: tuple[float, ...], own: str) -> LatentMessage:
+    stamp = {"epoch": 1, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
+    return LatentMessage(**stamp, model=own, values=values, deviations=values)
+
+
+def test_the_point_robot_s_room_to_stop_is_less_in_a_wind_that_is_learned_late() -> None:
+    """With the same states, what is believed of the wind alone makes the errors differ: by the fall of h with it."""
+    model, settings = load_model("point_wind"), settings_named("point")
+    own, calm, wind = fingerprint(model), (0.0, 0.0), (0.0, 0.5)
+    rooms: dict[Any, float] = {}
+    for latent in (calm, wind):
+        scene = FilteredRobot.begun(HeldModel(model, own, uncalibrated(settings, own)), settings).scene
+        scene.learn(np.array(latent))  # type: ignore[union-attr]
+        stack: Any = scene.of(point_state(4))
+        rooms[latent] = min(stack.heights(point_state(4).values))
+    fall = rooms[calm] - rooms[wind]
+    assert fall > 0.003
+    found = {}
+    for later in (calm, wind):
+        latents = [calm] * 3 + [later] * 3  # the barriers of a tick are those of the latent one tick before
+        along = [DrivenTick(point_state(k), latent_message(k, latents[k], own)) for k in range(6)]
+        found[later] = NO_CEILING.errors("obstacle", drive_heights(model, settings, along)["obstacle"])
+    assert found[wind][:3] == pytest.approx(found[calm][:3])
+    assert found[wind][3] - found[calm][3] > 0.7 * fall, "less what the wind does to the prediction itself"
