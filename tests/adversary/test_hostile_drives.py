@@ -7,17 +7,55 @@ from dataclasses import replace
 import pytest
 
 from safedpa.safety.shipped import settings_named
-from safedpa_sim.experiments.adversary import drives
+from safedpa_sim.experiments.adversary import drives, standing
 from safedpa_sim.experiments.adversary.drives import KINDS, Driven, Drives
+from safedpa_sim.experiments.adversary.late_drives import LateDrives
+from safedpa_sim.experiments.adversary.standing import Standing
+from safedpa_sim.experiments.long_drives import LongOutcome
 
 
-@pytest.mark.parametrize("kind", ["forward", "any direction", "killed"])
+@pytest.mark.parametrize("kind", ["forward", "any direction", "killed", "reversing"])
 def test_a_drive_repeats_and_is_safe_behind_the_filter(kind):
     once, again = (KINDS[kind](kind, "box", 4, 4.0) for _ in range(2))
     assert once == again
     assert once.collisions == 0
     assert sum(once.statuses.values()) == 80
     assert {"corrected"} & set(once.statuses)
+
+
+def test_stands_are_counted_and_told(monkeypatch):
+    def stood(drive):
+        told = ({"from": 1.0, "seconds": 12.0, "reason": "boxed in"},) if drive.seed % 2 else ()
+        return LongOutcome(drive.load, drive.seed, drive.seconds, 0, 3, told, 12.0, {"passed": 1})
+
+    monkeypatch.setattr(standing, "run_long_drive", stood)
+    attack = Standing()
+    rows = {row.what: row for row in attack.told([attack.work(each) for each in attack.pieces(3, False)]).rows}
+    assert rows["drives with a stand of 10 s and more"].measured == 100
+    assert rows["of these, not told"].measured == 52  # the even seeds
+    assert rows["goals a minute"].measured == 1.5
+    assert not any(rows[what].held for what in list(rows)[:3])
+    assert rows["collisions"].held
+
+
+def test_a_short_drive_of_every_load_gets_on():
+    attack = Standing()
+    answers = [attack.work(each) for each in attack.pieces(1, True)]
+    assert [answer.load for answer in answers] == ["none", "box", "chair", "large_chair"]
+    assert attack.told(answers).rows[0].held
+
+
+def test_late_drives_are_told_by_who_knows():
+    attack = LateDrives()
+    pieces = attack.pieces(2, True)
+    found = [attack.work(piece) for piece in pieces]
+    rows = {row.what.split(" (")[0]: row for row in attack.told(found).rows}
+    assert rows["200 ms, known to the model: drives with a collision"].held
+    assert rows["150 ms, known to nobody: relaxed and worse beyond corrected"].held is None
+    found[0].collided, found[0].statuses["relaxed"] = 1, 1000
+    rows = {row.what.split(" (")[0]: row for row in attack.told(found).rows}
+    assert rows["200 ms, known to the model: drives with a collision"].held is False
+    assert rows["200 ms, known to the model: relaxed and worse beyond corrected"].held is False
 
 
 def test_without_the_filter_the_same_policies_hit_something(monkeypatch):

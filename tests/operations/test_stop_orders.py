@@ -149,12 +149,12 @@ def test_a_filter_that_ends_waits_until_the_car_stands() -> None:
     robot = CarRobot(Scene.random(1, "none"), 0.05, True, epoch=1)
     rested = []
     for index, tick in enumerate(drive(robot, [AdaptationNode(CAR), PolicyNode(CAR), node], 100)):
-        if index == 40:
+        if index == 20:
             node.wind_up()
-        rested.append((index > 41 and node.at_rest("r1"), abs(tick.state.values[3])))
-    assert not rested[42][0]
+        rested.append((index > 21 and node.at_rest("r1"), abs(tick.state.values[3])))
+    assert not rested[22][0]
     first = next(index for index, (rest, _) in enumerate(rested) if rest)
-    assert first < 80, "within two seconds"
+    assert first < 60, "within two seconds"
     assert all(speed <= 0.02 for rest, speed in rested if rest)
     assert not node.at_rest("a robot never met")
 

@@ -149,4 +149,4 @@ def test_the_point_robot_s_room_to_stop_is_less_in_a_wind_that_is_learned_late()
         along = [DrivenTick(point_state(k), latent_message(k, latents[k], own)) for k in range(6)]
         found[later] = NO_CEILING.errors("obstacle", drive_heights(model, settings, along)["obstacle"])
     assert found[wind][:3] == pytest.approx(found[calm][:3])
-    assert found[wind][3] - found[calm][3] > 0.7 * fall, "less what the wind does to the prediction itself"
+    assert found[wind][3] - found[calm][3] > 0.4 * fall, "less what the wind does to the prediction itself"

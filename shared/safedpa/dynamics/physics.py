@@ -89,6 +89,10 @@ class PhysicsModel(AbstractDynamics):
         """The same model with some settings replaced."""
         return PhysicsModel(self.base, self.effects, {**self.settings, **settings}, self.period)
 
+    def with_period(self, period: float) -> PhysicsModel:
+        """The same equations over another period in s; itself where it is its own."""
+        return self if period == self.period else PhysicsModel(self.base, self.effects, self.settings, period)
+
     def with_effect(self, item: AbstractEffect, settings: Mapping[str, Setting]) -> PhysicsModel:
         """The model with one more effect; ``settings`` by parameter name, where left out those that do nothing."""
         unknown = set(settings) - {parameter.name for parameter in item.parameters}

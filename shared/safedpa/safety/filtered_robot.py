@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
+from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
@@ -89,6 +90,8 @@ class FilteredRobot:
     """What is remembered of one robot between ticks, as long as its model stays."""
 
     held: HeldModel
+    model: PhysicsModel
+    """The held one, over the robot's own period."""
     filter: SafetyFilter
     scene: Scene
     margin: WatchedMargin
@@ -116,27 +119,33 @@ class FilteredRobot:
     """How long it has stood, and whether an action failed to move it."""
 
     def __post_init__(self) -> None:
-        self.standing = Standstill(places_of(self.held.model.system))
+        self.standing = Standstill(places_of(self.model.system))
 
     @classmethod
     def begun(
-        cls, held: HeldModel, settings: FilterSettings, before: Mapping[str, float] | None = None
+        cls,
+        held: HeldModel,
+        settings: FilterSettings,
+        before: Mapping[str, float] | None = None,
+        period: float | None = None,
     ) -> FilteredRobot:
         """For a robot that was not filtered before, or not with this model: then ``before`` is the margin until now.
 
+        ``period`` is the robot's own in s, over which it holds an action and the model therefore has to predict.
         Raises InputError where the settings are another robot's, or nobody wrote barriers for this one.
         """
-        scene = scene_of(held.model, settings)
+        model = held.model if period is None else held.model.with_period(period)
+        scene = scene_of(model, settings)
         backup = scene.backup if isinstance(scene, PointScene) else None
-        filtering = SafetyFilter.for_model(held.model, settings, backup=backup)
+        filtering = SafetyFilter.for_model(model, settings, backup=backup)
         phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
         margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased)
-        return cls(held, filtering, scene, margin, Trail(held.model))
+        return cls(held, model, filtering, scene, margin, Trail(model))
 
     @property
     def speeds(self) -> tuple[int, ...]:
         """Which entries of the state are a speed that braking takes away."""
-        return tuple(index for index, name in enumerate(self.held.model.system.state_names) if name == "speed")
+        return tuple(index for index, name in enumerate(self.model.system.state_names) if name == "speed")
 
     def take_up(self, state: StateMessage) -> None:
         """What a state tells before anything else is known."""
@@ -195,9 +204,9 @@ class FilteredRobot:
 
     def remember_actuators(self, state: StateMessage) -> None:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
-        if len(state.applied) != len(self.held.model.system.action):
+        if len(state.applied) != len(self.model.system.action):
             return  # the filter refuses such a state for its own reasons; nothing to learn here
-        model, told, expected = self.held.model, self.decision, self.expected_memory
+        model, told, expected = self.model, self.decision, self.expected_memory
         follows = told is not None and (state.epoch, state.tick) == (told.state.epoch, told.state.tick + 1)
         if follows and expected is not None and state.applied_by == "filter":
             self.memory = expected
@@ -219,7 +228,7 @@ class FilteredRobot:
 
         One step, or the whole path where the tick is one of those that tell it.
         """
-        model, steps = self.held.model, _PATH_STEPS if state.tick % _PATH_EVERY == 0 else 1
+        model, steps = self.model, _PATH_STEPS if state.tick % _PATH_EVERY == 0 else 1
         if len(state.values) != len(model.system.state):
             return (), None
         if self.pending and self.pending.sent:
@@ -269,9 +278,35 @@ class FilteredRobot:
         said = "The correction lay in the dead band, where the robot did not move before: it rests instead."
         return replace(resting, status=Status.corrected, wish=verdict.wish, active=verdict.active, reason=said)
 
+    def out_of_the_layer(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Verdict:
+        """Where no action keeps every condition: the wish, if it raises every h that is short, and keeps the others'.
+
+        Between 0 and epsilon / eta no single step may reach what the condition asks for, above all from rest; whoever
+        takes the safest action of each tick then stands there for ever. In the lower half of that layer it is left.
+        """
+        barriers = self.barriers
+        if verdict.status is not Status.relaxed or verdict.wish is None or isinstance(barriers, str):
+            return verdict
+        settings = self.filter.settings
+        action = np.clip(verdict.wish, settings.low, settings.high)
+        predicted = self._next(state, action, latent)
+        if not predicted:
+            return verdict
+        now, then, eta = barriers.heights(state.values), barriers.heights(predicted[0]), settings.eta
+        margins = barriers.of_each(self.margin.epsilon, 0.0)
+        slack = 0.0
+        for here, there, epsilon in zip(now, then, margins, strict=True):
+            missing = (1.0 - eta) * here + epsilon - there
+            if missing > 0.0 and not there > here >= 0.5 * epsilon / eta:
+                return verdict
+            slack = max(slack, missing)
+        action.flags.writeable = False
+        said = "The wish is taken: it raises every h that is short of its margin, and keeps the other conditions."
+        return replace(verdict, action=action, reason=said, slack=slack, h_next=min(then))
+
     def _next(self, state: StateMessage, action: Values, latent: Values | None) -> Rows:
         """One predicted state under an action; empty where there is none."""
-        model = self.held.model
+        model = self.model
         if len(state.values) != len(model.system.state):
             return ()
         free = model.latent if latent is None else latent
@@ -290,7 +325,7 @@ class FilteredRobot:
         """Decides once more what another model decided. Raises InputError where only this one has to fall back."""
         if isinstance(barriers, str) or decided.verdict.status is Status.fallback:
             return
-        state, latent = decided.state, self.held.model.latent
+        state, latent = decided.state, self.model.latent
         verdict = self.filter.decide(
             state.values,
             decided.verdict.action if decided.verdict.status is Status.stopped else decided.verdict.wish,

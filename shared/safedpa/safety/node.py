@@ -85,10 +85,12 @@ class SafetyFilterNode(AbstractNode):
         if self._versions.begin(robot, state) and robot in self._robots:
             self._robots[robot].changed_at = state.tick
         memory = self._robots.get(robot)
+        if memory is not None and memory.model.period != state.period:
+            self._broken[robot], memory = memory, None
         if memory is None:
             broken = self._broken.pop(robot, None)
             before = None if broken is None else broken.margin.epsilon
-            memory = FilteredRobot.begun(self._versions.of(robot), self._settings, before)
+            memory = FilteredRobot.begun(self._versions.of(robot), self._settings, before, state.period)
             if broken is not None and broken.held is memory.held:
                 memory.margin = broken.margin
                 memory.margin.expect(None)
@@ -109,7 +111,7 @@ class SafetyFilterNode(AbstractNode):
         of_before = not isinstance(latent, LatentMessage) or latent.model == memory.held.fingerprint
         if of_before and memory.held.fingerprint != held.fingerprint and memory.may_wait(state):
             return memory
-        begun = FilteredRobot.begun(held, self._settings, memory.margin.epsilon)
+        begun = FilteredRobot.begun(held, self._settings, memory.margin.epsilon, state.period)
         begun.remember_way(memory)
         self._robots[robot] = begun
         self.prepare(robot, state)
@@ -144,6 +146,7 @@ class SafetyFilterNode(AbstractNode):
         else:
             wished = wish.values if isinstance(wish, WishMessage) else None
             verdict = memory.filter.decide(state.values, wished, latent, **known)
+            verdict = memory.out_of_the_layer(state, verdict, latent)
             verdict = memory.out_of_dead_band(
                 state,
                 verdict,

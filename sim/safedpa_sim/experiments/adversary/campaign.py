@@ -15,10 +15,12 @@ from safedpa_sim.experiments.adversary.bad_inputs import BadInputs
 from safedpa_sim.experiments.adversary.bends import Bends
 from safedpa_sim.experiments.adversary.car_grid import CarGrid
 from safedpa_sim.experiments.adversary.drives import Drives
+from safedpa_sim.experiments.adversary.late_drives import LateDrives
 from safedpa_sim.experiments.adversary.mirrors import Mirrors
 from safedpa_sim.experiments.adversary.peers import Peers
 from safedpa_sim.experiments.adversary.programs import Programs
 from safedpa_sim.experiments.adversary.scales import Scales
+from safedpa_sim.experiments.adversary.standing import Standing
 from safedpa_sim.experiments.adversary.systems import Systems
 from safedpa_sim.experiments.car_workers import Workers
 
@@ -29,8 +31,8 @@ Tell = Callable[[int, int], None]
 
 def all_attacks(interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
     """Every attack, the quick ones first; peers are looked for in these Pythons, and in this one."""
-    own = (BadInputs(), Scales(), Systems(), Bends(), Mirrors(), CarGrid(), Drives(), Programs())
-    return [*own, Peers(interpreters)]
+    problems = (BadInputs(), Scales(), Systems(), Bends(), Mirrors(), CarGrid(), Programs())
+    return [*problems, Drives(), LateDrives(), Standing(), Peers(interpreters)]
 
 
 def attacks_named(names: Sequence[str], interpreters: Sequence[str] = ()) -> list[AbstractAttack]:

@@ -24,6 +24,7 @@ from safedpa_sim.experiments.adversary.hostile import (
     rocking,
     thrusting,
 )
+from safedpa_sim.experiments.reversing_drives import TOWED, ReversingDrive, run_reversing_drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.pendulum_robot import PendulumRobot
 from safedpa_sim.robots.pendulum_task import task_named
@@ -33,8 +34,8 @@ from safedpa_sim.robots.scene import Scene
 __all__ = ["KINDS", "Driven", "Drives"]
 
 _PERIOD: Final = 0.05
-_OF_THE_CAR: Final = ("forward", "any direction", "killed")
-_LOADS: Final = ("none", "box", "chair", "large_chair")
+_EVERY: Final = ("none", "box", "chair", "large_chair")
+_LOADS: Final = {"forward": _EVERY, "any direction": _EVERY, "killed": _EVERY, "reversing": TOWED}
 _FULL: Final = (50, 20.0)
 """Drives of each kind and load, and seconds of each."""
 _SMALL: Final = (1, 3.0)
@@ -67,7 +68,7 @@ class Drives(AbstractAttack):
         return [
             (kind, load, 1000 * seed + number, seconds)
             for kind in KINDS
-            for load in (_LOADS if kind in _OF_THE_CAR else ("none",))
+            for load in _LOADS.get(kind, ("none",))
             for number in range(count)
         ]
 
@@ -134,6 +135,11 @@ def _point(kind: str, load: str, seed: int, seconds: float) -> Driven:
     return _driven(kind, load, seed, robot, drive(robot, _nodes("point", thrusting, seed), ticks))
 
 
+def _reversing(kind: str, load: str, seed: int, seconds: float) -> Driven:
+    found = run_reversing_drive(ReversingDrive(load, seed, seconds))
+    return Driven(kind, load, seed, found.collisions, found.least_h, found.statuses)
+
+
 def _pendulum(kind: str, load: str, seed: int, seconds: float) -> Driven:
     random = np.random.default_rng([seed, 10])
     wind = wind_towards(float(random.uniform(0.0, 4.0)), float(random.uniform(0.0, 360.0)))
@@ -164,6 +170,7 @@ KINDS: Final[Mapping[str, Callable[[str, str, int, float], Driven]]] = {
     "forward": _car(at_nearest),
     "any direction": _car(rocking),
     "killed": _car(at_nearest, killed=True),
+    "reversing": _reversing,
     "pendulum": _pendulum,
     "point": _point,
 }
