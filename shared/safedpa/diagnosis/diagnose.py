@@ -16,6 +16,7 @@ from safedpa.diagnosis.evidence import Evidence, evidence_at, evidence_beside, s
 from safedpa.diagnosis.experiment_choice import chosen_experiment
 from safedpa.diagnosis.fitted_values import values_of
 from safedpa.diagnosis.heldout import Heldout, error_with
+from safedpa.diagnosis.naive import naive_errors
 from safedpa.diagnosis.readiness import MOST_ROWS, Judgeable, judgeable, prepared, row_of
 from safedpa.diagnosis.remaining import formula_instead, remaining
 from safedpa.diagnosis.report import Candidate, Detectable, Experiment, Report, Unexplained, Verdict
@@ -92,6 +93,7 @@ def diagnose(
             np.maximum(search.current.fit.scale, 1e-9),
         ),
         detectable=tuple(sizes),
+        naive=naive_errors(shown.windows),
         worse=told.worse,
         evidence=(usable.seconds, *asked),
     )
