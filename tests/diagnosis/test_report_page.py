@@ -266,3 +266,27 @@ def test_a_recording_that_cannot_be_written_is_told(diagnosed, tmp_path):
     document, runs, models = diagnosed
     with pytest.raises(RecordingError):
         write_recording(document, runs, models, tmp_path / "absent" / "folder")
+
+
+def test_what_is_open_stands_on_the_page(diagnosed):
+    document, runs, models = diagnosed
+    number = {"value": 0.31, "std": 0.1, "unit": "1/s"}
+    near = {
+        "effect": "viscous_drag", "parameters": {"viscous_drag.coefficient": number}, "heldout_fall": 0.24,
+        "score": 2.1, "smallest_detectable": {}, "drive": "coast down", "reason": "likely, not proven",
+    }  # fmt: skip
+    size = {
+        "effect": "payload", "parameter": "mass_ratio", "unit": "1", "smallest": None, "ordinary": 0.3,
+        "only_with": ["base.speed_gain"], "drive": "weigh it",
+    }  # fmt: skip
+    lost = {"stage": 1, "run": "drive 2", "state": "yaw", "before": 0.2, "after": 0.5}
+    opened = {
+        **document, "verdict": "undecided", "added": [], "stages": document["stages"][:1], "candidates": [],
+        "unexplained": None, "closest": [near], "detectable": [size], "worse": [lost],
+    }  # fmt: skip
+    text = report_page(opened, runs, models[:1], "open")
+    for expected in (
+        "Undecided: not enough data to tell", "viscous_drag", "24 %", "coast down", "not at all",
+        "only as a sum with base.speed_gain", "yaw in drive 2 (0.2 to 0.5)",
+    ):  # fmt: skip
+        assert expected in text

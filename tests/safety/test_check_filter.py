@@ -94,8 +94,6 @@ def test_the_pendulum_is_fine_but_has_no_stand() -> None:
 
 
 def test_the_point_robot_is_fine() -> None:
-    """Its manoeuvre changes ends where it has to push more than 120 degrees aside; there its room jumps by
-    centimetres, so not every condition is kept by the backup, though each by some action."""
     model, settings, latent = load_model("point_wind"), settings_named("point"), np.array([0.5, -0.3])
     scene, random = PointScene(model, settings), np.random.default_rng(0)
     scene.learn(latent)
@@ -108,7 +106,7 @@ def test_the_point_robot_is_fine() -> None:
     assert not isinstance(barriers, str)
     states = random.uniform((-0.4, -0.4, -3, -0.3, -0.3), (0.4, 0.4, 3, 0.3, 0.3), (10, 5))
     safe = SafetyFilter.for_model(model, settings, barriers, backup=scene.backup)
-    found = check_filter(safe, states, latent=latent, ticks=40, stands=False)
+    found = check_filter(safe, states, latent=latent, ticks=40)
     assert not found, str(found)
 
 
@@ -223,6 +221,11 @@ def test_a_gradient_that_its_own_h_contradicts() -> None:
     assert "got a slope of 1 in entry 0 of the state, wanted -1" in str(found)
     right = report(gradient=lambda x: [-1.0, -(x[1] / 0.8 + 0.1) * (x[1] > 0.0)])
     assert not right
+
+
+def test_a_filter_that_is_switched_off_is_checked_all_the_same() -> None:
+    assert not report(settings=replace(SETTINGS, enabled=False))
+    assert report(settings=replace(SETTINGS, enabled=False, backup_action=(1.0,))).subjects == {"backup"}
 
 
 def test_what_raises_is_told_and_not_raised() -> None:

@@ -92,3 +92,35 @@ def test_a_function_that_refuses_a_step_has_no_slope_there() -> None:
     for broken in (refusing, lambda x: np.array([np.nan if x[0] != 2.0 else x[1]])):
         found = central_slopes(broken, np.array([2.0, 1.0]), np.ones(2), np.ones(1))
         np.testing.assert_allclose(found, [[0.0, 1.0]], atol=1e-9)
+
+
+def test_one_value_that_is_no_number_makes_the_step_none() -> None:
+    found = central_slopes(
+        lambda x: np.array([x[0], np.nan if abs(x[0] - 2.0) > 0.0 else 1.0]), np.array([2.0]), np.ones(1), np.ones(2)
+    )
+    np.testing.assert_array_equal(found, [[0.0], [0.0]])
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_how_large_a_value_is_says_what_an_answer_is(size: float) -> None:
+    """The same steps, whatever the unit of the value."""
+    steps: list[float] = []
+
+    def function(x: np.ndarray) -> np.ndarray:
+        steps.append(abs(float(x[0])))
+        return size * np.array([1.0 + x[0]])
+
+    found = central_slopes(function, np.zeros(1), np.zeros(1), np.array([size]))
+    np.testing.assert_allclose(found, [[size]], rtol=1e-5)
+    assert steps[-1] == pytest.approx(1e-9)
+
+
+def test_far_from_the_origin_the_step_grows_with_the_rounding() -> None:
+    steps: list[float] = []
+
+    def function(x: np.ndarray) -> np.ndarray:
+        steps.append(abs(float(x[0]) - 1e6))
+        return np.array([x[0] - 1e6])
+
+    central_slopes(function, np.array([1e6]), np.ones(1), np.ones(1))
+    assert steps[0] == pytest.approx(np.cbrt(np.finfo(float).eps * 1e6), rel=1e-3)

@@ -76,6 +76,7 @@ def test_several_values_and_a_gradient_of_their_own() -> None:
     h, gradient = barrier.evaluate(np.array([0.5, -0.2]))
     np.testing.assert_allclose(h, [1.3, 2.6])
     np.testing.assert_array_equal(gradient, [[3.0, 1.0], [6.0, 2.0]])
+    np.testing.assert_array_equal(barrier.along(np.array([0.5, -0.2]), np.array([[1.0], [2.0]])), [[5.0], [10.0]])
     assert (barrier.names, barrier.kind) == (("one", "two"), "wall")
 
 

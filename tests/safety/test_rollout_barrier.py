@@ -248,6 +248,22 @@ def test_the_gradient_is_that_of_its_values() -> None:
     assert agreed >= 27, "all but where the backup's limits make a kink"
 
 
+def test_slopes_along_directions_are_those_of_the_gradient() -> None:
+    random, discs = np.random.default_rng(2), ObstacleBarrier([(2.0, 0.3, 0.3)], (0.1, 0.4, 0.1), Braking(2.0, 2.5))
+    exact = RolloutBarrier(load_model("car"), (0.0, 0.0), discs, 40)
+    still = np.zeros((4, 1))
+    for whole in (rollout(), exact):
+        agreed = 0
+        for _ in range(20):
+            x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
+            directions = np.hstack((0.05 * random.normal(size=(4, 2)), still))
+            for barrier in (whole, whole.since(x - 0.02 * random.normal(size=4))):
+                along = barrier.along(x, directions)
+                np.testing.assert_array_equal(along[:, 2], 0.0)
+                agreed += np.abs(along - barrier.evaluate(x)[1] @ directions).max() < 1e-6
+        assert agreed >= 36, "all but where the backup's limits make a kink"
+
+
 def test_recorded_equations_and_differences_give_one_gradient() -> None:
     model, random = load_model("car"), np.random.default_rng(0)
     discs = ObstacleBarrier([(2.0, 0.3, 0.3), (1.2, -1.0, 0.25)], (0.08, 0.4, 0.12), Braking(2.0, 2.5), 0.05)
@@ -354,26 +370,29 @@ def test_the_point_robots_stopping_manoeuvre_is_a_rollout() -> None:
     motion, hazards = Motion(np.array([0.7, -0.4]), 1.9, 2.9, 3.0), np.array([[0.4, 0.0, 0.2], [-0.5, 0.3, 0.2]])
     stopping, random = StoppingBarrier(hazards, motion), np.random.default_rng(6)
 
-    def manoeuvre(x: np.ndarray) -> np.ndarray:
-        """Thrust, turn, and the end that pushes, which the sixth state remembers."""
-        thrust, turn, end = stopping_action(x[:5, np.newaxis], motion, x[5:])
-        return np.concatenate((thrust, turn, end))
-
     def step(x: np.ndarray, a: np.ndarray) -> np.ndarray:
         middle = x[2] + 0.5 * STEP_SECONDS * a[1]
-        push = a[0] * np.array([np.cos(middle), np.sin(middle)]) + motion.wind - motion.drag * x[3:5]
-        place = x[:2] + STEP_SECONDS * (x[3:5] + 0.5 * STEP_SECONDS * push)
-        return np.array([*place, x[2] + STEP_SECONDS * a[1], *(x[3:5] + STEP_SECONDS * push), a[2]])
+        push = a[0] * np.array([np.cos(middle), np.sin(middle)]) + motion.wind - motion.drag * x[3:]
+        place = x[:2] + STEP_SECONDS * (x[3:] + 0.5 * STEP_SECONDS * push)
+        return np.array([*place, x[2] + STEP_SECONDS * a[1], *(x[3:] + STEP_SECONDS * push)])
 
     def room_left(x: np.ndarray) -> np.ndarray:
         return np.hypot(*(hazards[:, :2] - x[:2]).T) - hazards[:, 2]
 
-    rolled = RolloutBarrier(step, manoeuvre, room_left, STEPS, ("hazard 0", "hazard 1"))
+    def rolled(end: float) -> RolloutBarrier:
+        """Nose first or tail first."""
+        return RolloutBarrier(
+            step,
+            lambda x: np.concatenate(stopping_action(x[:, np.newaxis], motion, np.array([end]))),
+            room_left,
+            STEPS,
+            ("hazard 0", "hazard 1"),
+        )
+
     for _ in range(40):
         x = np.array([*random.uniform(-0.8, 0.8, 2), random.uniform(-3.0, 3.0), *random.uniform(-0.8, 0.8, 2)])
-        start = np.array([*x, stopping.best_end(x)])
-        at_ticks = np.min([room_left(state) for state in rolled.path(start)], axis=0)
+        barrier = rolled(stopping.best_end(x))
+        at_ticks = np.min([room_left(state) for state in barrier.path(x)], axis=0)
         np.testing.assert_allclose(at_ticks, stopping.values(x), atol=1e-9)
-        swept = rolled.values(start)
-        np.testing.assert_array_less(swept, at_ticks + 1e-12)
-        np.testing.assert_allclose(swept, at_ticks, atol=4e-3)
+        np.testing.assert_array_less(barrier.values(x), at_ticks + 1e-12)
+        np.testing.assert_allclose(barrier.values(x), at_ticks, atol=4e-3)

@@ -16,12 +16,15 @@ from safedpa.diagnosis.evidence import Evidence, evidence_at, evidence_beside, s
 from safedpa.diagnosis.experiment_choice import chosen_experiment
 from safedpa.diagnosis.fitted_values import values_of
 from safedpa.diagnosis.heldout import Heldout, error_with
+from safedpa.diagnosis.naive import naive_errors
+from safedpa.diagnosis.patch import in_one_room
 from safedpa.diagnosis.readiness import MOST_ROWS, Judgeable, judgeable, prepared, row_of
 from safedpa.diagnosis.remaining import formula_instead, remaining
 from safedpa.diagnosis.report import Candidate, Detectable, Experiment, Report, Unexplained, Verdict
 from safedpa.diagnosis.search import Judged, Search, searched
 from safedpa.diagnosis.stages import stages_of
 from safedpa.diagnosis.summary import worst_bins
+from safedpa.diagnosis.where import PLACE
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect, effects_of
 from safedpa.records.run import Finding, Run
@@ -67,7 +70,7 @@ def diagnose(
         return found
 
     search = searched(model, library if judge.enough else [], evidence.shooting, evidence.heldout, tell, beside)
-    usable.quality.extend(_too_bad(search))
+    usable.quality.extend([*_too_bad(search), *_rooms(evidence)])
     found = _rest_of(search, judge, Names(search, library, evidence.heldout))
     sizes = with_manoeuvres(_sizes(search, library), search.current, library) if judge.enough else ()
     told = stages_of(search, evidence.heldout, shown)
@@ -92,6 +95,7 @@ def diagnose(
             np.maximum(search.current.fit.scale, 1e-9),
         ),
         detectable=tuple(sizes),
+        naive=naive_errors(shown.windows),
         worse=told.worse,
         evidence=(usable.seconds, *asked),
     )
@@ -119,6 +123,18 @@ def _sizes(search: Search, library: Sequence[AbstractEffect]) -> list[Detectable
     have = {item.name for item in search.current.fit.model.effects}
     rest = [item for item in library if item.name not in have]
     return detectable_sizes(search.current, rest, search.shooting, search.error)
+
+
+def _rooms(evidence: Evidence) -> list[dict[str, Any]]:
+    """Runs that were in different places: whether they are of one room is not assumed."""
+    names = evidence.shooting.windows.system.state_names
+    if not set(PLACE) <= set(names) or in_one_room(evidence.shooting):
+        return []
+    message = (
+        "the runs lie in different places, so no place on the floor was looked for; if they are of one room, give them "
+        "in one frame"
+    )
+    return [row_of("all", Finding("different_places", message))]
 
 
 def _too_bad(search: Search) -> list[dict[str, Any]]:

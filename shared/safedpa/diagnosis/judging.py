@@ -122,8 +122,9 @@ def _decision(
     search: Search, stage: Stage, trial: Trial, best: Trial | None, passed: bool, equals: tuple[str, ...]
 ) -> tuple[str, str]:
     gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
+    seconds = search.shooting.windows.horizon
     change = "" if error is None else 100 * (error.value / search.error.value - 1)
-    fall = "" if error is None else f"; the held-out error changes by {change:+.1f} %"
+    fall = "" if error is None else f"; the held-out error after {seconds:.3g} s changes by {change:+.1f} %"
     sentence = f"gain on unseen blocks {gain:.1f} standard errors{fall}"
     if trial is best and passed:
         return "accepted", sentence

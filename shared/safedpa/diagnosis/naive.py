@@ -6,7 +6,7 @@ import numpy as np
 
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 
-__all__ = ["LOOK_BACK", "constant_velocity", "measured_rates", "no_change"]
+__all__ = ["LOOK_BACK", "constant_velocity", "measured_rates", "naive_errors", "no_change"]
 
 LOOK_BACK = 0.1
 """s; measured rates are the change over this past (one row where rows are further apart): long enough to average the
@@ -35,3 +35,11 @@ def measured_rates(windows: Windows) -> Floats:
     seconds = windows.clock[windows.start] - windows.clock[past]
     change = windows.system.difference(windows.states[windows.start], windows.states[past])
     return np.asarray(change / np.where(seconds > 0, seconds, np.inf)[:, None])
+
+
+def naive_errors(windows: Windows) -> dict[str, float]:
+    """The rollout error at the windows' ends of each of them, by name."""
+    from safedpa.diagnosis.rollout_error import error_of
+
+    found = {"no_change": no_change(windows, windows.end), "constant_velocity": constant_velocity(windows, windows.end)}
+    return {name: error_of(windows, windows.end, predicted).value for name, predicted in found.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from safedpa.diagnosis.trial import Trial, block_gain, tried, with_start
 from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats
 
-__all__ = ["Patch", "best_patch", "capped"]
+__all__ = ["Patch", "best_patch", "capped", "in_one_room"]
 
 _SURE = 2.0
 """Standard errors of gain on unseen blocks: few blocks lie in one place, so they are never many."""
@@ -23,6 +24,9 @@ _LITTLE = 0.03
 """Fall of the logarithm of the held-out residual, mean over the states, that is worth a place."""
 _FEWEST = 8
 """Windows inside."""
+_FEWEST_OF_A_RUN = 3
+_TOUCHED = 0.01
+"""Of the most that a place explains in a window, from which a window counts as inside."""
 _MOST = 0.7
 """Share of the windows inside: what is nearly everywhere is no place."""
 
@@ -70,7 +74,7 @@ def capped(pushes: Floats) -> Floats:
 def best_patch(null: Trial, shooting: Shooting) -> Patch | None:
     """The best circle or strip, or None where there is no plane or no place that unseen blocks confirm."""
     names = shooting.windows.system.state_names
-    if not {*PLACE, "speed"} <= set(names) or len(shooting.windows) < 30:
+    if not {*PLACE, "speed"} <= set(names) or len(shooting.windows) < 30 or not in_one_room(shooting):
         return None
     middle = shooting.measured[:, shooting.measured.shape[1] // 2]
     points, signs = middle[:, [names.index(name) for name in PLACE]], np.sign(middle[:, names.index("speed")])
@@ -78,8 +82,30 @@ def best_patch(null: Trial, shooting: Shooting) -> Patch | None:
     found = [
         _fitted(item, start, null, shooting) for item in (Circle(), Strip()) if (start := _start(item, points, along))
     ]
-    kept = [patch for patch in found if patch.gain >= _SURE and patch.trial.loss <= null.loss - _LITTLE]
+    kept = [
+        patch
+        for patch in found
+        if patch.gain >= _SURE and patch.trial.loss <= null.loss - _LITTLE and _in_most_runs(patch, null, shooting)
+    ]
     return min(kept, key=lambda patch: patch.trial.loss, default=None)
+
+
+def in_one_room(shooting: Shooting) -> bool:
+    """Whether the runs may be of one room: the places where any two of them were overlap."""
+    windows = shooting.windows
+    at = [windows.system.state_names.index(name) for name in PLACE]
+    points = shooting.measured[:, shooting.measured.shape[1] // 2][:, at]
+    boxes = [np.quantile(points[windows.run == run], [0.02, 0.98], axis=0) for run in np.unique(windows.run)]
+    return all(bool((one[0] <= other[1]).all() and (other[0] <= one[1]).all()) for one, other in combinations(boxes, 2))
+
+
+def _in_most_runs(patch: Patch, null: Trial, shooting: Shooting) -> bool:
+    """Whether most of the runs that were in the place are predicted better with it: a floor is the same for all."""
+    inside = (patch.trial.explained**2).sum(axis=1) > _TOUCHED * float((patch.trial.explained**2).sum(axis=1).max())
+    better = ((null.heldout - patch.trial.heldout) / null.fit.scale**2).sum(axis=1)
+    runs = shooting.windows.run
+    there = [run for run in np.unique(runs) if int((inside & (runs == run)).sum()) >= _FEWEST_OF_A_RUN]
+    return sum(float(better[inside & (runs == run)].sum()) > 0 for run in there) > 0.5 * len(there) or not there
 
 
 def _fitted(item: Place, start: dict[str, float], null: Trial, shooting: Shooting) -> Patch:

@@ -136,6 +136,8 @@ class Report:
     """Where the data are not sure: the effects that come closest, the best first; "likely, not proven"."""
     detectable: tuple[Detectable, ...] = ()
     """For each number of each effect that the model lacks the smallest change that these logs would have shown."""
+    naive: dict[str, float] = field(default_factory=dict)
+    """Errors of what knows no physics, after the horizon: "no_change" and "constant_velocity"."""
     worse: tuple[Worse, ...] = ()
     """States that the last stage predicts worse in a run than the given model, the worst first."""
     evidence: tuple[float, ...] = ()
@@ -147,7 +149,7 @@ def as_document(report: Report) -> dict[str, Any]:
     plain: dict[str, Any] = {"format": 1}
     for name in (
         "robot", "horizon", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
-        "data_quality", "parameters", "closest", "detectable", "worse", "evidence",
+        "data_quality", "parameters", "closest", "detectable", "naive", "worse", "evidence",
     ):  # fmt: skip
         plain[name] = _plain(getattr(report, name))
     return plain

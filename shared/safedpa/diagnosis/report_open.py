@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["closest_rows", "detectable_rows", "nothing_sentence", "undecided_sentence"]
+__all__ = ["closest_rows", "detectable_rows", "naive_sentence", "nothing_sentence", "undecided_sentence"]
 
+_NAIVE = {"no_change": "assuming no change", "constant_velocity": "assuming constant velocity"}
 _EXAMPLES = 3
 """Sizes that are told in a sentence; the table has all."""
 
@@ -33,6 +34,21 @@ def _why(document: Mapping[str, Any], closest: Sequence[Mapping[str, Any]]) -> s
     hidden = [item["effect"] for item in document.get("detectable") or () if not _shown(item)]
     names = ", ".join(dict.fromkeys(hidden))
     return f"the data are too uniform: an ordinary size of {names} would not have been found"
+
+
+def naive_sentence(document: Mapping[str, Any]) -> str:
+    """That the given model, its free numbers refitted, is worse than what knows no physics; else empty."""
+    naive = {name: value for name, value in (document.get("naive") or {}).items() if value is not None}
+    if not naive or document["stages"][0]["heldout_error"] is None:
+        return ""
+    given = float(document["stages"][0]["heldout_error"])
+    name = min(naive, key=lambda item: naive[item])
+    if not given > naive[name] > 0:
+        return ""
+    return (
+        f"The given model, its free numbers refitted, predicts worse than {_NAIVE.get(name, name)}: an error of "
+        f"{given:.3g} where that has {naive[name]:.3g}."
+    )
 
 
 def nothing_sentence(document: Mapping[str, Any]) -> str:

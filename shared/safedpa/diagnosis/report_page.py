@@ -14,6 +14,7 @@ from safedpa.diagnosis.overlays import chosen_windows, window_figure
 from safedpa.diagnosis.page import embedded, rendered
 from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.diagnosis.report_figures import before_after_figure, falling_figure, map_figure
+from safedpa.diagnosis.report_open import closest_rows, detectable_rows
 from safedpa.diagnosis.report_story import number, story_of
 from safedpa.diagnosis.rollout import rollout
 from safedpa.diagnosis.unexplained_figure import unexplained_figure
@@ -70,6 +71,9 @@ def report_page(
         story=story_of(document),
         before=before,
         after=after,
+        closest=closest_rows(document),
+        detectable=detectable_rows(document),
+        worse=document.get("worse", ()),
         tiles=_tiles(document, before, seconds, len(runs)),
         has_maps=maps is not None,
         has_rest=rest is not None,

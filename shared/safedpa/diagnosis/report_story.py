@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from safedpa.diagnosis.report_open import nothing_sentence, undecided_sentence
+from safedpa.diagnosis.report_open import naive_sentence, nothing_sentence, undecided_sentence
 
 __all__ = ["Found", "Stage", "Story", "number", "parameters_text", "step_text", "story_of"]
 
@@ -134,6 +134,11 @@ def story_of(document: Mapping[str, Any]) -> Story:
 
 
 def _lead(document: Mapping[str, Any]) -> str:
+    lost = naive_sentence(document)
+    return f"{lost} {_verdict(document)}" if lost else _verdict(document)
+
+
+def _verdict(document: Mapping[str, Any]) -> str:
     stages, added = document["stages"], document["added"]
     first, last = number(stages[0]["heldout_error"]), number(stages[-1]["heldout_error"])
     if added:

@@ -18,11 +18,13 @@ from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.judging import MOST_MISSING, Stage, farthest, inside, judged, likely, preferred
+from safedpa.diagnosis.naive import naive_errors
 from safedpa.diagnosis.pairs import pairs_of
 from safedpa.diagnosis.patch import Patch, best_patch
 from safedpa.diagnosis.revision import bounded, exchange, removals, unhelpful, united
 from safedpa.diagnosis.second_opinion import CLEAR_FALL, agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
+from safedpa.diagnosis.starts import best_start
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
 from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
@@ -37,6 +39,13 @@ _ASKED = 3
 
 _FAR = 0.5
 """Share of a free number."""
+_HARDLY = 0.8
+"""Of the error of what knows no physics, from which a refitted base may be stuck."""
+_STUCK, _SURELY = 0.25, 0.5
+"""Share of the held-out error by which another start has to be better, there and elsewhere.
+
+Where much is missing, a free number that stands for all of it is a little better too, and hides what is missing.
+"""
 
 Tell = Callable[[int, int], None]
 Beside = Callable[[], Iterable[Evidence]]
@@ -79,7 +88,17 @@ def _later(tell: Tell, stage: int, size: int) -> Callable[[int], None]:
 
 
 def begun(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
-    """The search with the given model, its free parameters refitted."""
+    """The search with the given model, its free parameters refitted: from where they stand, unless that gets stuck."""
+    given = _begun_at(model, shooting, heldout)
+    other = best_start(model, list(model.latent_names), shooting)
+    if other is model:
+        return given
+    found = _begun_at(other, shooting, heldout)
+    lost = given.error.value > _HARDLY * min(naive_errors(heldout.windows).values())
+    return found if found.error.value < (1.0 - (_STUCK if lost else _SURELY)) * given.error.value else given
+
+
+def _begun_at(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
     free = list(model.latent_names)
     scale = np.maximum(shooting.residuals([model])[0].std(axis=(0, 1)), 1e-6)
     shooting = shooting.around(model)

@@ -24,7 +24,7 @@ ROUNDING: Final = 1e-9
 """Share of |h| that is nothing."""
 SLIGHT: Final = 0.05
 """Share of epsilon by which a condition may be missed without being told: epsilon is there for more than that."""
-_KEPT = (Status.passed, Status.corrected)
+_KEPT = (Status.passed, Status.corrected, Status.disabled)
 
 
 @final

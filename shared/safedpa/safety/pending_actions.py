@@ -24,6 +24,7 @@ from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.closed_loop import Model, fixed, prediction_of
 from safedpa.safety.compatibility import check_reads
 from safedpa.safety.differences import central_slopes
+from safedpa.safety.inputs import Plausible
 from safedpa.safety.prediction import Prediction
 
 __all__ = ["PendingActions"]
@@ -42,7 +43,8 @@ class PendingActions:
     A filter of it takes the augmented state xi (states + count actions,)::
 
         late = PendingActions(model, 3, resting=(0.0,))
-        safe = SafetyFilter(late.prediction, [late.barrier(part) for part in barriers], settings)
+        late_barriers = [late.barrier(part) for part in barriers]
+        safe = SafetyFilter(late.prediction, late_barriers, settings, state_range=late.state_range)
         xi = late.state(x)
         verdict = safe.decide(xi, wish)
         xi = late.next_state(xi, verdict.action, measured)
@@ -59,8 +61,10 @@ class PendingActions:
         self.count = int(count)
         self._inner = prediction_of(model)
         self.prediction = Prediction(self.affine, self.step)
-        self.prediction.system = self._inner.system
         """What the filter takes in place of a model."""
+        self.prediction.system = self._inner.system
+        self.state_range = self._range()
+        """What is believed of xi, with the names of its entries, for a model of this project; else None."""
 
     def state(self, state: ArrayLike, pending: ArrayLike | None = None) -> Values:
         """xi from x (states,) and the pending actions (count, actions), the next to act first; default: resting."""
@@ -120,6 +124,17 @@ class PendingActions:
         """
         check_reads([barrier], () if self._inner.system is None else self._inner.system.state_names)
         return _Pending(self, barrier, None if latent is None else fixed(np.asarray(latent, dtype=np.float64)))
+
+    def _range(self) -> Plausible | None:
+        system = self._inner.system
+        if system is None:
+            return None
+        pending = [f"{name} pending {place}" for place in range(1, self.count + 1) for name in system.action_names]
+        return Plausible(
+            np.concatenate((system.state_low, np.tile(system.action_low, self.count))),
+            np.concatenate((system.state_high, np.tile(system.action_high, self.count))),
+            (*system.state_names, *pending),
+        )
 
     def _after(self, state: Values, action: Values, latent: Values | None) -> Values:
         if self._inner.of_this_project:

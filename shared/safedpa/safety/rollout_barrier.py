@@ -45,8 +45,10 @@ class RolloutBarrier(AbstractBarrier):
 
     ``model``: a model of this project, a ``Prediction``, ``affine(x) -> f, g`` as the filter takes it, or
     ``step(x, a)``; it should be the filter's own. ``backup(x (states,)) -> action (actions,)``, or one constant action.
-    ``h(x) -> float or (m,)`` with ``names``, or another barrier, whose names and kind are taken. ``horizon``: ticks of
-    the model, 1 or more; those that lie beyond the backup's rest cost nothing. ``latent``: the model's, for all ticks.
+    ``h(x) -> float or (m,)`` with ``names`` and the states that it ``reads``, or another barrier, whose names, kind and
+    states are taken. ``horizon``: ticks of the model, 1 or more; those that lie beyond the backup's rest cost nothing.
+    ``latent``: the model's, for all ticks; a filter whose latent is estimated while it drives gets a new barrier with
+    each decision.
 
     The minimum is exact, not softened; the gradient is that of the place where it is taken: by the recorded equations
     where the model has them, the backup is constant and h knows its own gradient; else by central differences of the
@@ -67,13 +69,14 @@ class RolloutBarrier(AbstractBarrier):
         kind: str = "rollout",
         *,
         latent: ArrayLike | None = None,
+        reads: Sequence[str] = (),
     ) -> None:
         if isinstance(horizon, bool) or not isinstance(horizon, (int, np.integer)) or horizon < 1:
             raise InputError(
                 f"horizon: got {horizon!r}, wanted a whole number of ticks, 1 or more (seconds to rest / period)"
             )
-        own = h if isinstance(h, AbstractBarrier) else FunctionBarrier(h, names=names, kind=kind)
-        self.names, self.kind, self.horizon = own.names, own.kind, int(horizon)
+        own = h if isinstance(h, AbstractBarrier) else FunctionBarrier(h, names=names, kind=kind, reads=reads)
+        self.names, self.kind, self.reads, self.horizon = own.names, own.kind, own.reads, int(horizon)
         self.loop = ClosedLoop(model, backup, latent)
         self._h = own
         system = self.loop.prediction.system

@@ -55,7 +55,8 @@ def ground_simulator(configuration: Configuration, runs: Sequence[Run], tell: Te
         _first(runs, _ROWS),
         tell=lambda done, everything: tell("3", done, everything, "diagnosis of the simulator"),
     )
-    if report.verdict == "unexplained" and not report.added:
+    too_few = report.verdict == "undecided" and report.unexplained is not None
+    if too_few or (report.verdict == "unexplained" and not report.added):
         why = report.unexplained.expression if report.unexplained else "nothing helps"
         raise InputError(f"tuning: the runs say nothing about the simulator ({why}); record a drive with more in it")
     found = report.models[-1]
