@@ -277,6 +277,7 @@ class Line:
     """h = a on 0 <= a <= 9, kept for a >= ``edge``; a program that proposes what it is told."""
 
     sides = ((0.0, 9.0, 9.0),)
+    saturated = False
 
     def __init__(self, edge: float, *proposed: float) -> None:
         self.edge, self.proposed, self.asked = edge, list(proposed), 0
@@ -357,6 +358,17 @@ def test_what_binds_is_not_looked_at_again() -> None:
     assert (found.action, word) == ((DOUBTFUL,), "solved")
     assert line.asked == 1
     assert line.tried == [DOUBTFUL]
+
+
+@pytest.mark.parametrize("saturated", [True, False])
+def test_where_an_actuator_saturates_what_binds_and_is_far_is_looked_at_again(saturated: bool) -> None:
+    """The slope there is a chord's: that the condition binds says nothing about the actions nearer to the wish."""
+    line: Any = Line(3.0, 3.0)
+    line.saturated = saturated
+    line.outcome = lambda action: outcome(action[0], 0.0 if action[0] >= 1.0 else -1.0)
+    line.distance = lambda action, wish: ((action[0] - wish[0]) / 9.0) ** 2
+    search(line, line, (1.0,), outcome(0.0, -3.0), 4)
+    assert line.asked == (1 + AGAIN if saturated else 1)
 
 
 def test_what_is_kept_needlessly_far_is_brought_nearer_and_the_program_posed_again() -> None:

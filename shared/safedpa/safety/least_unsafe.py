@@ -34,7 +34,7 @@ TOLERANCE: Final = 2e-3
 
 _ROUNDING: Final = 1e-12
 """Share of a scale by which the h of two actions may differ that no action changes."""
-_SLIGHT: Final = 1e-3
+_SLIGHT: Final = 5e-6
 """Share of what may be given away that always is: else rounding would refuse the nearest of all that are as high."""
 _ROUNDS: Final = 4
 _LEVELS: Final = 4

@@ -20,6 +20,7 @@ from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
 from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.margin import smallest_sample
+from safedpa.safety.scenes import scene_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.theory_recorded import recorded_bound
 
@@ -82,6 +83,7 @@ def calibration_from_recordings(
     taken for exchangeable, all of them count, near a boundary or not, and nothing is said about drives. Raises
     InputError when the recordings hold too few transitions, or latents of another model.
     """
+    scene_of(model, settings)  # refuses the settings of another robot before anything is read
     drives = [ticks for path in recordings for ticks in _drives(path, fingerprint(model))]
     walked = [(ticks, drive_heights(model, settings, ticks)) for ticks in drives]
     along = [heights for _, heights in walked if heights]

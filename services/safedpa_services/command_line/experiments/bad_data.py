@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
@@ -12,7 +13,8 @@ __all__ = ["command"]
 @click.command(name="bad-data")
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for the files.")
-def command(log: Path, out: Path) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
+def command(log: Path, out: Path, *, as_json: bool) -> None:
     """Spoil a good LOG of a car (CSV, native columns) in twenty ways.
 
     Frozen sensors, dead commands, wrong signs, late channels, other units, decimal commas and more: one file each, and
@@ -23,5 +25,12 @@ def command(log: Path, out: Path) -> None:
 
     if not log.is_file():
         raise InputError(f"{log}: no such file; wanted a good log of a car as CSV")
-    for name, path in write_bad_files(log, out).items():
+    written = write_bad_files(log, out)
+    if as_json:
+        told = {
+            name: {"file": str(path), "kind": BAD[name].kind, "said": BAD[name].said} for name, path in written.items()
+        }
+        click.echo(json.dumps(told, indent=2))
+        return
+    for name, path in written.items():
         click.echo(f"{path}: {BAD[name].kind}, '... {BAD[name].said} ...'")
