@@ -96,7 +96,7 @@ def test_no_verdict_and_the_reason(change, said, log, tmp_path, capsys):
         (scale(180.0 / np.pi, "steer"), "looks like degrees"),
         (scale(180.0 / np.pi, "yaw"), "read as degrees"),
         (swap("target_speed", "steer"), "steer reaches"),
-        (scale(1000.0, "t"), "rows are 50 s apart"),
+        (scale(1000.0, "t"), "looks like ms, not seconds"),
     ],
     ids=["steer_in_degrees", "yaw_in_degrees", "actions_swapped", "milliseconds"],
 )
