@@ -107,3 +107,12 @@ def test_a_damaged_recording(folder: Path, recording: bytes, places: list[tuple[
         data[min(int(place * len(data)), len(data) - 1)] = value
     (folder / "drive.mcap").write_bytes(data[: max(1, int(keep * len(data)))])
     sound(folder / "drive.mcap")
+
+
+@pytest.mark.parametrize("value", [1, 128])
+def test_a_chunk_that_claims_more_bytes_than_any_memory_has(folder: Path, recording: bytes, value: int) -> None:
+    data = bytearray(recording)
+    chunk = data.index(b"zstd") + len(b"zstd")
+    data[chunk + 7] = value  # highest byte of the length of its data
+    (folder / "greedy.mcap").write_bytes(data)
+    sound(folder / "greedy.mcap")

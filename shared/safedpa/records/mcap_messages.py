@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 from safedpa.bus.codec import decode
 from safedpa.bus.messages import Message
@@ -83,7 +84,7 @@ def _records(path: Path, findings: list[Finding]) -> Iterator[Any]:
     from mcap.exceptions import McapError
     from mcap.stream_reader import StreamReader
 
-    with path.open("rb") as file:
+    with _Bounded(path.open("rb", buffering=0)) as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise RunError(f"{path}: is no MCAP file; wanted a recording of the bus")
         file.seek(0)
@@ -97,6 +98,15 @@ def _records(path: Path, findings: list[Finding]) -> Iterator[Any]:
                 findings.append(_damage(file.tell(), path.stat().st_size))
                 return
             yield record
+
+
+@final
+class _Bounded(io.BufferedReader):
+    """A file of which nobody reads more at once than a record may have: lengths within a record can be damaged, too."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """At most ``size`` bytes; fewer than asked for is an end of the file to whoever reads a record."""
+        return super().read(size if size is None else min(size, _LARGEST_RECORD_BYTES))
 
 
 def _damage(offset: int, size: int) -> Finding:
