@@ -45,7 +45,7 @@ POINT = ("../point/test_point_scene.py", "../point/test_point_filter.py")
 BATCH = ("test_batch.py",)
 MODULES = {
     "decision": (*VERDICTS, PROMISES, "test_filter_invariance.py"),
-    "search": ("test_filter_search.py", *VERDICTS, PROMISES, "test_filter_invariance.py"),
+    "search": ("test_filter_search.py", "test_filter_search_back.py", *VERDICTS, PROMISES, "test_filter_invariance.py"),
     "conditions": ("test_filter_conditions.py", *VERDICTS, PROMISES, "test_filter_invariance.py"),
     "tangent": ("test_tangent.py", "test_filter_conditions.py", *VERDICTS),
     "chain_rule": ("test_chain_rule.py",),
