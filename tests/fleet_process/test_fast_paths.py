@@ -55,18 +55,26 @@ def test_rows_are_taken_or_refused_as_one_by_one(value: Any) -> None:
 
 
 class SlowMargin:
-    """Adaptive conformal inference as its definition has it: sorts the whole window in every step."""
+    """Adaptive conformal inference as its definition has it: sorts the whole window in every step.
+
+    Calm steps save no level up, and with a level that is used up every further miss doubles the margin.
+    """
 
     def __init__(self, calibrated: float, coverage: float, rate: float, window: int) -> None:
         self.calibrated, self.target, self.rate, self.window = calibrated, 1.0 - coverage, rate, window
-        self.level, self.value = self.target, calibrated
+        self.level, self.value, self.factor = self.target, calibrated, 2.0
         self.errors: deque[float] = deque(maxlen=window)
         self.missed: deque[bool] = deque(maxlen=window)
 
     def update(self, error: float) -> float:
         missed = not error <= self.value
         self.missed.append(missed)
-        self.level += self.rate * (self.target - float(missed))
+        spent = self.level <= 0.0
+        self.level = min(self.target, self.level + self.rate * (self.target - float(missed)))
+        if self.level > 0.0:
+            self.factor = 2.0
+        elif spent and missed and isfinite(error):
+            self.factor *= 2.0
         if isfinite(error):
             self.errors.append(error)
         self.value = max(self.calibrated, self.quantile())
@@ -76,7 +84,7 @@ class SlowMargin:
         if not self.errors:
             return self.calibrated
         if self.level <= 0.0:
-            return 2.0 * max(self.errors)
+            return self.factor * max(self.calibrated, *self.errors)
         rank = math.ceil((self.window + 1) * (1.0 - self.level) - 1e-9)
         above = self.window - rank
         return self.calibrated if above >= len(self.errors) else sorted(self.errors, reverse=True)[max(above, 0)]
