@@ -55,7 +55,10 @@ def test_rows_are_taken_or_refused_as_one_by_one(value: Any) -> None:
 
 
 class SlowMargin:
-    """Adaptive conformal inference as its definition has it: sorts the whole window in every step."""
+    """Adaptive conformal inference as its definition has it: sorts the whole window in every step.
+
+    Calm steps save no level up, and with a level that is used up every further miss doubles the margin.
+    """
 
     def __init__(self, calibrated: float, coverage: float, rate: float, window: int) -> None:
         self.calibrated, self.target, self.rate, self.window = calibrated, 1.0 - coverage, rate, window

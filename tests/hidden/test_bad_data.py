@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from safedpa.diagnosis.diagnose import diagnose
@@ -109,3 +111,7 @@ def test_the_command_writes_them(good, tmp_path, capsys):
     told = capsys.readouterr().out
     assert len(list((tmp_path / "bad").iterdir())) >= 19
     assert all(path.stem in told for path in (tmp_path / "bad").iterdir())
+    assert safedpa.run(["experiment", "bad-data", str(log.runs[0]), "--out", str(tmp_path / "told"), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["files"]
+    assert {row["file"] for row in rows} == {str(path) for path in (tmp_path / "told").iterdir()}
+    assert all(row["kind"] and row["said"] for row in rows)

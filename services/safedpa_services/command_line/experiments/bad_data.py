@@ -7,14 +7,16 @@ from pathlib import Path
 
 import click
 
+from safedpa_services.command_line.options import as_json_option
+
 __all__ = ["command"]
 
 
 @click.command(name="bad-data")
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for the files.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
-def command(log: Path, out: Path, *, as_json: bool) -> None:
+@as_json_option
+def command(log: Path, out: Path, as_json: bool) -> None:
     """Spoil a good LOG of a car (CSV, native columns) in twenty ways.
 
     Frozen sensors, dead commands, wrong signs, late channels, other units, decimal commas and more: one file each, and
@@ -25,12 +27,10 @@ def command(log: Path, out: Path, *, as_json: bool) -> None:
 
     if not log.is_file():
         raise InputError(f"{log}: no such file; wanted a good log of a car as CSV")
-    written = write_bad_files(log, out)
+    files = write_bad_files(log, out)
     if as_json:
-        told = {
-            name: {"file": str(path), "kind": BAD[name].kind, "said": BAD[name].said} for name, path in written.items()
-        }
-        click.echo(json.dumps(told, indent=2))
+        rows = [{"file": str(path), "kind": BAD[name].kind, "said": BAD[name].said} for name, path in files.items()]
+        click.echo(json.dumps({"format": 1, "files": rows}))
         return
-    for name, path in written.items():
+    for name, path in files.items():
         click.echo(f"{path}: {BAD[name].kind}, '... {BAD[name].said} ...'")
