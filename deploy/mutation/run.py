@@ -31,7 +31,13 @@ SECONDS = 120
 
 TOOLS = ("gymnasium", "hypothesis", "numpy", "piqp", "pytest", "quadprog")
 BARRIERS = ("test_barriers.py", "test_filter_recorded.py", "test_filter_invariance.py")
-VERDICTS = ("test_filter_recorded.py", "test_filter_edges.py", "test_filter_inputs.py", "test_filter_verdicts.py")
+VERDICTS = (
+    "test_filter_recorded.py",
+    "test_filter_edges.py",
+    "test_filter_inputs.py",
+    "test_filter_verdicts.py",
+    "test_filter_violated.py",
+)
 SLOPES = "test_barriers.py::test_gradient_is_the_derivative"
 MARGIN = "test_a_margin_with_ordered_errors_is_the_one_that_sorts"
 PROMISES = "test_filter_promises.py"
@@ -43,7 +49,7 @@ MODULES = {
     "conditions": ("test_filter_conditions.py", *VERDICTS, PROMISES, "test_filter_invariance.py"),
     "tangent": ("test_tangent.py", "test_filter_conditions.py", *VERDICTS),
     "chain_rule": ("test_chain_rule.py",),
-    "least_unsafe": ("test_least_unsafe.py", "test_filter_verdicts.py", PROMISES),
+    "least_unsafe": ("test_least_unsafe.py", "test_filter_violated.py", "test_filter_verdicts.py", PROMISES),
     "lattice": ("test_lattice.py",),
     "highest": ("test_highest.py", "test_least_unsafe.py", PROMISES),
     "inputs": VERDICTS,

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.bus import VERDICT, VerdictMessage, decode, encode
+from safedpa.bus import SETUP, VERDICT, SetupMessage, VerdictMessage, decode, encode
+from safedpa.errors import InputError
 from safedpa.records import McapRecorder
 from safedpa.records.mcap_messages import read_payloads
+from safedpa.safety.settings import parse_settings
 from safedpa_services.command_line.group import safedpa
 
 BOX = str(Path(__file__).parent / "golden" / "car_box.mcap")
@@ -22,6 +24,19 @@ def forged(path: Path) -> Path:
     with McapRecorder(path) as recorder:
         for key, at, topic, payload in read_payloads(BOX):
             recorder.write(key, other(payload) if topic is VERDICT else payload, at, at)
+    return path
+
+
+def aged(path: Path) -> Path:
+    """The box drive, recorded with settings that only an older program had."""
+    with McapRecorder(path) as recorder:
+        for key, at, topic, payload in read_payloads(BOX):
+            if topic is SETUP:
+                setup = decode(SetupMessage, payload)
+                former = "slack_tolerance = 0.0001\nslack_linear = 10000.0\n" if setup.settings else ""
+                recorder.write(key, encode(dataclasses.replace(setup, settings=setup.settings + former)), at, at)
+            else:
+                recorder.write(key, payload, at, at)
     return path
 
 
@@ -74,6 +89,25 @@ def test_what_if_is_only_looked_at(capsys: pytest.CaptureFixture[str], tmp_path:
     code, out, _ = run(capsys, BOX, "--eta", "0.1", "--json")
     assert code == 0
     assert json.loads(out)["summary"]["ticks"] == 120
+
+
+@pytest.mark.parametrize("how", [(), ("--eta", "0.1"), ("--closed-loop",)])
+def test_settings_of_an_older_program_are_left_out_and_named_once(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, how: tuple[str, ...]
+) -> None:
+    path = str(aged(tmp_path / "aged.mcap"))
+    code, out, _ = run(capsys, path, *how)
+    assert code == 0
+    assert out.count("former_settings: slack_tolerance, slack_linear: ") == out.count("slack_tolerance") == 1
+    assert how or "identical: every field of every message" in out
+    code, out, _ = run(capsys, path, *how, "--json")
+    assert code == 0
+    assert [finding["kind"] for finding in json.loads(out)["findings"]] == ["former_settings"]
+
+
+def test_a_file_with_such_settings_stays_refused() -> None:
+    with pytest.raises(InputError, match="slack_linear: no setting any more"):
+        parse_settings("slack_linear = 10000.0\n")
 
 
 def test_closed_loop_in_words(capsys: pytest.CaptureFixture[str]) -> None:

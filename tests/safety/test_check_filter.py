@@ -177,6 +177,8 @@ def test_conditions_that_exclude_each_other() -> None:
 def test_a_backup_out_of_bounds_or_of_another_shape_or_not_the_barriers_own() -> None:
     assert "wanted [-1] to [1]" in report(backup=lambda x: [-3.0])[0].sentence
     assert "finite numbers" in report(backup=lambda x: [0.0] if x is None else [0.0, 0.0])[0].sentence
+    with pytest.raises(InputError, match="1 finite numbers, one for each action"):
+        report(backup=lambda x: [0.0, 0.0])
     found = report(RolloutBarrier(affine, brake, lambda x: 1.0 - x[0], 40))
     assert found.subjects == {"backup"}
     assert "give the filter backup=barrier.backup" in found[0].sentence

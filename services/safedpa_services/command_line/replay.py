@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,7 +112,7 @@ def _code(found: Replay) -> int:
 
 
 def _changed(tape: Tape, change: Change, assumed: list[str], options: dict[str, Any]) -> int:
-    from safedpa.replay.report import what_if_document, what_if_lines
+    from safedpa.replay.report import told_lines, what_if_document, what_if_lines
     from safedpa.replay.save import write_decisions
     from safedpa.replay.what_if import summary_of, what_if
 
@@ -122,12 +123,11 @@ def _changed(tape: Tape, change: Change, assumed: list[str], options: dict[str, 
     driven = _driven(tape, change, options) if options["closed_loop"] else None
     if options["as_json"]:
         document = what_if_document(summary, decisions, changed) | {"assumed": assumed}
+        document["findings"] = [asdict(finding) for finding in tape.findings]
         click.echo(json.dumps(document if driven is None else document | {"closed_loop": driven}))
         return 0
     click.echo(f"robot '{tape.robot}' from {', '.join(str(path) for path in tape.files)}")
-    click.echo(
-        "\n".join([f"  assumed: {sentence}" for sentence in assumed] + [*what_if_lines(summary, decisions, changed)])
-    )
+    click.echo("\n".join([*told_lines(tape, assumed), *what_if_lines(summary, decisions, changed)]))
     if driven is not None:
         click.echo("\n".join(_driven_lines(driven)))
     return 0

@@ -12,7 +12,7 @@ from safedpa.replay.replay import Replay, ServiceReplay, Span
 from safedpa.replay.tape import Tape
 from safedpa.replay.what_if import Decision, Summary
 
-__all__ = ["document_of", "lines_of", "what_if_document", "what_if_lines"]
+__all__ = ["document_of", "lines_of", "told_lines", "what_if_document", "what_if_lines"]
 
 _SHOWN = 10
 
@@ -21,8 +21,7 @@ def lines_of(tape: Tape, found: Replay, gaps: list[Gap], assumed: list[str]) -> 
     """The agreement, or the first differences."""
     begin, end = tape.seconds()
     yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {_named(tape)}"
-    yield from (f"  {finding.kind}: {finding.message}" for finding in tape.findings)
-    yield from (f"  assumed: {sentence}" for sentence in assumed)
+    yield from told_lines(tape, assumed)
     yield from (f"  not recorded: {gap.sentence}" for gap in gaps)
     for part in found.services:
         yield from _service_lines(part)
@@ -35,6 +34,12 @@ def lines_of(tape: Tape, found: Replay, gaps: list[Gap], assumed: list[str]) -> 
     if len(differing) > _SHOWN:
         yield f"  ... and {len(differing) - _SHOWN} more fields"
     yield _verdict(found)
+
+
+def told_lines(tape: Tape, assumed: list[str]) -> Iterator[str]:
+    """What was noticed about the recording, and what was assumed in place of what it lacks."""
+    yield from (f"  {finding.kind}: {finding.message}" for finding in tape.findings)
+    yield from (f"  assumed: {sentence}" for sentence in assumed)
 
 
 def _named(tape: Tape) -> str:

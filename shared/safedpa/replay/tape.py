@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from safedpa.policy import PolicyNode
 from safedpa.records import Finding
 from safedpa.records.mcap_messages import read_payloads
 from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.settings import without_former_keys
 
 __all__ = ["Entry", "Stamp", "Tape", "files_of", "options_of", "read_tape"]
 
@@ -115,10 +116,15 @@ class Tape:
         self.newest[topic, message.epoch, message.tick] = message
 
     def add_setup(self, at: int, setup: SetupMessage) -> None:
-        """Takes what a process said of itself, if it serves this robot."""
+        """Takes what a process said of itself; settings that only older programs had are left out, and that is told."""
         known = self.setups.setdefault(setup.service, [])
-        if all(setup.instance != other.instance for _, other in known):
-            known.append((at, setup))
+        if any(setup.instance == other.instance for _, other in known):
+            return
+        settings, gone = without_former_keys(setup.settings)
+        known.append((at, replace(setup, settings=settings)))
+        message = f"{', '.join(gone)}: recorded, but no settings any more; the filter of now has none of them"
+        if gone and all(finding.message != message for finding in self.findings):
+            self.findings.append(Finding("former_settings", message, len(gone)))
 
     def absent(self, topic: Topic) -> set[Stamp]:
         """Epochs and ticks of messages that other services say they used, and that are not in the recording."""

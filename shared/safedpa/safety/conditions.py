@@ -135,6 +135,8 @@ class Conditions:
         """(m,) max(|h_i(x)|, epsilon_i)."""
         self.scales = scales
         """(m,) in the unit of each h; of what the actions can change as far as tangents were drawn."""
+        self.saturated: bool = False
+        """Whether a tangent was drawn where an actuator saturates."""
         self._last_g: list[list[float]] | None = None
 
     def outcome(self, action: Plain) -> Outcome:
@@ -217,6 +219,7 @@ class Conditions:
         """
         for index in range(len(about.action)):
             if self._silent(g, index, about.next_state):
+                self.saturated = True
                 last = self._last_g
                 column = self._chord(about, index) if last is None else [row[index] for row in last]
                 if not _is_finite(column):

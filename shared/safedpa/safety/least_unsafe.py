@@ -34,6 +34,8 @@ TOLERANCE: Final = 2e-3
 
 _ROUNDING: Final = 1e-12
 """Share of a scale by which the h of two actions may differ that no action changes."""
+_SLIGHT: Final = 1e-3
+"""Share of what may be given away that always is: else rounding would refuse the nearest of all that are as high."""
 _ROUNDS: Final = 4
 _LEVELS: Final = 4
 _TRUE: Final = 1e-6
@@ -101,11 +103,12 @@ class _Lift:
 
     def _measured_reach(self, usable: Sequence[Outcome]) -> Values:
         """(rows,) what the actions change in h."""
+        reached = np.array([one.h_next for one in usable])
+        reach = np.asarray(reached.max(axis=0) - reached.min(axis=0))
         if len(usable) >= _FEWEST:
-            reached = np.array([one.h_next for one in usable])
-            return np.asarray(reached.max(axis=0) - reached.min(axis=0))
+            return reach
         rows = self._conditions.linearised(usable[0]).all(len(usable[0].h_next))
-        return np.asarray(np.abs(np.array(rows)) @ self._range)
+        return np.asarray(np.maximum(reach, np.abs(np.array(rows)) @ self._range))
 
     def run(self, known: Sequence[Outcome]) -> Outcome:
         """The least unsafe of what is known and found.
@@ -233,7 +236,7 @@ class _Lift:
         """
         if -_TRUE < height <= 0.0:
             return np.full(len(given), height)
-        kept = min(height, self._held)
+        kept = min(height, self._held) - _SLIGHT * given
         return np.maximum(height - given if height < 0.0 else np.maximum(0.0, height - given), kept)
 
     def _height(self, one: Outcome) -> Values:

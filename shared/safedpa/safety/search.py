@@ -75,6 +75,10 @@ class _Drawn(Protocol):
 class _Posed(Protocol):
     """What the search needs of ``Conditions``."""
 
+    @property
+    def saturated(self) -> bool:
+        """Whether some slope was that of a chord, since the actuator saturates there."""
+
     def outcome(self, action: Plain) -> Outcome:
         """What the action leads to."""
 
@@ -115,12 +119,14 @@ def search(conditions: _Posed, program: _Program, wish: Plain, start: Outcome, r
     room = conditions.tightest(best)
     if room > NEEDLESS:
         nearer = towards(conditions, conditions.outcome(within(wish, program.sides)), best)
-    elif room > DOUBTFUL and program.distance(best.action, wish) > FAR * FAR:
+    elif (room > DOUBTFUL or conditions.saturated) and program.distance(best.action, wish) > FAR * FAR:
         back = _furthest_back(program, within(wish, program.sides), best.action)
         nearer = towards(conditions, conditions.outcome(back), best)
     elif before is not start and not before.kept and program.distance(best.action, before.action) > FAR * FAR:
         return towards(conditions, before, best), status
     else:
+        return best, status
+    if nearer is best:
         return best, status
     again, _, _ = _posed(conditions, program, wish, nearer, AGAIN)
     return _better(conditions, program, wish, nearer, again), status

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety.braking import Braking
 
-__all__ = ["FilterSettings", "load_settings", "parse_settings", "save_settings", "write_settings"]
+__all__ = [
+    "FilterSettings",
+    "load_settings",
+    "parse_settings",
+    "save_settings",
+    "without_former_keys",
+    "write_settings",
+]
 
 FORMAT = 1
 MARGINS = ("conformal", "drive", "theorem")
@@ -193,6 +200,21 @@ def parse_settings(text: str) -> FilterSettings:
         if key not in known:
             raise InputError(f"{key}: unknown key; {did_you_mean(key, known)}")
     return FilterSettings(**table)
+
+
+def without_former_keys(text: str) -> tuple[str, list[str]]:
+    """A text that ``write_settings`` of an older program wrote, without keys that are settings no more, and those keys.
+
+    For recordings, which nobody can write anew; a file that a person keeps is refused by ``parse_settings`` instead.
+    """
+    kept, gone = [], []
+    for line in text.splitlines(keepends=True):
+        key = line.partition("=")[0].strip()
+        if key in _GONE:
+            gone.append(key)
+        else:
+            kept.append(line)
+    return "".join(kept), gone
 
 
 def save_settings(settings: FilterSettings, path: str | Path) -> None:
