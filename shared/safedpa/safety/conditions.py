@@ -53,7 +53,10 @@ class Outcome:
         """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i)."""
         self.broken = broken
         """Rows whose condition is broken by more than rounding."""
-        self.least: float = min(h_next)
+        least = h_next[0]
+        for height in h_next:
+            least = height if height < least else least
+        self.least: float = least
         """Smallest h_i(x+)."""
         self.usable: bool = self.least > -inf
         """False where model or barrier have no finite numbers for this action: then all its h are -infinity."""
@@ -100,7 +103,10 @@ class Conditions:
         h_now: list[float] = plain.heights(state)
         self.h_now = h_now
         _finite("h at the state", h_now)
-        self.least_now: float = min(h_now)
+        least_now = h_now[0]
+        for height in h_now:
+            least_now = height if height < least_now else least_now
+        self.least_now: float = least_now
         """Smallest h_i at the state."""
         self.least_pending: float = inf
         """Smallest h_i on the way to where an action begins to act, which no action can change; infinity: at once."""
@@ -141,21 +147,29 @@ class Conditions:
 
     def outcome(self, action: Plain) -> Outcome:
         """What ``action`` (actions,) leads to."""
-        following, required = self._following(action), self.required
-        h_next: list[float] = self._plain.heights(following) if _is_finite(following) else []
-        if not h_next or not _is_finite(h_next):
-            nothing = [-inf] * len(required)
-            return Outcome(action, following, nothing, nothing, list(range(len(required))))
+        following, required, scales = self._following(action), self.required, self.scales
+        if not _is_finite(following):
+            return self._nothing(action, following)
+        h_next: list[float] = self._plain.heights(following)
         if len(h_next) != len(required):
             raise ValueError(f"{len(h_next)} values of h, wanted {len(required)}")
         residual: list[float] = []
         broken: list[int] = []
+        total = 0.0
         for index in range(len(required)):
             rest = h_next[index] - required[index]
+            total += rest
             residual.append(rest)
-            if rest < 0.0 and rest < -ROUNDING * self.scales[index]:
+            if rest < 0.0 and rest < -ROUNDING * scales[index]:
                 broken.append(index)
+        if total - total != 0.0 and not _is_finite(h_next):
+            return self._nothing(action, following)
         return Outcome(action, following, h_next, residual, broken)
+
+    def _nothing(self, action: Plain, following: Plain) -> Outcome:
+        """Of an action for which model or barrier have no finite numbers."""
+        lowest = [-inf] * len(self.required)
+        return Outcome(action, following, lowest, lowest, list(range(len(lowest))))
 
     def linearised(self, about: Outcome) -> Tangent:
         """The conditions tangent at ``about``."""
