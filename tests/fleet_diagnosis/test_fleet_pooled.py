@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from safedpa.diagnosis.fleet.common import (
@@ -22,6 +22,7 @@ numbers = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.01, 2.0)), min_size=1
 
 
 @given(numbers)
+@example([(1.75, 1.609375)])
 def test_the_mean_lies_among_the_robots_and_the_spread_is_no_larger_than_theirs(values):
     found = pooled_number([Number(value, std, "m") for value, std in values])
     assert found.low - 1e-9 <= found.mean <= found.high + 1e-9

@@ -59,7 +59,7 @@ def test_where_actions_only_keep_h_errors_add_up_and_no_filter_helps() -> None:
         "nothing of what there is may be given away, tick after tick"
     )
     assert stay.fall == pytest.approx(stay.errors, abs=1e-7)
-    assert least_after(DEPTH, [0.0] * 59, [error] * 59, 0.0) == pytest.approx(now[-1], abs=1e-9)
+    assert least_after(DEPTH, [0.0] * 59, [error] * 59, 0.0) == pytest.approx(now[-1], abs=1e-7)
 
 
 def test_a_robot_that_stands_errs_no_more_and_stays_in_the_layer() -> None:

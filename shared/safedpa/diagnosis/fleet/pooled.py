@@ -25,6 +25,9 @@ from safedpa.diagnosis.fleet.outcome import Number, Outcome, Tried
 
 __all__ = ["Pooled", "PooledEvidence", "estimates", "evidence_over", "pooled_number", "pooled_numbers"]
 
+_ROUNDING = 1e-12
+"""Share of the weights' sum that its rounding errors may come to."""
+
 
 @dataclass(frozen=True)
 class Pooled:
@@ -69,7 +72,8 @@ def pooled_number(numbers: Sequence[Number]) -> Pooled:
     centre = float((weights * values).sum() / weights.sum())
     surplus = float((weights * (values - centre) ** 2).sum()) - (len(values) - 1)
     size = float(weights.sum() - (weights**2).sum() / weights.sum())
-    spread = math.sqrt(max(0.0, surplus / size)) if size > 0 else 0.0
+    told_apart = size > _ROUNDING * float(weights.sum())  # of one robot it is 0 but for rounding errors
+    spread = math.sqrt(max(0.0, surplus / size)) if told_apart else 0.0
     shrunk = 1.0 / (stds**2 + spread**2)
     mean = float((shrunk * values).sum() / shrunk.sum())
     deviation = float(shrunk.sum() ** -0.5)
