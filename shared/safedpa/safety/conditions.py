@@ -53,10 +53,7 @@ class Outcome:
         """(m,) h_i(x+) - ((1 - eta) h_i(x) + epsilon_i)."""
         self.broken = broken
         """Rows whose condition is broken by more than rounding."""
-        least = h_next[0]
-        for height in h_next:
-            least = height if height < least else least
-        self.least: float = least
+        self.least: float = _smallest(h_next)
         """Smallest h_i(x+)."""
         self.usable: bool = self.least > -inf
         """False where model or barrier have no finite numbers for this action: then all its h are -infinity."""
@@ -103,10 +100,7 @@ class Conditions:
         h_now: list[float] = plain.heights(state)
         self.h_now = h_now
         _finite("h at the state", h_now)
-        least_now = h_now[0]
-        for height in h_now:
-            least_now = height if height < least_now else least_now
-        self.least_now: float = least_now
+        self.least_now: float = _smallest(h_now)
         """Smallest h_i at the state."""
         self.least_pending: float = inf
         """Smallest h_i on the way to where an action begins to act, which no action can change; infinity: at once."""
@@ -258,6 +252,13 @@ class Conditions:
         other = (*about.action[:index], end, *about.action[index + 1 :])
         reached = zip(self._following(other), about.next_state, strict=True)
         return [(there - here) / (end - value) for there, here in reached]
+
+
+def _smallest(numbers: list[float]) -> float:
+    least = numbers[0]
+    for value in numbers:
+        least = value if value < least else least
+    return least
 
 
 def _finite(what: str, numbers: list[float]) -> None:
