@@ -206,3 +206,10 @@ def test_the_first_step_is_left_however_long_it_is() -> None:
     line.outcome = lambda action: line.tried.append(action[0]) or outcome(action[0], 0.01)
     found, _ = search(line, line, (0.0,), outcome(0.0, -3.0), 4)
     assert (found.action, line.tried) == ((8.0,), [8.0])
+
+
+def test_from_an_action_without_a_finite_prediction_the_way_is_halved() -> None:
+    line: Any = Line(3.0, 8.0)
+    blind = Outcome((0.0,), [0.0], [-np.inf], [-np.inf], [0])
+    assert 3.0 <= towards(line, blind, outcome(8.0, 5.0)).action[0] <= 3.1
+    assert line.tried[0] == pytest.approx(8.0 - 8.0 * 0.45)

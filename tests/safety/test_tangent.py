@@ -117,6 +117,14 @@ def test_slopes_that_are_no_numbers_are_refused(number: float) -> None:
             drawn(Slopes([1.0, 0.0], rows))[0].at([0.0, 0.0], [0.0, 0.0], 0.0)
 
 
+def test_one_slope_that_is_no_number_is_enough() -> None:
+    barriers = Slopes([3.0, 1.0])
+    barriers.along = lambda *_: [[float("nan"), 1.0]]  # type: ignore[method-assign]
+    tangent, _ = drawn(barriers)
+    with pytest.raises(InputError, match="gradient of h: got NaN or infinity"):
+        tangent.at([-0.1], [0.0, 0.0], 0.0)
+
+
 def test_slopes_as_large_as_a_float_can_be_are_numbers() -> None:
     """Their sum is infinite, they are not."""
     tangent, scales = drawn(Slopes([1.7e308, 0.0]))
