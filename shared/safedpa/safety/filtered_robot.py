@@ -283,9 +283,13 @@ class FilteredRobot:
 
         Between 0 and epsilon / eta no single step may reach what the condition asks for, above all from rest; whoever
         takes the safest action of each tick then stands there for ever. In the lower half of that layer it is left.
+        So it is where the action begins to act later: what the next tick brings says nothing of the wish then.
         """
         barriers = self.barriers
         if verdict.status is not Status.relaxed or verdict.wish is None or isinstance(barriers, str):
+            return verdict
+        known = None if latent is None else tuple(latent.tolist())
+        if self.filter.tools.prediction.begin(tuple(state.values), known, self.pending) is not None:
             return verdict
         settings = self.filter.settings
         action = np.clip(verdict.wish, settings.low, settings.high)
