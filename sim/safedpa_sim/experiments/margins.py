@@ -1,9 +1,10 @@
 """The margins that ship, and how often they hold on fresh drives: made and counted by one command.
 
-For each robot and model, drives on calibration seeds behind the filter with the margin that ships make the new margins:
-for a step, and for a whole drive. Drives on evaluation seeds behind the filter with the new margin tell how many steps
-and how many drives it covered, and how many goals each kind of margin costs. Drives are kept as they are made, so that
-a run may be cut anywhere and gone on with.
+For each robot and model in two rounds, since errors depend on where the filter lets the robot go: drives behind the
+filter with the margin that its settings assume make a first margin, other drives behind that one make the margins, for
+a step and for a whole drive. What ships decides nothing, so the same command makes the same margins again. Drives on
+evaluation seeds behind the filter with the new margin tell how many steps and how many drives it covered, and how many
+goals each kind of margin costs. Drives are kept as they are made, so that a run may be cut anywhere and gone on with.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -23,18 +24,23 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.margin import smallest_sample
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.experiments.car_workers import Workers
 from safedpa_sim.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
 from safedpa_sim.experiments.seeds import seeds_for
 from safedpa_sim.experiments.statistics import clopper_pearson_interval, cluster_interval, mean_interval
 
-__all__ = ["KINDS", "MarginCases", "margins_experiment"]
+__all__ = ["KINDS", "SHIPPED", "MarginCases", "margins_experiment"]
 
 KINDS = ("conformal", "drive")
 """Margins of a step and of a whole drive."""
+SHIPPED = "shipped"
+"""The margin that ships now, to hold the new ones against."""
 
 Tell = Callable[[int, int], None]
+
+_COVERAGE: Final = 0.99
 
 
 @final
@@ -45,14 +51,14 @@ class MarginCases:
     robots: tuple[str, ...]
     out: Path
     drives: int = 200
-    """On calibration seeds; 99 at least for a coverage of 99 %."""
+    """On calibration seeds; 99 at least for a coverage of 99 %. Half as many, but no fewer than that, go before."""
     fresh: int = 200
     """On evaluation seeds, for each kind of margin."""
     kinds: tuple[str, ...] = KINDS
-    """Kinds of margin behind which fresh drives are made."""
+    """Kinds of margin behind which fresh drives are made; of ``KINDS`` or ``SHIPPED``."""
     seconds: float = 0.0
     """Of a drive; 0: as each robot has it."""
-    coverage: float = 0.99
+    coverage: float = _COVERAGE
     processes: int = 2
     minutes: float = 0.0
     """After which no new drive begins; 0: until all is done."""
@@ -62,16 +68,21 @@ class MarginCases:
             if name not in DRIVERS:
                 raise InputError(f"--robot '{name}': {did_you_mean(name, DRIVERS)}")
         for kind in self.kinds:
-            if kind not in KINDS:
-                raise InputError(f"--kind '{kind}': {did_you_mean(kind, KINDS)}")
+            if kind not in (known := (*KINDS, SHIPPED)):
+                raise InputError(f"--kind '{kind}': {did_you_mean(kind, known)}")
         if self.drives < 1 or self.fresh < 0 or self.processes < 1 or self.seconds < 0.0 or self.minutes < 0.0:
             raise InputError("--drives and --processes: wanted more than 0; --fresh, --seconds, --minutes: 0 or more")
+
+    @property
+    def first(self) -> int:
+        """Drives of the first round."""
+        return max(smallest_sample(self.coverage), self.drives // 2)
 
 
 def margins_experiment(cases: MarginCases, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
     """One entry a robot: its margins once they are there, what they covered; ``missing`` drives where time ran out."""
     ends = time.monotonic() + 60.0 * cases.minutes if cases.minutes else float("inf")
-    total = len(cases.robots) * (cases.drives + len(cases.kinds) * cases.fresh)
+    total = len(cases.robots) * (cases.first + cases.drives + len(cases.kinds) * cases.fresh)
     count = _Count(total, tell)
     rows = {}
     with Workers(cases.processes) as workers:
@@ -92,30 +103,46 @@ class _Count:
 
 
 def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, count: _Count) -> dict[str, Any]:
-    folder = cases.out / name
+    folder, before = cases.out / name, None
     seconds = cases.seconds or DRIVERS[name].seconds
-    shipped = margin_for(load_model(DRIVERS[name].model))
-    orders = [DriveOrder(name, seed, shipped, seconds=seconds) for seed in seeds_for("calibration", cases.drives)]
-    made = _driven(folder / "calibration", orders, workers, ends, count)
-    if len(made) < len(orders):
-        return {"drives": len(made)}
-    margin = _calibrated(cases, name, seconds, made)
+    for number, skip in ((cases.first, 0), (cases.drives, cases.first)):
+        seeds = seeds_for("calibration", number, skip)
+        orders = [DriveOrder(name, seed, before, seconds=seconds) for seed in seeds]
+        made = _driven(folder / "calibration", orders, workers, ends, count)
+        if len(made) < len(orders):
+            return {"drives": len(made)}
+        margin = _calibrated(cases, name, seconds, made, before)
+        before = margin
     margin.save(folder / "margin.toml")
     row: dict[str, Any] = {"drives": len(made), "seconds": seconds, "epsilon": margin.epsilon, "drive": margin.drive}
-    row["behind_the_shipped_margin"] = _counted(made, margin, _ceiling(name)) | _driving(made, seconds)
+    row["calibration"] = _counted(made, _spoken_of(margin, None, KINDS[0]), _ceiling(name)) | _driving(made, seconds)
     for kind in cases.kinds:
-        fresh = [DriveOrder(name, seed, margin, kind, seconds) for seed in seeds_for("evaluation", cases.fresh)]
+        behind, which = (margin, kind) if kind in KINDS else (margin_for(load_model(DRIVERS[name].model)), KINDS[0])
+        fresh = [DriveOrder(name, seed, behind, which, seconds) for seed in seeds_for("evaluation", cases.fresh)]
         results = _driven(folder / f"fresh-{kind}", fresh, workers, ends, count)
         if results:
-            row[f"fresh_{kind}"] = _counted(results, margin, _ceiling(name)) | _driving(results, seconds)
+            row[f"fresh_{kind}"] = _counted(results, _spoken_of(margin, behind, kind), _ceiling(name))
+            row[f"fresh_{kind}"] |= _driving(results, seconds)
     return row
 
 
-def _calibrated(cases: MarginCases, name: str, seconds: float, made: Sequence[DriveResult]) -> MarginCalibration:
+def _spoken_of(margin: MarginCalibration, behind: MarginCalibration | None, kind: str) -> dict[str, dict[str, float]]:
+    """By kind of margin the tables that are counted on the drives behind one of them."""
+    tables = {"conformal": margin.epsilon, "drive": margin.drive}
+    if kind not in KINDS and behind is not None:
+        tables[kind] = behind.epsilon
+    return tables
+
+
+def _calibrated(
+    cases: MarginCases, name: str, seconds: float, made: Sequence[DriveResult], before: MarginCalibration | None
+) -> MarginCalibration:
     first, last = made[0].seed, made[-1].seed
+    asked = f"--drives {cases.drives}" + ("" if cases.coverage == _COVERAGE else f" --coverage {cases.coverage}")
+    behind = "the margin of the settings" if before is None else f"a margin of {before.drives} other drives"
     origin = (
-        f"safedpa experiment margins --robot {name} --drives {len(made)}: seeds {first} to {last}, {seconds:g} s each, "
-        "in lockstep behind the margin that shipped before"
+        f"safedpa experiment margins --robot {name} {asked}: seeds {first} to {last}, {seconds:g} s each, "
+        f"in lockstep behind {behind}"
     )
     own = fingerprint(load_model(DRIVERS[name].model))
     heights = [item.heights for item in made]
@@ -185,14 +212,16 @@ def _kept(path: Path) -> DriveResult:
     return DriveResult(heights=dict(zip(steps, parts, strict=False)), **about)
 
 
-def _counted(results: Sequence[DriveResult], margin: MarginCalibration, ceiling: Ceiling) -> dict[str, Any]:
+def _counted(
+    results: Sequence[DriveResult], tables: Mapping[str, Mapping[str, float]], ceiling: Ceiling
+) -> dict[str, Any]:
     """By kind of barrier: the share of steps that each margin covered, and of drives in which it covered every step."""
     drives = [item.heights for item in results]
     rows: dict[str, Any] = {}
-    for kind in margin.epsilon:
+    for kind in tables[KINDS[0]]:
         near = sum(len(ceiling.errors(kind, heights[kind])) > 0 for heights in drives if kind in heights)
         rows[kind] = {"drives": len(drives), "drives_near": near}
-        for name, table in (("conformal", margin.epsilon), ("drive", margin.drive)):
+        for name, table in tables.items():
             rows[kind][name] = _covered(covered_shares(drives, kind, table[kind], ceiling), table[kind])
     return {"covered": rows}
 

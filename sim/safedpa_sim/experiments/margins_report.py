@@ -6,7 +6,7 @@ from typing import Any
 
 __all__ = ["margins_page"]
 
-_NAMES = {"conformal": "step", "drive": "drive"}
+_NAMES = {"conformal": "step", "drive": "drive", "shipped": "shipped before"}
 
 
 def margins_page(result: dict[str, Any], command: str, date: str) -> str:
@@ -24,6 +24,8 @@ def _coverage(result: dict[str, Any]) -> list[str]:
     ]
     for name, kind, fresh in _fresh(result):
         for barrier, counted in fresh["covered"].items():
+            if kind not in counted:  # nothing shipped that covers this one
+                continue
             one = counted[kind]
             steps = _share(one["steps"], one["steps_95"])
             lines.append(

@@ -14,9 +14,16 @@ __all__ = ["command"]
 
 @click.command(name="margins")
 @click.option("--robot", "robots", multiple=True, help="name of a margin that ships; default: all of them")
-@click.option("--drives", type=int, default=200, show_default=True, help="to calibrate on, for each robot")
+@click.option(
+    "--drives", type=int, default=200, show_default=True, help="to calibrate on, for each robot; half as many go before"
+)
 @click.option("--fresh", type=int, default=200, show_default=True, help="to count on, for each kind of margin")
-@click.option("--kind", "kinds", multiple=True, help="conformal (for a step) or drive: behind which; default: both")
+@click.option(
+    "--kind",
+    "kinds",
+    multiple=True,
+    help="behind which margin: conformal (of a step), drive, shipped; default: conformal, drive",
+)
 @click.option("--seconds", type=float, default=0.0, help="of a drive; default: as each robot has it")
 @click.option("--coverage", type=float, default=0.99, show_default=True, help="of steps, and of drives")
 @click.option("--processes", type=int, default=2, show_default=True)
