@@ -30,6 +30,8 @@ SECONDS = 120
 """After which a mutant counts as killed: it hangs."""
 
 TOOLS = ("gymnasium", "hypothesis", "numpy", "piqp", "pytest", "quadprog")
+BENEATH = ("safedpa.dynamics", "safedpa.bus", "safedpa.policy", "safedpa.adaptation", "safedpa.records")
+"""What the modules under test stand on, and what imports none of them."""
 BARRIERS = ("test_barriers.py", "test_filter_recorded.py", "test_filter_invariance.py")
 VERDICTS = (
     "test_filter_recorded.py",
@@ -43,6 +45,21 @@ MARGIN = "test_a_margin_with_ordered_errors_is_the_one_that_sorts"
 PROMISES = "test_filter_promises.py"
 POINT = ("../point/test_point_scene.py", "../point/test_point_filter.py")
 BATCH = ("test_batch.py",)
+CHECK = (
+    "test_check_filter.py",
+    "-test_check_filter.py::test_the_example_among_discs_runs_and_hits_nothing",
+    "-test_check_filter.py::test_the_point_robot_is_fine",
+)
+"""Without what takes ten seconds and drives the whole filter."""
+ROLLOUT = (
+    "test_rollout_barrier.py",
+    "-test_rollout_barrier.py::test_what_is_thinner_than_a_tick_is_not_jumped_over",
+    "-test_rollout_barrier.py::test_with_relative_degree_two_nothing_is_hit_and_nothing_relaxed",
+    "-test_rollout_barrier.py::test_a_planar_quadrotor_is_kept_off_by_its_tilt",
+)
+PENDING = ("test_pending_actions.py", "-test_pending_actions.py::test_a_delay_that_is_known_costs_nothing")
+CHANGES = ("../changes/test_margin_changes.py", "../changes/test_offers_to_nodes.py")
+WATCHED = ("test_watched_margin.py", "test_out_of_the_layer.py", *CHANGES)
 MODULES = {
     "decision": (*VERDICTS, PROMISES, "test_filter_invariance.py"),
     "search": ("test_filter_search.py", "test_filter_search_back.py", *VERDICTS, PROMISES, "test_filter_invariance.py"),
@@ -80,8 +97,54 @@ MODULES = {
     "batch_barriers": BATCH,
     "batch_nearest": ("test_batch_nearest.py", *BATCH),
     "batch_search": BATCH,
+    "prediction": ("test_filter_inputs.py", "test_on_its_way.py", "test_filter_verdicts.py"),
+    "safety_filter": ("test_strangers.py", "test_filter_verdicts.py", "test_filter_inputs.py"),
+    "settings": ("test_filter_settings.py", "test_strangers.py"),
+    "shipped": ("../services/test_shipped.py", "test_filter_settings.py", "test_run_calibration.py"),
+    "compatibility": ("test_strangers.py",),
+    "finite_clock": ("test_filter_inputs.py",),
+    "numbers_returned": ("test_isolation.py", "test_filter_inputs.py"),
+    "gymnasium_wrapper": ("test_gymnasium_filter.py",),
+    "scene": ("test_scene_corridor.py", "test_towed_reach.py"),
+    "scenes": ("test_strangers.py", *POINT),
+    "point_scene": POINT,
+    "car_barriers": ("test_car_stack.py", *BARRIERS),
+    "reversed_way": ("test_towed_reach.py",),
+    "towed_reach": ("test_towed_reach.py",),
+    "calibration": ("test_margin_conformal.py", "test_margin_over_drives.py", "test_run_calibration.py"),
+    "run_calibration": ("test_run_calibration.py", "test_strangers.py"),
+    "recorded": ("test_theory_command.py",),
+    "ceiling": ("test_margin_over_drives.py", "test_watched_margin.py"),
+    "drive_calibration": ("test_margin_over_drives.py",),
+    "drive_heights": ("test_watched_margin.py", "test_margin_over_drives.py"),
+    "watched_margin": WATCHED,
+    "margin_change": CHANGES,
+    "margin_text": (*CHANGES, "test_run_calibration.py"),
+    "live_margin": ("test_run_calibration.py",),
+    "held_model": (*WATCHED, "test_strangers.py"),
+    "filtered_robot": (*WATCHED, "test_late_robot.py", "test_standstill.py"),
+    "standstill": ("test_standstill.py",),
+    "orders": ("../operations/test_stop_orders.py",),
+    "node": (*WATCHED, "../operations/test_stop_orders.py", "../services/test_shipped.py", "test_strangers.py"),
+    "on_its_way": ("test_on_its_way.py", "test_trail.py", "test_late_robot.py"),
+    "trail": ("test_trail.py", "test_late_robot.py"),
+    "pending_actions": PENDING,
+    "closed_loop": ROLLOUT,
+    "rollout_barrier": ROLLOUT,
+    "check_backup": CHECK,
+    "check_barriers": CHECK,
+    "check_filter": CHECK,
+    "check_influence": CHECK,
+    "check_probes": CHECK,
+    "check_report": CHECK,
+    "theory_bound": ("test_theory_bound.py", "test_theory_consequence.py"),
+    "theory_gradient": ("test_theory_gradient.py",),
+    "theory_layer": ("test_theory_layer.py",),
+    "theory_lipschitz": ("test_theory_bound.py",),
+    "theory_measure": ("test_theory_measure.py", "test_theory_bound.py"),
+    "theory_recorded": ("test_theory_recorded.py",),
 }
-"""Which tests judge which module, the quickest first; files are named as seen from ``tests/safety``."""
+"""Which tests judge which module, the quickest first; named as seen from ``tests/safety``, with "-" those left out."""
 
 
 class Planted(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -101,8 +164,10 @@ class Planted(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 def import_what_is_not_mutated() -> None:
     """So that a forked process has it at once."""
-    for name in (*TOOLS, "safedpa.dynamics", "scipy.optimize", "scipy.stats"):
+    for name in (*TOOLS, *BENEATH, "scipy.optimize", "scipy.stats"):
         importlib.import_module(name)
+    if early := [name for name in sys.modules if name.startswith(f"{PACKAGE}.")]:
+        raise RuntimeError(f"{early[0]} is imported already: no fault planted there would be seen")
 
 
 def judge(module: str, sources: list[str], tests: tuple[str, ...], jobs: int) -> list[bool]:
@@ -141,7 +206,8 @@ def run_tests(module: str, source: str, tests: tuple[str, ...]) -> None:
     os.dup2(silence, 1)
     os.dup2(silence, 2)
     sys.meta_path.insert(0, Planted(f"{PACKAGE}.{module}", source))
-    files = [str(ROOT / "tests" / "safety" / name) for name in tests]
+    files = [str(ROOT / "tests" / "safety" / name) for name in tests if not name.startswith("-")]
+    files += [f"--deselect=tests/safety/{name[1:]}" for name in tests if name.startswith("-")]
     quiet = "ignore::pytest.PytestAssertRewriteWarning"  # hypothesis was imported before pytest could rewrite it
     plain = ("-x", "-q", "--tb=no", "--assert=plain", "-p", "no:cacheprovider", "-p", "no:xdist")
     code = pytest.main([*plain, "-W", quiet, "--rootdir", str(ROOT), *files])
