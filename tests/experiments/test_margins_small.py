@@ -50,7 +50,7 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
     asked = [*SMALL, "--processes", "1", "--out", str(tmp_path), "--json"]
     cut = CliRunner().invoke(command, [*asked, "--minutes", "1e-9"])
     assert cut.exit_code == 0, cut.output
-    assert json.loads(cut.output)["missing"] == 11
+    assert json.loads(cut.output)["missing"] == 15
     done = CliRunner().invoke(command, asked)
     assert done.exit_code == 0, done.output
     result = json.loads(done.output)

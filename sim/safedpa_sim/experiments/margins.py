@@ -1,10 +1,11 @@
 """The margins that ship, and how often they hold on fresh drives: made and counted by one command.
 
 For each robot and model in two rounds, since errors depend on where the filter lets the robot go: drives behind the
-filter with the margin that its settings assume make a first margin, other drives behind that one make the margins, for
-a step and for a whole drive. What ships decides nothing, so the same command makes the same margins again. Drives on
-evaluation seeds behind the filter with the new margin tell how many steps and how many drives it covered, and how many
-goals each kind of margin costs. Drives are kept as they are made, so that a run may be cut anywhere and gone on with.
+filter with the margin that its settings assume make first margins, of a step and of a whole drive. Other drives behind
+the first margin of a step make the one that ships, and as many behind that of a drive likewise. What ships now decides
+nothing, so the same command makes the same margins again. Drives on evaluation seeds behind the filter with the new
+margin tell how many steps and how many drives it covered, and how many goals each kind of margin costs. Drives are kept
+as they are made, so that a run may be cut anywhere and gone on with.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -51,7 +52,7 @@ class MarginCases:
     robots: tuple[str, ...]
     out: Path
     drives: int = 200
-    """On calibration seeds; 99 at least for a coverage of 99 %. Half as many, but no fewer than that, go before."""
+    """On calibration seeds, for each of ``KINDS``; 99 at least for a coverage of 99 %, and as many go before."""
     fresh: int = 200
     """On evaluation seeds, for each kind of margin."""
     kinds: tuple[str, ...] = KINDS
@@ -76,13 +77,18 @@ class MarginCases:
     @property
     def first(self) -> int:
         """Drives of the first round."""
-        return max(smallest_sample(self.coverage), self.drives // 2)
+        return smallest_sample(self.coverage)
+
+    @property
+    def total(self) -> int:
+        """Drives of one robot."""
+        return self.first + len(KINDS) * self.drives + len(self.kinds) * self.fresh
 
 
 def margins_experiment(cases: MarginCases, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
     """One entry a robot: its margins once they are there, what they covered; ``missing`` drives where time ran out."""
     ends = time.monotonic() + 60.0 * cases.minutes if cases.minutes else float("inf")
-    total = len(cases.robots) * (cases.first + cases.drives + len(cases.kinds) * cases.fresh)
+    total = len(cases.robots) * cases.total
     count = _Count(total, tell)
     rows = {}
     with Workers(cases.processes) as workers:
@@ -103,27 +109,41 @@ class _Count:
 
 
 def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, count: _Count) -> dict[str, Any]:
-    folder, before = cases.out / name, None
-    seconds = cases.seconds or DRIVERS[name].seconds
-    for number, skip in ((cases.first, 0), (cases.drives, cases.first)):
-        seeds = seeds_for("calibration", number, skip)
-        orders = [DriveOrder(name, seed, before, seconds=seconds) for seed in seeds]
-        made = _driven(folder / "calibration", orders, workers, ends, count)
-        if len(made) < len(orders):
-            return {"drives": len(made)}
-        margin = _calibrated(cases, name, seconds, made, before)
-        before = margin
+    folder, seconds = cases.out / name, cases.seconds or DRIVERS[name].seconds
+
+    def made(part: str, behind: MarginCalibration | None, kind: str, seeds: range) -> list[DriveResult]:
+        orders = [DriveOrder(name, seed, behind, kind, seconds) for seed in seeds]
+        return _driven(folder / part, orders, workers, ends, count)
+
+    first = made("first", None, KINDS[0], seeds_for("calibration", cases.first))
+    if len(first) < cases.first:
+        return {"drives": len(first)}
+    before = _calibrated(cases, name, seconds, first, "the margin of the settings")
+    seeds = seeds_for("calibration", cases.drives, cases.first)
+    second = {kind: made(f"calibration-{kind}", before, kind, seeds) for kind in KINDS}
+    if any(len(results) < cases.drives for results in second.values()):
+        return {"drives": sum(map(len, second.values()))}
+    behind = f"a margin of {cases.first} other drives"
+    tables = {kind: _calibrated(cases, name, seconds, results, behind) for kind, results in second.items()}
+    margin = _joined(tables)
     margin.save(folder / "margin.toml")
-    row: dict[str, Any] = {"drives": len(made), "seconds": seconds, "epsilon": margin.epsilon, "drive": margin.drive}
-    row["calibration"] = _counted(made, _spoken_of(margin, None, KINDS[0]), _ceiling(name)) | _driving(made, seconds)
+    row: dict[str, Any] = {"drives": cases.drives, "seconds": seconds, "epsilon": margin.epsilon, "drive": margin.drive}
+    ceiling = _ceiling(name)
+    for kind, results in second.items():
+        row[f"calibration_{kind}"] = _counted(results, _spoken_of(margin, None, kind), ceiling)
+        row[f"calibration_{kind}"] |= _driving(results, seconds)
     for kind in cases.kinds:
-        behind, which = (margin, kind) if kind in KINDS else (margin_for(load_model(DRIVERS[name].model)), KINDS[0])
-        fresh = [DriveOrder(name, seed, behind, which, seconds) for seed in seeds_for("evaluation", cases.fresh)]
-        results = _driven(folder / f"fresh-{kind}", fresh, workers, ends, count)
-        if results:
-            row[f"fresh_{kind}"] = _counted(results, _spoken_of(margin, behind, kind), _ceiling(name))
-            row[f"fresh_{kind}"] |= _driving(results, seconds)
+        ahead, which = (margin, kind) if kind in KINDS else (margin_for(load_model(DRIVERS[name].model)), KINDS[0])
+        if fresh := made(f"fresh-{kind}", ahead, which, seeds_for("evaluation", cases.fresh)):
+            row[f"fresh_{kind}"] = _counted(fresh, _spoken_of(margin, ahead, kind), ceiling) | _driving(fresh, seconds)
     return row
+
+
+def _joined(tables: Mapping[str, MarginCalibration]) -> MarginCalibration:
+    """Each kind of margin from the drives behind its own first one; ``tables`` by kind of margin."""
+    step, drive = (tables[kind] for kind in KINDS)
+    tops = {key: value for key, value in drive.constants.items() if key.startswith("drive.")}
+    return replace(step, drive=drive.drive, constants=step.constants | tops)
 
 
 def _spoken_of(margin: MarginCalibration, behind: MarginCalibration | None, kind: str) -> dict[str, dict[str, float]]:
@@ -135,11 +155,10 @@ def _spoken_of(margin: MarginCalibration, behind: MarginCalibration | None, kind
 
 
 def _calibrated(
-    cases: MarginCases, name: str, seconds: float, made: Sequence[DriveResult], before: MarginCalibration | None
+    cases: MarginCases, name: str, seconds: float, made: Sequence[DriveResult], behind: str
 ) -> MarginCalibration:
     first, last = made[0].seed, made[-1].seed
     asked = f"--drives {cases.drives}" + ("" if cases.coverage == _COVERAGE else f" --coverage {cases.coverage}")
-    behind = "the margin of the settings" if before is None else f"a margin of {before.drives} other drives"
     origin = (
         f"safedpa experiment margins --robot {name} {asked}: seeds {first} to {last}, {seconds:g} s each, "
         f"in lockstep behind {behind}"

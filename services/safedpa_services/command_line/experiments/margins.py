@@ -14,9 +14,7 @@ __all__ = ["command"]
 
 @click.command(name="margins")
 @click.option("--robot", "robots", multiple=True, help="name of a margin that ships; default: all of them")
-@click.option(
-    "--drives", type=int, default=200, show_default=True, help="to calibrate on, for each robot; half as many go before"
-)
+@click.option("--drives", type=int, default=200, show_default=True, help="to calibrate each kind of margin on")
 @click.option("--fresh", type=int, default=200, show_default=True, help="to count on, for each kind of margin")
 @click.option(
     "--kind",
