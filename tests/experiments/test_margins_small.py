@@ -65,7 +65,9 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
     for kind in ("conformal", "drive"):
         fresh = row[f"fresh_{kind}"]
         assert fresh["drives"] == 2
-        assert 0.0 <= fresh["covered"]["corridor"][kind]["steps"] <= 1.0
+        counted = fresh["covered"]["corridor"][kind]
+        assert 0.0 <= counted["steps"] <= 1.0
+        assert margin.covered[f"{kind}.corridor"] == counted["drives" if kind == "drive" else "steps"]
     page = (tmp_path / "margins.md").read_text()
     assert "safedpa experiment margins --robot pendulum --drives 4 --fresh 2" in page
     assert f"| pendulum | corridor | drive | {margin.drive['corridor']:.4f} |" in page
