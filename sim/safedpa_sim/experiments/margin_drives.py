@@ -7,7 +7,7 @@ steps, exchangeable.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -22,7 +22,6 @@ from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
-from safedpa.safety.theory_layer import Stay, stays_in_layer
 from safedpa_sim.closed_loop import Robot, drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.pendulum_robot import PendulumRobot
@@ -118,9 +117,6 @@ class DriveResult:
     ticks: int
     statuses: dict[str, int]
     least_h: float
-    layer: dict[str, float]
-    """Of the stays in the boundary layer: how many, the longest [ticks], by how much h fell at most, the largest sum of
-    errors, the least rise that an action promised, and the depth of the layer at most."""
 
 
 def driven(order: DriveOrder) -> DriveResult:
@@ -135,8 +131,6 @@ def driven(order: DriveOrder) -> DriveResult:
     latents: dict[int, LatentMessage] = {}
     statuses: Counter[str] = Counter()
     now: list[float] = []
-    hoped: list[float] = []
-    depth: list[float] = []
 
     def hear(item: Received) -> None:
         if item.topic is LATENT and isinstance(item.message, LatentMessage):
@@ -147,8 +141,6 @@ def driven(order: DriveOrder) -> DriveResult:
         states.append(tick.state)
         statuses[tick.verdict.status] += 1
         now.append(tick.verdict.h_now)
-        hoped.append(tick.verdict.h_next)
-        depth.append(tick.verdict.margin / settings.eta)
     along = [DrivenTick(state, latents.get(state.tick)) for state in states]
     heights = drive_heights(model, settings, along)
     return DriveResult(
@@ -159,16 +151,4 @@ def driven(order: DriveOrder) -> DriveResult:
         len(states),
         dict(statuses),
         min(now),
-        _layer(stays_in_layer(now, hoped, depth), max(depth)),
     )
-
-
-def _layer(stays: Sequence[Stay], depth: float) -> dict[str, float]:
-    return {
-        "stays": len(stays),
-        "longest": max((stay.ticks for stay in stays), default=0),
-        "fall": max((stay.fall for stay in stays), default=0.0),
-        "errors": max((stay.errors for stay in stays), default=0.0),
-        "least_rise": min((stay.least_rise for stay in stays), default=0.0),
-        "depth": depth,
-    }

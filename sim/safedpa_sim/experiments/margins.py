@@ -27,6 +27,7 @@ from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
 from safedpa.safety.margin import smallest_sample
 from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.theory_layer import Stay, stays_in_layer
 from safedpa_sim.experiments.car_workers import Workers
 from safedpa_sim.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
 from safedpa_sim.experiments.seeds import seeds_for
@@ -136,7 +137,10 @@ def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, coun
     for kind in cases.kinds:
         ahead, which = (margin, kind) if kind in KINDS else (margin_for(load_model(DRIVERS[name].model)), KINDS[0])
         if fresh := made(f"fresh-{kind}", ahead, which, seeds_for("evaluation", cases.fresh)):
-            row[f"fresh_{kind}"] = _counted(fresh, _spoken_of(margin, ahead, kind), ceiling) | _driving(fresh, seconds)
+            spoken_of = _spoken_of(margin, ahead, kind)
+            row[f"fresh_{kind}"] = _counted(fresh, spoken_of, ceiling) | _driving(fresh, seconds)
+            if kind in spoken_of:
+                row[f"fresh_{kind}"]["layer"] = _layers(fresh, seconds, spoken_of[kind], ceiling.eta)
     _with_the_rest(margin, margin_for(load_model(DRIVERS[name].model)), row).save(folder / "margin.toml")
     return row
 
@@ -240,7 +244,6 @@ def _keep(path: Path, result: DriveResult) -> None:
         "ticks": result.ticks,
         "statuses": result.statuses,
         "least_h": result.least_h,
-        "layer": result.layer,
         "steps": {kind: len(values) for kind, values in result.heights.items()},
     }
     whole = path.with_name(f"new-{path.name}")
@@ -294,12 +297,26 @@ def _driving(results: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
         "goals_a_minute": mean_interval(goals),
         "statuses": dict(sorted(statuses.items())),
         "least_h": min(item.least_h for item in results),
-        "layer": {
-            "stays": sum(item.layer["stays"] for item in results),
-            "longest_seconds": max(item.layer["longest"] * seconds / item.ticks for item in results),
-            "fall": max(item.layer["fall"] for item in results),
-            "errors": max(item.layer["errors"] for item in results),
-            "least_rise": min(item.layer["least_rise"] for item in results),
-            "depth": max(item.layer["depth"] for item in results),
-        },
     }
+
+
+def _layers(
+    results: Sequence[DriveResult], seconds: float, epsilon: Mapping[str, float], eta: float
+) -> dict[str, dict[str, float]]:
+    """By kind of barrier: the stays of its least h in its boundary layer 0 <= h < epsilon / eta, over all drives."""
+    rows: dict[str, dict[str, float]] = {}
+    for kind, margin in epsilon.items():
+        stays: list[tuple[Stay, float]] = []
+        for item in results:
+            hoped, measured = item.heights.get(kind, np.zeros((0, 4))).T[:2].tolist()
+            found = stays_in_layer(measured[:-1], hoped[1:], [margin / eta] * len(hoped[1:]))
+            stays += [(stay, stay.ticks * seconds / item.ticks) for stay in found]
+        rows[kind] = {
+            "depth": margin / eta,
+            "stays": len(stays),
+            "longest_seconds": max((length for _, length in stays), default=0.0),
+            "fall": max((stay.fall for stay, _ in stays), default=0.0),
+            "errors": max((stay.errors for stay, _ in stays), default=0.0),
+            "least_rise": min((stay.least_rise for stay, _ in stays), default=0.0),
+        }
+    return rows
