@@ -207,3 +207,9 @@ def test_command_and_page_hear_of_the_margin_before_it_is_used(changing_node: An
     assert (offered.step, take.step) == ("offer", "take")
     assert changes.sentence.endswith("used from tick 7 on; the margin of a goes from 0.03 to 0.115")
     assert changes.fingerprint != NEW, "told before it is used"
+
+
+def test_one_calibration_has_one_text_whatever_the_order_of_its_tables() -> None:
+    turned = dataclasses.replace(OLD, epsilon=dict(reversed(OLD.epsilon.items())))
+    assert margin_text(turned) == margin_text(OLD)
+    assert list(turned.epsilon) != list(OLD.epsilon)
