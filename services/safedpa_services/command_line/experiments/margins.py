@@ -55,5 +55,7 @@ def command(**options: Any) -> None:
 
 def _asked(options: dict[str, Any]) -> str:
     """The command that makes the same again."""
-    chosen = " ".join(f"--robot {name}" for name in options["robots"])
-    return f"safedpa experiment margins {chosen} --drives {options['drives']} --fresh {options['fresh']} --out FOLDER"
+    chosen = [f"--robot {name}" for name in options["robots"]]
+    chosen += [f"--drives {options['drives']}", f"--fresh {options['fresh']}"]
+    chosen += [f"--kind {kind}" for kind in options["kinds"]]
+    return f"safedpa experiment margins {' '.join(chosen)} --out FOLDER"
