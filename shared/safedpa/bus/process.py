@@ -25,6 +25,7 @@ from safedpa.bus.log import log_event
 from safedpa.bus.version import software_version
 from safedpa.bus.zenoh_transport import Mode, ZenohSettings, ZenohTransport
 from safedpa.errors import BusError, SafedpaError
+from safedpa.limits import readable
 
 __all__ = ["Stop", "Urgency", "add_bus_options", "bus_from", "lifetime", "run_process", "settings_from"]
 
@@ -153,7 +154,7 @@ def run_process(
     try:
         code = work(options, stop)
     except SafedpaError as error:
-        sys.stderr.write(f"{parser.prog}: {' '.join(str(error).split())}\n")
+        sys.stderr.write(f"{parser.prog}: {readable(' '.join(str(error).split()), 2000)}\n")
         code = EXIT_BAD_INPUT
     _leave(code)
 
