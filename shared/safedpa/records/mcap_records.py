@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["DamageError", "channels_at_end", "records_of"]
 
 _MAGIC = b"\x89MCAP0\r\n"
+_MOST_PASSED_OVER = 10_000
+"""Records of private kinds in one chunk."""
 _HEAD = struct.Struct("<BQ")
 """Opcode and length of a record."""
 _MESSAGE = struct.Struct("<HIQQ")
@@ -147,7 +149,7 @@ def _opened(chunk: Chunk, budget: _Budget, *, validate: bool) -> Iterator[Any]:
     data = _data(chunk, budget)
     if validate and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise ValueError("the chunk is not what was written")
-    at, size = 0, len(data)
+    at, size, passed_over = 0, len(data), 0
     while at < size:
         opcode, length = _HEAD.unpack_from(data, at)
         begin = at + _HEAD.size
@@ -163,6 +165,10 @@ def _opened(chunk: Chunk, budget: _Budget, *, validate: bool) -> Iterator[Any]:
             yield Channel.read(ReadDataStream(io.BytesIO(data[begin:at])))
         elif opcode == Opcode.SCHEMA:
             yield Schema.read(ReadDataStream(io.BytesIO(data[begin:at])))
+        else:
+            passed_over += 1
+            if passed_over > _MOST_PASSED_OVER:
+                raise ValueError("a chunk of records that nobody knows")
 
 
 def _data(chunk: Chunk, budget: _Budget) -> bytes:
