@@ -196,8 +196,9 @@ def test_a_page_of_another_name_that_resolves_here_reads_nothing(served: Served,
         pytest.skip("no Chromium; install it (Debian: apt-get install chromium)")
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; pip install playwright")
     rules = "--host-resolver-rules=MAP evil.example 127.0.0.1"
+    unguarded = "--disable-features=LocalNetworkAccessChecks,BlockInsecurePrivateNetworkRequests"  # as other browsers
     with playwright.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox", rules])
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox", rules, unguarded])
         context = browser.new_context()
         own = context.new_page()
         own.goto(served.address)  # the person has the page open
