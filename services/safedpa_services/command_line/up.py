@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,8 +85,8 @@ def command(**options: Any) -> None:
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     stop = Stop()
-    with _certificates(options) as folder:
-        plan = _plan({**options, "certificates": folder})
+    with _certificates(options) as folder, _meeting_place(options) as endpoint:
+        plan = _plan({**options, "certificates": folder, "endpoint": endpoint})
         stop.listen_to_signals()
         summary = _drive(plan, stop, quiet=options["as_json"])
     if options["as_json"]:
@@ -105,9 +106,21 @@ def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None
     return throw_away_certificates(options["fleet"], options["name"])
 
 
+@contextmanager
+def _meeting_place(options: dict[str, Any]) -> Iterator[str]:
+    """Where the processes meet: without a word of the person at a socket that this user alone can reach."""
+    from safedpa.bus.ports import free_port
+    from safedpa_services.supervisor.private_folder import private_folder
+
+    if options["listen"] or options["secure"]:
+        yield options["listen"] or f"tls/127.0.0.1:{free_port()}"
+        return
+    with private_folder() as folder:
+        yield f"unixsock-stream/{folder}/bus"
+
+
 def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.bus import STATE, key_of
-    from safedpa.bus.ports import free_port
     from safedpa.dynamics import load_model
     from safedpa_services.supervisor.plan import Plan
 
@@ -149,7 +162,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         margin=options["margin"],
         controller=_controller(model, options["controller"]),
         fleet=options["fleet"],
-        endpoint=options["listen"] or f"{'tls' if options['secure'] else 'tcp'}/127.0.0.1:{free_port()}",
+        endpoint=options["endpoint"],
         certificates=options["certificates"],
         folder=Plan.new_folder(options["out"], options["name"]),
     )

@@ -12,8 +12,11 @@ from safedpa.bus.log import log_event
 from safedpa.bus.process import Stop, Urgency, run_process
 from safedpa.errors import InputError
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals
-from safedpa_services.router.router import Router
+from safedpa_services.router.router import Router, revoked_in
 from safedpa_services.router.zenoh_log import capture_zenoh_log
+
+REVOKED = "revoked.txt"
+"""In the folder of certificates: names of certificates that are good for nothing any more, one a line."""
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
@@ -32,7 +35,8 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
             service=ROUTER,
             robots=", ".join(options.robot),
         )
-        Router(bus, refusals, transport.members).run(stop)
+        revoked = None if options.certificates is None else options.certificates / REVOKED
+        Router(bus, refusals, transport.members, transport.cut_off, revoked).run(stop)
     return 0
 
 
@@ -49,6 +53,8 @@ def _settings(options: argparse.Namespace) -> ZenohSettings:
         raise InputError("--certificates: got none, wanted the folder of 'safedpa certificates' (or --plain)")
     certificates = Certificates(options.certificates, options.role)
     access = access_control(options.fleet, options.robot, dict(map(_link, options.link)))
+    revoked = revoked_in(options.certificates / REVOKED)
+    access["policies"] = [policy for policy in access["policies"] if not revoked & {*policy["subjects"]}]
     return ZenohSettings("router", listen, connect, certificates, access, limits)
 
 

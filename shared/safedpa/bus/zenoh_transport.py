@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import os
+import secrets
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
 from safedpa.bus.certificates import Certificates
-from safedpa.bus.doorkeeper import Doorkeeper, defer_accept
+from safedpa.bus.doorkeeper import Doorkeeper, cut_off, defer_accept
 from safedpa.bus.log import log_event
 from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
 from safedpa.errors import BusError, JoinError
@@ -35,6 +37,8 @@ _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
 """No network parts peers on one machine, but a machine that has too much to do keeps signs of life waiting for 0.5 s
 and more, and a link between peers that found each other is not made anew. A process that dies is seen at once anyway.
 """
+_LOCAL_SOCKET = "unixsock-stream/"
+"""Beginning of the endpoint of a socket in the file system: who may open the folder may connect, nobody else."""
 _ACCEPT_MILLISECONDS = 1000
 """For a handshake, once its first bytes are there: it takes 3 ms; by default a stranger has five times as long."""
 _MOST_ON_THEIR_WAY = 2000
@@ -95,7 +99,7 @@ class ZenohSettings:
     def configuration(self) -> dict[str, Any]:
         """The Zenoh configuration as paths and values."""
         alone = not self.listen and not self.connect
-        listen = self.listen or (("tcp/127.0.0.1:0",) if self.mode == "peer" else ())
+        listen = self.listen or ((_own_door(self.connect),) if self.mode == "peer" else ())
         return {
             "mode": self.mode,
             "listen/endpoints": [*map(_in_haste, listen)],
@@ -136,6 +140,14 @@ def _tls(certificates: Certificates) -> dict[str, Any]:
     }
 
 
+def _own_door(connect: tuple[str, ...]) -> str:
+    """Where a peer listens that was not told: beside the socket of those it joins, or on the loopback interface."""
+    beside = next((endpoint for endpoint in connect if endpoint.startswith(_LOCAL_SOCKET)), "")
+    if not beside:
+        return "tcp/127.0.0.1:0"
+    return f"{beside.rpartition('/')[0]}/{os.getpid()}-{secrets.token_hex(4)}"
+
+
 def _in_haste(endpoint: str) -> str:
     """An endpoint to listen on where nobody has longer for the handshake of TLS."""
     plain = not endpoint.startswith("tls/") or "#" in endpoint
@@ -144,6 +156,8 @@ def _in_haste(endpoint: str) -> str:
 
 def _is_loopback(endpoint: str) -> bool:
     """Whether an endpoint like ``tcp/127.0.0.1:7447`` can be reached from this machine alone."""
+    if endpoint.startswith(_LOCAL_SOCKET):
+        return True
     host = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
@@ -267,14 +281,18 @@ class ZenohTransport(AbstractTransport):
         """Common name of the certificate of a linked session by its Zenoh id; empty when there is none."""
         return dict(self.members()).get(session, "")
 
-    def _far_ends(self) -> set[tuple[str, int]]:
-        """Addresses of those who are linked to this session."""
+    def cut_off(self, sessions: Collection[str]) -> int:
+        """Ends the links of these sessions, by their Zenoh ids; how many there were."""
+        ends = self._far_ends(sessions)
+        return cut_off(ends) if ends else 0
+
+    def _far_ends(self, sessions: Collection[str] | None = None) -> set[tuple[str, int]]:
+        """Addresses of those who are linked to this session, or of some of them."""
         found = set()
         for link in self._session.info.links():
-            for end in (str(link.dst), str(link.src)):
-                host, _, port = end.partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")
-                if port.isdecimal():
-                    found.add((host.strip("[]"), int(port)))
+            host, _, port = str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")
+            if port.isdecimal() and (sessions is None or str(link.zid) in sessions):
+                found.add((host.strip("[]"), int(port)))
         return found
 
     def close(self) -> None:  # noqa: D102
