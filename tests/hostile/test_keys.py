@@ -75,8 +75,8 @@ def test_no_argument_of_any_process_tells_a_key_or_a_token(tmp_path: Path) -> No
 
     plan = Plan(
         robot="car", name="r1", load="none", seconds=1.0, seed=0, rate=20.0, lockstep=False, filtered=True,
-        dashboard=True, model="car", settings="car", margin="", controller="", fleet="fleet", endpoint="tcp/127.0.0.1:1",
-        folder=tmp_path, diagnosis=True, workbench_port=8080,
+        dashboard=True, model="car", settings="car", margin="", controller="", fleet="fleet",
+        endpoint="tcp/127.0.0.1:1", folder=tmp_path, diagnosis=True, workbench_port=8080,
     )  # fmt: skip
     children = [*plan.services(), plan.robot_process()]
     assert plan.page_token in plan.workbench_address

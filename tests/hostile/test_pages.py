@@ -296,7 +296,8 @@ def test_a_recording_below_the_named_folder_is_opened(shelf: Shelf, tmp_path: Pa
     "name",
     [
         "named/key.csv", "named/binary.csv", "named/no.mcap", "named/notes.txt", "named/link.csv", "named/way/run.csv",
-        "named/environment.csv", "named/hosts.csv", "named/pipe.csv", "named/.hidden/run.csv", "named/../outside/run.csv",
+        "named/environment.csv", "named/hosts.csv", "named/pipe.csv", "named/.hidden/run.csv",
+        "named/../outside/run.csv",
         "outside/run.csv", "outside/r*.csv", "named/*/run.csv", "named/../outside/*.csv", "named", "named/none.csv",
         "named/run.csv\0.txt", "named/run.csv/", "named/" + "a" * 5000 + ".csv", "named/run%2ecsv", "named/key*.csv",
     ],

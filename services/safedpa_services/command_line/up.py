@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
     from safedpa.bus.process import Stop
@@ -292,12 +293,12 @@ def _tell(summary: dict[str, Any]) -> None:
     click.echo(f"{summary['ticks']} ticks, {summary['goals_reached']} goals, {summary['collisions']} collisions")
     click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
     for stand in summary["standstills"]:
-        click.echo(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
+        say(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
     if latency["p50"] is not None:
         click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
     restarts = {service["name"]: service["restarts"] for service in summary["services"] if service["restarts"]}
     if restarts:
         click.echo("restarted: " + ", ".join(f"{name} {count} times" for name, count in restarts.items()))
     if summary["recording_error"]:
-        click.echo(f"recording broke off: {summary['recording_error']}", err=True)
+        say(f"recording broke off: {summary['recording_error']}", err=True)
     click.echo(f"recording: {summary['recording']}")

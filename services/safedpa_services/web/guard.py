@@ -123,7 +123,7 @@ class Guard:
             jar = SimpleCookie("; ".join(headers.get("cookie", []))[:8192])
         except CookieError:
             return ""
-        return jar[self._door.cookie].value if self._door.cookie in jar else ""
+        return str(jar[self._door.cookie].value) if self._door.cookie in jar else ""
 
     async def _give_cookie(self, scope: Scope, send: Send) -> None:
         query = urllib.parse.parse_qsl(scope["query_string"].decode("latin-1"), max_num_fields=32)
@@ -228,7 +228,7 @@ async def _body(receive: Receive, most: int) -> bytes:
     body = b""
     while True:
         message = await receive()
-        body += message.get("body", b"")
+        body += bytes(message.get("body", b""))
         if not message.get("more_body") or len(body) > most:
             return body[:most]
 

@@ -24,6 +24,7 @@ from safedpa.bus.messages import (
     WishMessage,
 )
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import readable
 
 __all__ = [
     "ACTION",
@@ -96,6 +97,10 @@ TOPICS: dict[str, Topic] = {
 """Every topic, by name."""
 
 
+LONGEST_NAME = 128
+"""Letters of a fleet's, a robot's or a service's name."""
+
+
 @lru_cache(maxsize=8192)
 def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
     """The key expression ``safedpa/{fleet}/{robot}/{topic}``, with ``/{service}`` behind health and takeover.
@@ -112,7 +117,14 @@ def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
 
 def _check_name(name: str) -> None:
     if not name or set(name) & set("/*$#?") or name.startswith("@"):
-        raise InputError(f"name '{name}': got nothing, or one of / * $ # ? @; wanted letters, digits, '-', '_' or '.'")
+        raise InputError(
+            f"name '{readable(name)}': got nothing, or one of / * $ # ? @; wanted letters, digits, '-', '_' or '.'"
+        )
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise InputError(
+            f"name '{readable(name)}': got a character that is not printed, or more than {LONGEST_NAME}; wanted "
+            "letters, digits, '-', '_' or '.'"
+        )
 
 
 @lru_cache(maxsize=8192)
