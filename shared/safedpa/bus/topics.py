@@ -136,14 +136,16 @@ def topic_of(key: str) -> tuple[str, str, Topic]:
     """
     parts = key.split("/")
     if len(parts) not in (4, 5) or parts[0] != "safedpa":
-        raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/TOPIC")
+        raise InputError(f"key '{readable(key)}': wanted safedpa/FLEET/ROBOT/TOPIC")
     if parts[3] not in TOPICS:
-        raise InputError(f"key '{key}': {did_you_mean(parts[3], TOPICS)}")
+        raise InputError(f"key '{readable(key)}': {did_you_mean(readable(parts[3], 40), TOPICS)}")
     topic = TOPICS[parts[3]]
     if (len(parts) == 5) is not topic.per_service:
-        raise InputError(f"key '{key}': wanted {'a service' if topic.per_service else 'nothing'} behind '{parts[3]}'")
+        raise InputError(
+            f"key '{readable(key)}': wanted {'a service' if topic.per_service else 'nothing'} behind '{topic.name}'"
+        )
     for name in (parts[1], parts[2], *parts[4:]):
         _check_name(name)
     if parts[2] == BUNDLE:
-        raise InputError(f"key '{key}': got no bundle of messages there, wanted one")
+        raise InputError(f"key '{readable(key)}': got no bundle of messages there, wanted one")
     return parts[1], parts[2], topic
