@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport
-from safedpa.bus.access import ROUTER, access_control, size_limits
+from safedpa.bus.access import ROUTER, access_control, rate_limits, size_limits
 from safedpa.bus.certificates import Certificates
 from safedpa.bus.log import log_event
 from safedpa.bus.process import Stop, Urgency, run_process
@@ -45,17 +45,18 @@ def _settings(options: argparse.Namespace) -> ZenohSettings:
     if not listen:
         raise InputError("--listen: got none, wanted where to accept connections, such as tls/0.0.0.0:7447")
     limits = tuple(size_limits(options.fleet))
+    rates = tuple(rate_limits(options.fleet, options.robot))
     if options.plain:
         if options.certificates is not None:
             raise InputError("--plain: got it together with --certificates, wanted one of them")
-        return ZenohSettings("router", listen, connect, limits=limits)
+        return ZenohSettings("router", listen, connect, limits=limits, rates=rates)
     if options.certificates is None:
         raise InputError("--certificates: got none, wanted the folder of 'safedpa certificates' (or --plain)")
     certificates = Certificates(options.certificates, options.role)
     access = access_control(options.fleet, options.robot, dict(map(_link, options.link)))
     revoked = revoked_in(options.certificates / REVOKED)
     access["policies"] = [policy for policy in access["policies"] if not revoked & {*policy["subjects"]}]
-    return ZenohSettings("router", listen, connect, certificates, access, limits)
+    return ZenohSettings("router", listen, connect, certificates, access, limits, rates)
 
 
 def _link(text: str) -> tuple[str, tuple[str, ...]]:

@@ -55,8 +55,8 @@ class ZenohSettings:
 
     Without endpoints a peer listens on the loopback interface and finds others there by multicast. With ``connect`` it
     finds the others through those endpoints (and what they know), without multicast. With ``certificates`` every
-    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and nobody is found who was not named. ``access`` and
-    ``limits`` are a router's: Zenoh's ``access_control`` and ``low_pass_filter``.
+    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and nobody is found who was not named. ``access``,
+    ``limits`` and ``rates`` are a router's: Zenoh's ``access_control``, ``low_pass_filter`` and ``downsampling``.
 
     Raises BusError for certificates with a peer, or with an endpoint that is not TLS.
     """
@@ -67,6 +67,7 @@ class ZenohSettings:
     certificates: Certificates | None = None
     access: Mapping[str, Any] | None = None
     limits: tuple[Mapping[str, Any], ...] = ()
+    rates: tuple[Mapping[str, Any], ...] = ()
     patience: float = 10.0
     """s to go on trying to connect at the start; later, while it runs, it tries for ever."""
 
@@ -118,6 +119,7 @@ class ZenohSettings:
             "transport/shared_memory/enabled": False,
             **({} if self.certificates is None else _tls(self.certificates)),
             **({} if self.access is None else {"access_control": dict(self.access)}),
+            **({"downsampling": [dict(rate) for rate in self.rates]} if self.rates else {}),
             **({"low_pass_filter": [dict(limit) for limit in self.limits]} if self.limits else {}),
         }
 
@@ -180,7 +182,8 @@ class ZenohTransport(AbstractTransport):
                 configuration.insert_json5(path, json.dumps(value))
             self._session = zenoh.open(configuration)
         except zenoh.ZError as error:
-            raise JoinError(
+            kind = JoinError if settings.connect else BusError  # where it listens is the person's choice
+            raise kind(
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
                 f"({_first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error

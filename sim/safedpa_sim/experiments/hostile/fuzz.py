@@ -54,11 +54,12 @@ def fuzz(
 ) -> list[Tally]:
     """Tallies of every target after ``seconds``; what opened a hole is written to ``out``. Repeats with its seed, but
     for how far it gets."""
-    chance, begun = random.Random(seed), time.monotonic()
+    chance = random.Random(seed)
     with ExitStack() as stack:
         pairs = [(target, Tally(target.name)) for target in (*stack.enter_context(targets()), *further)]
         loop = DrivenLoop()
         driven = Tally("loop that drives")
+        begun = time.monotonic()
         while time.monotonic() - begun < seconds:
             for target, tally in pairs:
                 for _ in range(_AT_A_TIME):
