@@ -6,7 +6,7 @@ Whatever is missing, an action goes out in time: without a wish, or with a laten
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, final
 
 from safedpa.bus import (
@@ -30,6 +30,7 @@ from safedpa.bus import (
     VerdictMessage,
     WishMessage,
 )
+from safedpa.bus.apart import AbstractTicket
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety.calibration import MarginCalibration
@@ -171,6 +172,13 @@ class SafetyFilterNode(AbstractNode):
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
 
+    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractTicket]) -> None:  # noqa: D102
+        self._versions.hand_in = hand_in
+
+    def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
+        memory = self._robots.get(robot)
+        return None if memory is None or memory.decision is None else memory.decision.state
+
     def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
         self._versions.welcome(robot, status)
 
@@ -239,6 +247,7 @@ def _report(
     state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot | None = None
 ) -> VerdictMessage:
     standstill = memory.standstill(verdict) if memory else ""
+    remarks = [said for said in (memory.margin.remark, memory.delay.remark) if said] if memory else []
     stands = f" The robot has stood for {memory.standing.seconds:.1f} s. {standstill}." if memory and standstill else ""
     return VerdictMessage(
         epoch=state.epoch,
@@ -246,7 +255,7 @@ def _report(
         robot_time=state.robot_time,
         publish_time=time.time(),
         status=verdict.status.value,
-        sentence=f"{verdict.sentence} {memory.margin.remark if memory else ''}".strip() + stands,
+        sentence=" ".join([verdict.sentence, *remarks]) + stands,
         action=tuple(verdict.action.tolist()),
         wish=() if verdict.wish is None else tuple(verdict.wish.tolist()),
         slack=verdict.slack,
