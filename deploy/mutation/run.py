@@ -137,6 +137,7 @@ MODULES = {
     "node": (*WATCHED, "../operations/test_stop_orders.py", "../services/test_shipped.py", "test_strangers.py"),
     "on_its_way": ("test_on_its_way.py", "test_trail.py", "test_late_robot.py"),
     "trail": ("test_trail.py", "test_late_robot.py"),
+    "found_delay": ("test_found_delay.py",),
     "pending_actions": PENDING,
     "closed_loop": ROLLOUT,
     "rollout_barrier": ROLLOUT,
