@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from safedpa.diagnosis.fitting import fit, inverse_of, objectives
-from safedpa.diagnosis.found import Judged, Search, given_names
+from safedpa.diagnosis.found import Judged, Search, given_names, known_effects
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
 from safedpa.diagnosis.second_opinion import CLEAR_FALL
@@ -53,7 +53,7 @@ def _refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
 
 def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Each accepted effect gives way to a rival that predicts unseen blocks better beside the others."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     if len(search.added) < 2:
         return
     for name in list(search.added):
@@ -85,7 +85,7 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     """Accepted effects, and groups of effects with numbers that go together, without which unseen blocks are predicted
     as well are taken out again: the least needed first, until all are needed. Few blocks say little: what the held-out
     error clearly asks for stays."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     before = list(search.added)
     while len(search.added) > 1:
         without = {}
@@ -106,7 +106,7 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
 
 def unhelpful(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Accepted effects that lower the held-out error of no run are taken out: a stage has to help somewhere."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     for name in list(search.added):
         if len(search.added) < 2:
             return
@@ -128,7 +128,7 @@ def _helps(before: HeldoutError, after: HeldoutError) -> bool:
 def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
     """Two accepted effects give way to one that predicts unseen data as well with as many numbers, and whether two did:
     a payload and a rolling resistance are together exactly a towed load."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     for pair in combinations(list(search.added), 2):
         rest = [by_name[name] for name in search.added if name not in pair]
         for whole in _wholes(search, pair, by_name):
@@ -162,7 +162,7 @@ def _as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
 def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Accepted effects that still stand at a bound of a parameter are taken out: what fits only there is something
     else."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     fitted = search.current.fit
     held = {path.split(".")[0] for path, free in zip(fitted.paths, fitted.free, strict=True) if not free}
     group = [name for name in search.added if name in held]

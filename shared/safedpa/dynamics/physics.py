@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.base import AbstractBase
-from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like
+from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like, single_robot
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
 from safedpa.dynamics.settings import Setting, base_default, check_effects, check_settings
 from safedpa.dynamics.straight import (
@@ -25,14 +25,13 @@ from safedpa.dynamics.straight import (
 )
 from safedpa.dynamics.straight_tangent import StraightTangent
 from safedpa.dynamics.tangent import batched_difference, forward_mode, intercept, single_tangent
-from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
+from safedpa.effects.conditioned import plain
+from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, FeltEffect, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
 from safedpa.operations import FLOATS, NUMPY, Operations, Scalar, half_angled
 
 __all__ = ["PhysicsModel", "Setting"]
-
-_FLOAT = np.dtype(np.float64)
 
 _Values = Mapping[str, Named]
 """Parameter values by owner ("base" or an effect's name) and name."""
@@ -69,6 +68,7 @@ class PhysicsModel(AbstractDynamics):
         self.latent_names = tuple(path for path in self.parameters if self.settings[path].free)
         ordered = sorted(self.effects, key=lambda item: item.stage)
         self._commands = tuple(item for item in ordered if isinstance(item, CommandEffect))
+        self._felts = tuple(item for item in ordered if isinstance(item, FeltEffect))
         self._rates = tuple(item for item in ordered if isinstance(item, RateEffect))
         self._sensors = tuple(item for item in ordered if isinstance(item, SensorEffect))
 
@@ -192,7 +192,7 @@ class PhysicsModel(AbstractDynamics):
     def held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
     ) -> tuple[list[list[float]], Any]:
-        step = self.straight(period) if _single(state, action, latent) else None
+        step = self.straight(period) if single_robot(state, action, latent) else None
         if step is not None:
             entries, felt, rows = state.tolist(), action.tolist(), []
             free = (self.latent if latent is None else latent).tolist()
@@ -251,7 +251,7 @@ class PhysicsModel(AbstractDynamics):
         return batched_difference(step, np.asarray(around, dtype=np.float64), self._ranges)
 
     def slopes(self, state: Array, latent: Array | None, around: Array, memory: Any) -> Array:  # noqa: D102
-        if not self._commands and _single(state, around, latent):
+        if not self._commands and single_robot(state, around, latent):
             tangent = self._straight.tangent(self.period)
             free = (self.latent if latent is None else latent).tolist()
             with contextlib.suppress(ValueError, ArithmeticError):  # answered below
@@ -280,11 +280,15 @@ class PhysicsModel(AbstractDynamics):
         """The measured entries after one period, from the true state and what the mechanics feel of the action."""
         base, known = values["base"], self.base.rates
         effects = [(item.modify, values[item.name]) for item in self._rates]
+        feels = [(item.feel, values[item.name]) for item in self._felts]
 
         def derivative(now: Named, seconds: Scalar) -> Named:
-            rates = known(now, action, base, operations)
+            felt = action
+            for feel, own in feels:
+                felt = feel(own, Context(now, felt, base, seconds, period, operations))
+            rates = known(now, felt, base, operations)
             if effects:
-                context = Context(now, action, base, seconds, period, operations)
+                context = Context(now, felt, base, seconds, period, operations)
                 for modify, own in effects:
                     rates = modify(rates, own, context)
             return rates
@@ -308,7 +312,7 @@ class PhysicsModel(AbstractDynamics):
         self, state: Array, action: Array, memory: Any, latent: Array | None, period: float, time: float
     ) -> tuple[Array, Any] | None:
         """The same step for one robot as a straight line of arithmetic; None where the reference has to answer."""
-        if not _single(state, action, latent) or (step := self._straight.floats(period)) is None:
+        if not single_robot(state, action, latent) or (step := self._straight.floats(period)) is None:
             return None
         try:
             felt = action.tolist()
@@ -325,7 +329,7 @@ class PhysicsModel(AbstractDynamics):
         self, state: Array, around: Array, latent: Array | None, time: float
     ) -> tuple[Array, Array] | None:
         """The tangent for one robot along the straight line, by complex steps; None where the reference answers."""
-        if not _single(state, around, latent) or (tangent := self._straight.tangent(self.period)) is None:
+        if not single_robot(state, around, latent) or (tangent := self._straight.tangent(self.period)) is None:
             return None
         free, action = (self.latent if latent is None else latent).tolist(), around.tolist()
         with contextlib.suppress(ValueError, ArithmeticError):
@@ -426,7 +430,13 @@ class PhysicsModel(AbstractDynamics):
     @cached_property
     def _takes_complex(self) -> bool:
         """Whether all equations are the project's own: a user's may call abs(), which drops an imaginary part."""
-        return all(type(part).__module__.startswith("safedpa.") for part in (self.base, *self.effects))
+        parts = (self.base, *(plain(item) for item in self.effects))
+        return all(type(part).__module__.startswith("safedpa.") for part in parts)
+
+    @cached_property
+    def timed(self) -> bool:
+        """Whether anything in it depends on the time since the start of the run."""
+        return any(item.timed for item in self.effects)
 
     @cached_property
     def _middle(self) -> NDArray[np.float64]:
@@ -435,12 +445,3 @@ class PhysicsModel(AbstractDynamics):
     @cached_property
     def _ranges(self) -> tuple[float, ...]:
         return tuple((self.system.action_high - self.system.action_low).tolist())
-
-
-def _single(state: Array, action: Array, latent: Array | None) -> bool:
-    """Whether all are vectors of ordinary floats: one robot."""
-    return _vector(state) and _vector(action) and (latent is None or _vector(latent))
-
-
-def _vector(part: Array) -> bool:
-    return type(part) is np.ndarray and part.ndim == 1 and part.dtype == _FLOAT
