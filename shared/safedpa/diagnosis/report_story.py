@@ -143,9 +143,10 @@ def _verdict(document: Mapping[str, Any]) -> str:
     first, last = number(stages[0]["heldout_error"]), number(stages[-1]["heldout_error"])
     if added:
         fall = 100.0 * (1.0 - last / first) if first > 0 else 0.0
-        verb, lacking = "falls" if fall > 0 else "changes", [_told(document, name) for name in added]
+        verb = "falls" if fall > 0 else "changes"
+        lacking, them = [_told(document, name) for name in added], "it" if len(added) == 1 else "them"
         return (
-            f"The model lacks {_joined(lacking)}. With {'it' if len(added) == 1 else 'them'} the error on data that was "
+            f"The model lacks {_joined(lacking)}. With {them} the error on data that was "
             f"not used for fitting {verb} from {first:.3g} to {last:.3g}, by {abs(fall):.0f} %."
         )
     if document["verdict"] == "undecided":

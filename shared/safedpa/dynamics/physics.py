@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like, single_robot
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
+from safedpa.dynamics.run_clock import RunClock
 from safedpa.dynamics.settings import Setting, base_default, check_effects, check_settings
 from safedpa.dynamics.straight import (
     Equations,
@@ -44,7 +45,7 @@ class PhysicsModel(AbstractDynamics):
     The latent z is the vector of all free parameters, in SI units, in the order base first, then effects as listed.
     ``settings`` maps "base.<parameter>" and "<effect>.<parameter>" to values; every parameter must be there; those
     of the base that have a neutral value get it when they are left out.
-    Models are immutable: the ``with_`` methods return new ones.
+    Models are immutable but for their ``clock``: the ``with_`` methods return new ones.
 
     Raises ModelFileError when an effect does not fit the robot or its actions, stands twice, or a parameter is missing,
     unknown or out of bounds.
@@ -61,6 +62,7 @@ class PhysicsModel(AbstractDynamics):
         self.effects = tuple(effects)
         self.system = base.system
         self.period = period
+        self.clock = RunClock()
         optional = {f"base.{item.name}": base_default(item) for item in base.parameters if item.neutral is not None}
         self.settings = {**optional, **(settings or {})}
         check_effects(base, self.effects)
@@ -123,7 +125,7 @@ class PhysicsModel(AbstractDynamics):
         period: float | None = None,
         time: float = 0.0,
     ) -> tuple[Array, Any]:
-        used = self.period if period is None else period
+        used, time = self.period if period is None else period, self.clock.seconds + time
         quick = self._quick(state, action, memory, latent, used, time)
         if quick is not None:
             return quick
@@ -197,8 +199,8 @@ class PhysicsModel(AbstractDynamics):
             entries, felt, rows = state.tolist(), action.tolist(), []
             free = (self.latent if latent is None else latent).tolist()
             with contextlib.suppress(ValueError, ArithmeticError):  # answered below
-                for _ in range(steps):
-                    entries = step(entries, felt, free, 0.0)
+                for index in range(steps):
+                    entries = step(entries, felt, free, self.clock.seconds + index * period)
                     rows.append(entries)
                 return rows, memory
         return super().held(state, action, memory, latent, steps, period=period)
@@ -212,8 +214,7 @@ class PhysicsModel(AbstractDynamics):
         memory: Any = None,
         time: float = 0.0,
     ) -> tuple[Array, Array]:
-        if around is None:
-            around = self._middle
+        around, time = self._middle if around is None else around, self.clock.seconds + time
         quick = None if self._commands else self._quick_tangent(state, around, latent, time)
         if quick is not None:
             return quick
@@ -256,7 +257,7 @@ class PhysicsModel(AbstractDynamics):
             free = (self.latent if latent is None else latent).tolist()
             with contextlib.suppress(ValueError, ArithmeticError):  # answered below
                 if tangent is not None:
-                    return np.array(tangent(state.tolist(), around.tolist(), free, 0.0)[1])
+                    return np.array(tangent(state.tolist(), around.tolist(), free, self.clock.seconds)[1])
         return super().slopes(state, latent, around, memory)
 
     def _advance(
