@@ -7,25 +7,27 @@ at. What the law makes superfluous goes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from safedpa.diagnosis.condition_screen import Proposal, proposals_of
 from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.found import Judged, Search
+from safedpa.diagnosis.found import Judged, Search, known_effects
 from safedpa.diagnosis.heldout import Heldout, error_with
 from safedpa.diagnosis.judging import FALL, SIMPLER
 from safedpa.diagnosis.patch import Patch
-from safedpa.diagnosis.revision import removals
+from safedpa.diagnosis.revision import refit, removals, take_back
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect, Conditioned, Context, Varies, Where, conditioned
+from safedpa.effects.conditioned import may_have_law
 from safedpa.errors import ModelFileError
 from safedpa.operations import NUMPY
 
-__all__ = ["conditional", "of_patch", "placed", "with_law"]
+__all__ = ["conditional", "of_patch", "placed"]
 
 _SURE = 4.0
 """Standard errors of gain on unseen blocks: one in 30 000 by chance, and thousands of laws are looked at."""
@@ -35,6 +37,10 @@ _RARE = 0.04
 """Share of the rows inside a region, or outside, that is the least."""
 _FITTED = 6
 """Laws that are fitted in rollouts in each round."""
+_VARIED, _RIVALS = 3, 2
+"""Laws that are tried without another effect as well, and on so many rivals of their own."""
+_LEFT_OUT, _OF_THOSE = 4, 3
+"""Accepted effects without which laws are looked for, and laws that are fitted then."""
 _ROUNDS = 3
 _MOST_RUNS = 0.6
 """Share of the runs that have to be predicted better."""
@@ -43,11 +49,11 @@ _MOST_RUNS = 0.6
 def conditional(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
     """Gives laws to effects as long as that predicts unseen data clearly better; whether any got one."""
     for done in range(_ROUNDS):
-        trials = [
-            trial
-            for proposal in _to_fit(proposals_of(search, library))
-            if (trial := _fitted(search, proposal)) is not None
-        ]
+        proposals = proposals_of(search, library)
+        if not proposals:  # nothing is left that a law would say
+            return done > 0
+        tries = [*_tries(search, proposals, library), *_in_place_of_two(search, library)]
+        trials = [trial for trial in (_fitted(search, *each) for each in tries) if trial is not None]
         best = _chosen(search, trials, heldout)
         if best is None:
             return done > 0
@@ -56,35 +62,91 @@ def conditional(search: Search, library: Sequence[AbstractEffect], heldout: Held
     return True
 
 
-def _to_fit(every: Sequence[Proposal]) -> list[Proposal]:
-    """The best laws, no more than two of one effect's number of one kind."""
+def _tries(
+    search: Search, every: Sequence[Proposal], library: Sequence[AbstractEffect]
+) -> Iterator[tuple[Proposal, tuple[str, ...]]]:
+    """The best laws, no more than two of one effect of one kind, and what is left out for each.
+
+    Plain effects together may stand for one law, and one of them for another effect with a law: so the best are tried
+    without each of the others too, and on the rivals of their effect.
+    """
     found: list[Proposal] = []
     for item in every:
-        same = [other for other in found if other.item is item.item and type(other.law) is type(item.law)]
-        if len(same) < 2:
+        if sum(o.item.name == item.item.name and type(o.law) is type(item.law) for o in found) < 2:
             found.append(item)
         if len(found) == _FITTED:
             break
-    return found
+    by_name = {item.name: item for item in library}
+    for number, proposal in enumerate(found):
+        yield proposal, ()
+        if number >= _VARIED:
+            continue
+        name = proposal.item.name
+        yield from ((proposal, (other,)) for other in search.added if other != name)
+        if name in search.added:
+            for rival in search.rivals.get(name, [])[:_RIVALS]:
+                moved = _on_rival(search, proposal, by_name.get(rival))
+                if moved is not None and rival not in search.added:
+                    yield moved, (name,)
 
 
-def with_law(model: PhysicsModel, item: AbstractEffect, law: Where | Varies, start: dict[str, float]) -> PhysicsModel:
-    """The model with an effect under a law, in the place of the plain one where it has it."""
+def _in_place_of_two(search: Search, library: Sequence[AbstractEffect]) -> Iterator[tuple[Proposal, tuple[str, ...]]]:
+    """Laws for what is missing without one of the accepted effects, which may stand for nothing but the law."""
+    if len(search.added) < 2:
+        return
+    known = known_effects(search, library)
+    for name in search.added[:_LEFT_OUT]:
+        less = refit(search, [known[other] for other in search.added if other != name])
+        for proposal in proposals_of(replace(search, current=less), library)[:_OF_THOSE]:
+            if proposal.item.name != name:
+                yield proposal, (name,)
+
+
+def _on_rival(search: Search, proposal: Proposal, rival: AbstractEffect | None) -> Proposal | None:
+    """The same law on another effect, from the numbers that this had by itself."""
+    if rival is None or not may_have_law(rival, search.shooting.windows.system):
+        return None
+    own = [item.trial.fit.model for item in search.candidates if item.trial.effects == (rival.name,)]
+    varied = next((p.name for p in rival.parameters if p.neutral is not None), None)
+    if not own or varied is None:
+        return None
+    start = {p.name: own[0].settings[f"{rival.name}.{p.name}"].value for p in rival.parameters}
+    if isinstance(proposal.law, Varies):
+        return Proposal(rival, Varies(varied, proposal.law.variable), start, proposal.gain, proposal.fall)
+    borders = {name: value for name, value in proposal.start.items() if name not in _names(proposal.item)}
+    return Proposal(rival, proposal.law, {**borders, **start}, proposal.gain, proposal.fall)
+
+
+def _names(item: AbstractEffect) -> set[str]:
+    return {parameter.name for parameter in item.parameters}
+
+
+def _with_law(
+    model: PhysicsModel,
+    item: AbstractEffect,
+    law: Where | Varies,
+    start: dict[str, float],
+    without: Sequence[str] = (),
+) -> PhysicsModel:
+    """The model with an effect under a law, in the place of the plain one where it has it, and of those ``without``."""
     made = conditioned(item, law, model.system)
-    own = {p.name: Setting(float(np.clip(start.get(p.name, p.start), p.low, p.high))) for p in made.parameters}
-    rest = [other for other in model.effects if other.name != item.name]
-    kept = {path: value for path, value in model.settings.items() if path.split(".")[0] != item.name}
+    begin = {**{p.name: 0.0 if p.neutral == 0.0 else p.start for p in made.parameters}, **start}
+    own = {p.name: Setting(float(np.clip(begin[p.name], p.low, p.high))) for p in made.parameters}
+    gone = {item.name, *without}
+    rest = [other for other in model.effects if other.name not in gone]
+    kept = {path: value for path, value in model.settings.items() if path.split(".")[0] not in gone}
     return PhysicsModel(model.base, rest, kept, model.period).with_effect(made, own)
 
 
-def _fitted(search: Search, proposal: Proposal) -> Trial | None:
+def _fitted(search: Search, proposal: Proposal, without: Sequence[str] = ()) -> Trial | None:
     null = search.current
     try:
-        model = with_law(null.fit.model, proposal.item, proposal.law, proposal.start)
+        model = _with_law(null.fit.model, proposal.item, proposal.law, proposal.start, without)
     except ModelFileError:
         return None
     own = [path for path in model.settings if path.split(".")[0] == proposal.item.name]
-    paths = [*(path for path in null.fit.paths if path.split(".")[0] != proposal.item.name), *own]
+    gone = {proposal.item.name, *without}
+    paths = [*(path for path in null.fit.paths if path.split(".")[0] not in gone), *own]
     found = fit(model, paths, search.shooting, null.fit.scale)
     return trial_of(found, search.shooting, (proposal.item.name,), null)
 
@@ -160,6 +222,10 @@ def _accept(search: Search, best: Trial, heldout: Heldout, stage: int | None = N
         f"{item.law.key} {item.law.words}: gain on unseen blocks {gain:.1f} standard errors over the same model without"
     )
     search.candidates.append(Judged(stage, best, gain, search.error, "accepted", reason, (), before.value))
+    gone = [other for other in search.added if other not in {own.name for own in again.model.effects}]
+    if gone:
+        search.added = [other for other in search.added if other not in gone]
+        take_back(search, gone, f"gave way to {name} {item.law.key} {item.law.words}")
     if name not in search.added:
         search.added.append(name)
 

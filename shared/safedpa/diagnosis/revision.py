@@ -18,7 +18,7 @@ from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
-__all__ = ["bounded", "exchange", "removals", "unhelpful", "united"]
+__all__ = ["bounded", "exchange", "refit", "removals", "take_back", "unhelpful", "united"]
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
@@ -28,7 +28,7 @@ _TOGETHER = 0.7
 """Correlation of their fitted numbers from which effects are also taken out together."""
 
 
-def _refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
+def refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
     """The given effects on top of the first model, from the numbers that the present model has, or from starts."""
     now = search.current.fit.model
     known = {item.name for item in now.effects}
@@ -59,7 +59,7 @@ def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     for name in list(search.added):
         others = [by_name[other] for other in search.added if other != name]
         rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_EXCHANGED]
-        best = min((_refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
+        best = min((refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
         if best is None or best.loss >= search.current.loss:
             continue
         if block_gain(search.current, best, search.shooting) > SIMPLER:
@@ -90,7 +90,7 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     while len(search.added) > 1:
         without = {}
         for group in _groups(search):
-            less = _refit(search, [by_name[name] for name in search.added if name not in group])
+            less = refit(search, [by_name[name] for name in search.added if name not in group])
             without[group] = less, block_gain(less, search.current, search.shooting)
         group = min(without, key=lambda names: without[names][1])
         less, gain = without[group]
@@ -99,7 +99,7 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
             break
         search.added = [name for name in search.added if name not in group]
         search.current, search.error = less, error
-        _take_back(search, group)
+        take_back(search, group)
     if search.added != before:
         _left_over(search, heldout)
 
@@ -110,13 +110,13 @@ def unhelpful(search: Search, library: Sequence[AbstractEffect], heldout: Heldou
     for name in list(search.added):
         if len(search.added) < 2:
             return
-        less = _refit(search, [by_name[other] for other in search.added if other != name])
+        less = refit(search, [by_name[other] for other in search.added if other != name])
         error = error_with(less.fit, search.shooting, heldout)
         if _helps(error, search.error):
             continue
         search.added = [other for other in search.added if other != name]
         search.current, search.error = less, error
-        _take_back(search, (name,), "lowers the held-out error of no run")
+        take_back(search, (name,), "lowers the held-out error of no run")
 
 
 def _helps(before: HeldoutError, after: HeldoutError) -> bool:
@@ -132,11 +132,11 @@ def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) 
     for pair in combinations(list(search.added), 2):
         rest = [by_name[name] for name in search.added if name not in pair]
         for whole in _wholes(search, pair, by_name):
-            best = _refit(search, [*rest, whole])
+            best = refit(search, [*rest, whole])
             if _as_good(best, search, heldout):
                 _replace(search, pair[0], whole.name, best, heldout)
                 search.added.remove(pair[1])
-                _take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
+                take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
                 return True
     return False
 
@@ -168,9 +168,9 @@ def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout)
     group = [name for name in search.added if name in held]
     if group:
         search.added = [name for name in search.added if name not in group]
-        search.current = _refit(search, [by_name[name] for name in search.added])
+        search.current = refit(search, [by_name[name] for name in search.added])
         search.error = error_with(search.current.fit, search.shooting, heldout)
-        _take_back(search, group, "fits only at a bound")
+        take_back(search, group, "fits only at a bound")
 
 
 def _left_over(search: Search, heldout: Heldout) -> None:
@@ -178,12 +178,12 @@ def _left_over(search: Search, heldout: Heldout) -> None:
 
     A clear fall of the held-out error does with what a removal would have to lose.
     """
-    null = _refit(search, [])
+    null = refit(search, [])
     gain = block_gain(null, search.current, search.shooting)
     before = error_with(null.fit, search.shooting, heldout)
     clear = gain > SIMPLER and search.error.value < (1.0 - CLEAR_FALL) * before.value
     if not (clear or passes(gain, search.error, before)):
-        _take_back(search, search.added)
+        take_back(search, search.added)
         search.added, search.current, search.error = [], search.first, search.first_error
 
 
@@ -202,7 +202,8 @@ def _groups(search: Search) -> list[tuple[str, ...]]:
     return [*singles, *found]
 
 
-def _take_back(search: Search, group: Sequence[str], why: str = "no longer needed beside the others") -> None:
+def take_back(search: Search, group: Sequence[str], why: str = "no longer needed beside the others") -> None:
+    """Candidates that were accepted are said to be gone."""
     for index, item in enumerate(search.candidates):
         gone = set(group) & set(item.trial.effects)
         if item.decision == "accepted" and gone:
