@@ -10,6 +10,7 @@ from safedpa.effects.effect import (
     SensorEffect,
     Stage,
 )
+from safedpa.effects.general import general_effects
 from safedpa.effects.law import Varies, Where
 from safedpa.effects.library import effect, effects_of, load_effects, robots
 from safedpa.effects.parameter import Parameter
@@ -29,6 +30,7 @@ __all__ = [
     "conditioned",
     "effect",
     "effects_of",
+    "general_effects",
     "load_effects",
     "robots",
 ]
