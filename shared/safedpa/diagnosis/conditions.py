@@ -35,6 +35,8 @@ _LIKELY, _MUCH = 3.0, 0.3
 """Standard errors that do where so large a share of the held-out error goes: few blocks lie in one place."""
 _RARE = 0.04
 """Share of the rows inside a region, or outside, that is the least."""
+_THERE = 4.0
+"""Of its deviations that a number which adds up has to be away from 0 where its law says nothing."""
 _FITTED = 6
 """Laws that are fitted in rollouts in each round."""
 _VARIED, _RIVALS = 3, 2
@@ -160,6 +162,7 @@ def _chosen(search: Search, trials: Sequence[Trial], heldout: Heldout) -> Trial 
         and _passes(trial, search, heldout)
         and _in_most_runs(trial, search)
         and _of_some_rows(trial, search)
+        and _more_than_its_law(trial, search)
     ]
     if not passing:
         return None
@@ -174,6 +177,19 @@ def _passes(trial: Trial, search: Search, heldout: Heldout) -> bool:
         return False
     fall = 1.0 - error_with(trial.fit, search.shooting, heldout).value / max(search.error.value, 1e-12)
     return (gain > _SURE and fall > FALL) or fall > _MUCH
+
+
+def _more_than_its_law(trial: Trial, search: Search) -> bool:
+    """Whether what adds up (a drag, an offset) is there where its law is not: else it is another function than its
+    name says, such as a drag that grows with the cube of the speed. A gain is at rest where it is 1."""
+    item = next(own for own in trial.fit.model.effects if own.name == trial.effects[0])
+    if not isinstance(item, Conditioned) or not isinstance(item.law, Varies):
+        return True
+    path = f"{item.name}.{item.law.parameter}"
+    if trial.fit.model.parameters[path].neutral:
+        return True
+    at = trial.fit.paths.index(path)
+    return bool(abs(trial.fit.values[at]) > _THERE * trial.fit.deviations(search.shooting)[at])
 
 
 def _of_some_rows(trial: Trial, search: Search) -> bool:
