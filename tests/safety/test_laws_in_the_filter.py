@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import parse_model
+from safedpa.errors import InputError
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, Status
+from safedpa.safety.batch import BatchFilter
 
 CAR = """
 format = 1
@@ -75,6 +77,11 @@ def test_a_model_that_depends_on_the_time_is_not_trusted_without_it(time):
 
 def test_to_other_models_the_time_says_nothing():
     np.testing.assert_array_equal(decided("", 0.0, time=50.0).action, decided("", 0.0).action)
+
+
+def test_a_batch_has_no_time_and_says_so():
+    with pytest.raises(InputError, match="filter one by one"):
+        BatchFilter(parse_model(CAR + FRESH))
 
 
 def test_the_slopes_follow_the_border():
