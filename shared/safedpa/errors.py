@@ -6,6 +6,7 @@
     │   ├── ColumnMapError    a column map: the key stands in the message
     │   ├── RunError          a recording: unreadable, empty, wrong columns
     │   └── MessageError      a message from the bus: wrong shape, type or not finite
+    ├── MissingExtraError     something that `pip install safedpa` alone does not bring
     ├── BusError              the bus cannot be opened or a name on it is taken
     └── RecordingError        a recording could not be written (disk full, say)
 
@@ -22,6 +23,7 @@ __all__ = [
     "ColumnMapError",
     "InputError",
     "MessageError",
+    "MissingExtraError",
     "ModelFileError",
     "RecordingError",
     "RunError",
@@ -52,6 +54,10 @@ class RunError(InputError):
 
 class MessageError(InputError):
     """A message from the bus that cannot be used."""
+
+
+class MissingExtraError(SafedpaError):
+    """Something that ``pip install safedpa`` alone does not bring; the message names the extra."""
 
 
 class BusError(SafedpaError):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from safedpa.extras import needs
 from safedpa_services.command_line.options import force_option, given_model, inputs_of, loaded_runs, run_options
 
 __all__ = ["command"]
@@ -18,6 +19,7 @@ __all__ = ["command"]
 @run_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="MODEL2.toml", help="The new model.")
 @force_option
+@needs("diagnosis")
 def command(
     model: str,
     effect: str,
