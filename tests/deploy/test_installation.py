@@ -20,6 +20,9 @@ FOREIGN = ("torch", "plotly", "rerun", "pymunk", "pyarrow", "jinja2", "nicegui",
 PYTHONS = [name for name in ("python3.11", "python3.12") if shutil.which(name)]
 
 
+PIP = (sys.executable, "-m", "pip", "--quiet", "--no-input")
+
+
 def _run(*command: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     plain |= {"SAFEDPA_COMPILE": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
@@ -30,15 +33,14 @@ def _run(*command: str | Path, cwd: Path | None = None) -> subprocess.CompletedP
 def built(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> tuple[Path, Path]:
     """(wheel, source distribution) of the working tree; skips where hatchling can be had from nowhere."""
     folder = tmp_path_factory.mktemp("built")
-    environment, out = folder / "environment", folder / "out"
-    assert _run(sys.executable, "-m", "venv", environment).returncode == 0
-    python = environment / "bin" / "python"
+    tools, out = folder / "tools", folder / "out"
     hatchling = re.search(r"hatchling==[\d.]+", (repository / "pyproject.toml").read_text(encoding="utf-8"))
     assert hatchling
-    done = _run(python, "-m", "pip", "install", "-q", hatchling[0])
+    done = _run(*PIP, "install", "--target", tools, hatchling[0])
     if done.returncode != 0:
         pytest.skip(f"no package index answers: {done.stderr.strip().splitlines()[-1]}")
-    done = _run(python, "-m", "hatchling", "build", "-d", out, cwd=repository)
+    build = "import sys; sys.path.insert(0, sys.argv[1]); del sys.argv[1]; from hatchling.cli import hatchling; hatchling()"
+    done = _run(sys.executable, "-c", build, tools, "build", "-d", out, cwd=repository)
     assert done.returncode == 0, done.stderr
     (wheel,), (source,) = out.glob("*.whl"), out.glob("*.tar.gz")
     return wheel, source
@@ -67,17 +69,18 @@ def test_the_source_distribution_can_be_built_from(built: tuple[Path, Path]) -> 
 def test_the_core_installs_into_an_empty_environment_and_the_readme_runs(
     interpreter: str, built: tuple[Path, Path], repository: Path, tmp_path: Path
 ) -> None:
-    done = _run(interpreter, "-m", "venv", tmp_path / "empty")
+    done = _run(interpreter, "-m", "venv", "--without-pip", tmp_path / "empty")
     if done.returncode != 0:
         pytest.skip(f"{interpreter}: {(done.stderr or done.stdout).strip().splitlines()[-1]}")
     python = tmp_path / "empty" / "bin" / "python"
-    done = _run(python, "-m", "pip", "install", "-q", "--constraint", repository / "constraints.txt", built[0])
+    pip = (*PIP, "--python", python)
+    done = _run(*pip, "install", "--no-compile", "--constraint", repository / "constraints.txt", built[0])
     if done.returncode != 0 and re.search(r"No matching distribution|Could not fetch|Connection", done.stderr):
         pytest.skip(f"no package index answers: {done.stderr.strip().splitlines()[-1]}")
     assert done.returncode == 0, done.stderr
     listed = _run(python, "-c", f"import importlib.util as u; print([n for n in {FOREIGN!r} if u.find_spec(n)])")
     assert listed.stdout.strip() == "[]"
-    assert _run(python, "-m", "pip", "uninstall", "-q", "--yes", "scipy").returncode == 0
+    assert _run(*pip, "uninstall", "--yes", "scipy").returncode == 0
 
     code = re.findall(r"```python\n(.*?)```", (repository / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     filtered = _run(python, "-c", "import safedpa.safety\n" + code[0], cwd=tmp_path)
