@@ -35,10 +35,11 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """A link out of the folder of pages becomes the path that it names, as it stands in the repository."""
+    """Links to notebooks lead to their pages; one out of the folder becomes the path that it names in the repository."""
     del config, files
     depth = page.file.src_uri.count("/")
     out = "../" * (depth + 1)
+    markdown = markdown.replace(".ipynb)", ".md)")
     for name in BESIDE:
         markdown = markdown.replace(f"]({out}{name})", f"]({'../' * depth}{name})")
     return re.sub(rf"\[([^\]]+)\]\({re.escape(out)}([^)]+)\)", _outside, markdown)
