@@ -41,9 +41,7 @@ def room(state: Any) -> float:
 
 def made(eta: float = 0.1, epsilon: float = 0.002) -> SafetyFilter:
     """The filter of the README."""
-    settings = FilterSettings(
-        action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), eta=eta, epsilon=epsilon
-    )
+    settings = FilterSettings(action_low=(-1.0,), action_high=(1.0,), backup_action=(-1.0,), eta=eta, epsilon=epsilon)
     push = np.array([[0.00125], [0.05]])
     return SafetyFilter(lambda state: (moved(state), push), [FunctionBarrier(room)], settings)
 
@@ -148,7 +146,9 @@ def draw_status(axes: Any) -> None:
     """The verdict's status in every state: full acceleration at the wall is wished."""
     safe, names = made(epsilon=0.02), list(COLOURS)
     positions, speeds = np.linspace(0.3, 1.1, 41), np.linspace(0.0, 1.2, 41)
-    found = [[names.index(safe.decide(np.array([x, v]), wish=[FORWARD]).status.value) for x in positions] for v in speeds]
+    found = [
+        [names.index(safe.decide(np.array([x, v]), wish=[FORWARD]).status.value) for x in positions] for v in speeds
+    ]
     colours = mpl.colors.ListedColormap(list(COLOURS.values()))
     box = (positions[0], positions[-1], speeds[0], speeds[-1])
     axes.imshow(np.array(found), cmap=colours, vmin=-0.5, vmax=3.5, origin="lower", extent=box, aspect="auto")

@@ -32,8 +32,6 @@ def on_files(files: Files, *, config: Any) -> Files:
     return files
 
 
-
-
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
     """Links to notebooks lead to their pages; one out of the folder becomes the path that it names in the repository."""
     del config, files
@@ -62,7 +60,7 @@ def notebook_as_markdown(notebook: dict[str, Any]) -> str:
         for output in cell.get("outputs", []):
             data = output.get("data", {})
             if "image/png" in data:
-                parts.append(f'![what the cell draws](data:image/png;base64,{"".join(data["image/png"]).strip()})')
+                parts.append(f"![what the cell draws](data:image/png;base64,{''.join(data['image/png']).strip()})")
             printed = "".join(output.get("text", data.get("text/plain", [])))
             if printed and "image/png" not in data:
                 parts.append(f"```text\n{printed.rstrip()}\n```")

@@ -43,7 +43,10 @@ CASES = (  # a command line, and the extra that it must name; None: it runs
     ("bench latency --seconds 1", "sim"),
     ("calibrate {log} --model car --simulator car --out {out}.toml", "train"),
     *((f"experiment {name}", "sim") for name in ("controllers", "faults", "live", "safety")),
-    *((f"experiment {name}", "diagnosis") for name in ("bad-data {log} --out {out}", "point-story", "real-logs --data {log}")),
+    *(
+        (f"experiment {name}", "diagnosis")
+        for name in ("bad-data {log} --out {out}", "point-story", "real-logs --data {log}")
+    ),
     *((f"experiment {name}", "sim,diagnosis") for name in ("fleet-diagnosis", "hidden-effects", "safety-pays")),
     *((f"experiment {name}", "train") for name in ("car", "pendulum", "point", "point-heat-map")),
 )

@@ -39,7 +39,9 @@ def built(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> tuple[P
     done = _run(*PIP, "install", "--target", tools, hatchling[0])
     if done.returncode != 0:
         pytest.skip(f"no package index answers: {done.stderr.strip().splitlines()[-1]}")
-    build = "import sys; sys.path.insert(0, sys.argv[1]); del sys.argv[1]; from hatchling.cli import hatchling; hatchling()"
+    build = (
+        "import sys; sys.path.insert(0, sys.argv[1]); del sys.argv[1]; from hatchling.cli import hatchling; hatchling()"
+    )
     done = _run(sys.executable, "-c", build, tools, "build", "-d", out, cwd=repository)
     assert done.returncode == 0, done.stderr
     (wheel,), (source,) = out.glob("*.whl"), out.glob("*.tar.gz")

@@ -39,7 +39,9 @@ def test_every_service_understands_its_options(tmp_path: Path) -> None:
     for name in SERVICES:
         values = _values("loop") | _values(name)
         words = f"{values['LOOP']} {values['OPTIONS']}".split()
-        words = [word.replace("/etc/safedpa", str(tmp_path)).replace("/var/lib/safedpa", str(tmp_path)) for word in words]
+        words = [
+            word.replace("/etc/safedpa", str(tmp_path)).replace("/var/lib/safedpa", str(tmp_path)) for word in words
+        ]
         words.remove("--realtime") if "--realtime" in words else None  # not on a machine that runs tests
         command = [sys.executable, "-m", f"safedpa_services.{name}", *words]
         started[name] = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
