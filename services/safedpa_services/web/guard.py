@@ -114,7 +114,7 @@ class Guard:
     @staticmethod
     def _asked(scope: Scope) -> str:
         """The token in the address."""
-        query = urllib.parse.parse_qs(scope.get("query_string", b"").decode("latin-1")[:4096], max_num_fields=32)
+        query = urllib.parse.parse_qs(bytes(scope.get("query_string", b"")).decode("latin-1")[:4096], max_num_fields=32)
         return query.get("token", [""])[0]
 
     def _shown(self, headers: dict[str, list[str]]) -> str:
