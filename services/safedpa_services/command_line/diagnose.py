@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 from safedpa_services.command_line.fleet_diagnosis import diagnosed_fleet, fleet_options, wants_fleet
 from safedpa_services.command_line.options import (
     as_json_option,
@@ -56,6 +57,7 @@ FINDINGS = 6
 @click.option("--check", is_flag=True, help="Only say what these runs could show, in seconds; writes nothing.")
 @force_option
 @fleet_options
+@needs("diagnosis")
 def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
     """Find out which physical effect MODEL lacks, by recorded RUNs.
 
@@ -238,6 +240,7 @@ def _found(report: Report) -> list[str]:
     for name in report.added:
         own = {path.split(".")[1]: item for path, item in report.parameters.items() if path.split(".")[0] == name}
         lines.append(f"{name}: {', '.join(value_text(key, item) for key, item in own.items())}")
+        lines += [f"  {item.sentence}" for item in report.conditions if item.effect == name]
     return lines
 
 
