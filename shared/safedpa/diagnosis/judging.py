@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from safedpa.diagnosis.actuators import late_commands
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import HeldoutError
 from safedpa.diagnosis.second_opinion import CLEAR_FALL, MUCH
@@ -15,7 +16,8 @@ from safedpa.diagnosis.trial import Trial, block_gain, likeness
 
 __all__ = [
     "ALIKE", "FALL", "LIKELY", "LITTLE_FALL", "MOST_MISSING", "SAME", "SIMPLER", "SURE", "VERY_SURE", "Stage",
-    "farthest", "inside", "judged", "likely", "passes", "preferred", "with_reason",
+    "farthest", "inside", "judged", "likely", "passes", "preferred",
+    "second_lateness", "with_reason",
 ]  # fmt: skip
 
 SURE = 3.0
@@ -55,7 +57,8 @@ class Stage:
 
     def passes(self, trial: Trial, before: HeldoutError) -> bool:
         """Whether a trial is to be added by unseen blocks alone."""
-        return passes(self.gains[trial.effects], self.errors.get(trial.effects), before)
+        error = self.errors.get(trial.effects)
+        return passes(self.gains[trial.effects], error, before) and not second_lateness(trial, error, before)
 
 
 def passes(gain: float, error: HeldoutError | None, before: HeldoutError) -> bool:
@@ -66,10 +69,26 @@ def passes(gain: float, error: HeldoutError | None, before: HeldoutError) -> boo
     return (gain > SURE and fall > FALL) or (gain > VERY_SURE and fall > LITTLE_FALL)
 
 
+def second_lateness(trial: Trial, error: HeldoutError | None, before: HeldoutError) -> bool:
+    """Whether a trial only makes later what is late already, without a clear fall of the error.
+
+    A lag is a delay to first order: the second one of a command corrects the shape of the first, which no actuator has
+    exactly.
+    """
+    if error is not None and error.value < (1.0 - CLEAR_FALL) * before.value:
+        return False
+    model = trial.fit.model
+    names = model.system.action_names
+    own = [late_commands(item, names) for item in model.effects if item.name in trial.effects]
+    others = [late_commands(item, names) for item in model.effects if item.name not in trial.effects]
+    return any(not one.isdisjoint(other) for one in own for other in others)
+
+
 def likely(trial: Trial, stage: Stage, before: HeldoutError) -> bool:
     """Whether unseen blocks favour a trial enough to ask the filter along whole recordings, which may be certain."""
     gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
-    return error is not None and gain > LIKELY and error.value < (1.0 - FALL) * before.value
+    enough = error is not None and gain > LIKELY and error.value < (1.0 - FALL) * before.value
+    return enough and not second_lateness(trial, error, before)
 
 
 def preferred(trials: Sequence[Trial], search: Search) -> Trial | None:

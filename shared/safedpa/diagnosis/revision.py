@@ -6,6 +6,7 @@ Source: Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3 (exchange a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -13,17 +14,20 @@ import numpy as np
 from safedpa.diagnosis.fitting import fit, inverse_of, objectives
 from safedpa.diagnosis.found import Judged, Search, given_names
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
+from safedpa.diagnosis.judging import SAME, SIMPLER, passes, second_lateness, with_reason
 from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
-__all__ = ["bounded", "exchange", "removals", "unhelpful", "united"]
+__all__ = ["bounded", "exchange", "removals", "smallest", "united"]
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
 _ROUNDING = 0.002
 """Share of a held-out error that is rounding."""
+_ONE = 1.0
+"""Standard errors of the runs' differences within which the smallest model is as good as the best (Breiman and others,
+Classification and Regression Trees, 1984, section 3.4.3; here of differences run by run)."""
 _TOGETHER = 0.7
 """Correlation of their fitted numbers from which effects are also taken out together."""
 
@@ -62,8 +66,9 @@ def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         best = min((_refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
         if best is None or best.loss >= search.current.loss:
             continue
-        if block_gain(search.current, best, search.shooting) > SIMPLER:
-            new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
+        new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
+        late = second_lateness(replace(best, effects=(new,)), None, search.error)
+        if block_gain(search.current, best, search.shooting) > SIMPLER and not late:
             _replace(search, name, new, best, heldout)
 
 
@@ -104,19 +109,26 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         _left_over(search, heldout)
 
 
-def unhelpful(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Accepted effects that lower the held-out error of no run are taken out: a stage has to help somewhere."""
+def smallest(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """The smallest model within one standard error of the best over whole runs, blocks where there is one run.
+
+    Accepted effects without which the held-out error does not rise by more than _ONE standard error of the runs'
+    differences are taken out, the least needed first. ``search.without`` holds what is left without each that stays.
+    """
     by_name = {item.name: item for item in library}
-    for name in list(search.added):
-        if len(search.added) < 2:
+    while len(search.added) > 1:
+        search.without = {}
+        for name in search.added:
+            less = _refit(search, [by_name[other] for other in search.added if other != name])
+            search.without[name] = less, error_with(less.fit, search.shooting, heldout)
+        needed = {name: search.error.sure_of(error) for name, (_, error) in search.without.items()}
+        least = min(needed, key=lambda name: needed[name])
+        if needed[least] > _ONE and _helps(search.without[least][1], search.error):
             return
-        less = _refit(search, [by_name[other] for other in search.added if other != name])
-        error = error_with(less.fit, search.shooting, heldout)
-        if _helps(error, search.error):
-            continue
-        search.added = [other for other in search.added if other != name]
-        search.current, search.error = less, error
-        _take_back(search, (name,), "lowers the held-out error of no run")
+        search.added = [other for other in search.added if other != least]
+        search.current, search.error = search.without[least]
+        _take_back(search, (least,), "helps whole runs by less than one standard error")
+    search.without = {}
 
 
 def _helps(before: HeldoutError, after: HeldoutError) -> bool:

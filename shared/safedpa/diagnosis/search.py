@@ -13,16 +13,16 @@ import numpy as np
 
 from safedpa.diagnosis.elsewhere import Passing, passing_elsewhere
 from safedpa.diagnosis.evidence import Evidence
-from safedpa.diagnosis.final_numbers import with_final_numbers
-from safedpa.diagnosis.fitting import fit
+from safedpa.diagnosis.final_numbers import with_final_numbers, with_form_in_doubt
+from safedpa.diagnosis.fitting import Fit, fit
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.judging import MOST_MISSING, Stage, farthest, inside, judged, likely, preferred
 from safedpa.diagnosis.naive import naive_errors
 from safedpa.diagnosis.pairs import pairs_of
 from safedpa.diagnosis.patch import Patch, best_patch
-from safedpa.diagnosis.revision import bounded, exchange, removals, unhelpful, united
-from safedpa.diagnosis.second_opinion import CLEAR_FALL, agrees, certain, clear
+from safedpa.diagnosis.revision import bounded, exchange, removals, smallest, united
+from safedpa.diagnosis.second_opinion import CLEAR_FALL, MUCH, agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.starts import best_start
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
@@ -36,6 +36,9 @@ MOST = 12
 """Additions."""
 _ASKED = 3
 """Trials of one stage that the filter along whole recordings is asked about at most."""
+
+_SETTLED = 4
+"""Trials of one stage that are fitted about their own model while MUCH is missing."""
 
 _FAR = 0.5
 """Share of a free number."""
@@ -73,12 +76,12 @@ def searched(
     removals(search, library, heldout)
     if united(search, library, heldout):
         removals(search, library, heldout)  # what took the place of two may do what a third did
-    unhelpful(search, library, heldout)
+    smallest(search, library, heldout)
     if search.first_error.value > MOST_MISSING:
         bounded(search, library, heldout)
     if library:
         final, search.error = with_final_numbers(search.current.fit, search.shooting, heldout)
-        search.current = replace(search.current, fit=final)
+        search.current = replace(search.current, fit=with_form_in_doubt(final, search))
     return search
 
 
@@ -170,9 +173,12 @@ def _stage(search: Search, number: int, trials: list[Trial], heldout: Heldout, a
     """Gains of all trials, held-out errors of the ``at_most`` best that gain anything."""
     gains = {trial.effects: block_gain(search.current, trial, search.shooting) for trial in trials}
     close = [trial for trial in trials if gains[trial.effects] > 1.0][:at_most]
-    errors: dict[tuple[str, ...], HeldoutError] = {
-        trial.effects: error_with(trial.fit, search.shooting, heldout) for trial in close
-    }
+    errors: dict[tuple[str, ...], HeldoutError] = {}
+    for trial in close:
+        shooting, own = search.shooting, trial.fit
+        if search.error.value > MUCH and len(errors) < _SETTLED:
+            shooting, own = _settled(trial, shooting)
+        errors[trial.effects] = error_with(own, shooting, heldout)
     return Stage(number, trials, gains, errors)
 
 
@@ -218,10 +224,19 @@ def _agreed(search: Search, stage: Stage, passing: Sequence[Trial]) -> tuple[Tri
 def accept(search: Search, best: Trial, heldout: Heldout) -> None:
     """Adds the best trial and fits it to the end: the next stage's trials begin there, so its error counts for them."""
     search.added += [name for name in best.effects if name not in search.added]
-    shooting = search.shooting.around(best.fit.model)
-    again = fit(best.fit.model, best.fit.paths, shooting, best.fit.scale)
+    shooting, again = _settled(best, search.shooting)
     search.shooting, search.current = shooting, trial_of(again, shooting, (), None)
     search.error = error_with(again, shooting, heldout)
+
+
+def _settled(trial: Trial, shooting: Shooting) -> tuple[Shooting, Fit]:
+    """A trial fitted anew in windows whose starts and weights are those of its own model.
+
+    The weights of the model before take what it lacks for hands that push, where that is much: a car that a load holds
+    where the model drives on.
+    """
+    own = shooting.around(trial.fit.model)
+    return own, fit(trial.fit.model, trial.fit.paths, own, trial.fit.scale)
 
 
 def _place_instead(null: Trial, best: Trial, shooting: Shooting) -> Patch | None:

@@ -55,7 +55,7 @@ ABSORBED = ("payload",)
 """What a free gain of the servo takes up whole: k / (1 + mass_ratio)."""
 
 
-PYMUNK_CAR = ("drive_lag", "quadratic_drag", "rolling_resistance", "steering_lag", "tyre_slip", "understeer")
+PYMUNK_CAR = ("drive_lag", "steering_lag", "tyre_slip", "understeer")
 """What the pymunk car has by itself and its given model has not: naming it is not wrong."""
 
 

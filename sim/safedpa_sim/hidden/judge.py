@@ -11,6 +11,8 @@ __all__ = ["Found", "Outcome", "judged"]
 
 Document = Mapping[str, Any]
 
+_DELAY_FOR_LAG = {"steering_delay": "steering_lag", "drive_delay": "drive_lag"}
+
 
 @dataclass(frozen=True)
 class Found:
@@ -129,7 +131,9 @@ def _stands_for(name: str, groups: Mapping[str, set[str]], truth: Document) -> b
 def _justified(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
     hidden = set(truth["effects"])
     equals = {other for name_hidden in hidden for other in truth["equals"][name_hidden]}
-    return name in hidden | equals | set(truth["present"]) or bool(groups[name] & hidden)
+    # an actuator that is neither a pure lag nor a pure delay may be called either, not both
+    late = {other for other, lag in _DELAY_FOR_LAG.items() if lag in truth["present"] and lag not in groups}
+    return name in hidden | equals | set(truth["present"]) | late or bool(groups[name] & hidden)
 
 
 def _found(document: Document, truth: Document) -> list[Found]:

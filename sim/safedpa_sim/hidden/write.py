@@ -18,6 +18,7 @@ from safedpa_sim.hidden.pendulum import GRAVITY, LENGTH, MASS, simulate_pendulum
 from safedpa_sim.hidden.sensor import measured
 from safedpa_sim.hidden.strengths import LARGEST_STEER
 from safedpa_sim.hidden.towing import drive_towing
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 
 __all__ = ["PATCH", "PERIOD", "Log", "write_case", "write_cases"]
 
@@ -153,8 +154,17 @@ def _model(case: Case) -> str:
         base = [f"length = {LENGTH}", f"mass = {MASS}", f"gravity = {GRAVITY}"]
         return _toml("pendulum", "rigid_pendulum", base)
     if case.load is not None:
-        servo = ["speed_gain = 5.0", "acceleration_limit = 4.5"]
-        return _toml("car", "kinematic_bicycle", ['drive = "speed_servo"', f"wheelbase = {WHEELBASE}", *servo])
+        servo = [f"speed_gain = {CAR_PARAMETERS.servo_gain}", f"acceleration_limit = {CAR_PARAMETERS.servo_limit}"]
+        own = {
+            "rolling_resistance": ("deceleration", CAR_PARAMETERS.rolling),
+            "quadratic_drag": ("coefficient", CAR_PARAMETERS.drag),
+        }
+        known = [
+            line
+            for name, (key, value) in own.items()
+            for line in ("", "[[effects]]", f'name = "{name}"', f"{key} = {value}")
+        ]
+        return _toml("car", "kinematic_bicycle", ['drive = "speed_servo"', f"wheelbase = {WHEELBASE}", *servo, *known])
     if case.drive == "throttle":
         own = [f"drive_gain = {_setting(_DRIVE_GAIN, case.hard)}"]
     else:
