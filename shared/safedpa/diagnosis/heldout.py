@@ -43,16 +43,11 @@ class HeldoutError:
     by_fold: Floats
     errors: Floats
 
-    def sure_of(self, smaller: HeldoutError) -> float:
-        """By how many standard errors of the folds' differences this model's error lies below that of a smaller one.
-
-        mean(d) / (std(d) / sqrt(folds)), d the differences fold by fold.
-        """
-        apart = smaller.by_fold - self.by_fold
-        apart = apart[np.isfinite(apart)]
-        if len(apart) < 2:
-            return float(np.sign(apart.sum()) * np.inf) if len(apart) and apart.any() else 0.0
-        return float(apart.mean() / max(float(apart.std(ddof=1)) / np.sqrt(len(apart)), 1e-300))
+    @property
+    def standard_error(self) -> float:
+        """Of the mean over the folds: std(by_fold) / sqrt(folds); 0 for fewer than two."""
+        own = self.by_fold[np.isfinite(self.by_fold)]
+        return float(own.std(ddof=1) / np.sqrt(len(own))) if len(own) > 1 else 0.0
 
 
 def heldout_of(runs: Sequence[Run], horizon: float, folds: int = 6) -> Heldout:

@@ -26,8 +26,8 @@ _EXCHANGED = 4
 _ROUNDING = 0.002
 """Share of a held-out error that is rounding."""
 _ONE = 1.0
-"""Standard errors of the runs' differences within which the smallest model is as good as the best (Breiman and others,
-Classification and Regression Trees, 1984, section 3.4.3; here of differences run by run)."""
+"""Standard errors of the runs' differences of the best model's held-out error within which the smallest model is as good (Breiman, Friedman,
+Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3)."""
 _TOGETHER = 0.7
 """Correlation of their fitted numbers from which effects are also taken out together."""
 
@@ -112,22 +112,22 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
 def smallest(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """The smallest model within one standard error of the best over whole runs, blocks where there is one run.
 
-    Accepted effects without which the held-out error does not rise by more than _ONE standard error of the runs'
-    differences are taken out, the least needed first. ``search.without`` holds what is left without each that stays.
+    Accepted effects without which the held-out error stays within _ONE standard error of the best are taken out, the
+    least needed first. ``search.without`` holds what is left without each that stays.
     """
     by_name = {item.name: item for item in library}
+    most = search.error.value + _ONE * search.error.standard_error
     while len(search.added) > 1:
         search.without = {}
         for name in search.added:
             less = _refit(search, [by_name[other] for other in search.added if other != name])
             search.without[name] = less, error_with(less.fit, search.shooting, heldout)
-        needed = {name: search.error.sure_of(error) for name, (_, error) in search.without.items()}
-        least = min(needed, key=lambda name: needed[name])
-        if needed[least] > _ONE and _helps(search.without[least][1], search.error):
+        least = min(search.added, key=lambda name: search.without[name][1].value)
+        if search.without[least][1].value > most and _helps(search.without[least][1], search.error):
             return
         search.added = [other for other in search.added if other != least]
         search.current, search.error = search.without[least]
-        _take_back(search, (least,), "helps whole runs by less than one standard error")
+        _take_back(search, (least,), "takes less than one standard error off the error over whole runs")
     search.without = {}
 
 

@@ -154,22 +154,23 @@ def _model(case: Case) -> str:
         base = [f"length = {LENGTH}", f"mass = {MASS}", f"gravity = {GRAVITY}"]
         return _toml("pendulum", "rigid_pendulum", base)
     if case.load is not None:
-        servo = [f"speed_gain = {CAR_PARAMETERS.servo_gain}", f"acceleration_limit = {CAR_PARAMETERS.servo_limit}"]
-        own = {
-            "rolling_resistance": ("deceleration", CAR_PARAMETERS.rolling),
-            "quadratic_drag": ("coefficient", CAR_PARAMETERS.drag),
-        }
-        known = [
-            line
-            for name, (key, value) in own.items()
-            for line in ("", "[[effects]]", f'name = "{name}"', f"{key} = {value}")
-        ]
-        return _toml("car", "kinematic_bicycle", ['drive = "speed_servo"', f"wheelbase = {WHEELBASE}", *servo, *known])
+        return _measured_car()
     if case.drive == "throttle":
         own = [f"drive_gain = {_setting(_DRIVE_GAIN, case.hard)}"]
     else:
         own = [f"speed_gain = {_setting(_SERVO_GAIN, case.hard)}", f"acceleration_limit = {ACCELERATION_LIMIT}"]
     return _toml("car", "kinematic_bicycle", [f'drive = "{case.drive}"', f"wheelbase = {WHEELBASE}", *own])
+
+
+def _measured_car() -> str:
+    """The pymunk car as it is without a load, but for what its actuators and tyres do late and sideways."""
+    car = CAR_PARAMETERS
+    servo = [f"speed_gain = {car.servo_gain}", f"acceleration_limit = {car.servo_limit}"]
+    known = []
+    for line in (f"rolling_resistance.deceleration = {car.rolling}", f"quadratic_drag.coefficient = {car.drag}"):
+        name, number = line.split(".", 1)
+        known += ["", "[[effects]]", f'name = "{name}"', number]
+    return _toml("car", "kinematic_bicycle", ['drive = "speed_servo"', f"wheelbase = {WHEELBASE}", *servo, *known])
 
 
 def _setting(value: float, free: bool) -> str:
