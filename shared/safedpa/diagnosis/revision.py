@@ -14,7 +14,7 @@ import numpy as np
 from safedpa.diagnosis.fitting import fit, inverse_of, objectives
 from safedpa.diagnosis.found import Judged, Search, given_names
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.judging import SAME, SIMPLER, passes, second_lateness, with_reason
+from safedpa.diagnosis.judging import SAME, SIMPLER, feigned_lateness, passes, with_reason
 from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
@@ -26,8 +26,10 @@ _EXCHANGED = 4
 _ROUNDING = 0.002
 """Share of a held-out error that is rounding."""
 _ONE = 1.0
-"""Standard errors of the runs' differences of the best model's held-out error within which the smallest model is as good (Breiman, Friedman,
-Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3)."""
+"""Standard errors of the best model's held-out error within which the smallest is as good.
+
+Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3.
+"""
 _TOGETHER = 0.7
 """Correlation of their fitted numbers from which effects are also taken out together."""
 
@@ -67,7 +69,7 @@ def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         if best is None or best.loss >= search.current.loss:
             continue
         new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
-        late = second_lateness(replace(best, effects=(new,)), None, search.error)
+        late = feigned_lateness(replace(best, effects=(new,)), None, search.error, 0.0)
         if block_gain(search.current, best, search.shooting) > SIMPLER and not late:
             _replace(search, name, new, best, heldout)
 

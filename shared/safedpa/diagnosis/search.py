@@ -142,7 +142,7 @@ def addition(
         chosen = _far_better(search, two, chosen) or chosen
         best, passed, doubted = chosen or best, chosen is not None, doubted | refused
         every = sorted([*trials, *pairs], key=lambda trial: trial.loss)
-        stage = Stage(number, every, stage.gains | two.gains, stage.errors | two.errors)
+        stage = Stage(number, every, stage.gains | two.gains, stage.errors | two.errors, stage.row)
     stage = replace(stage, doubted=doubted)
     if not passed and best is not None and best.effects not in doubted and likely(best, stage, search.error):
         passed = certain(best, search)
@@ -179,7 +179,7 @@ def _stage(search: Search, number: int, trials: list[Trial], heldout: Heldout, a
         if search.error.value > MUCH and len(errors) < _SETTLED:
             shooting, own = _settled(trial, shooting)
         errors[trial.effects] = error_with(own, shooting, heldout)
-    return Stage(number, trials, gains, errors)
+    return Stage(number, trials, gains, errors, float(np.median(search.shooting.windows.period)))
 
 
 def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool, frozenset[tuple[str, ...]]]:

@@ -29,11 +29,15 @@ class Case:
     """Driven by the pymunk car with this load hitched, instead of the integrator."""
     runs: int = 6
     seconds: float = 40.0
+    fault: str | None = None
+    """One of ``BAD``: the first run is spoiled so."""
 
     @property
     def name(self) -> str:
         """Suite, hidden effects and seed, fit for a folder."""
-        return "-".join([self.suite, *(self.effects or ("patch" if self.patch else "nothing",)), str(self.seed)])
+        return "-".join(
+            [self.suite, *(self.effects or (self.fault or ("patch" if self.patch else "nothing"),)), str(self.seed)]
+        )
 
 
 _DELAYS = {"actuator_delay": ("steering_delay", "drive_delay")}

@@ -68,9 +68,14 @@ class Outcome:
 
     @property
     def right(self) -> bool:
-        """As the suite wants it: effects in their group; nothing where nothing is; the patch unexplained and placed."""
+        """As the suite wants it: effects in their group; nothing where nothing is; the patch unexplained and placed.
+
+        Of bad data anything may be said but an effect.
+        """
         if self.suite == "patch":
             return self.verdict == "unexplained" and self.place_told and not self.added
+        if self.suite == "bad":
+            return not self.added
         if not self.hidden:
             return self.verdict == "nothing_missing" and not self.added
         return self.all_in_group

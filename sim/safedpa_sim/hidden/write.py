@@ -6,10 +6,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
 
+from safedpa_sim.hidden.bad_data import BAD, write_bad_files
 from safedpa_sim.hidden.car import ACCELERATION_LIMIT, WHEELBASE, simulate_cars
 from safedpa_sim.hidden.case import Case, truth_of
 from safedpa_sim.hidden.excitation import car_commands, pendulum_commands
@@ -135,8 +137,19 @@ def _write(case: Case, folder: Path, runs: Sequence[tuple[Floats, Floats]]) -> L
     log.model.write_text(_model(case), encoding="utf-8")
     for number, (states, actions) in enumerate(runs):
         _write_run(case, folder / "given" / f"run_{number + 1}.csv", number, states, actions)
+    if case.fault is not None:
+        _spoil(log, case.fault)
     log.truth.write_text(json.dumps(truth_of(case), indent=1) + "\n", encoding="utf-8")
     return log
+
+
+def _spoil(log: Log, fault: str) -> None:
+    """Puts the bad file in the place of the first run; beside it where it is a copy of it."""
+    good = log.runs[0]
+    with TemporaryDirectory() as folder:
+        bad = write_bad_files(good, Path(folder), (fault,))[fault].read_text(encoding="utf-8")
+    copy = BAD[fault].kind == "same_recording"
+    (good.with_name(f"run_{log.case.runs + 1}.csv") if copy else good).write_text(bad, encoding="utf-8")
 
 
 def _write_run(case: Case, path: Path, number: int, states: Floats, actions: Floats) -> None:
