@@ -152,3 +152,19 @@ def test_lengths_that_are_none_are_no_scene(wrong: tuple[float, ...]) -> None:
     assert "towed" in found
     with pytest.raises(InputError, match="towed"):
         ReversedWay().reach(message(0, 0.0, towed=wrong), Braking(2.0, 2.0))
+
+
+def test_a_filter_that_is_started_anew_believes_the_robot_that_counts_itself() -> None:
+    old, new, unknowing = ReversedWay(), ReversedWay(), ReversedWay()
+    for tick in range(9):
+        old.follow(message(tick, 0.2 * tick))
+    old.follow(message(9, 1.5))
+    assert old.way == pytest.approx(0.1)
+    new.follow(message(60, 1.5, reversed_way=old.way))
+    unknowing.follow(message(60, 1.5))
+    assert new.way == old.way
+    assert unknowing.way == TOWED[1], "who is told nothing has to take it for folded up"
+    new.follow(message(61, 1.5, reversed_way=7.0))
+    assert new.way == TOWED[1], "more than this is not remembered"
+    new.follow(message(62, 1.6, reversed_way=math.nan))
+    assert new.way == pytest.approx(TOWED[1] - 0.1), "no number: it counts itself"

@@ -96,6 +96,9 @@ class StateMessage(Message):
     """s from the moment to which ``values`` belong until this tick's action is put in force, by the robot's own clock:
     how old the measurement is, and the time from sense to act. The last command stays until then. 0: none, as in
     lockstep, or not told."""
+    reversed_way: Number = -1.0
+    """m that a robot with something ``towed`` was driven backwards, net of forwards, by its own odometry. -1: not told;
+    then the filter counts itself, and one that was started anew has to take what is towed for folded up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

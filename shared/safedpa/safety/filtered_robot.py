@@ -16,6 +16,7 @@ from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.ceiling import Ceiling
+from safedpa.safety.found_delay import MOST, FoundDelay
 from safedpa.safety.held_model import HeldModel
 from safedpa.safety.margin_change import PhasedMargin
 from safedpa.safety.point_scene import PointScene
@@ -115,11 +116,17 @@ class FilteredRobot:
     """What is on its way; empty where an action acts at once."""
     expected_memory: Any = None
     """The same one period later, if the robot does what it is told."""
+    delay: FoundDelay = field(init=False)
+    """By how much commands act later than told."""
+    until_action: float = 0.0
+    """s from the newest state until its action acts: what the robot tells, and what was found."""
     standing: Standstill = field(init=False)
     """How long it has stood, and whether an action failed to move it."""
 
     def __post_init__(self) -> None:
         self.standing = Standstill(places_of(self.model.system))
+        ranges = (self.filter.settings.high - self.filter.settings.low).tolist()
+        self.delay = FoundDelay(self.filter.tools.prediction, ranges, self.model.period)
 
     @classmethod
     def begun(
@@ -163,7 +170,7 @@ class FilteredRobot:
         barriers = NO_BARRIERS if isinstance(self.barriers, str) else self.barriers
         last = None if self.decision is None else self.decision.state
         same = last is not None and _same_scene(last, state)
-        late = self.trail.foretold(state.until_action) if self.pending and state.applied_by == "filter" else None
+        late = self.trail.foretold(self.until_action) if self.pending and state.applied_by == "filter" else None
         self.margin.observe(state.values, barriers, same_scene=same, late=late)
         if barriers.names:
             self.margin.rise(state.values, barriers, state.period)
@@ -171,11 +178,21 @@ class FilteredRobot:
     def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
         """``predicted``, kept for the next tick."""
         predicted, self.expected_memory = self.predicted(state, verdict, latent)
+        self._watch_delay(state, latent)
         if self.pending:
             self.trail.decided(None if latent is None else tuple(latent.tolist()))
         barriers = None if isinstance(self.barriers, str) else self.barriers
         self.margin.expect(predicted[0] if predicted else None, barriers)
         return predicted
+
+    def _watch_delay(self, state: StateMessage, latent: Values | None) -> None:
+        passed = self.trail.passed(MOST) if state.applied_by == "filter" else None
+        if passed is None:
+            return
+        try:
+            self.delay.observe(passed, None if latent is None else tuple(latent.tolist()))
+        except (InputError, ValueError, ArithmeticError):  # the model refuses a number: nothing is learned from it
+            return
 
     def may_wait(self, state: StateMessage) -> bool:
         """Whether this model may decide although another one is in force: until a latent of that one comes."""
@@ -220,8 +237,9 @@ class FilteredRobot:
                 self.memory = model.felt(command, self.memory, period=state.period)[1]
         self.former = None
         self.trail.add(state.tick, state.values, state.applied, self.memory)
-        late = (self.memory or state.until_action > 0.0) and not too_late(state)
-        self.pending = self.trail.pending(state.until_action) if late else ()
+        self.until_action = min(state.until_action + self.delay.seconds, LONGEST_AGE)
+        late = (self.memory or self.until_action > 0.0) and not too_late(state)
+        self.pending = self.trail.pending(self.until_action) if late else ()
 
     def predicted(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> tuple[Rows, Any]:
         """The next states (steps, states) that the model expects under the action held; actuators' memory after one.

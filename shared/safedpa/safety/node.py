@@ -239,6 +239,7 @@ def _report(
     state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot | None = None
 ) -> VerdictMessage:
     standstill = memory.standstill(verdict) if memory else ""
+    remarks = [said for said in (memory.margin.remark, memory.delay.remark) if said] if memory else []
     stands = f" The robot has stood for {memory.standing.seconds:.1f} s. {standstill}." if memory and standstill else ""
     return VerdictMessage(
         epoch=state.epoch,
@@ -246,7 +247,7 @@ def _report(
         robot_time=state.robot_time,
         publish_time=time.time(),
         status=verdict.status.value,
-        sentence=f"{verdict.sentence} {memory.margin.remark if memory else ''}".strip() + stands,
+        sentence=" ".join([verdict.sentence, *remarks]) + stands,
         action=tuple(verdict.action.tolist()),
         wish=() if verdict.wish is None else tuple(verdict.wish.tolist()),
         slack=verdict.slack,

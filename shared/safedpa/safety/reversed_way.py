@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, inf, isfinite, sin
+from math import inf, isfinite
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
+from safedpa.reversing import reversed_way
 from safedpa.safety.braking import Braking
 from safedpa.safety.towed_reach import TowedReach
 
@@ -23,7 +24,8 @@ class ReversedWay:
     """w [m], from one state to the next: w+ = clip(w - e'(p+ - p), 0, end), e the heading and p the position before.
 
     ``end`` is the way after which what is towed may stand at any angle: there is no more to remember. At the start, and
-    wherever the robot was not watched, w is unknown and taken to be the most.
+    wherever the robot was not watched, w is unknown and taken to be the most. A robot that counts itself is believed:
+    its odometry goes on where a filter dies.
     """
 
     way: float = _MOST
@@ -40,13 +42,12 @@ class ReversedWay:
         if not isfinite(x + y + yaw):
             return
         ticks = state.tick - self._tick if state.epoch == self._epoch else inf
-        if not 0 < ticks * state.period <= _LONGEST_GAP or state.towed != self._towed:
-            self.way = _MOST
-        else:
-            past_x, past_y, past_yaw = self._pose
-            self.way -= cos(past_yaw) * (x - past_x) + sin(past_yaw) * (y - past_y)
         most = state.towed[1] if len(state.towed) == 3 else _MOST
-        self.way = min(max(self.way, 0.0), most)
+        watched = 0 < ticks * state.period <= _LONGEST_GAP and state.towed == self._towed
+        if state.reversed_way >= 0.0:
+            self.way = min(state.reversed_way, most)
+        else:
+            self.way = reversed_way(self.way, self._pose, (x, y), most) if watched else most
         self._epoch, self._tick, self._pose, self._towed = state.epoch, state.tick, (x, y, yaw), state.towed
 
     def reach(self, state: StateMessage, braking: Braking) -> TowedReach | None:

@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from safedpa.dynamics import PhysicsModel
+from safedpa.safety.found_delay import Passed
 from safedpa.safety.on_its_way import LONGEST, Actuators, Pending
 
 __all__ = ["LONGEST_AGE", "Foretold", "Trail"]
@@ -67,6 +68,19 @@ class Trail:
         """What was in force before each tick up to this one, oldest first; ``applied`` alone after a gap."""
         known = [entry.applied for entry in self._entries if entry.tick < tick]
         return [*known, applied] if known and self._entries[-1].tick in (tick - 1, tick) else [applied]
+
+    def passed(self, most: int) -> Passed | None:
+        """The last period with the commands of 0 to ``most`` periods earlier; None where they are not known.
+
+        Before a robot's first tick there were none: what it holds there was always in force.
+        """
+        entries = self._entries
+        if len(entries) < 2 or (len(entries) < most + 2 and entries[0].tick != 0):
+            return None
+        first = entries[0].applied, entries[0].memory
+        known = [(entries[-1 - n].applied, entries[-2 - n].memory) for n in range(min(most + 1, len(entries) - 1))]
+        commands = (*known, *[first] * (most + 1 - len(known)))
+        return Passed(entries[-2].values, entries[-1].values, commands)
 
     def decided(self, latent: Plain | None) -> None:
         """The newest state's latent, with which its action was chosen."""

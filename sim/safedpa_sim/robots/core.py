@@ -9,6 +9,7 @@ from typing import Any, final
 
 from safedpa.bus.messages import StateMessage
 from safedpa.errors import InputError
+from safedpa.reversing import reversed_way
 from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.footprint import footprint, towed_reach
@@ -51,8 +52,7 @@ class CarRobot(SimulatedRobot):
         self.changed_at: int | None = None
         """Tick in which the planned change was made."""
         self._change, self._late = change, late
-        self._taken = scene.load, footprint(scene.load), towed_reach(scene.load)
-        """What it tows, and the room that it takes with it."""
+        self._take(scene.load)
         self._goals = scene.goals()
         self.goal = next(self._goals)
         guard = ActionGuard(epoch, (car.speed_low, -car.steer_limit), (car.speed_high, car.steer_limit))
@@ -91,7 +91,7 @@ class CarRobot(SimulatedRobot):
         towed = self.world.towed
         load = towed.load if towed else None
         if load is not self._taken[0]:
-            self._taken = load, footprint(load), towed_reach(load)
+            self._take(load)
         return self._state(
             goal=self.goal,
             obstacles=self.scene.obstacles,
@@ -99,7 +99,14 @@ class CarRobot(SimulatedRobot):
             footprint=self._taken[1],
             load_pose=towed.pose if towed else (),
             towed=self._taken[2],
+            reversed_way=self._way,
         )
+
+    def _take(self, load: Load | None) -> None:
+        """What it tows, and the room that it takes with it; of a new load nobody knows how it hangs."""
+        self._taken = load, footprint(load), towed_reach(load)
+        self._way = self._taken[2][1] if load else -1.0
+        """m driven backwards, as a state tells it."""
 
     def _watchdog_action(self) -> tuple[float, float]:
         return BRAKE
@@ -107,10 +114,12 @@ class CarRobot(SimulatedRobot):
     def _live(self) -> None:
         if self._change is not None and self._change.made(self):
             self._change, self.changed_at = None, self.tick
-        drive, steer = self._applied
+        (drive, steer), before = self._applied, self.world.state
         parts = ((drive, steer, self.period),) if self._late is None else self._late.felt((drive, steer), self.period)
         for felt_drive, felt_steer, seconds in parts:
             self.world.advance(felt_drive, felt_steer, seconds)
+        if self._taken[0]:
+            self._way = reversed_way(self._way, before, self.world.state, self._taken[2][1])
         x, y, _, _ = self.world.state
         if hypot(self.goal[0] - x, self.goal[1] - y) < GOAL_RADIUS:
             self.goals_reached += 1

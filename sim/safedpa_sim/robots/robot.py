@@ -109,6 +109,7 @@ class SimulatedRobot(ABC):
         load_pose: Numbers = (),
         corridor: Numbers = (),
         towed: Numbers = (),
+        reversed_way: float = -1.0,
     ) -> StateMessage:
         """The message of this tick, with these surroundings."""
         return StateMessage(
@@ -131,6 +132,7 @@ class SimulatedRobot(ABC):
             corridor=corridor,
             until_action=self._until_action,
             towed=towed,
+            reversed_way=reversed_way,
         )
 
     def _record(self) -> None:

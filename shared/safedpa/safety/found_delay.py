@@ -1,0 +1,114 @@
+"""By how much commands act later than anybody told: found from what the robot did, as it drives.
+
+Of every delay n = 0, 1, ... in whole periods the model predicts the next state as if the command of n ticks before had
+been in force. With S_nj the sum of squared errors of state j, forgotten over a few seconds, and the errors' size not
+known beforehand, the logarithm of the likelihood of n is, but for a constant,
+
+    L_n = -N/2 sum_j log S_nj,
+
+N the ticks that count: those in which the commands of the last ticks differ. It does not depend on the states' units. A
+delay is refuted while another one's L is higher by more than ``EVIDENCE``. What is believed stays until it is refuted;
+then the smallest delay that is not takes its place. Up to ``TOLERATED`` it is not acted upon, and of a longer one all
+but ``USUAL``: so much is between command and motion of every actuator with a lag, and the margin was calibrated so.
+
+Source: maximum likelihood with unknown noise variances, as in Ljung, System Identification, 2nd ed. 1999, section 7.4,
+one model for each delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import exp, log
+from typing import Final, NamedTuple, final
+
+from safedpa.safety.prediction import Prediction
+
+__all__ = ["EVIDENCE", "MOST", "TOLERATED", "USUAL", "FoundDelay", "Passed"]
+
+Plain = tuple[float, ...]
+
+MOST: Final = 8
+"""Periods; a longer delay is taken for this one."""
+TOLERATED: Final = 2
+"""Periods that are not acted upon."""
+USUAL: Final = 1
+"""Periods of every delay that are not acted upon."""
+EVIDENCE: Final = 16.0
+"""Difference of two logarithms of likelihood. Errors of a model go on from tick to tick, so that there are fewer
+independent ones than ticks: hence much more than the 3 or 5 of textbooks."""
+_SECONDS: Final = 2.0
+"""After which a tick counts for a third."""
+_FEWEST: Final = 6.0
+"""Ticks that count, before anything is believed."""
+_DIFFERS: Final = 0.01
+"""Share of an action's range by which commands have to differ to tell anything."""
+_ROUNDING: Final = 1e-9
+"""Share of a state below which an error is none."""
+
+
+class Passed(NamedTuple):
+    """One period of a robot's way."""
+
+    before: Plain
+    """(states,) at its begin."""
+    now: Plain
+    """(states,) at its end."""
+    commands: tuple[tuple[Plain, object], ...]
+    """Of n = 0, 1, ...: the command (actions,) that was sent n periods earlier, and what actuators remembered then."""
+
+
+@final
+class FoundDelay:
+    """Of one robot; ``observe`` each of its periods."""
+
+    def __init__(self, prediction: Prediction, ranges: Sequence[float], period: float) -> None:
+        self._prediction, self._ranges, self._period = prediction, ranges, period
+        self._keep = exp(-period / _SECONDS)
+        self._count = 0.0
+        self._sums: list[list[float]] = []
+        self.periods = 0
+        """The delay that is believed, beyond what model and robot tell."""
+
+    @property
+    def seconds(self) -> float:
+        """s that are to be acted upon."""
+        return (self.periods - USUAL) * self._period if self.periods > TOLERATED else 0.0
+
+    @property
+    def remark(self) -> str:
+        """What a verdict has to say about it; empty where nothing is acted upon."""
+        if self.periods <= TOLERATED:
+            return ""
+        return f"Commands act about {self.periods * self._period:.2g} s later than told; the filter looks past that."
+
+    def observe(self, passed: Passed, latent: Plain | None) -> None:
+        """Takes in one period; raises whatever the model raises."""
+        if not self._tells(passed.commands):
+            return
+        if len(self._sums) != len(passed.commands):
+            self._sums, self._count = [[0.0] * len(passed.now) for _ in passed.commands], 0.0
+        motion = self._prediction.affine_motion(passed.before, latent)
+        self._count = self._keep * self._count + 1.0
+        for sums, (command, memory) in zip(self._sums, passed.commands, strict=True):
+            if motion is not None:
+                reached = motion.after(command)
+            else:
+                reached = self._prediction.following(passed.before, command, latent, memory)
+            for index, value in enumerate(passed.now):
+                error = value - reached[index]
+                sums[index] = self._keep * sums[index] + error * error + (_ROUNDING * value) ** 2
+        if self._count >= _FEWEST:
+            self._believe()
+
+    def _tells(self, commands: Sequence[tuple[Plain, object]]) -> bool:
+        for index, width in enumerate(self._ranges):
+            values = [command[index] for command, _ in commands]
+            if max(values) - min(values) > _DIFFERS * width:
+                return True
+        return False
+
+    def _believe(self) -> None:
+        costs = [sum([log(value) for value in sums if value > 0.0]) for sums in self._sums]
+        limit = min(costs) + 2.0 * EVIDENCE / self._count
+        if costs[min(self.periods, len(costs) - 1)] > limit:
+            self.periods = min([n for n, cost in enumerate(costs) if cost <= limit])

@@ -1,0 +1,120 @@
+"""A delay that nobody told of is found from what the robot did; none is found where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.policy import PolicyNode
+from safedpa.safety.filtered_robot import FilteredRobot
+from safedpa.safety.found_delay import MOST, TOLERATED, USUAL, FoundDelay, Passed
+from safedpa.safety.held_model import HeldModel, uncalibrated
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.prediction import Prediction
+from safedpa.safety.shipped import settings_named
+from safedpa.safety.trail import Trail
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.experiments.delayed_drives import Lateness, delayed_drives
+
+CAR = load_model("car")
+LATENT_VALUES = tuple(CAR.latent.tolist())
+RANGES = (2.6, 0.68)
+
+
+def way(model: PhysicsModel, delay: int, ticks: int, seed: int = 3, noise: float = 0.0) -> list[Passed]:
+    """The periods of a robot whose commands act ``delay`` periods late; commands change every few ticks."""
+    random, state, trail, found = np.random.default_rng(seed), np.array([0.0, 0.0, 0.3, 0.5]), Trail(model), []
+    commands = [(0.0, 0.0)]
+    for tick in range(ticks):
+        trail.add(tick, tuple(state.tolist()), commands[-1], ())
+        passed = trail.passed(MOST)
+        if passed is not None:
+            found.append(passed)
+        new = (float(random.uniform(0.0, 1.5)), float(random.uniform(-0.3, 0.3))) if tick % 4 == 0 else commands[-1]
+        commands.append(new)
+        state = np.asarray(model.step(state, np.array(commands[max(0, len(commands) - 1 - delay)]), model.latent))
+        state = state + noise * random.normal(size=4)
+    return found
+
+
+def after(periods: list[Passed], scale: float = 1.0, ranges: tuple[float, ...] = RANGES) -> FoundDelay:
+    delay = FoundDelay(Prediction.of_model(CAR), [scale * width for width in ranges], CAR.period)
+    for passed in periods:
+        delay.observe(passed, LATENT_VALUES)
+    return delay
+
+
+@pytest.mark.parametrize("late", range(MOST + 1))
+def test_each_delay_is_found_within_a_second(late: int) -> None:
+    found = after(way(CAR, late, 20, noise=1e-3))
+    assert found.periods == late
+    assert found.seconds == pytest.approx((late - USUAL) * CAR.period if late > TOLERATED else 0.0)
+    assert bool(found.remark) is (late > TOLERATED)
+
+
+def test_a_longer_one_is_taken_for_the_longest() -> None:
+    assert after(way(CAR, MOST + 1, 40, noise=1e-3)).periods == MOST
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_without_a_delay_none_is_found_however_noisy_the_measurement(seed: int) -> None:
+    assert after(way(CAR, 0, 120, seed, noise=0.02)).periods <= TOLERATED
+
+
+def test_what_is_believed_stays_until_it_is_refuted() -> None:
+    found = after(way(CAR, 4, 40, noise=1e-3))
+    assert found.periods == 4
+    at_rest = ((0.0, 0.0), None)
+    still = Passed((0.0,) * 4, (0.0,) * 4, (at_rest,) * (MOST + 1))
+    for _ in range(200):
+        found.observe(still, LATENT_VALUES)
+    assert found.periods == 4, "commands that do not differ tell nothing"
+    for passed in way(CAR, 0, 120, noise=1e-3)[MOST:]:
+        found.observe(passed, LATENT_VALUES)
+    assert found.periods == 0
+
+
+def test_the_commands_of_before_are_known_at_a_robots_first_tick_and_not_after_a_gap() -> None:
+    trail = Trail(CAR)
+    for tick, speed in enumerate((0.0, 0.1, 0.2)):
+        trail.add(tick, (0.0, 0.0, 0.0, speed), (speed, 0.0), ())
+    passed = trail.passed(4)
+    assert passed is not None
+    assert [command[0] for command, _ in passed.commands] == [0.2, 0.1, 0.0, 0.0, 0.0]
+    assert (passed.before[3], passed.now[3]) == (0.1, 0.2)
+    for tick in range(7, 12):
+        trail.add(tick, (0.0, 0.0, 0.0, 0.5), (float(tick), 0.0), ())
+        assert trail.passed(4) is None, "what was sent before the gap is not known"
+    trail.add(12, (0.0, 0.0, 0.0, 0.5), (12.0, 0.0), ())
+    passed = trail.passed(4)
+    assert passed is not None
+    assert [command[0] for command, _ in passed.commands] == [12.0, 11.0, 10.0, 9.0, 8.0]
+
+
+def test_a_filtered_robot_looks_past_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = settings_named("car")
+    held = HeldModel(CAR, "m", uncalibrated(settings, "m"))
+    robot = FilteredRobot.begun(held, settings)
+    assert robot.delay.seconds == 0.0
+    monkeypatch.setattr(robot.delay, "periods", 4)
+    drives = Lateness(0.15, told="nobody").robot(900, "none")
+    robot.take_up(drives.state_message())
+    assert robot.until_action == pytest.approx(3 * CAR.period)
+    assert robot.pending.sent, "what is on its way is known"
+
+
+def test_the_verdict_says_so() -> None:
+    nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, settings_named("car"))]
+    ticks = list(drive(Lateness(0.2, told="nobody").robot(905, "box"), nodes, 30))
+    assert "later than told" not in ticks[3].verdict.sentence
+    assert "later than told; the filter looks past that." in ticks[-1].verdict.sentence
+
+
+@pytest.mark.slow
+def test_drives_behind_an_unknown_delay_are_corrected_and_end_well() -> None:
+    found = delayed_drives(Lateness(0.2, told="nobody"), 4, 900, 8.0)
+    assert found.collided == 0
+    assert found.statuses["corrected"] > 0.08 * sum(found.statuses.values())
+    assert found.least_h > -0.25, "without looking past it, -0.37"
