@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
-import pytest
-
 from safedpa.diagnosis.comparison import with_distinct_names
 from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import load_model
 from safedpa.records import load_column_map, load_run
 
 
-@pytest.fixture(scope="module")
-def pendulum():
-    """The pendulum's model and its six logs, or skip."""
-    folder = Path(os.environ.get("SAFEDPA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "dfki_pendulum"
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is not there")
-    model = load_model("dfki_pendulum")
-    paths = sorted(folder.rglob("data_measured.csv"))
-    columns = load_column_map("dfki_pendulum_columns")
-    return model, with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
-
-
-def test_the_search_finds_coulomb_friction_in_the_pendulum_whatever_horizon_is_asked_for(pendulum):
+def test_the_search_finds_coulomb_friction_in_the_pendulum_whatever_horizon_is_asked_for(data):
     """Of all effects of the library; the horizon that is shown changes neither verdict nor names nor numbers."""
-    reports = [diagnose(*pendulum, horizon) for horizon in (0.2, 1.0)]
+    model = load_model("dfki_pendulum")
+    paths = sorted((data / "dfki_pendulum").rglob("data_measured.csv"))
+    columns = load_column_map("dfki_pendulum_columns")
+    runs = with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
+    reports = [diagnose(model, runs, horizon) for horizon in (0.2, 1.0)]
     first = reports[0]
     assert first.verdict == "effect_missing"
     assert first.added == ("coulomb_friction",)
