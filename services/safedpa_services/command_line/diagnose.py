@@ -103,14 +103,14 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.output import results_folder
     from safedpa.diagnosis.report import as_document
-    from safedpa_services.progress import progress
+    from safedpa_services.progress import narrated, progress
 
     loaded = given_model(model, options["effects"])
     read = inputs_of(model, runs, options["columns"], options["effects"])
     out = results_folder(options["out"], "diagnose", model, WRITTEN, read, options["force"])
     recorded = loaded_runs(loaded, runs, options["columns"])
-    with progress("diagnosing") as tell:
-        report = diagnose(loaded, recorded, options["horizon"], tell)
+    with narrated("diagnosing") as narrate:
+        report = diagnose(loaded, recorded, options["horizon"], narrate)
     document = as_document(report)
     with progress("writing") as tell:
         tell(0, 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from safedpa.diagnosis.patch import in_one_room
 from safedpa.diagnosis.readiness import MOST_ROWS, Judgeable, judgeable, prepared, row_of
 from safedpa.diagnosis.remaining import formula_instead, remaining
 from safedpa.diagnosis.report import Candidate, Detectable, Experiment, Report, Unexplained, Value, Verdict
-from safedpa.diagnosis.search import Judged, Search, searched
+from safedpa.diagnosis.search import Judged, Search, Tell, searched
 from safedpa.diagnosis.stages import Told, stages_of
 from safedpa.diagnosis.summary import worst_bins
 from safedpa.diagnosis.where import PLACE
@@ -36,8 +36,6 @@ _MOST_SHOWN = 0.5
 """Share of the library's numbers of which an ordinary size would have been found, without which "nothing is missing"
 would say more than the data do."""
 
-Tell = Callable[[int, int], None]
-
 
 def library_for(model: PhysicsModel) -> list[AbstractEffect]:
     """Every effect of the robot that the model's actions allow and the model does not have."""
@@ -48,7 +46,7 @@ def library_for(model: PhysicsModel) -> list[AbstractEffect]:
 
 
 def diagnose(
-    model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0, tell: Tell = lambda _done, _all: None
+    model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0, tell: Tell = lambda _done, _all, _said: None
 ) -> Report:
     """Which effects of the library the model lacks, by runs that it should predict.
 

@@ -30,7 +30,7 @@ from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
-__all__ = ["Judged", "Search", "accept", "addition", "begun", "searched"]
+__all__ = ["Judged", "Search", "Tell", "accept", "addition", "begun", "searched"]
 
 MOST = 12
 """Additions."""
@@ -50,7 +50,9 @@ _STUCK, _SURELY = 0.25, 0.5
 Where much is missing, a free number that stands for all of it is a little better too, and hides what is missing.
 """
 
-Tell = Callable[[int, int], None]
+Tell = Callable[[int, int, str], None]
+"""(done, of how many, what is looked for and the best that is known so far): of this stage, for nobody knows how many
+will follow."""
 Beside = Callable[[], Iterable[Evidence]]
 """Makes the same recordings at other horizons; asked only where one horizon leaves a question open."""
 
@@ -60,7 +62,7 @@ def searched(
     library: Sequence[AbstractEffect],
     shooting: Shooting,
     heldout: Heldout,
-    tell: Tell = lambda _done, _all: None,
+    tell: Tell = lambda _done, _all, _said: None,
     beside: Beside = lambda: (),
 ) -> Search:
     """Free parameters refitted, then additions until nothing passes, second thoughts, and the final numbers."""
@@ -68,10 +70,13 @@ def searched(
     before: dict[str, Trial] = {}
     for stage in range(MOST if library else 0):
         rest = [item for item in library if item.name not in {own.name for own in search.current.fit.model.effects}]
-        trials = tried_in_turn(search.current, rest, search.shooting, before, _later(tell, stage, len(library)))
+        trials = tried_in_turn(
+            search.current, rest, search.shooting, before, _stage_told(tell, search, stage, len(rest))
+        )
         before = {trial.effects[0]: trial for trial in trials}
         if not addition(search, stage, trials, rest, heldout, beside):
             break
+    tell(0, 2, f"second thoughts about all that was added; {_so_far(search)}")
     exchange(search, library, heldout)
     removals(search, library, heldout)
     if united(search, library, heldout):
@@ -79,15 +84,25 @@ def searched(
     smallest(search, library, heldout)
     if search.first_error.value > MOST_MISSING:
         bounded(search, library, heldout)
+    tell(1, 2, f"final numbers; {_so_far(search)}")
     if library:
         final, search.error = with_final_numbers(search.current.fit, search.shooting, heldout)
         search.current = replace(search.current, fit=with_form_in_doubt(final, search))
     return search
 
 
-def _later(tell: Tell, stage: int, size: int) -> Callable[[int], None]:
-    """Tells how much of a stage is done, another one being expected."""
-    return lambda done: tell(stage * size + done, (stage + 2) * size)
+def _stage_told(tell: Tell, search: Search, stage: int, size: int) -> Callable[[int], None]:
+    """Tells how much of a stage is done."""
+    said = f"stage {stage + 1} of at most {MOST}; {_so_far(search)}"
+    return lambda done: tell(done, size, said)
+
+
+def _so_far(search: Search) -> str:
+    """The best sentence so far."""
+    if not search.added:
+        return f"so far nothing is found missing, error {search.first_error.value:.3g}"
+    names = ", ".join(search.added)
+    return f"so far missing: {names}, error {search.first_error.value:.3g} to {search.error.value:.3g}"
 
 
 def begun(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
