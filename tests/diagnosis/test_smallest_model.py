@@ -43,6 +43,7 @@ def test_what_helps_whole_runs_by_less_than_one_standard_error_is_taken_out(spre
     search = SimpleNamespace(added=["drag", "lag", "slip"], candidates=[], shooting=None, without={})
     search.error = error_of(search.added, spread)
     monkeypatch.setattr(revision, "_refit", lambda _, items: SimpleNamespace(fit=[item.name for item in items]))
+    monkeypatch.setattr(revision, "_feigned", lambda *_: False)
     monkeypatch.setattr(revision, "error_with", lambda names, *_: error_of(names, spread))
     library = [SimpleNamespace(name=name) for name in ("drag", "lag", "slip")]
     revision.smallest(search, library, None)
