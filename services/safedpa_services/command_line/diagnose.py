@@ -238,6 +238,7 @@ def _found(report: Report) -> list[str]:
     for name in report.added:
         own = {path.split(".")[1]: item for path, item in report.parameters.items() if path.split(".")[0] == name}
         lines.append(f"{name}: {', '.join(value_text(key, item) for key, item in own.items())}")
+        lines += [f"  {item.sentence}" for item in report.conditions if item.effect == name]
     return lines
 
 

@@ -11,7 +11,8 @@ from safedpa.errors import did_you_mean
 __all__ = ["EXPERIMENTS", "command"]
 
 EXPERIMENTS = (
-    "adversary", "bad-data", "car", "controllers", "faults", "fleet-diagnosis", "hidden-effects", "live", "long-logs",
+    "adversary", "bad-data", "car", "controllers", "diagnosis-pictures",
+    "faults", "fleet-diagnosis", "hidden-effects", "live", "long-logs",
     "margins",
     "pendulum", "pendulum-story", "point", "point-heat-map", "point-story", "real-logs", "safety", "safety-pays",
 )  # fmt: skip
