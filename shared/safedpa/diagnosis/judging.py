@@ -76,8 +76,8 @@ def feigned_lateness(trial: Trial, error: HeldoutError | None, before: HeldoutEr
     A lag is a delay to first order: the second one of a command corrects the shape of the first, which no actuator has
     exactly. And what happens within a ``row`` [s] may be the servo's own way to answer, inside its loop.
     """
-    if error is not None and error.value < (1.0 - CLEAR_FALL) * before.value:
-        return False
+    if len(trial.effects) == 1 and error is not None and error.value < (1.0 - CLEAR_FALL) * before.value:
+        return False  # in a pair the other one may take it off
     model = trial.fit.model
     names = model.system.action_names
     own = [late_commands(item, names) for item in model.effects if item.name in trial.effects]

@@ -115,7 +115,8 @@ def smallest(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     """The smallest model within one standard error of the best over whole runs, blocks where there is one run.
 
     Accepted effects without which the held-out error stays within _ONE standard error of the best are taken out, the
-    least needed first. ``search.without`` holds what is left without each that stays.
+    least needed first; so is lateness that may be feigned. ``search.without`` holds what is left without each that
+    stays.
     """
     by_name = known_effects(search, library)
     most = search.error.value + _ONE * search.error.standard_error
@@ -124,13 +125,20 @@ def smallest(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         for name in search.added:
             less = refit(search, [by_name[other] for other in search.added if other != name])
             search.without[name] = less, error_with(less.fit, search.shooting, heldout)
-        least = min(search.added, key=lambda name: search.without[name][1].value)
-        if search.without[least][1].value > most and _helps(search.without[least][1], search.error):
+        late = [name for name in search.added if _feigned(search, name)]
+        least = min(late or search.added, key=lambda name: search.without[name][1].value)
+        if not late and search.without[least][1].value > most and _helps(search.without[least][1], search.error):
             return
         search.added = [other for other in search.added if other != least]
         search.current, search.error = search.without[least]
         take_back(search, (least,), "takes less than one standard error off the error over whole runs")
     search.without = {}
+
+
+def _feigned(search: Search, name: str) -> bool:
+    """Whether an accepted effect, whichever way it came in, is lateness that the rest hardly needs."""
+    trial, row = replace(search.current, effects=(name,)), float(np.median(search.shooting.windows.period))
+    return feigned_lateness(trial, search.error, search.without[name][1], row)
 
 
 def _helps(before: HeldoutError, after: HeldoutError) -> bool:
