@@ -42,10 +42,11 @@ def test_what_helps_whole_runs_by_less_than_one_standard_error_is_taken_out(spre
     """Without slip 0.105: more than 0.100 + 0.001 / sqrt(5), less than 0.100 + 0.02 / sqrt(5)."""
     search = SimpleNamespace(added=["drag", "lag", "slip"], candidates=[], shooting=None, without={})
     search.error = error_of(search.added, spread)
-    monkeypatch.setattr(revision, "_refit", lambda _, items: SimpleNamespace(fit=[item.name for item in items]))
+    monkeypatch.setattr(revision, "refit", lambda _, items: SimpleNamespace(fit=[item.name for item in items]))
     monkeypatch.setattr(revision, "_feigned", lambda *_: False)
     monkeypatch.setattr(revision, "error_with", lambda names, *_: error_of(names, spread))
     library = [SimpleNamespace(name=name) for name in ("drag", "lag", "slip")]
+    monkeypatch.setattr(revision, "known_effects", lambda *_: {item.name: item for item in library})
     revision.smallest(search, library, None)
     assert search.added == left
     assert set(search.without) == set(left)
