@@ -15,6 +15,7 @@ from safedpa.diagnosis.heldout import HeldoutError, error_with, heldout_of
 from safedpa.diagnosis.judging import feigned_lateness
 from safedpa.diagnosis.search import begun
 from safedpa.diagnosis.shooting import shooting_of
+from safedpa.diagnosis.stages import _that_help
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 
@@ -147,3 +148,14 @@ def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towi
             for key, value in item.parameters.items():
                 assert value == report.parameters[key if "." in key else f"{item.effect}.{key}"]
             assert item.heldout_error in [stage.heldout_error for stage in report.stages]
+
+
+def test_what_helps_only_beside_a_later_effect_is_one_stage_with_it():
+    def errors(*by_run):
+        return SimpleNamespace(by_run=np.array(by_run))
+
+    falls = [errors(0.5, 0.5), errors(0.4, 0.5), errors(0.3, 0.4)]
+    assert _that_help(falls) == [0, 1, 2]
+    assert _that_help([errors(0.5, 0.5), errors(0.6, 0.5), errors(0.3, 0.4)]) == [0, 2]
+    assert _that_help([errors(0.5, 0.5), errors(0.4, 0.6), errors(0.4, 0.6), errors(0.3, 0.6)]) == [0, 1, 3]
+    assert _that_help([errors(0.5)]) == [0]

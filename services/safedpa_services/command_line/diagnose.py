@@ -253,8 +253,9 @@ def value_text(name: str, value: Value) -> str:
 def _bars(report: Report) -> list[tuple[str, str]]:
     first = report.stages[0].heldout_error
     lines = []
-    for stage in report.stages:
-        name = f"+ {stage.effects[-1]}" if stage.effects else "given model"
+    for number, stage in enumerate(report.stages):
+        before = report.stages[number - 1].effects if number else ()
+        name = " ".join(f"+ {own}" for own in stage.effects if own not in before) or "given model"
         length = round(BAR * min(stage.heldout_error / first, 1.0)) if first > 0 else 0
         runs = f" ({stage.runs_improved} runs better)" if stage.runs_improved else ""
         lines.append((f"  {name:24.24} {'█' * length:{BAR}} {stage.heldout_error:.3g}{runs}", ""))
