@@ -19,7 +19,7 @@ from safedpa.dynamics.settings import LATENT_PREFIX, Setting, base_default, want
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
-from safedpa.errors import InputError, ModelFileError, did_you_mean
+from safedpa.errors import InputError, ModelFileError, did_you_mean, near_files
 from safedpa.networks import load_weights, save_weights
 
 __all__ = ["FORMAT", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
@@ -42,8 +42,10 @@ def load_model(source: str | Path) -> PhysicsModel:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
         raise ModelFileError(
-            f"{source}: cannot be read ({error}); wanted a model file, or one of {', '.join(shipped)}"
+            f"{source}: cannot be read ({reason}); {near_files(path, shipped)}wanted a model file, or one of "
+            f"{', '.join(shipped)}"
         ) from error
     try:
         return parse_model(text, path.parent)
