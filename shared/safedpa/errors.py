@@ -8,6 +8,7 @@
     │   └── MessageError      a message from the bus: wrong shape, type or not finite
     ├── MissingExtraError     something that `pip install safedpa` alone does not bring
     ├── BusError              the bus cannot be opened or a name on it is taken
+    │   └── JoinError         nobody lets this process in, now; it may be otherwise in a moment
     └── RecordingError        a recording could not be written (disk full, say)
 
 Every message says what was got, what was wanted and what to do.
@@ -23,6 +24,7 @@ __all__ = [
     "BusError",
     "ColumnMapError",
     "InputError",
+    "JoinError",
     "MessageError",
     "MissingExtraError",
     "ModelFileError",
@@ -64,6 +66,10 @@ class MissingExtraError(SafedpaError):
 
 class BusError(SafedpaError):
     """The bus cannot be opened, or a name on it is taken."""
+
+
+class JoinError(BusError):
+    """Nobody lets this process in now: no router is there, or it has no room."""
 
 
 class RecordingError(SafedpaError):

@@ -1,4 +1,4 @@
-"""Wrong inputs at the command line: one line each with the cure in it, exit code 2, and nothing that was given changes."""
+"""Wrong inputs at the command line: one line each, the cure in it, exit code 2; nothing that was given changes."""
 
 from __future__ import annotations
 

@@ -180,9 +180,9 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
 
 
 def _show(report: Report, out: Path, margin: Path | None) -> None:
-    from rich.console import Console
+    from safedpa_services.terminal import terminal
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = terminal(highlight=False, soft_wrap=True)
     console.print()
     for line, style in story_lines(report):
         console.print(line, style=style, markup=False)
@@ -241,6 +241,7 @@ def _found(report: Report) -> list[str]:
     for name in report.added:
         own = {path.split(".")[1]: item for path, item in report.parameters.items() if path.split(".")[0] == name}
         lines.append(f"{name}: {', '.join(value_text(key, item) for key, item in own.items())}")
+        lines += [f"  {item.sentence}" for item in report.conditions if item.effect == name]
     return lines
 
 

@@ -9,6 +9,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError, did_you_mean
 from safedpa.extras import extra_of
+from safedpa.limits import readable
 
 __all__ = ["COMMANDS", "safedpa"]
 
@@ -78,8 +79,12 @@ def _with_cure(error: click.ClickException) -> str:
     return f"{message.rstrip('.')}; '{asked.command_path} --help' says what it takes"
 
 
+_LONGEST_MESSAGE = 2000
+"""Letters; names and values in it may come from anybody."""
+
+
 def _fail(message: str, code: int) -> int:
-    click.echo(f"safedpa: {' '.join(message.split())}", err=True)
+    click.echo(f"safedpa: {readable(' '.join(message.split()), _LONGEST_MESSAGE)}", err=True)
     return code
 
 

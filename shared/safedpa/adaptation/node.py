@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
@@ -26,6 +27,7 @@ from safedpa.bus import (
     Outputs,
     StateMessage,
 )
+from safedpa.bus.apart import AbstractTicket
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
 from safedpa.dynamics.offered import offered_model
@@ -128,6 +130,13 @@ class AdaptationNode(AbstractNode):
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
 
+    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractTicket]) -> None:  # noqa: D102
+        self._versions.hand_in = hand_in
+
+    def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
+        memory = self._robots.get(robot)
+        return None if memory is None else memory.newest
+
     def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
         self._versions.welcome(robot, status)
 
@@ -162,6 +171,7 @@ class AdaptationNode(AbstractNode):
         plausible = held.model.system.is_plausible(values)
         if plausible and memory.state is not None and state.tick == memory.tick + 1:
             transition = _Transition(memory.state, applied, values, state.period)
+            held.model.clock.seconds = state.robot_time - state.period
             memory.estimator.update(*transition)
             memory.recent.append(transition)
         else:

@@ -9,6 +9,7 @@ import numpy as np
 
 from safedpa.diagnosis.windows import Floats, Windows
 from safedpa.effects import CommandEffect
+from safedpa.effects.general_commands import ChannelDelay, ChannelLag
 
 __all__ = ["felt_at_once"]
 
@@ -27,6 +28,10 @@ def felt_at_once(
     """The felt columns of one of the library's own lags and delays; None for every other effect."""
     if not type(command).__module__.startswith("safedpa.effects."):
         return None
+    if isinstance(command, (ChannelDelay, ChannelLag)):
+        follow = _delayed if isinstance(command, ChannelDelay) else _lagged
+        (value,) = own.values()
+        return {**columns, command.channel: follow(columns[command.channel], value, windows)}
     for table, felt in ((_DELAYED, _delayed), (_LAGGED, _lagged)):
         if command.name in table and len(own) == 1:
             (value,) = own.values()

@@ -11,6 +11,7 @@ import numpy as np
 from safedpa.diagnosis.addition import Addition, add_effect
 from safedpa.diagnosis.by_name import Names
 from safedpa.diagnosis.closest import closest_effects, likely_effects, nearest_effects
+from safedpa.diagnosis.condition_words import conditions_of
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
 from safedpa.diagnosis.evidence import Evidence, evidence_at, evidence_beside, shown_of
 from safedpa.diagnosis.experiment_choice import chosen_experiment
@@ -97,6 +98,7 @@ def diagnose(
         detectable=tuple(sizes),
         naive=naive_errors(shown.windows),
         worse=told.worse,
+        conditions=conditions_of(search.current.fit.model, search.added),
         evidence=(usable.seconds, *asked),
     )
 

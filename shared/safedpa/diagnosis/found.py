@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from safedpa.diagnosis.heldout import HeldoutError
 from safedpa.diagnosis.patch import Patch
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial
+from safedpa.effects import AbstractEffect
 
-__all__ = ["Judged", "Search", "given_names"]
+__all__ = ["Judged", "Search", "given_names", "known_effects"]
 
 
 @dataclass(frozen=True)
@@ -52,3 +54,8 @@ class Search:
 def given_names(search: Search) -> set[str]:
     """Effects that the given model has."""
     return {item.name for item in search.first.fit.model.effects}
+
+
+def known_effects(search: Search, library: Sequence[AbstractEffect]) -> dict[str, AbstractEffect]:
+    """Effects by name: those of the present model with their laws, the others plain."""
+    return {item.name: item for item in (*library, *search.current.fit.model.effects)}

@@ -11,14 +11,14 @@ from itertools import combinations
 import numpy as np
 
 from safedpa.diagnosis.fitting import fit, inverse_of, objectives
-from safedpa.diagnosis.found import Judged, Search, given_names
+from safedpa.diagnosis.found import Judged, Search, given_names, known_effects
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
 from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
-__all__ = ["bounded", "exchange", "removals", "unhelpful", "united"]
+__all__ = ["bounded", "exchange", "refit", "removals", "take_back", "unhelpful", "united"]
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
@@ -28,7 +28,7 @@ _TOGETHER = 0.7
 """Correlation of their fitted numbers from which effects are also taken out together."""
 
 
-def _refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
+def refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
     """The given effects on top of the first model, from the numbers that the present model has, or from starts."""
     now = search.current.fit.model
     known = {item.name for item in now.effects}
@@ -53,13 +53,13 @@ def _refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
 
 def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Each accepted effect gives way to a rival that predicts unseen blocks better beside the others."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     if len(search.added) < 2:
         return
     for name in list(search.added):
         others = [by_name[other] for other in search.added if other != name]
         rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_EXCHANGED]
-        best = min((_refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
+        best = min((refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
         if best is None or best.loss >= search.current.loss:
             continue
         if block_gain(search.current, best, search.shooting) > SIMPLER:
@@ -85,12 +85,12 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     """Accepted effects, and groups of effects with numbers that go together, without which unseen blocks are predicted
     as well are taken out again: the least needed first, until all are needed. Few blocks say little: what the held-out
     error clearly asks for stays."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     before = list(search.added)
     while len(search.added) > 1:
         without = {}
         for group in _groups(search):
-            less = _refit(search, [by_name[name] for name in search.added if name not in group])
+            less = refit(search, [by_name[name] for name in search.added if name not in group])
             without[group] = less, block_gain(less, search.current, search.shooting)
         group = min(without, key=lambda names: without[names][1])
         less, gain = without[group]
@@ -99,24 +99,24 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
             break
         search.added = [name for name in search.added if name not in group]
         search.current, search.error = less, error
-        _take_back(search, group)
+        take_back(search, group)
     if search.added != before:
         _left_over(search, heldout)
 
 
 def unhelpful(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Accepted effects that lower the held-out error of no run are taken out: a stage has to help somewhere."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     for name in list(search.added):
         if len(search.added) < 2:
             return
-        less = _refit(search, [by_name[other] for other in search.added if other != name])
+        less = refit(search, [by_name[other] for other in search.added if other != name])
         error = error_with(less.fit, search.shooting, heldout)
         if _helps(error, search.error):
             continue
         search.added = [other for other in search.added if other != name]
         search.current, search.error = less, error
-        _take_back(search, (name,), "lowers the held-out error of no run")
+        take_back(search, (name,), "lowers the held-out error of no run")
 
 
 def _helps(before: HeldoutError, after: HeldoutError) -> bool:
@@ -128,15 +128,15 @@ def _helps(before: HeldoutError, after: HeldoutError) -> bool:
 def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
     """Two accepted effects give way to one that predicts unseen data as well with as many numbers, and whether two did:
     a payload and a rolling resistance are together exactly a towed load."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     for pair in combinations(list(search.added), 2):
         rest = [by_name[name] for name in search.added if name not in pair]
         for whole in _wholes(search, pair, by_name):
-            best = _refit(search, [*rest, whole])
+            best = refit(search, [*rest, whole])
             if _as_good(best, search, heldout):
                 _replace(search, pair[0], whole.name, best, heldout)
                 search.added.remove(pair[1])
-                _take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
+                take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
                 return True
     return False
 
@@ -162,15 +162,15 @@ def _as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
 def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Accepted effects that still stand at a bound of a parameter are taken out: what fits only there is something
     else."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     fitted = search.current.fit
     held = {path.split(".")[0] for path, free in zip(fitted.paths, fitted.free, strict=True) if not free}
     group = [name for name in search.added if name in held]
     if group:
         search.added = [name for name in search.added if name not in group]
-        search.current = _refit(search, [by_name[name] for name in search.added])
+        search.current = refit(search, [by_name[name] for name in search.added])
         search.error = error_with(search.current.fit, search.shooting, heldout)
-        _take_back(search, group, "fits only at a bound")
+        take_back(search, group, "fits only at a bound")
 
 
 def _left_over(search: Search, heldout: Heldout) -> None:
@@ -178,12 +178,12 @@ def _left_over(search: Search, heldout: Heldout) -> None:
 
     A clear fall of the held-out error does with what a removal would have to lose.
     """
-    null = _refit(search, [])
+    null = refit(search, [])
     gain = block_gain(null, search.current, search.shooting)
     before = error_with(null.fit, search.shooting, heldout)
     clear = gain > SIMPLER and search.error.value < (1.0 - CLEAR_FALL) * before.value
     if not (clear or passes(gain, search.error, before)):
-        _take_back(search, search.added)
+        take_back(search, search.added)
         search.added, search.current, search.error = [], search.first, search.first_error
 
 
@@ -202,7 +202,8 @@ def _groups(search: Search) -> list[tuple[str, ...]]:
     return [*singles, *found]
 
 
-def _take_back(search: Search, group: Sequence[str], why: str = "no longer needed beside the others") -> None:
+def take_back(search: Search, group: Sequence[str], why: str = "no longer needed beside the others") -> None:
+    """Candidates that were accepted are said to be gone."""
     for index, item in enumerate(search.candidates):
         gone = set(group) & set(item.trial.effects)
         if item.decision == "accepted" and gone:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from safedpa.diagnosis.conditions import conditional, of_patch, placed
 from safedpa.diagnosis.elsewhere import Passing, passing_elsewhere
 from safedpa.diagnosis.evidence import Evidence
 from safedpa.diagnosis.final_numbers import with_final_numbers
@@ -62,13 +63,31 @@ def searched(
 ) -> Search:
     """Free parameters refitted, then additions until nothing passes, second thoughts, and the final numbers."""
     search = begun(model, shooting, heldout)
+    _additions(search, library, heldout, tell, beside)
+    _second_thoughts(search, library, heldout)
+    if library and conditional(search, library, heldout):
+        _additions(search, library, heldout, tell, beside)  # a law may lay bare what it hid
+        _second_thoughts(search, library, heldout)
+    if library:
+        final, search.error = with_final_numbers(search.current.fit, search.shooting, heldout)
+        search.current = replace(search.current, fit=final)
+    return search
+
+
+def _additions(search: Search, library: Sequence[AbstractEffect], heldout: Heldout, tell: Tell, beside: Beside) -> None:
+    """One effect after the other, until none passes."""
     before: dict[str, Trial] = {}
-    for stage in range(MOST if library else 0):
+    first = 1 + max((item.stage for item in search.candidates), default=-1)
+    for stage in range(first, MOST if library else 0):
         rest = [item for item in library if item.name not in {own.name for own in search.current.fit.model.effects}]
         trials = tried_in_turn(search.current, rest, search.shooting, before, _later(tell, stage, len(library)))
         before = {trial.effects[0]: trial for trial in trials}
         if not addition(search, stage, trials, rest, heldout, beside):
             break
+
+
+def _second_thoughts(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Exchanges, and what the others do without."""
     exchange(search, library, heldout)
     removals(search, library, heldout)
     if united(search, library, heldout):
@@ -76,10 +95,6 @@ def searched(
     unhelpful(search, library, heldout)
     if search.first_error.value > MOST_MISSING:
         bounded(search, library, heldout)
-    if library:
-        final, search.error = with_final_numbers(search.current.fit, search.shooting, heldout)
-        search.current = replace(search.current, fit=final)
-    return search
 
 
 def _later(tell: Tell, stage: int, size: int) -> Callable[[int], None]:
@@ -150,6 +165,9 @@ def addition(
         search.patch = _place_instead(null, best, shooting)
         passed = search.patch is None
     search.candidates += [_with(elsewhere, judged(search, stage, trial, best, passed)) for trial in stage.trials]
+    floor = None if search.patch is None else of_patch(search.patch, search, rest)
+    if floor is not None:
+        return placed(search, floor, number, heldout)
     if not passed or best is None:
         return False
     for name in best.effects:

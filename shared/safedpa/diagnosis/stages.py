@@ -13,7 +13,6 @@ from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.report import Stage, Worse
 from safedpa.diagnosis.search import Search
 from safedpa.dynamics import PhysicsModel
-from safedpa.effects import effect
 
 __all__ = ["Told", "stages_of"]
 
@@ -87,7 +86,7 @@ def _step(search: Search, names: Sequence[str], heldout: Heldout) -> _Step:
         return search.current.fit, error_with(search.current.fit, search.shooting, heldout)
     model, final = search.first.fit.model, search.current.fit.model
     for name in names:
-        item = effect(model.system.name, name)
+        item = next(own for own in search.current.fit.model.effects if own.name == name)
         model = model.with_effect(item, {p.name: final.settings[f"{name}.{p.name}"] for p in item.parameters})
     own = [path for path in model.settings if path.split(".")[0] in names]
     found = fit(model, [*search.first.fit.paths, *own], search.shooting, search.current.fit.scale)

@@ -100,7 +100,7 @@ def _outcome(log: Log) -> Outcome:
         raise SafedpaError(f"{log.case.name}: {error}") from error
     seconds, processor = time.perf_counter() - begin, time.process_time() - processor
     truth = json.loads(log.truth.read_text(encoding="utf-8"))
-    oracle = oracle_error(log.model, log.runs, list(truth["effects"])) if truth["effects"] else None
+    oracle = oracle_error(log.model, log.runs, truth["effects"], truth["laws"]) if truth["effects"] else None
     return judged(log.case.name, document, truth, oracle, seconds, processor)
 
 

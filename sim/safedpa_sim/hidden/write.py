@@ -19,12 +19,10 @@ from safedpa_sim.hidden.sensor import measured
 from safedpa_sim.hidden.strengths import LARGEST_STEER
 from safedpa_sim.hidden.towing import drive_towing
 
-__all__ = ["PATCH", "PERIOD", "Log", "write_case", "write_cases"]
+__all__ = ["PERIOD", "Log", "write_case", "write_cases"]
 
 PERIOD: Final[dict[str, float]] = {"car": 0.05, "pendulum": 0.02}
 """s between rows."""
-PATCH: Final = (1.8, 0.8, 1.5, 1.2)
-"""x, y, radius [m] and extra deceleration [m/s2] of the rough patch: a carpet."""
 
 _SERVO_GAIN = 3.0
 """1/s in the given model."""
@@ -113,7 +111,6 @@ def _lane(case: Case, run: int) -> Lane:
         start=tuple(float(value) for value in start),
         gain=_true_gain(case),
         throttle=case.drive == "throttle",
-        patch=PATCH if case.patch else None,
         disturbance=markov(random, rows, period, _COLOURED[case.robot]) if case.hard else None,
     )
 
