@@ -12,6 +12,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import needs
 from safedpa_services.command_line.fleet_diagnosis import diagnosed_fleet, fleet_options, wants_fleet
+from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     as_json_option,
     columns_option,
@@ -47,7 +48,7 @@ FINDINGS = 6
 
 
 @click.command(name="diagnose")
-@click.argument("model")
+@click.argument("model", shell_complete=complete_models)
 @click.argument("runs", metavar="RUN...", nargs=-1)
 @columns_option
 @horizon_option()

@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
 
@@ -26,7 +27,7 @@ _BALL = Path(__file__).resolve().parents[4] / "docs" / "examples" / "falling_bal
     metavar="DIR",
     help="folder with the recordings: see docs/real-logs.md for where they are",
 )
-@click.option("--part", type=click.Choice(_PARTS), default="all", show_default=True)
+@click.option("--part", type=Choice(_PARTS), default="all", show_default=True)
 @click.option(
     "--ball",
     type=click.Path(path_type=Path),
