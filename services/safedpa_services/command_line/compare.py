@@ -76,11 +76,10 @@ def command(
 
 
 def _show(comparison: Comparison, page: Path, change: str) -> None:
-    from rich.console import Console
-
     from safedpa.diagnosis.summary import naive_sentence, run_sentence, state_sentence, where_sentence
+    from safedpa_services.terminal import terminal
 
-    console = Console(highlight=False, soft_wrap=False)
+    console = terminal(highlight=False, soft_wrap=False)
     console.print()
     console.print(where_sentence(comparison), style="bold", markup=False)
     console.print(f"{state_sentence(comparison)} {naive_sentence(comparison)}", markup=False)

@@ -177,9 +177,9 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
 
 
 def _show(report: Report, out: Path, margin: Path | None) -> None:
-    from rich.console import Console
+    from safedpa_services.terminal import terminal
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = terminal(highlight=False, soft_wrap=True)
     console.print()
     for line, style in story_lines(report):
         console.print(line, style=style, markup=False)

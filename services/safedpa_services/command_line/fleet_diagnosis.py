@@ -144,11 +144,10 @@ def _on_cluster(
 
 
 def _show(document: dict[str, Any], out: Path) -> None:
-    from rich.console import Console
-
     from safedpa.diagnosis.fleet.story import common_sentence, discovery_sentence, headline
+    from safedpa_services.terminal import terminal
 
-    console = Console(highlight=False)
+    console = terminal(highlight=False)
     console.print()
     console.print(headline(document), style="bold", markup=False, soft_wrap=True)
     console.print(_table(document))

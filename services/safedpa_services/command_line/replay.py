@@ -11,6 +11,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa_services.command_line.options import as_json_option, effects_option
+from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
     from safedpa.replay.replay import Replay
@@ -103,7 +104,7 @@ def _compared(tape: Tape, assumed: list[str], options: dict[str, Any]) -> int:
     if options["as_json"]:
         click.echo(json.dumps(document_of(tape, found, gaps, assumed)))
     else:
-        click.echo("\n".join(lines_of(tape, found, gaps, assumed)))
+        say("\n".join(lines_of(tape, found, gaps, assumed)))
     return _code(found)
 
 
@@ -126,8 +127,8 @@ def _changed(tape: Tape, change: Change, assumed: list[str], options: dict[str, 
         document["findings"] = [asdict(finding) for finding in tape.findings]
         click.echo(json.dumps(document if driven is None else document | {"closed_loop": driven}))
         return 0
-    click.echo(f"robot '{tape.robot}' from {', '.join(str(path) for path in tape.files)}")
-    click.echo("\n".join([*told_lines(tape, assumed), *what_if_lines(summary, decisions, changed)]))
+    say(f"robot '{tape.robot}' from {', '.join(str(path) for path in tape.files)}")
+    say("\n".join([*told_lines(tape, assumed), *what_if_lines(summary, decisions, changed)]))
     if driven is not None:
         click.echo("\n".join(_driven_lines(driven)))
     return 0

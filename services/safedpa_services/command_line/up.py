@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from safedpa.errors import InputError
+from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
     from safedpa.bus.process import Stop
@@ -84,8 +86,8 @@ def command(**options: Any) -> None:
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     stop = Stop()
-    with _certificates(options) as folder:
-        plan = _plan({**options, "certificates": folder})
+    with _certificates(options) as folder, _meeting_place(options) as endpoint:
+        plan = _plan({**options, "certificates": folder, "endpoint": endpoint})
         stop.listen_to_signals()
         summary = _drive(plan, stop, quiet=options["as_json"])
     if options["as_json"]:
@@ -105,9 +107,21 @@ def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None
     return throw_away_certificates(options["fleet"], options["name"])
 
 
+@contextmanager
+def _meeting_place(options: dict[str, Any]) -> Iterator[str]:
+    """Where the processes meet: without a word of the person at a socket that this user alone can reach."""
+    from safedpa.bus.ports import free_port
+    from safedpa_services.supervisor.private_folder import private_folder
+
+    if options["listen"] or options["secure"]:
+        yield options["listen"] or f"tls/127.0.0.1:{free_port()}"
+        return
+    with private_folder() as folder:
+        yield f"unixsock-stream/{folder}/bus"
+
+
 def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.bus import STATE, key_of
-    from safedpa.bus.ports import free_port
     from safedpa.dynamics import load_model
     from safedpa_services.supervisor.plan import Plan
 
@@ -149,7 +163,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         margin=options["margin"],
         controller=_controller(model, options["controller"]),
         fleet=options["fleet"],
-        endpoint=options["listen"] or f"{'tls' if options['secure'] else 'tcp'}/127.0.0.1:{free_port()}",
+        endpoint=options["endpoint"],
         certificates=options["certificates"],
         folder=Plan.new_folder(options["out"], options["name"]),
     )
@@ -267,7 +281,7 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     hints = [f"recording {plan.recording}", f"others join with {where}"]
     hints.append(f"how it is: safedpa status --watch {where}")
     if plan.workbench_port:
-        hints.append(f"workbench http://127.0.0.1:{plan.workbench_port}/live")
+        hints.append(f"workbench {plan.workbench_address}")
     if plan.diagnosis:
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
     return screen(watch, services, robot, hints, plan.folder, quiet=quiet)
@@ -279,12 +293,12 @@ def _tell(summary: dict[str, Any]) -> None:
     click.echo(f"{summary['ticks']} ticks, {summary['goals_reached']} goals, {summary['collisions']} collisions")
     click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
     for stand in summary["standstills"]:
-        click.echo(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
+        say(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
     if latency["p50"] is not None:
         click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
     restarts = {service["name"]: service["restarts"] for service in summary["services"] if service["restarts"]}
     if restarts:
         click.echo("restarted: " + ", ".join(f"{name} {count} times" for name, count in restarts.items()))
     if summary["recording_error"]:
-        click.echo(f"recording broke off: {summary['recording_error']}", err=True)
+        say(f"recording broke off: {summary['recording_error']}", err=True)
     click.echo(f"recording: {summary['recording']}")

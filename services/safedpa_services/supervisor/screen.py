@@ -14,6 +14,7 @@ from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.view import view_of
 from safedpa_services.supervisor.warnings import Warnings
 from safedpa_services.supervisor.watch import Watch
+from safedpa_services.terminal import Shown, terminal
 
 __all__ = ["screen"]
 
@@ -25,7 +26,7 @@ def screen(
     watch: Watch, services: Sequence[Child], robot: Child, hints: list[str], folder: Path, *, quiet: bool
 ) -> Iterator[Callable[[], None]]:
     """Yields a function to call often; it redraws at most four times a second. ``folder`` is the run's."""
-    console = Console(stderr=True)
+    console = terminal(stderr=True)
     if quiet:
         yield Warnings((robot, *services), folder).look
         return
@@ -43,9 +44,8 @@ def screen(
             warnings.look()
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                live.update(
-                    view_of(watch, services, robot, [*_live_view(watch), *hints], warnings.newest), refresh=True
-                )
+                view = view_of(watch, services, robot, [*_live_view(watch), *hints], warnings.newest)
+                live.update(Shown(view), refresh=True)
 
         yield redraw
 

@@ -11,16 +11,19 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import os
+import secrets
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
 from safedpa.bus.certificates import Certificates
+from safedpa.bus.doorkeeper import Doorkeeper, cut_off, defer_accept
 from safedpa.bus.log import log_event
 from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
-from safedpa.errors import BusError
+from safedpa.errors import BusError, JoinError
 
 if TYPE_CHECKING:
     import zenoh
@@ -34,6 +37,12 @@ _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
 """No network parts peers on one machine, but a machine that has too much to do keeps signs of life waiting for 0.5 s
 and more, and a link between peers that found each other is not made anew. A process that dies is seen at once anyway.
 """
+_LOCAL_SOCKET = "unixsock-stream/"
+"""Beginning of the endpoint of a socket in the file system: who may open the folder may connect, nobody else."""
+_ACCEPT_MILLISECONDS = 1000
+"""For a handshake, once its first bytes are there: it takes 3 ms; by default a stranger has five times as long."""
+_MOST_ON_THEIR_WAY = 2000
+"""Connections whose handshake goes on; by default 100, and then nobody else gets in."""
 _ALIVE_TIMEOUT_SECONDS = 1.0
 _MOST_GATHERED = 4096
 """Messages of one subscription that wait to be collected; beyond, the oldest give way. A thousand robots send so many
@@ -46,8 +55,8 @@ class ZenohSettings:
 
     Without endpoints a peer listens on the loopback interface and finds others there by multicast. With ``connect`` it
     finds the others through those endpoints (and what they know), without multicast. With ``certificates`` every
-    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and nobody is found who was not named. ``access`` and
-    ``limits`` are a router's: Zenoh's ``access_control`` and ``low_pass_filter``.
+    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and nobody is found who was not named. ``access``,
+    ``limits`` and ``rates`` are a router's: Zenoh's ``access_control``, ``low_pass_filter`` and ``downsampling``.
 
     Raises BusError for certificates with a peer, or with an endpoint that is not TLS.
     """
@@ -58,6 +67,7 @@ class ZenohSettings:
     certificates: Certificates | None = None
     access: Mapping[str, Any] | None = None
     limits: tuple[Mapping[str, Any], ...] = ()
+    rates: tuple[Mapping[str, Any], ...] = ()
     patience: float = 10.0
     """s to go on trying to connect at the start; later, while it runs, it tries for ever."""
 
@@ -90,10 +100,10 @@ class ZenohSettings:
     def configuration(self) -> dict[str, Any]:
         """The Zenoh configuration as paths and values."""
         alone = not self.listen and not self.connect
-        listen = self.listen or (("tcp/127.0.0.1:0",) if self.mode == "peer" else ())
+        listen = self.listen or ((_own_door(self.connect),) if self.mode == "peer" else ())
         return {
             "mode": self.mode,
-            "listen/endpoints": list(listen),
+            "listen/endpoints": [*map(_in_haste, listen)],
             "connect/endpoints": list(self.connect),
             "connect/timeout_ms": round(1000.0 * self.patience),
             "connect/exit_on_failure": True,
@@ -103,10 +113,13 @@ class ZenohSettings:
             "scouting/gossip/enabled": self.mode == "peer",
             "scouting/delay": 200 if alone else 0,
             "timestamping/enabled": True,
+            "transport/unicast/accept_timeout": _ACCEPT_MILLISECONDS,
+            "transport/unicast/accept_pending": _MOST_ON_THEIR_WAY,
             "transport/link/tx/lease": self._lease_milliseconds,
             "transport/shared_memory/enabled": False,
             **({} if self.certificates is None else _tls(self.certificates)),
             **({} if self.access is None else {"access_control": dict(self.access)}),
+            **({"downsampling": [dict(rate) for rate in self.rates]} if self.rates else {}),
             **({"low_pass_filter": [dict(limit) for limit in self.limits]} if self.limits else {}),
         }
 
@@ -129,8 +142,24 @@ def _tls(certificates: Certificates) -> dict[str, Any]:
     }
 
 
+def _own_door(connect: tuple[str, ...]) -> str:
+    """Where a peer listens that was not told: beside the socket of those it joins, or on the loopback interface."""
+    beside = next((endpoint for endpoint in connect if endpoint.startswith(_LOCAL_SOCKET)), "")
+    if not beside:
+        return "tcp/127.0.0.1:0"
+    return f"{beside.rpartition('/')[0]}/{os.getpid()}-{secrets.token_hex(4)}"
+
+
+def _in_haste(endpoint: str) -> str:
+    """An endpoint to listen on where nobody has longer for the handshake of TLS."""
+    plain = not endpoint.startswith("tls/") or "#" in endpoint
+    return endpoint if plain else f"{endpoint}#tls_handshake_timeout_ms={_ACCEPT_MILLISECONDS}"
+
+
 def _is_loopback(endpoint: str) -> bool:
     """Whether an endpoint like ``tcp/127.0.0.1:7447`` can be reached from this machine alone."""
+    if endpoint.startswith(_LOCAL_SOCKET):
+        return True
     host = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
@@ -153,10 +182,14 @@ class ZenohTransport(AbstractTransport):
                 configuration.insert_json5(path, json.dumps(value))
             self._session = zenoh.open(configuration)
         except zenoh.ZError as error:
-            raise BusError(
+            kind = JoinError if settings.connect else BusError  # where it listens is the person's choice
+            raise kind(
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
                 f"({_first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error
+        ports = defer_accept() if settings.listen or settings.mode != "client" else set()
+        guards = settings.listen and settings.certificates is None  # of TLS each one cut off costs Zenoh 0.1 s
+        self._doorkeeper = Doorkeeper(ports, self._far_ends) if guards else None
         _warn_of_plain_text(settings.plain_endpoints)
         self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         self._declared: list[Any] = []
@@ -251,7 +284,23 @@ class ZenohTransport(AbstractTransport):
         """Common name of the certificate of a linked session by its Zenoh id; empty when there is none."""
         return dict(self.members()).get(session, "")
 
+    def cut_off(self, sessions: Collection[str]) -> int:
+        """Ends the links of these sessions, by their Zenoh ids; how many there were."""
+        ends = self._far_ends(sessions)
+        return cut_off(ends) if ends else 0
+
+    def _far_ends(self, sessions: Collection[str] | None = None) -> set[tuple[str, int]]:
+        """Addresses of those who are linked to this session, or of some of them."""
+        found = set()
+        for link in self._session.info.links():
+            host, _, port = str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")
+            if port.isdecimal() and (sessions is None or str(link.zid) in sessions):
+                found.add((host.strip("[]"), int(port)))
+        return found
+
     def close(self) -> None:  # noqa: D102
+        if self._doorkeeper is not None:
+            self._doorkeeper.close()
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
 
