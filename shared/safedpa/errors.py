@@ -6,6 +6,7 @@
     │   ├── ColumnMapError    a column map: the key stands in the message
     │   ├── RunError          a recording: unreadable, empty, wrong columns
     │   └── MessageError      a message from the bus: wrong shape, type or not finite
+    ├── MissingExtraError     something that `pip install safedpa` alone does not bring
     ├── BusError              the bus cannot be opened or a name on it is taken
     │   └── JoinError         nobody lets this process in, now; it may be otherwise in a moment
     └── RecordingError        a recording could not be written (disk full, say)
@@ -24,6 +25,7 @@ __all__ = [
     "InputError",
     "JoinError",
     "MessageError",
+    "MissingExtraError",
     "ModelFileError",
     "RecordingError",
     "RunError",
@@ -54,6 +56,10 @@ class RunError(InputError):
 
 class MessageError(InputError):
     """A message from the bus that cannot be used."""
+
+
+class MissingExtraError(SafedpaError):
+    """Something that ``pip install safedpa`` alone does not bring; the message names the extra."""
 
 
 class BusError(SafedpaError):

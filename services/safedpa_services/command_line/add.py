@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from safedpa.extras import needs
 from safedpa_services.command_line.options import force_option, given_model, inputs_of, loaded_runs, run_options
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ __all__ = ["command"]
 @click.option("--varies", metavar="WORDS", help="A number of it changes: 'gain with time', 'gain with abs_speed'.")
 @click.option("--edge", type=float, default=0.05, show_default=True, help="Width over which --where sets in.")
 @force_option
+@needs("diagnosis")
 def command(
     model: str,
     effect: str,

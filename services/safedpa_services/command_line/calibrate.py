@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import need
 
 if TYPE_CHECKING:
     from safedpa.dynamics import PhysicsModel
@@ -38,6 +39,8 @@ def command(
     from safedpa.safety.recorded import calibration_from_recordings
     from safedpa.safety.shipped import settings_named
 
+    if simulator:
+        need("train", what="--simulator")
     loaded = load_model(model)
     constants = _simulated(loaded, simulator, states, coverage) if simulator else {}
     calibration = calibration_from_recordings(

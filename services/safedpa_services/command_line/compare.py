@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from safedpa.extras import needs
 from safedpa_services.command_line.options import (
     folder_option,
     force_option,
@@ -35,6 +36,7 @@ NAME = 20
 @folder_option("compare.html and compare.json")
 @click.option("--before", metavar="MODEL", help="An earlier model: say which state gets worse in which run.")
 @force_option
+@needs("diagnosis")
 def command(
     model: str,
     runs: tuple[str, ...],

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 from safedpa_services.command_line.fleet_diagnosis import diagnosed_fleet, fleet_options, wants_fleet
 from safedpa_services.command_line.options import (
     as_json_option,
@@ -56,6 +57,7 @@ FINDINGS = 6
 @click.option("--check", is_flag=True, help="Only say what these runs could show, in seconds; writes nothing.")
 @force_option
 @fleet_options
+@needs("diagnosis")
 def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
     """Find out which physical effect MODEL lacks, by recorded RUNs.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import need
 
 __all__ = ["command"]
 
@@ -41,6 +42,7 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
         return
     if kind is None or out is None:
         raise InputError("export: wanted --format and --out for a recording, or --onnx DIR for a weights file")
+    need("diagnosis", what=f"--format {kind}")
     from safedpa.records.export import export_recording
 
     exported = export_recording(source, out, kind, robot)
@@ -50,6 +52,7 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
 
 
 def _export_networks(source: Path, folder: Path) -> None:
+    need("train", what="--onnx")
     from safedpa.networks import load_weights
     from safedpa_sim.training.onnx_export import export_onnx
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from safedpa.extras import needs
 from safedpa_services.command_line.options import (
     columns_option,
     effects_option,
@@ -26,6 +27,7 @@ __all__ = ["command"]
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="FILE.csv", help="Where to write.")
 @effects_option
 @force_option
+@needs("diagnosis")
 def command(
     model: str, run: str, columns: str | None, horizon: float, out: Path, effects: Path | None, force: bool
 ) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 from safedpa_services.command_line.options import (
     as_json_option,
     columns_option,
@@ -33,6 +34,7 @@ __all__ = ["command"]
 )  # fmt: skip
 @click.option("--seed", type=int, default=0, show_default=True, help="Draws the noise.")
 @as_json_option
+@needs("diagnosis")
 def command(
     model: str,
     runs: tuple[str, ...],

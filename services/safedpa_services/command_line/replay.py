@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import need
 from safedpa_services.command_line.options import as_json_option, effects_option
 from safedpa_services.terminal import say
 
@@ -48,6 +49,8 @@ def command(**options: Any) -> int:
     from safedpa.replay.assumed import complete_setups
     from safedpa.replay.tape import read_tape
 
+    if options["rrd"] is not None:
+        need("view", what="--rrd")
     if options["effects"] is not None:
         load_own(options["effects"])
     change = _change(options)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 if TYPE_CHECKING:
     from safedpa_sim.training.configuration import Configuration
@@ -36,6 +37,7 @@ __all__ = ["command"]
     "--what", type=click.Choice(["all", "phi", "heads"]), default="all", show_default=True, help="with --tune"
 )
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("train")
 def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool, **options: Any) -> None:
     """Train the learned model of a robot, or tune one on recorded runs.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import missing, need
 from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
@@ -83,6 +84,9 @@ def command(**options: Any) -> None:
     from safedpa.bus.process import Stop
     from safedpa.dynamics import load_own_everywhere
 
+    need("sim", what="the simulated robot", instead="run a robot of your own (docs/bus.md)")
+    if not options["headless"]:
+        need("view", what="the dashboard", instead="leave it out with --headless")
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     stop = Stop()
@@ -221,11 +225,9 @@ def _is_diagnosed(options: dict[str, Any]) -> bool:
 
 def _workbench_port(options: dict[str, Any]) -> int:
     """Where the page is served; 0 where nobody looks, nothing is diagnosed, or its framework is not installed."""
-    from importlib.util import find_spec
-
     from safedpa.bus.ports import free_port
 
-    wanted = not options["headless"] and _is_diagnosed(options) and find_spec("nicegui") is not None
+    wanted = not options["headless"] and _is_diagnosed(options) and not missing("workbench")
     return free_port(range(8080, 8100)) if wanted else 0
 
 

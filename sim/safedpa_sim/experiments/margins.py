@@ -22,6 +22,7 @@ import numpy as np
 
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import check_archive
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -32,6 +33,7 @@ _SUITES = (
 )
 @click.option("--page", type=click.Path(path_type=Path), help="write the tables there as Markdown as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim", "diagnosis")
 def command(**options: Any) -> None:
     """How often diagnosis names what is hidden.
 

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -28,6 +29,7 @@ _CASES = ("hitch", "headwind", "steering_offset", "nothing", "all")
 @click.option("--record", type=click.Path(path_type=Path), metavar="FILE.mcap", help="one drive alone, recorded")
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim")
 def command(**options: Any) -> None:
     """Diagnosis beside a driving car, in lockstep.
 

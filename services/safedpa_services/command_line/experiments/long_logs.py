@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError, SafedpaError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -28,6 +29,7 @@ _KINDS = ("csv", "parquet", "mcap")
 @click.option("--seed", type=int, default=0, show_default=True, help="draws drives and noise")
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim", "diagnosis")
 def command(**options: Any) -> None:
     """How long a diagnosis of hours takes, and how much memory.
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from safedpa.extras import needs
+
 __all__ = ["command"]
 
 
@@ -28,6 +30,7 @@ __all__ = ["command"]
 @click.option("--minutes", type=float, default=0.0, help="begin no drive after so long; run again to go on")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="folder that keeps every drive")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim")
 def command(**options: Any) -> None:
     """Calibrate the margins of the shipped robots on whole drives, and count what they cover on fresh ones."""
     from safedpa_services.progress import progress

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -35,6 +36,7 @@ _BALL = Path(__file__).resolve().parents[4] / "docs" / "examples" / "falling_bal
 @click.option("--processes", type=int, default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("diagnosis")
 def command(**options: Any) -> None:
     """What diagnosis finds in recordings of real robots.
 
