@@ -7,8 +7,10 @@ import gc
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 
-from safedpa.bus import NO_ROBOT, AbstractTransport, Bus, ServiceLoop, ZenohTransport
+from safedpa.bus import MODEL, NO_ROBOT, AbstractNode, AbstractTransport, Bus, ModelMessage, ServiceLoop, ZenohTransport
+from safedpa.bus.apart import AbstractTicket, Apart
 from safedpa.bus.joint_transport import JointTransport
 from safedpa.bus.journal import Journal
 from safedpa.bus.process import Stop, add_bus_options, lifetime, settings_from
@@ -41,6 +43,7 @@ def serve(
     Each tells its setup. ``serves(robot)`` says of which robots they take anything; None: of all.
     """
     sys.setswitchinterval(_SWITCH_SECONDS)
+    _try_offers_apart(services, options)
     transport: AbstractTransport = ZenohTransport(settings_from(options))
     if len(services) > 1:
         inside = frozenset(topic.name for made in services for topic in made.node.outputs) & frozenset(
@@ -57,6 +60,24 @@ def serve(
             lifetimes.enter_context(lifetime(made.node.name, stop))
         Turning([_loop(made, Bus(transport, options.fleet, serves=serves), options) for made in services]).run(stop)
     return 0
+
+
+def _try_offers_apart(services: Sequence[Made], options: argparse.Namespace) -> None:
+    """What is offered over the bus is tried in one process beside this one before anybody here looks into it.
+
+    Started before there is any link, and any thread of the network's.
+    """
+    nodes = [made.node for made in services if MODEL in made.node.listens]
+    if nodes:
+        apart = Apart("safedpa_services.trying:tried")
+        for node in nodes:
+            node.try_apart(partial(_hand_in, apart, node, options))
+
+
+def _hand_in(
+    apart: Apart, node: AbstractNode, options: argparse.Namespace, robot: str, offer: ModelMessage
+) -> AbstractTicket:
+    return apart.hand_in((node.name, options, robot, offer, node.newest(robot), node.agreed(robot)))
 
 
 def _loop(made: Made, bus: Bus, options: argparse.Namespace) -> ServiceLoop:

@@ -7,6 +7,7 @@
     │   ├── RunError          a recording: unreadable, empty, wrong columns
     │   └── MessageError      a message from the bus: wrong shape, type or not finite
     ├── BusError              the bus cannot be opened or a name on it is taken
+    │   └── JoinError         nobody lets this process in, now; it may be otherwise in a moment
     └── RecordingError        a recording could not be written (disk full, say)
 
 Every message says what was got, what was wanted and what to do.
@@ -21,6 +22,7 @@ __all__ = [
     "BusError",
     "ColumnMapError",
     "InputError",
+    "JoinError",
     "MessageError",
     "ModelFileError",
     "RecordingError",
@@ -56,6 +58,10 @@ class MessageError(InputError):
 
 class BusError(SafedpaError):
     """The bus cannot be opened, or a name on it is taken."""
+
+
+class JoinError(BusError):
+    """Nobody lets this process in now: no router is there, or it has no room."""
 
 
 class RecordingError(SafedpaError):

@@ -88,14 +88,14 @@ from safedpa.safety import FilterSettings
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import look_of
 from safedpa_services.dashboard.painter import Painter
-from safedpa_services.dashboard.ports import choose_port, viewer_address
+from safedpa_services.dashboard.ports import Door, choose_port
 
 look = look_of(load_model("car"), FilterSettings())
 grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")
 painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=grpc)
-web = choose_port(None, grpc + 1, "--web-port", "0.0.0.0")
-rr.serve_web_viewer(web_port=web, open_browser=False)
-print(viewer_address("127.0.0.1", web, grpc), flush=True)
+web = choose_port(None, grpc + 1, "--web-port", "127.0.0.1")
+Door("127.0.0.1", web, grpc)
+print(f"http://127.0.0.1:{web}", flush=True)
 view = FleetView(look)
 for k in range(2000):
     state = StateMessage(epoch=1, tick=k, robot_time=0.05 * k, publish_time=0.0, values=(0.002 * k - 2, 0.5, 0.3, 1.0),

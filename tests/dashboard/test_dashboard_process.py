@@ -11,7 +11,7 @@ import urllib.request
 
 import pytest
 
-from safedpa_services.dashboard.ports import Door, choose_port, viewer_address
+from safedpa_services.dashboard.ports import Door, choose_port
 
 pytestmark = pytest.mark.processes
 
@@ -70,7 +70,7 @@ def test_a_taken_port_is_refused_when_wished_for_and_passed_over_otherwise(free_
 
 
 def test_the_door_sends_a_browser_on_under_the_name_by_which_it_came(free_port):
-    door = Door("127.0.0.1", free_port, 1234, 5678)
+    door = Door("127.0.0.1", free_port, 5678, ("robot.local",))
     request = urllib.request.Request(f"http://127.0.0.1:{free_port}", headers={"Host": f"robot.local:{free_port}"})
 
     class Stay(urllib.request.HTTPRedirectHandler):
@@ -79,6 +79,6 @@ def test_the_door_sends_a_browser_on_under_the_name_by_which_it_came(free_port):
 
     with pytest.raises(urllib.error.HTTPError) as answer:
         urllib.request.build_opener(Stay).open(request, timeout=30)
-    assert answer.value.headers["Location"] == viewer_address("robot.local", 1234, 5678)
+    assert answer.value.headers["Location"] == "/?url=rerun%2Bhttp://robot.local:5678/proxy"
     answer.value.close()
     door.close()

@@ -233,6 +233,7 @@ sys.path.insert(0, sys.argv[1])
 from live_messages import finding, model, state, REPORT
 from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.serving import Serving
 from safedpa_services.workbench.server import serve
 
 broker = MemoryBroker()
@@ -263,7 +264,7 @@ def drive():
 
 robot.answer_requests(answer)
 threading.Thread(target=drive, daemon=True).start()
-serve(Choice(), Path(sys.argv[1]), "127.0.0.1", int(sys.argv[2]), browser=False, bus=bus)
+serve(Choice(), Path(sys.argv[1]), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus)
 """
 
 
@@ -278,12 +279,13 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
     command = [sys.executable, "-c", SERVER, str(tmp_path), str(free_port)]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     try:
-        assert "/live" in server.stdout.readline()
+        line = server.stdout.readline()
+        assert "/live" in line
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         hosts, complaints = set(), []
         page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
         page.on("console", lambda message: complaints.append(message.text))
-        page.goto(f"http://127.0.0.1:{free_port}/live")
+        page.goto(line.split()[1])
         page.wait_for_selector(".candidate.open >> text=Accept", timeout=PATIENCE)
         assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
         page.keyboard.press("a")

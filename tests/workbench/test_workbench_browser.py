@@ -33,7 +33,7 @@ def serve(free_port, tmp_path):
         started.append(server)
         line = server.stdout.readline()
         assert f":{free_port}" in line, line
-        return f"http://127.0.0.1:{free_port}"
+        return line.split()[1]
 
     yield start
     for server in started:

@@ -8,6 +8,7 @@ from importlib.metadata import version
 import click
 
 from safedpa.errors import InputError, SafedpaError, did_you_mean
+from safedpa.limits import readable
 
 __all__ = ["COMMANDS", "safedpa"]
 
@@ -50,8 +51,12 @@ class _Commands(click.Group):
         return code if isinstance(code, int) else 0
 
 
+_LONGEST_MESSAGE = 2000
+"""Letters; names and values in it may come from anybody."""
+
+
 def _fail(message: str, code: int) -> int:
-    click.echo(f"safedpa: {' '.join(message.split())}", err=True)
+    click.echo(f"safedpa: {readable(' '.join(message.split()), _LONGEST_MESSAGE)}", err=True)
     return code
 
 

@@ -267,7 +267,7 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     hints = [f"recording {plan.recording}", f"others join with {where}"]
     hints.append(f"how it is: safedpa status --watch {where}")
     if plan.workbench_port:
-        hints.append(f"workbench http://127.0.0.1:{plan.workbench_port}/live")
+        hints.append(f"workbench {plan.workbench_address}")
     if plan.diagnosis:
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
     return screen(watch, services, robot, hints, plan.folder, quiet=quiet)

@@ -30,8 +30,19 @@ __all__ = ["command"]
     "--host",
     default="127.0.0.1",
     show_default=True,
-    help="Address to serve on; others than this machine may come in with 0.0.0.0.",
+    help="Address to serve on; 0.0.0.0 lets other machines in, and wants a password or a certificate.",
 )
+@click.option("--name", multiple=True, metavar="HOST", help="A name by which browsers come, besides localhost.")
+@click.option(
+    "--folder",
+    multiple=True,
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    metavar="DIR",
+    help="Recordings below it may be opened; default: those of the RUNs, without any the current folder.",
+)
+@click.option("--tls-certificate", type=click.Path(path_type=Path), metavar="FILE.pem", help="Serve over TLS.")
+@click.option("--tls-key", type=click.Path(path_type=Path), metavar="FILE.pem", help="Of the certificate.")
+@click.option("--token-only", is_flag=True, help="The token is enough: the port is mapped to a loopback interface.")
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the web page; default: 8080 or the next free one.")
 @click.option("--fleet", help="Watch the robots of this fleet live.")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="Where their bus listens, as 'safedpa up' tells.")
@@ -78,18 +89,27 @@ def command(**options: Any) -> None:
 def _serve(options: dict[str, Any]) -> None:
     from safedpa_services.workbench.recordings import Choice
     from safedpa_services.workbench.server import chosen_port, serve
+    from safedpa_services.workbench.serving import Serving
 
     choice = Choice(options["model"], options["runs"], options["columns"], options["horizon"])
-    host, out, browser = options["host"], options["out"], not options["no_browser"]
-    port = chosen_port(host, options["port"])
+    out, browser = options["out"], not options["no_browser"]
+    serving = Serving(
+        options["host"],
+        chosen_port(options["host"], options["port"]),
+        options["name"],
+        options["folder"],
+        options["tls_certificate"],
+        options["tls_key"],
+        options["token_only"],
+    )
     if not options["fleet"] and not options["connect"]:
-        serve(choice, out, host, port, browser=browser, bus=options["replay"])
+        serve(choice, out, serving, browser=browser, bus=options["replay"])
         return
     import os
 
     with bus_of({**options, "fleet": options["fleet"] or "fleet"}, "workbench") as bus:
         os.nice(10)  # the loop that it looks at comes first; the bus keeps its links up, and so is not put behind it
-        serve(choice, out, host, port, browser=browser, bus=bus)
+        serve(choice, out, serving, browser=browser, bus=bus)
 
 
 def _take_pictures(options: dict[str, Any]) -> None:

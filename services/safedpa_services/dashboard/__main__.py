@@ -44,12 +44,8 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 
 
 def _open_door(options: argparse.Namespace, grpc_port: int) -> str:
-    import rerun as rr
-
     port = choose_port(options.web_port, 9090, "--web-port", options.bind)
-    viewer_port = choose_port(None, port + 1, "--web-port", "0.0.0.0")
-    rr.serve_web_viewer(web_port=viewer_port, open_browser=False)
-    Door(options.bind, port, viewer_port, grpc_port)
+    Door(options.bind, port, grpc_port, options.name)
     host = "localhost" if options.bind in ("127.0.0.1", "0.0.0.0", "::", "::1") else options.bind
     return f"http://{host}:{port}"
 
@@ -63,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--web-port", type=int, default=None, help="port to open in the browser; default 9090 or next")
     parser.add_argument("--grpc-port", type=int, default=None, help="port of the data; default 9876 or the next free")
     parser.add_argument("--bind", default="127.0.0.1", help="0.0.0.0 to look from other machines")
+    parser.add_argument("--name", action="append", default=[], metavar="HOST", help="name by which browsers come")
     parser.add_argument("--no-viewer", dest="viewer", action="store_false", help="record only")
     return parser
 

@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 __all__ = ["Child"]
@@ -40,6 +41,8 @@ class Child:
     heartbeat: bool = True
     """Whether it tells its health on the bus."""
     restarts: int = 0
+    environment: Mapping[str, str] = field(default_factory=dict)
+    """What it is told and other users of the machine must not read, as they can its arguments."""
 
     def __post_init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -70,6 +73,7 @@ class Child:
                 start_new_session=True,
                 env={
                     **os.environ,
+                    **self.environment,
                     "PYTHONSAFEPATH": "1",
                     "SAFEDPA_LOG": "json",
                     "OMP_NUM_THREADS": "1",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import secrets
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from safedpa.bus import ZenohSettings
@@ -12,6 +13,8 @@ from safedpa.errors import InputError
 from safedpa_services.supervisor.child import Child
 
 __all__ = ["Plan"]
+
+_TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class Plan:
     """Whether a diagnosis runs beside the loop."""
     workbench_port: int = 0
     """Where the workbench serves its page; 0: no workbench."""
+    page_token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
+    """Who has it may look at the workbench and ask the diagnosis there."""
     surroundings: tuple[str, ...] = ()
     """Further options of the robot's process."""
     change: str = ""
@@ -103,7 +108,16 @@ class Plan:
 
     def _workbench(self) -> Child:
         page = ("--model", self.model, "--out", str(self.folder / "workbench"), "--port", str(self.workbench_port))
-        return self._child("workbench", "safedpa_services.workbench", *page, essential=False, heartbeat=False)
+        page += ("--folder", str(self.folder))
+        child = self._child("workbench", "safedpa_services.workbench", *page, essential=False, heartbeat=False)
+        child.environment = {_TOKEN_VARIABLE: self.page_token}
+        return child
+
+    @property
+    def workbench_address(self) -> str:
+        """The live page, with the token that opens it; empty without one."""
+        port = self.workbench_port
+        return f"http://127.0.0.1:{port}/live?token={self.page_token}" if port else ""
 
     def own_session(self) -> ZenohSettings:
         """How the supervisor itself joins: in plain text it is what the others connect to, else an operator."""

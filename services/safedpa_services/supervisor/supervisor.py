@@ -87,7 +87,8 @@ class Supervisor:
         self.on_turn()
 
     def _revive(self, child: Child) -> None:
-        if child.exit_code != _BAD_INPUT:
+        """Starts it anew. What it refuses now it will refuse again; but once the robot drives no drive ends by that."""
+        if child.exit_code != _BAD_INPUT or self.robot.pid != 0:
             child.restart_if_due()
         elif child.essential:
             raise SafedpaError(child.last_words())

@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from safedpa.errors import InputError
+from safedpa.limits import parse_json
 from safedpa_services.supervisor.child import Child
 
 __all__ = ["Warnings", "readable"]
@@ -95,8 +97,8 @@ def _event(line: str) -> dict[str, Any] | None:
     if not line.startswith("{"):
         return None
     try:
-        event = json.loads(line)
-    except ValueError:
+        event = parse_json(line)
+    except InputError:
         return None
     return event if isinstance(event, dict) and event.get("level") in ("warning", "error") else None
 

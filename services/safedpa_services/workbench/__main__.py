@@ -20,17 +20,31 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
         raise SafedpaError("workbench: NiceGUI is not installed; say: pip install 'safedpa[workbench]'")
     from safedpa_services.workbench.recordings import Choice
     from safedpa_services.workbench.server import chosen_port, serve
+    from safedpa_services.workbench.serving import Serving
 
-    port = chosen_port(options.host, options.port)
+    serving = Serving(
+        options.host,
+        chosen_port(options.host, options.port),
+        tuple(options.name),
+        tuple(options.folder),
+        options.tls_certificate,
+        options.tls_key,
+        options.token_only,
+    )
     with bus_from(options) as bus:
-        serve(Choice(options.model), Path(options.out), options.host, port, browser=False, bus=bus, stop=stop)
+        serve(Choice(options.model), Path(options.out), serving, browser=False, bus=bus, stop=stop)
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = service_parser("safedpa-workbench")
     parser.add_argument("--out", default="workbench", metavar="DIR", help="folder for saved models")
-    parser.add_argument("--host", default="127.0.0.1", help="0.0.0.0 to look from other machines")
+    parser.add_argument("--host", default="127.0.0.1", help="0.0.0.0 for other machines; needs a password or TLS")
+    parser.add_argument("--name", action="append", default=[], metavar="HOST", help="name by which browsers come")
+    parser.add_argument("--folder", action="append", default=[], type=Path, metavar="DIR", help="holds recordings")
+    parser.add_argument("--tls-certificate", type=Path, metavar="FILE.pem", help="serve over TLS")
+    parser.add_argument("--tls-key", type=Path, metavar="FILE.pem", help="of the certificate")
+    parser.add_argument("--token-only", action="store_true", help="the port is mapped to a loopback interface")
     parser.add_argument("--port", type=int, default=None, help="default: 8080 or the next free one")
     return parser
 

@@ -10,9 +10,13 @@ from typing import Any, TypeVar
 from nicegui import ui
 from nicegui.element import Element
 
+from safedpa.limits import readable
+
 __all__ = ["action", "escaped", "named", "panel", "text"]
 
 
+_LONGEST = 20_000
+"""Letters of a line."""
 _Element = TypeVar("_Element", bound=Element)
 
 
@@ -34,7 +38,8 @@ def text(content: str, classes: str = "", tag: str = "span") -> ui.html:
 
 
 def escaped(content: str) -> str:
-    """Text with the characters that markup is made of replaced."""
+    """Text with the characters that markup is made of replaced, and those that hide or reorder others made visible."""
+    content = "\n".join(readable(line, _LONGEST) for line in content.split("\n"))
     return content.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace('"', "&quot;")
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
 from safedpa.errors import RunError, SafedpaError
+from safedpa.limits import limit, too_much
 from safedpa.records import ColumnMap, load_run
+from safedpa.records.parquet_table import open_parquet
 from safedpa.systems import System
 
 __all__ = ["Checked", "RawRows", "checked", "raw_rows"]
@@ -52,24 +53,35 @@ def raw_rows(path: str | Path, count: int = 5) -> RawRows:
 
 
 def _csv(path: Path, count: int) -> RawRows:
+    most = limit("header_bytes")
     with path.open(encoding="utf-8-sig", newline="") as file:
-        first = file.readline()
+        first = file.readline(most + 1)
+        if len(first) > most:
+            raise too_much("header_bytes", f"more than {most} letters in the first line", str(path))
         delimiter = max(_DELIMITERS, key=first.count)
-        lines = csv.reader([first, *islice(file, count)], delimiter=delimiter)
+        lines = csv.reader([first, *(file.readline(most) for _ in range(count))], delimiter=delimiter)
         header, *rows = [tuple(cell.strip() for cell in line) for line in lines] or [()]
+    if len(header) > limit("columns"):
+        raise too_much("columns", len(header), str(path))
     if not any(header):
         raise RunError(f"{path}: the first line is empty; wanted a header line with the columns' names")
     return RawRows(header, tuple(rows))
 
 
 def _parquet(path: Path, count: int) -> RawRows:
-    from pyarrow import parquet
+    import pyarrow
 
-    table = parquet.ParquetFile(path)
-    names = tuple(table.schema_arrow.names)
-    batch = next(table.iter_batches(batch_size=count), None)
-    columns = [] if batch is None else [[str(cell) for cell in column] for column in batch.to_pydict().values()]
-    return RawRows(names, tuple(zip(*columns, strict=True)))
+    with open_parquet(path) as table:
+        names = tuple(table.schema_arrow.names)
+        numbers = [name for name in names if pyarrow.types.is_primitive(table.schema_arrow.field(name).type)]
+        batch = next(table.iter_batches(batch_size=count, columns=numbers), None)
+    known = (
+        {}
+        if batch is None
+        else {name: [str(cell)[:80] for cell in column] for name, column in batch.to_pydict().items()}
+    )
+    length = 0 if batch is None else batch.num_rows
+    return RawRows(names, tuple(zip(*(known.get(name, ["-"] * length) for name in names), strict=True)))
 
 
 def checked(path: str | Path, system: System, columns: ColumnMap | None, count: int = 5) -> Checked:

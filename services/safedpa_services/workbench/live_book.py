@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -19,6 +18,8 @@ from safedpa.bus import (
     TakeoverMessage,
     VerdictMessage,
 )
+from safedpa.errors import InputError
+from safedpa.limits import parse_json
 
 __all__ = ["LiveBook", "Mark", "RobotBook"]
 
@@ -119,8 +120,8 @@ class RobotBook:
 
     def _report(self, message: FindingMessage) -> None:
         try:
-            report = json.loads(message.report)
-        except ValueError:
+            report = parse_json(message.report)
+        except InputError:
             report = None
         if not isinstance(report, dict) or not isinstance(report.get("candidates"), list):
             self.troubles.append("the diagnosis sent a report that is none; it is left out")

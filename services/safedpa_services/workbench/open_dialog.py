@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import glob
+import re
 import tempfile
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -13,9 +13,11 @@ from nicegui import events, ui
 
 from safedpa.dynamics import PhysicsModel, load_model, shipped_models
 from safedpa.errors import SafedpaError
+from safedpa.limits import limit
 from safedpa.records import ColumnMap, load_column_map
 from safedpa.records.column_map import native_map
 from safedpa.records.column_map_file import shipped_column_maps
+from safedpa_services.web.shelf import RECORDINGS, Shelf
 from safedpa_services.workbench.column_form import Line, guessed, lines_of, map_of, map_text
 from safedpa_services.workbench.columns_table import ColumnsTable
 from safedpa_services.workbench.elements import action, escaped, named, text
@@ -31,8 +33,9 @@ _NATIVE = "native names"
 class OpenDialog:
     """Model, files, columns; a preview in SI units and what the quality checks say, before anything is opened."""
 
-    def __init__(self, on_open: Callable[[Choice], Awaitable[None]], out: Path) -> None:
-        self._on_open, self._out = on_open, out
+    def __init__(self, on_open: Callable[[Choice], Awaitable[None]], out: Path, shelf: Shelf) -> None:
+        self._on_open, self._out, self._shelf = on_open, out, shelf
+        self._uploaded_files = 0
         self._choice = Choice()
         self._raw = RawRows((), ())
         self._uploads: tempfile.TemporaryDirectory[str] | None = None
@@ -56,6 +59,7 @@ class OpenDialog:
             self._paths = ui.textarea("Recordings on this machine, one path or pattern a line (.csv .parquet .mcap)")
             self._paths.props("dense outlined autogrow").style("flex: 1").on("blur", self._refresh)
             upload = ui.upload(label="or upload them", multiple=True, auto_upload=True, on_upload=self._uploaded)
+            upload.props(f"max-file-size={limit('upload_bytes')} max-files={limit('uploads')}")
             upload.props('flat bordered accept=".csv,.parquet,.mcap" aria-label="upload recordings"')
             upload.style("width: 250px; max-height: 110px")
 
@@ -94,24 +98,31 @@ class OpenDialog:
     async def _uploaded(self, event: events.UploadEventArguments) -> None:
         if self._uploads is None:
             self._uploads = tempfile.TemporaryDirectory(prefix="safedpa-workbench-")
-        path = Path(self._uploads.name) / Path(event.file.name).name
+            self._shelf = self._shelf.with_folder(Path(self._uploads.name))
+        ending = Path(event.file.name).suffix.lower()
+        if self._uploaded_files >= limit("uploads") or ending not in RECORDINGS:
+            self._say(f"not taken: wanted a recording ({' '.join(RECORDINGS)}), at most {limit('uploads')} of them")
+            return
+        self._uploaded_files += 1
+        path = Path(self._uploads.name) / f"{self._uploaded_files:03d}_{_plain(event.file.name)}{ending}"
         await event.file.save(path)
-        self._paths.value = "\n".join([*self._files_named(), str(path)])
+        self._paths.value = "\n".join([*str(self._paths.value or "").splitlines(), str(path)])
         self._refresh()
 
     def _files_named(self) -> list[str]:
-        """The paths, patterns replaced by what they match."""
-        found: list[str] = []
-        for line in str(self._paths.value or "").splitlines():
-            pattern = str(Path(line.strip()).expanduser()) if line.strip() else ""
-            found += sorted(glob.glob(pattern)) or ([pattern] if pattern else [])
-        return list(dict.fromkeys(found))
+        """The paths, patterns replaced by what they match; none where one may not be opened, which is said."""
+        try:
+            return self._shelf.recordings(str(self._paths.value or "").splitlines())
+        except SafedpaError as error:
+            self._say(str(error))
+            return []
 
     # columns
 
     def _loaded_model(self) -> PhysicsModel | None:
         try:
-            return load_model(str(self._model.value)) if self._model.value else None
+            name = str(self._model.value or "")
+            return load_model(self._shelf.model(name, shipped_models())) if name else None
         except SafedpaError as error:
             self._say(str(error))
             return None
@@ -207,8 +218,11 @@ class OpenDialog:
     async def _open(self) -> None:
         model, paths = self._loaded_model(), self._files_named()
         if model is None or not paths:
-            self._say("Choose a model and at least one recording." if not paths else "Choose a model.")
-            return
+            if not str(self._paths.value or "").strip():
+                self._say("Choose a model and at least one recording.")
+            elif not self._model.value:
+                self._say("Choose a model.")
+            return  # else it was said what cannot be opened
         try:
             columns = self._made(model)
         except SafedpaError as error:
@@ -233,6 +247,11 @@ class OpenDialog:
             self._say(str(error))
             return
         ui.notify(f"Written: {path}", type="positive")
+
+
+def _plain(name: str) -> str:
+    """A name that a browser gave, as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", Path(name).stem)[:60]
 
 
 def _table(names: list[str], rows: Any) -> str:

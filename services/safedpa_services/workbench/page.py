@@ -11,6 +11,7 @@ from nicegui import background_tasks, events, ui
 
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import SafedpaError
+from safedpa_services.web.shelf import Shelf
 from safedpa_services.workbench import jobs
 from safedpa_services.workbench.brush import Brush
 from safedpa_services.workbench.elements import action, escaped, text
@@ -34,8 +35,9 @@ __all__ = ["Page"]
 class Page:
     """What one browser tab shows; its process ends with it."""
 
-    def __init__(self, choice: Choice, out: Path, door: RerunDoor, *, live: bool = False) -> None:
+    def __init__(self, choice: Choice, out: Path, door: RerunDoor, shelf: Shelf, *, live: bool = False) -> None:
         self._choice, self._out, self._door, self._live = choice, out, door, live
+        self._shelf = shelf
         self._session: Session | None = None
         self._given: PhysicsModel | None = None
         self._worker = Worker()
@@ -65,7 +67,7 @@ class Page:
                 self._where = WherePanel(self._axes, self._select, self._moment, self._cell)
                 self._candidates = CandidatesPanel(self._add, self._reject, self._cancel)
                 self._fall = FallPanel(self._look_at, self._undo, self._save)
-        self._dialog = OpenDialog(self._opened, self._out)
+        self._dialog = OpenDialog(self._opened, self._out, self._shelf)
         self._columns.set_visibility(False)
         self._busy("", 0.0)
 

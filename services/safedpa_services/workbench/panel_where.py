@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import events, ui
 
 from safedpa_services.workbench.brush import Brush, variables_of
-from safedpa_services.workbench.elements import action, named, panel, text
+from safedpa_services.workbench.elements import action, escaped, named, panel, text
 from safedpa_services.workbench.figures_where import brush_of_map, brush_of_time, map_figure, time_figure
 from safedpa_services.workbench.look import Look
 from safedpa_services.workbench.session import Session
@@ -90,7 +90,7 @@ class WherePanel:
         self._map.update_figure(map_figure(session, look))
         inside = session.inside
         hint = "Drag a box in either figure to select; a click on a cell selects it, a click on the line starts there."
-        self._said.set_content(hint if inside is None else inside.sentence)
+        self._said.set_content(escaped(hint if inside is None else inside.sentence))
         self.show_time(session, look)
 
     def show_time(self, session: Session, look: Look) -> None:

@@ -44,7 +44,7 @@ def take_pictures(arguments: Sequence[str], folder: Path, *, live: bool) -> Iter
             started = play.chromium.launch(executable_path=browser, args=list(_HOLD_BACK))
             page = started.new_page(viewport=_SIZE)  # type: ignore[arg-type]
             page.set_default_timeout(_PATIENCE)
-            page.goto(address + ("/live" if live else ""))
+            page.goto(address)
             for name, step in steps.items():
                 step(page)
                 page.wait_for_timeout(_MOMENT)
@@ -73,7 +73,7 @@ def _served(arguments: Sequence[str]) -> Iterator[str]:
         line = server.stdout.readline() if server.stdout is not None else ""
         if not line.startswith("Workbench:"):
             raise SafedpaError("pictures: the page could not be served; the reason stands above")
-        yield f"http://127.0.0.1:{port}"
+        yield line.split()[1]
     finally:
         server.terminate()
         server.wait(20)

@@ -6,7 +6,6 @@ import asyncio
 import secrets
 import tempfile
 import urllib.parse
-import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,11 @@ from fastapi import Response
 from fastapi.responses import FileResponse
 from nicegui import app
 
-from safedpa.bus.ports import free_port
 from safedpa.diagnosis.rollout import rollout
 from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats, Windows
-from safedpa.errors import RecordingError
+from safedpa.errors import RecordingError, SafedpaError
+from safedpa_services.web.viewer import VIEWER_POLICY, Viewer
 from safedpa_services.workbench.session import Session
 
 __all__ = ["RerunDoor", "write_view"]
@@ -30,11 +29,6 @@ _TIME_LINE = "t"
 _COLOURS = ((216, 94, 0), (138, 148, 160), (0, 114, 178))
 """Of the given version, those between, the present one; of Okabe and Ito."""
 _MEASURED = (200, 200, 200)
-_POLICY = (
-    "default-src 'self' blob: data:; script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:; "
-    "style-src 'self' 'unsafe-inline'; connect-src 'self' blob: data:; worker-src 'self' blob:"
-)
-"""Of the viewer's page: the browser refuses every other host, which the viewer would ask for news and fonts."""
 
 
 def write_view(session: Session, path: Path) -> None:
@@ -106,7 +100,7 @@ class RerunDoor:
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="safedpa-workbench-")
-        self._viewer = ""
+        self._viewer = Viewer()
         app.on_shutdown(self._folder.cleanup)
         app.get("/rerun/recordings/{name}", include_in_schema=False)(self._recording)
         app.get("/rerun/{name:path}", include_in_schema=False)(self._file)
@@ -115,8 +109,6 @@ class RerunDoor:
         """Writes the recording; returns the address at which the viewer shows it."""
         name = f"{secrets.token_hex(8)}.rrd"
         await asyncio.to_thread(write_view, session, Path(self._folder.name) / name)
-        if not self._viewer:
-            self._viewer = await asyncio.to_thread(_start_viewer)
         recording = urllib.parse.quote(f"{origin}/rerun/recordings/{name}", safe="")
         return f"/rerun/?url={recording}"
 
@@ -125,26 +117,13 @@ class RerunDoor:
         return FileResponse(path) if path.is_file() else Response(status_code=404)
 
     async def _file(self, name: str) -> Response:
-        if not self._viewer or ".." in name:
-            return Response(status_code=404)
-        address = f"{self._viewer}/{urllib.parse.quote(name)}"
         try:
-            content, kind = await asyncio.to_thread(_fetched, address)
-        except OSError:
+            found = await asyncio.to_thread(self._viewer.file, name)
+        except SafedpaError as error:
+            return Response(str(error), status_code=503)
+        if found is None:
             return Response(status_code=404)
+        content, kind = found
         # said to be encoded already: to compress 40 MB would hold up every page for seconds
-        headers = {"Content-Security-Policy": _POLICY, "Content-Encoding": "identity"}
+        headers = {"Content-Security-Policy": VIEWER_POLICY.format(more=""), "Content-Encoding": "identity"}
         return Response(content, media_type=kind, headers=headers)
-
-
-def _start_viewer() -> str:
-    import rerun as rr
-
-    port = free_port()
-    rr.serve_web_viewer(web_port=port, open_browser=False)
-    return f"http://127.0.0.1:{port}"
-
-
-def _fetched(address: str) -> tuple[bytes, str]:
-    with urllib.request.urlopen(address, timeout=20) as answer:
-        return answer.read(), answer.headers.get("Content-Type", "application/octet-stream")

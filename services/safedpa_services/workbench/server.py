@@ -14,17 +14,26 @@ from nicegui import Client, app, ui
 from safedpa.bus import Bus
 from safedpa.bus.process import Stop
 from safedpa.errors import InputError
+from safedpa.limits import limit
+from safedpa_services.web.guard import Guard
+from safedpa_services.web.hosts import is_loopback
+from safedpa_services.web.shelf import Shelf
+from safedpa_services.web.showing import show
 from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_page import LivePage
 from safedpa_services.workbench.page import Page
 from safedpa_services.workbench.recordings import Choice
 from safedpa_services.workbench.replay_link import ReplayLink
 from safedpa_services.workbench.rerun_view import RerunDoor
+from safedpa_services.workbench.serving import Serving
 
 __all__ = ["DEFAULT_PORT", "chosen_port", "serve"]
 
 DEFAULT_PORT = 8080
 _MOST_PORTS = 50
+_OPEN = (
+    "serves on {host}: every machine that reaches this one can ask for the page; who has the way in may change models"
+)
 _LISTEN_SECONDS = 0.1
 _RECONNECT_SECONDS = 10.0
 """s for which a page that lost its connection is kept."""
@@ -33,39 +42,50 @@ _RECONNECT_SECONDS = 10.0
 def serve(
     choice: Choice,
     out: Path,
-    host: str,
-    port: int,
+    serving: Serving,
     *,
     browser: bool,
     bus: Bus | Path | None = None,
     stop: Stop | None = None,
 ) -> None:
-    """Serves the page until it is interrupted or ``stop``; with a bus, or a recording of one, the live page as well."""
+    """Serves the page until it is interrupted or ``stop``; with a bus, or a recording of one, the live page as well.
+
+    Only who has the token comes in, and recordings are opened below the named folders alone.
+    """
     style = (files("safedpa_services.workbench") / "page.css").read_text(encoding="utf-8")
     link = None if bus is None else (ReplayLink(bus) if isinstance(bus, Path) else LiveLink(bus))
     door = RerunDoor()
+    shelf = Shelf.of((*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders)
+    app.add_middleware(Guard, door=serving.door)
 
     @ui.page("/", title="safedpa workbench")
     async def recordings(client: Client) -> None:
         ui.add_css(style)
-        page = Page(choice, out, door, live=link is not None)
+        page = Page(choice, out, door, shelf, live=link is not None)
         client.on_delete(page.close)
         await client.connected()
         await page.begin()
 
     if link is not None:
         _serve_live(link, style)
-    where = f"http://{_named(host)}:{port}" + ("" if link is None else "/live")
+    where = serving.address("/" if link is None else "/live")
     app.on_startup(lambda: click.echo(f"Workbench: {where}  (Ctrl-C ends it)"))
+    if not is_loopback(serving.host):
+        click.echo(f"Workbench: {_OPEN.format(host=serving.host)}", err=True)
+    if browser:
+        app.on_startup(lambda: show(where))
     if stop is not None:
         threading.Thread(target=_end_with, args=(stop,), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):  # which is how a person ends it
         ui.run(
-            host=host,
-            port=port,
+            host=serving.host,
+            port=serving.port,
+            ssl_certfile=serving.certificate,
+            ssl_keyfile=serving.key,
+            ws_max_size=limit("socket_bytes"),
             title="safedpa workbench",
             reload=False,
-            show="/live" if browser and link is not None else browser,
+            show=False,
             show_welcome_message=False,
             tailwind=False,
             reconnect_timeout=_RECONNECT_SECONDS,
@@ -103,7 +123,3 @@ def chosen_port(host: str, port: int | None) -> int:
                 continue
             return number
     raise InputError(f"--port: {DEFAULT_PORT} to {DEFAULT_PORT + _MOST_PORTS - 1} are all taken; name another one")
-
-
-def _named(host: str) -> str:
-    return "127.0.0.1" if host in ("0.0.0.0", "") else host

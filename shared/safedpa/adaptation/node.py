@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
@@ -26,6 +27,7 @@ from safedpa.bus import (
     Outputs,
     StateMessage,
 )
+from safedpa.bus.apart import AbstractTicket
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
 from safedpa.dynamics.offered import offered_model
@@ -127,6 +129,13 @@ class AdaptationNode(AbstractNode):
     def hear(self, robot: str, message: Message) -> None:  # noqa: D102
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
+
+    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractTicket]) -> None:  # noqa: D102
+        self._versions.hand_in = hand_in
+
+    def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
+        memory = self._robots.get(robot)
+        return None if memory is None else memory.newest
 
     def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
         self._versions.welcome(robot, status)

@@ -15,6 +15,7 @@ from safedpa.bus.messages import LARGEST_NUMBER, Message
 from safedpa.bus.requests import Answer, Request
 from safedpa.bus.topics import TOPICS
 from safedpa.errors import MessageError
+from safedpa.limits import limit
 
 __all__ = ["LARGEST_BYTES", "decode", "decode_by_field", "encode"]
 
@@ -24,6 +25,9 @@ LARGEST_BYTES: dict[type[Any], int] = {
     Answer: 8 * 1024 * 1024,  # two model files and their margins
 }
 """What is larger is refused before it is parsed, by kind of message."""
+
+_LARGEST_BY_FIELD = 65536
+"""Bytes; opened by field, one byte may become an object of 64 and more."""
 
 _M = TypeVar("_M", bound="Message | Request | Answer")
 _Check = Callable[[str, Any], Any]
@@ -49,14 +53,16 @@ def decode(kind: type[_M], payload: bytes) -> _M:
     try:
         message: _M = _READERS[kind](payload)
         return message
-    except (KeyError, ValueError, RecursionError):  # is refused with a sentence of our own, or by field
+    except (KeyError, ValueError, RecursionError) as error:  # is refused with a sentence of our own, or by field
+        if kind in _READERS and len(payload) > _LARGEST_BY_FIELD:
+            raise MessageError(f"{kind.__name__}: {str(error)[:200] or type(error).__name__}") from error
         return decode_by_field(kind, payload)
 
 
 def decode_by_field(kind: type[_M], payload: bytes) -> _M:
     """The same, each field by itself: the reference of the quick road, which takes an eighth of the time."""
     try:
-        table = msgpack.unpackb(payload, use_list=False, strict_map_key=True)
+        table = msgpack.unpackb(payload, use_list=False, strict_map_key=True, max_map_len=limit("message_entries"))
     except (ValueError, msgpack.exceptions.UnpackException, UnicodeDecodeError) as error:
         raise MessageError(f"{kind.__name__}: no msgpack ({error})") from error
     if not isinstance(table, dict):
@@ -168,7 +174,8 @@ _FIELDS: dict[type[Any], tuple[tuple[str, str, _Check, bool], ...]] = {
     for kind in LARGEST_BYTES
 }
 _READERS: dict[type[Any], Callable[[bytes], Any]] = {
-    topic.message: msgspec.msgpack.Decoder(topic.message).decode for topic in TOPICS.values()
+    **{topic.message: msgspec.msgpack.Decoder(topic.message).decode for topic in TOPICS.values()},
+    **{kind: msgspec.msgpack.Decoder(kind).decode for kind in (Request, Answer)},
 }
 """Decoders that know the types and the ranges of the fields, and refuse what does not fit; written in C."""
 _pack = msgspec.msgpack.Encoder().encode

@@ -11,11 +11,13 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar, final
 
+from safedpa.bus.apart import AbstractTicket
 from safedpa.bus.messages import ModelMessage, StateMessage, TakeoverMessage
 from safedpa.bus.requests import Answer
+from safedpa.limits import limit, too_much
 
 __all__ = ["ModelVersions"]
 
@@ -42,7 +44,9 @@ class _Robot(Generic[Held]):
 
     version: _Version[Held]
     offer: ModelMessage | None = None
-    """Not looked at yet."""
+    """Not ready yet."""
+    ticket: AbstractTicket | None = None
+    """While the offer is tried in a process of its own."""
     prepared: _Version[Held] | None = None
     take: ModelMessage | None = None
     """For the prepared version: from when on it is used."""
@@ -70,6 +74,8 @@ class ModelVersions(Generic[Held]):
         self._service, self._load, self._foretell = service, load, foretell
         self._first = _Version(first, fingerprint)
         self._robots: dict[str, _Robot[Held]] = {}
+        self.hand_in: Callable[[str, ModelMessage], AbstractTicket] | None = None
+        """Tries an offer in a process of its own; None: offers are loaded at once, as between trusted nodes."""
 
     def of(self, robot: str) -> Held:
         """What is in force for the robot."""
@@ -134,7 +140,8 @@ class ModelVersions(Generic[Held]):
         )
         self._hear_offer(known, pending)
         if status.pending == "take":
-            self._prepare(robot, known)
+            self._load_offer(robot, known, pending)  # all services said that they can use it
+            known.offer = None
             self._hear_take(known, _take(status, pending))
 
     def begin(self, robot: str, state: StateMessage) -> bool:
@@ -154,7 +161,7 @@ class ModelVersions(Generic[Held]):
         known = self._robots.get(robot)
         if known is None:
             return None
-        self._prepare(robot, known)
+        self._prepare(robot, known, wait=state.lockstep)
         if not known.answers:
             return None
         message, outcome, said = known.answers.popleft()
@@ -184,7 +191,7 @@ class ModelVersions(Generic[Held]):
         elif _is(known.version, message):
             known.answers.append((message, "taken", ""))
         else:
-            known.offer, known.prepared, known.take = message, None, None
+            known.offer, known.ticket, known.prepared, known.take = message, None, None, None
 
     def _hear_take(self, known: _Robot[Held], message: ModelMessage) -> None:
         if _is(known.prepared, message):
@@ -196,18 +203,42 @@ class ModelVersions(Generic[Held]):
 
     def _hear_drop(self, known: _Robot[Held], message: ModelMessage) -> None:
         if known.offer is not None and known.offer.change == message.change:
-            known.offer = None
+            known.offer = known.ticket = None
         if known.prepared is not None and known.prepared.change == message.change and known.take is None:
             known.prepared = None
 
-    def _prepare(self, robot: str, known: _Robot[Held]) -> None:
-        offer, known.offer = known.offer, None
+    def _prepare(self, robot: str, known: _Robot[Held], *, wait: bool) -> None:
+        offer = known.offer
         if offer is None:
             return
+        if self.hand_in is not None and not self._has(known, offer):
+            if known.ticket is None:
+                problem = _too_large(offer)
+                if problem:
+                    known.offer = None
+                    known.answers.append((offer, "refused", problem))
+                    return
+                known.ticket = self.hand_in(robot, offer)
+            outcome = known.ticket.outcome(wait=wait)
+            if outcome is None:
+                return
+            known.offer = known.ticket = None
+            problem = str(outcome.get("problem", ""))
+            if problem:
+                known.answers.append((offer, "refused", problem[:_LONGEST_REASON]))
+                return
+            offer = replace(offer, document=str(outcome.get("document", offer.document)))
+        known.offer = None
+        self._load_offer(robot, known, offer)
+
+    def _load_offer(self, robot: str, known: _Robot[Held], offer: ModelMessage) -> None:
         known.prepared = self._made(robot, known, offer)
         if known.prepared is not None:
             told = "" if self._foretell is None else self._foretell(robot, known.prepared.held)
             known.answers.append((offer, "ready", told[:_LONGEST_REASON]))
+
+    def _has(self, known: _Robot[Held], offer: ModelMessage) -> bool:
+        return any(_same(version, offer.fingerprint, offer.margin) for version in (known.version, self._first))
 
     def _made(self, robot: str, known: _Robot[Held], offer: ModelMessage) -> _Version[Held] | None:
         for version in (known.version, self._first):
@@ -220,6 +251,12 @@ class ModelVersions(Generic[Held]):
             reason = " ".join(str(error).split()) or type(error).__name__
             known.answers.append((offer, "refused", reason[:_LONGEST_REASON]))
             return None
+
+
+def _too_large(offer: ModelMessage) -> str:
+    """Why an offer is not even handed on; empty where it is."""
+    longest = max(len(offer.document), len(offer.margin))
+    return str(too_much("offer_bytes", f"{longest} letters")) if longest > limit("offer_bytes") else ""
 
 
 def _same(version: _Version[Held], fingerprint: str, margin: str) -> bool:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from safedpa.bus.messages import Message, StateMessage
+from safedpa.bus.apart import AbstractTicket
+from safedpa.bus.messages import Message, ModelMessage, StateMessage
 from safedpa.bus.requests import Answer
 from safedpa.bus.topics import Topic
 
@@ -73,6 +74,15 @@ class AbstractNode(ABC):
     def hear(self, robot: str, message: Message) -> None:
         """Takes a message of one of the topics in ``listens``; each once, in order, whatever tick it belongs to."""
         del robot, message
+
+    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractTicket]) -> None:
+        """From now on offered models are tried by ``hand_in(robot, offer)`` before this process looks into them."""
+        del hand_in
+
+    def newest(self, robot: str) -> StateMessage | None:
+        """The robot's newest state, to try an offered model at; None without one."""
+        del robot
+        return None
 
     def welcome(self, robot: str, status: Answer | None) -> None:
         """Told before the first step for a robot that this process has not met, when MODEL is among ``listens``.

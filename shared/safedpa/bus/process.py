@@ -21,15 +21,19 @@ from types import TracebackType
 
 from safedpa.bus.bus import Bus
 from safedpa.bus.certificates import Certificates
+from safedpa.bus.doorkeeper import as_many_descriptors_as_allowed
 from safedpa.bus.log import log_event
 from safedpa.bus.version import software_version
 from safedpa.bus.zenoh_transport import Mode, ZenohSettings, ZenohTransport
-from safedpa.errors import BusError, SafedpaError
+from safedpa.errors import BusError, JoinError, SafedpaError
+from safedpa.limits import readable
 
 __all__ = ["Stop", "Urgency", "add_bus_options", "bus_from", "lifetime", "run_process", "settings_from"]
 
 EXIT_CRASHED = 70
 EXIT_BAD_INPUT = 2
+EXIT_NOT_LET_IN = 75
+"""Nobody let it join the bus; whoever started it goes on trying."""
 EXIT_INTERRUPTED = 130
 """A second signal: it ended at once, whatever was not finished."""
 
@@ -144,6 +148,7 @@ def run_process(
     options = parser.parse_args()
     if options.log:
         os.environ["SAFEDPA_LOG"] = options.log  # for what this process starts, too
+    as_many_descriptors_as_allowed()
     stop = Stop()
     stop.listen_to_signals(lambda: _leave(EXIT_INTERRUPTED))
     if options.realtime:
@@ -153,8 +158,8 @@ def run_process(
     try:
         code = work(options, stop)
     except SafedpaError as error:
-        sys.stderr.write(f"{parser.prog}: {' '.join(str(error).split())}\n")
-        code = EXIT_BAD_INPUT
+        code = EXIT_NOT_LET_IN if isinstance(error, JoinError) else EXIT_BAD_INPUT
+        sys.stderr.write(f"{parser.prog}: {readable(' '.join(str(error).split()), 2000)}\n")
     _leave(code)
 
 

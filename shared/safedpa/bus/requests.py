@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from safedpa.bus.messages import Count
 from safedpa.bus.topics import STATE, key_of
 from safedpa.errors import InputError
 
@@ -29,7 +30,7 @@ class Request:
     """Name of the candidate to accept or reject."""
     model: str = ""
     """Fingerprint of the model that the asker saw in force; a change is refused when it is not that one any more."""
-    finding: int = 0
+    finding: Count = 0
     """Number of the finding whose candidate it is."""
     who: str = ""
     """Who asks, for the recording."""
@@ -42,7 +43,7 @@ class Answer:
     ok: bool
     sentence: str
     """What is done, or why it is refused."""
-    change: int = 0
+    change: Count = 0
     """Number of the change that this is about, or of the last one."""
     fingerprint: str = ""
     """Of the model in force; empty when the robot is not known."""
@@ -58,11 +59,11 @@ class Answer:
     """Its file."""
     pending_margin: str = ""
     """Its margin."""
-    epoch: int = 0
+    epoch: Count = 0
     """With a pending ``take``: the robot's epoch at the decision."""
-    from_tick: int = 0
+    from_tick: Count = 0
     """With a pending ``take``: the tick of that epoch from which the pending model is in force."""
-    finding: int = 0
+    finding: Count = 0
     """Number of the newest finding; 0 while there was none."""
     candidates: tuple[str, ...] = ()
     """Effects that can be accepted now, best first."""

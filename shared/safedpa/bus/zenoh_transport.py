@@ -18,9 +18,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
 from safedpa.bus.certificates import Certificates
+from safedpa.bus.doorkeeper import Doorkeeper, defer_accept
 from safedpa.bus.log import log_event
 from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
-from safedpa.errors import BusError
+from safedpa.errors import BusError, JoinError
 
 if TYPE_CHECKING:
     import zenoh
@@ -34,6 +35,10 @@ _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
 """No network parts peers on one machine, but a machine that has too much to do keeps signs of life waiting for 0.5 s
 and more, and a link between peers that found each other is not made anew. A process that dies is seen at once anyway.
 """
+_ACCEPT_MILLISECONDS = 1000
+"""For a handshake, once its first bytes are there: it takes 3 ms; by default a stranger has five times as long."""
+_MOST_ON_THEIR_WAY = 2000
+"""Connections whose handshake goes on; by default 100, and then nobody else gets in."""
 _ALIVE_TIMEOUT_SECONDS = 1.0
 _MOST_GATHERED = 4096
 """Messages of one subscription that wait to be collected; beyond, the oldest give way. A thousand robots send so many
@@ -93,7 +98,7 @@ class ZenohSettings:
         listen = self.listen or (("tcp/127.0.0.1:0",) if self.mode == "peer" else ())
         return {
             "mode": self.mode,
-            "listen/endpoints": list(listen),
+            "listen/endpoints": [*map(_in_haste, listen)],
             "connect/endpoints": list(self.connect),
             "connect/timeout_ms": round(1000.0 * self.patience),
             "connect/exit_on_failure": True,
@@ -103,6 +108,8 @@ class ZenohSettings:
             "scouting/gossip/enabled": self.mode == "peer",
             "scouting/delay": 200 if alone else 0,
             "timestamping/enabled": True,
+            "transport/unicast/accept_timeout": _ACCEPT_MILLISECONDS,
+            "transport/unicast/accept_pending": _MOST_ON_THEIR_WAY,
             "transport/link/tx/lease": self._lease_milliseconds,
             "transport/shared_memory/enabled": False,
             **({} if self.certificates is None else _tls(self.certificates)),
@@ -129,6 +136,12 @@ def _tls(certificates: Certificates) -> dict[str, Any]:
     }
 
 
+def _in_haste(endpoint: str) -> str:
+    """An endpoint to listen on where nobody has longer for the handshake of TLS."""
+    plain = not endpoint.startswith("tls/") or "#" in endpoint
+    return endpoint if plain else f"{endpoint}#tls_handshake_timeout_ms={_ACCEPT_MILLISECONDS}"
+
+
 def _is_loopback(endpoint: str) -> bool:
     """Whether an endpoint like ``tcp/127.0.0.1:7447`` can be reached from this machine alone."""
     host = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
@@ -153,10 +166,13 @@ class ZenohTransport(AbstractTransport):
                 configuration.insert_json5(path, json.dumps(value))
             self._session = zenoh.open(configuration)
         except zenoh.ZError as error:
-            raise BusError(
+            raise JoinError(
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
                 f"({_first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error
+        ports = defer_accept() if settings.listen or settings.mode != "client" else set()
+        guards = settings.listen and settings.certificates is None  # of TLS each one cut off costs Zenoh 0.1 s
+        self._doorkeeper = Doorkeeper(ports, self._far_ends) if guards else None
         _warn_of_plain_text(settings.plain_endpoints)
         self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         self._declared: list[Any] = []
@@ -251,7 +267,19 @@ class ZenohTransport(AbstractTransport):
         """Common name of the certificate of a linked session by its Zenoh id; empty when there is none."""
         return dict(self.members()).get(session, "")
 
+    def _far_ends(self) -> set[tuple[str, int]]:
+        """Addresses of those who are linked to this session."""
+        found = set()
+        for link in self._session.info.links():
+            for end in (str(link.dst), str(link.src)):
+                host, _, port = end.partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")
+                if port.isdecimal():
+                    found.add((host.strip("[]"), int(port)))
+        return found
+
     def close(self) -> None:  # noqa: D102
+        if self._doorkeeper is not None:
+            self._doorkeeper.close()
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from hashlib import sha256
 
 from safedpa.dynamics.model_file import write_model
 from safedpa.dynamics.physics import PhysicsModel
+from safedpa.limits import parse_toml
 
 __all__ = ["fingerprint"]
 
@@ -17,6 +17,6 @@ def fingerprint(model: PhysicsModel) -> str:
 
     Of learned networks the numbers count, by their digest, not the name of the file that they are in.
     """
-    table = tomllib.loads(write_model(model))
+    table = parse_toml(write_model(model))
     table.get("networks", {}).pop("weights", None)
     return sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:12]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -20,6 +19,7 @@ from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, ModelFileError, did_you_mean
+from safedpa.limits import limit, parse_toml, text_of_file, too_much
 from safedpa.networks import load_weights, save_weights
 
 __all__ = ["FORMAT", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
@@ -40,7 +40,7 @@ def load_model(source: str | Path) -> PhysicsModel:
     if not path.exists() and path.stem in shipped and path.parent == Path():
         path = shipped[path.stem]
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of_file(path, "toml_bytes")
     except (OSError, UnicodeDecodeError) as error:
         raise ModelFileError(
             f"{source}: cannot be read ({error}); wanted a model file, or one of {', '.join(shipped)}"
@@ -64,9 +64,9 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
     """
     load_own_of_environment()
     try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ModelFileError(f"not TOML: {error}") from error
+        table = parse_toml(text)
+    except InputError as error:
+        raise ModelFileError(str(error)) from error
     _refuse_unknown(table, _TOP, "")
     if table.get("format") != FORMAT:
         got = f"got {table['format']!r}" if "format" in table else "missing"
@@ -84,6 +84,9 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
         item = _effect(base, entry)
         effects.append(item)
         settings.update(_settings(item.name, item.parameters, entry, ("name",)))
+    free = sum(setting.free for setting in settings.values())
+    if free > limit("model_free"):
+        raise ModelFileError(str(too_much("model_free", free)))
     return PhysicsModel(base, effects, settings, period)
 
 
@@ -188,6 +191,8 @@ def _effect_tables(table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     entries = table.get("effects", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ModelFileError("effects: wanted one table [[effects]] per effect, with the key 'name'")
+    if len(entries) > limit("model_effects"):
+        raise ModelFileError(str(too_much("model_effects", len(entries))))
     return entries
 
 

@@ -8,6 +8,7 @@ from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.model_file import parse_model
 from safedpa.dynamics.physics import PhysicsModel
 from safedpa.errors import ModelFileError
+from safedpa.limits import check_plain_model
 
 __all__ = ["offered_model"]
 
@@ -15,9 +16,10 @@ __all__ = ["offered_model"]
 def offered_model(offer: ModelMessage, current: PhysicsModel) -> PhysicsModel:
     """The model that the offer's document describes.
 
-    Networks do not travel: a learned model must have the weights of the current one. Raises ModelFileError when the
-    document is broken, belongs to another system or period, or is not the model that the offer names.
+    Networks do not travel: a learned model must have the weights of the current one. Raises InputError when the
+    document is not plain, is broken, belongs to another system or period, or is not the model that the offer names.
     """
+    check_plain_model(offer.document)
     weights = current.base.weights if isinstance(current.base, LearnedBase) else None
     folder = None if weights is None or weights.source is None else weights.source.parent
     model = parse_model(offer.document, folder)

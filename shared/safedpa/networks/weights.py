@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import check_tensor_file, parse_json
 
 __all__ = ["FORMAT", "STRIDE", "Description", "EnvironmentEntry", "Weights", "load_weights", "save_weights"]
 
@@ -22,7 +23,6 @@ STRIDE = 4
 _KEY = "safedpa"
 _VECTORS = ("feature_middle", "feature_scale", "action_middle", "action_scale", "increment_scale")
 _LATENT_VECTORS = ("latent_low", "latent_high", "latent_nominal")
-_MOST_BYTES = 100_000_000
 
 
 @final
@@ -57,7 +57,7 @@ class Description:
     @staticmethod
     def from_json(text: str) -> Description:
         """Raises InputError naming the key."""
-        table = json.loads(text)
+        table = parse_json(text)
         if not isinstance(table, dict) or table.pop("format", None) != FORMAT:
             raise InputError(f"description: wanted format {FORMAT}; this program reads no other")
         known = Description.__dataclass_fields__
@@ -199,8 +199,7 @@ def load_weights(path: str | Path) -> Weights:
 
     path = Path(path)
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise InputError(f"{path.stat().st_size} bytes, wanted at most {_MOST_BYTES}; are these weights?")
+        check_tensor_file(path)
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
             tensors = {name: np.asarray(file.get_tensor(name), dtype=np.float32) for name in file.keys()}  # noqa: SIM118

@@ -26,6 +26,7 @@ from safedpa.bus import (
     Topic,
     WishMessage,
 )
+from safedpa.bus.apart import AbstractTicket
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.dynamics.offered import offered_model
@@ -97,6 +98,12 @@ class PolicyNode(AbstractNode):
     def hear(self, robot: str, message: Message) -> None:  # noqa: D102
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
+
+    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractTicket]) -> None:  # noqa: D102
+        self._versions.hand_in = hand_in
+
+    def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
+        return self._states.get(robot)
 
     def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
         self._versions.welcome(robot, status)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from safedpa.errors import ColumnMapError, did_you_mean
+from safedpa.errors import ColumnMapError, InputError, did_you_mean
+from safedpa.limits import parse_toml, text_of_file
 from safedpa.records.column_map import (
     DERIVATIONS,
     KEEPABLE,
@@ -39,7 +39,7 @@ def load_column_map(source: str | Path) -> ColumnMap:
     if not path.exists() and path.stem in shipped and path.parent == Path():
         path = shipped[path.stem]
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of_file(path, "toml_bytes")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ColumnMapError(
@@ -63,9 +63,9 @@ def parse_column_map(text: str, name: str = "map") -> ColumnMap:
     Raises ColumnMapError naming the key.
     """
     try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ColumnMapError(f"not TOML: {error}") from error
+        table = parse_toml(text)
+    except InputError as error:
+        raise ColumnMapError(str(error)) from error
     _refuse_unknown(table, _TOP, "")
     if table.get("format") != FORMAT:
         raise ColumnMapError(f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import RunError
+from safedpa.limits import limit, too_much
 from safedpa.records.run import Finding
 from safedpa.records.table import Table, require_columns, require_file
 
@@ -23,7 +24,7 @@ __all__ = ["read_csv_table"]
 
 _DELIMITERS = ",;\t"
 _NULLS = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "-nan"]
-_LONGEST_HEADER = 1 << 16
+_PIECE = 1 << 16
 _FIRST = 60
 """Lines among which the header is looked for."""
 _COMMENTS = ("#", "%", "//")
@@ -38,7 +39,11 @@ def read_csv_table(path: Path, wanted: Sequence[str]) -> Table:
     import pyarrow
 
     require_file(path)
+    if path.stat().st_size > limit("table_bytes"):
+        raise too_much("table_bytes", f"{path.stat().st_size} bytes", str(path))
     layout = _layout(path, wanted)
+    if len(layout.header) > limit("columns"):
+        raise too_much("columns", len(layout.header), str(path))
     require_columns(path, wanted, layout.header)
     if not _has_rows(path, layout):
         return Table({name: np.empty(0) for name in wanted}, layout.findings)
@@ -125,14 +130,22 @@ def _twice_as_many(rows: Sequence[str], cells: int) -> bool:
 
 def _first_lines(path: Path) -> list[bytes]:
     """The lines among which the header is looked for, up to line ends of any kind."""
+    most = limit("header_bytes")
     with path.open("rb") as file:
-        return file.read(_LONGEST_HEADER).splitlines()[:_FIRST] or [b""]
+        start = file.read(most + 1)
+    lines = start.splitlines()[:_FIRST] or [b""]
+    if len(start) > most and len(lines) == 1:
+        raise too_much("header_bytes", f"more than {most} bytes in the first line", str(path))
+    return lines
 
 
 def _has_rows(path: Path, layout: _Layout) -> bool:
     with path.open("rb") as file:
         file.seek(sum(len(line) for line in _first_lines(path)[: layout.before + 1]))
-        return any(line.strip() for line in file)
+        while piece := file.read(_PIECE):
+            if piece.strip():
+                return True
+    return False
 
 
 def _texts(path: Path, wanted: Sequence[str], layout: _Layout, malformed: list[tuple[int, int]]) -> pyarrow.Table:

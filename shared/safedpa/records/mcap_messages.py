@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
-import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 from safedpa.bus.codec import decode
 from safedpa.bus.messages import Message
 from safedpa.bus.topics import Topic, topic_of
-from safedpa.errors import InputError, MessageError, RunError
+from safedpa.errors import InputError, MessageError
+from safedpa.records.mcap_records import DamageError, records_of
 from safedpa.records.run import Finding
 from safedpa.records.table import require_file
 
@@ -20,10 +19,6 @@ if TYPE_CHECKING:
     from mcap.records import Channel
 
 __all__ = ["read_messages", "read_payloads"]
-
-_MAGIC = b"\x89MCAP0\r\n"
-_LARGEST_RECORD_BYTES = 64 * 1024 * 1024
-"""Chunks are some kilobytes; a longer record is damage, which must not fill the memory."""
 
 
 def read_messages(
@@ -80,33 +75,10 @@ def _known(channel: Channel) -> tuple[str, Topic] | None:
 
 def _records(path: Path, findings: list[Finding]) -> Iterator[Any]:
     """Records of the file, chunks opened, up to its end or to the first damage."""
-    import zstandard
-    from mcap.exceptions import McapError
-    from mcap.stream_reader import StreamReader
-
-    with _Bounded(path.open("rb", buffering=0)) as file:
-        if file.read(len(_MAGIC)) != _MAGIC:
-            raise RunError(f"{path}: is no MCAP file; wanted a recording of the bus")
-        file.seek(0)
-        records = StreamReader(file, validate_crcs=True, record_size_limit=_LARGEST_RECORD_BYTES).records
-        while True:
-            try:
-                record = next(records)
-            except StopIteration:
-                return
-            except (McapError, ValueError, struct.error, zstandard.ZstdError):
-                findings.append(_damage(file.tell(), path.stat().st_size))
-                return
-            yield record
-
-
-@final
-class _Bounded(io.BufferedReader):
-    """A file of which nobody reads more at once than a record may have: lengths within a record can be damaged, too."""
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """At most ``size`` bytes; fewer than asked for is an end of the file to whoever reads a record."""
-        return super().read(size if size is None else min(size, _LARGEST_RECORD_BYTES))
+    try:
+        yield from records_of(path)
+    except DamageError as damage:
+        findings.append(_damage(damage.offset, damage.size))
 
 
 def _damage(offset: int, size: int) -> Finding:

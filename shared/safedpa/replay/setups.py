@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import AbstractNode, SetupMessage
 from safedpa.dynamics import PhysicsModel, parse_model, shipped_models
 from safedpa.errors import InputError
+from safedpa.limits import parse_toml
 from safedpa.policy import PolicyNode
 from safedpa.replay.tape import options_of
 from safedpa.safety.margin_text import margin_from_text
@@ -43,8 +43,8 @@ def model_of_document(document: str, folders: tuple[Path, ...] = ()) -> PhysicsM
     Raises InputError when the document is broken or the weights are nowhere.
     """
     try:
-        name = tomllib.loads(document).get("networks", {}).get("weights")
-    except (tomllib.TOMLDecodeError, AttributeError) as error:
+        name = parse_toml(document).get("networks", {}).get("weights")
+    except (InputError, AttributeError) as error:
         raise InputError(f"model: {error}; wanted the text of a model file") from error
     if name is None:
         return parse_model(document)

@@ -5,7 +5,6 @@ Messages of one sender stand in a recording in the order in which they were sent
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,7 +32,8 @@ from safedpa.bus import (
     decode,
     topic_of,
 )
-from safedpa.errors import MessageError, RunError, did_you_mean
+from safedpa.errors import InputError, MessageError, RunError, did_you_mean
+from safedpa.limits import parse_json
 from safedpa.policy import PolicyNode
 from safedpa.records import Finding
 from safedpa.records.mcap_messages import read_payloads
@@ -189,8 +189,8 @@ def _serves(setup: SetupMessage, robot: str) -> bool:
 def options_of(setup: SetupMessage) -> dict[str, Any]:
     """The command line's options with which a process runs; empty where they are not readable."""
     try:
-        options = json.loads(setup.options)
-    except ValueError:
+        options = parse_json(setup.options)
+    except InputError:
         return {}
     return options if isinstance(options, dict) else {}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from safedpa.dynamics import AbstractDynamics, PhysicsModel, fingerprint
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import parse_toml, text_of_file
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.margin import smallest_sample, split_conformal_margin
 from safedpa.safety.prediction import Prediction
@@ -120,10 +120,7 @@ class MarginCalibration:
     @staticmethod
     def parse(text: str) -> MarginCalibration:
         """The calibration that a TOML text holds; raises InputError naming the key."""
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"not TOML: {error}") from error
+        table = parse_toml(text)
         for key in table:
             if key not in (known := (*_KEYS, *_SAID, *_OPTIONAL)):
                 raise InputError(f"{key}: unknown key; {did_you_mean(key, known)}")
@@ -142,7 +139,7 @@ class MarginCalibration:
     def load(path: str | Path) -> MarginCalibration:
         """The calibration in a file; raises InputError naming the file and the key."""
         try:
-            return MarginCalibration.parse(Path(path).read_text(encoding="utf-8"))
+            return MarginCalibration.parse(text_of_file(Path(path), "toml_bytes"))
         except (OSError, UnicodeDecodeError, InputError) as error:
             raise InputError(f"{path}: {error}") from error
 

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict
 
 from safedpa.errors import InputError
+from safedpa.limits import parse_json
 from safedpa.safety.calibration import MarginCalibration
 
 __all__ = ["margin_from_text", "margin_text"]
@@ -19,6 +20,6 @@ def margin_text(calibration: MarginCalibration) -> str:
 def margin_from_text(text: str) -> MarginCalibration:
     """The calibration that a JSON text holds. Raises InputError naming what is wrong."""
     try:
-        return MarginCalibration(**json.loads(text))
+        return MarginCalibration(**parse_json(text))
     except (ValueError, TypeError, InputError) as error:
         raise InputError(f"margin: {error}; wanted a calibration as JSON text") from error

@@ -6,7 +6,7 @@ Whatever is missing, an action goes out in time: without a wish, or with a laten
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, final
 
 from safedpa.bus import (
@@ -30,6 +30,7 @@ from safedpa.bus import (
     VerdictMessage,
     WishMessage,
 )
+from safedpa.bus.apart import AbstractTicket
 from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety.calibration import MarginCalibration
@@ -170,6 +171,13 @@ class SafetyFilterNode(AbstractNode):
     def hear(self, robot: str, message: Message) -> None:  # noqa: D102
         assert isinstance(message, ModelMessage)
         self._versions.hear(robot, message)
+
+    def try_apart(self, hand_in: Callable[[str, ModelMessage], AbstractTicket]) -> None:  # noqa: D102
+        self._versions.hand_in = hand_in
+
+    def newest(self, robot: str) -> StateMessage | None:  # noqa: D102
+        memory = self._robots.get(robot)
+        return None if memory is None or memory.decision is None else memory.decision.state
 
     def welcome(self, robot: str, status: Answer | None) -> None:  # noqa: D102
         self._versions.welcome(robot, status)

@@ -17,6 +17,7 @@ from types import MappingProxyType
 
 from safedpa.bus import Answer, Request
 from safedpa.errors import InputError
+from safedpa.limits import parse_json, text_of_file
 
 __all__ = ["EVERYBODY", "Orders"]
 
@@ -109,13 +110,13 @@ def _named(robot: str) -> str:
 def _read(path: Path) -> dict[str, str]:
     """The orders kept; one to stop everybody where the file is there but cannot be read."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of_file(path, "json_bytes")
     except FileNotFoundError:
         return {}
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, InputError) as error:
         return {EVERYBODY: f"since the orders in {path} cannot be read ({type(error).__name__})"}
-    with contextlib.suppress(ValueError, AttributeError):
-        table = json.loads(text)
+    with contextlib.suppress(InputError, AttributeError):
+        table = parse_json(text)
         orders = table.get("orders")
         if table.get("format") == _FORMAT and isinstance(orders, dict):
             return {str(robot): str(why) for robot, why in orders.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import parse_toml, text_of_file
 from safedpa.safety.braking import Braking
 
 __all__ = [
@@ -176,7 +176,7 @@ _POSITIVE = (
 def load_settings(path: str | Path) -> FilterSettings:
     """Settings from a TOML file; raises InputError naming the file and the key."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = text_of_file(Path(path), "toml_bytes")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); wanted a settings file of the filter") from error
     try:
@@ -187,10 +187,7 @@ def load_settings(path: str | Path) -> FilterSettings:
 
 def parse_settings(text: str) -> FilterSettings:
     """Settings from a TOML text; keys left out keep their defaults. Raises InputError naming the key."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"not TOML: {error}") from error
+    table = parse_toml(text)
     known = [item.name for item in fields(FilterSettings)]
     if table.pop("format", FORMAT) != FORMAT:
         raise InputError(f"format: wanted {FORMAT}; this program reads no other")

@@ -178,6 +178,7 @@ def _keep(path: Path, result: DriveResult) -> None:
 
 
 def _kept(path: Path) -> DriveResult:
+    check_archive(path)
     with np.load(path) as table:
         about, heights = json.loads(str(table["about"])), np.array(table["heights"])
     steps = about.pop("steps")

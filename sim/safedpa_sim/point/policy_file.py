@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
+from safedpa.limits import check_tensor_file, parse_json
 from safedpa.networks import dense_stack
 from safedpa.networks.layers import layers_of
 from safedpa.records.atomic import atomic_path
@@ -58,8 +59,9 @@ def load_policy(path: Path) -> BaselinePolicy:
     from safetensors import SafetensorError, safe_open
 
     try:
+        check_tensor_file(path)
         with safe_open(path, framework="numpy") as file:
-            told = json.loads((file.metadata() or {}).get(_KEY, "{}"))
+            told = parse_json((file.metadata() or {}).get(_KEY, "{}"))
             tensors = {name: np.asarray(file.get_tensor(name), np.float32) for name in file.keys()}  # noqa: SIM118
         return BaselinePolicy(tensors, told)
     except (OSError, SafetensorError, ValueError, InputError) as error:

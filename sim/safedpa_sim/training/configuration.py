@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from hashlib import sha256
@@ -16,6 +15,7 @@ from safedpa.dynamics import PhysicsModel, load_model, write_model
 from safedpa.dynamics.settings import wanted
 from safedpa.effects import Parameter, effect
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import parse_toml, text_of_file
 
 __all__ = [
     "Ablations",
@@ -241,7 +241,7 @@ def load_configuration(source: str | Path = "car") -> Configuration:
     if not path.exists() and path.parent == Path():
         path = configurations().get(path.stem, path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of_file(path, "toml_bytes")
         return parse_configuration(text, path.parent)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
@@ -253,10 +253,7 @@ def load_configuration(source: str | Path = "car") -> Configuration:
 
 def parse_configuration(text: str, folder: Path) -> Configuration:
     """The configuration that a TOML text describes; its simulator's file is sought in ``folder``."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"not TOML: {error}") from error
+    table = parse_toml(text)
     _refuse_unknown(table, [item.name for item in fields(Configuration)], "")
     if not isinstance(table.get("simulator"), str):
         raise InputError(f"simulator: got {table.get('simulator')!r}, wanted the path of a model file")

@@ -5,6 +5,7 @@ A robot's diagnosis reads its own recording alone; reading the whole for every r
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 
 from safedpa.bus.topics import STATE, topic_of
 from safedpa.errors import InputError, SafedpaError
+from safedpa.records.mcap_records import DamageError, channels_at_end, records_of
 
 __all__ = ["robots_in", "split_recording"]
 
@@ -30,19 +32,8 @@ def robots_in(path: Path) -> tuple[list[str], str]:
 
 def _indexed(path: Path) -> set[str] | None:
     """The robots by the index at the recording's end; None where it has none (not closed, damaged, or no recording)."""
-    import struct
-
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-
-    with path.open("rb") as file:
-        try:
-            summary = make_reader(file).get_summary()
-        except (McapError, ValueError, struct.error, EOFError):
-            return None
-    if summary is None or not summary.channels:
-        return None
-    return {robot for robot in map(_state_robot, summary.channels.values()) if robot}
+    channels = channels_at_end(path)
+    return None if channels is None else {robot for robot in map(_state_robot, channels) if robot}
 
 
 def split_recording(path: Path, folder: Path) -> dict[str, Path]:
@@ -99,20 +90,5 @@ def _state_robot(channel: Any) -> str:
 
 def _records(path: Path) -> Iterator[Any]:
     """Records of a recording up to its end or to the first damage. Raises InputError when it is none."""
-    import struct
-
-    import zstandard
-    from mcap.exceptions import McapError
-    from mcap.stream_reader import StreamReader
-
-    with path.open("rb") as file:
-        if not file.read(8).startswith(b"\x89MCAP"):
-            raise InputError("is no MCAP file")
-        file.seek(0)
-        records = StreamReader(file, record_size_limit=_LARGEST_RECORD_BYTES).records
-        while True:
-            try:
-                record = next(records)
-            except (StopIteration, McapError, ValueError, struct.error, zstandard.ZstdError):
-                return
-            yield record
+    with contextlib.suppress(DamageError):
+        yield from records_of(path, validate=False)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, final
 
 from safedpa.errors import InputError, RecordingError
+from safedpa.limits import parse_json, text_of_file
 
 __all__ = ["Candidate", "Kept", "Version", "VersionFolder"]
 
@@ -67,13 +68,13 @@ class VersionFolder:
         """What was kept before; None in a new folder. Raises InputError when it cannot be read."""
         path = self.folder / _STATE
         try:
-            table = json.loads(path.read_text(encoding="utf-8"))
+            table = parse_json(text_of_file(path, "json_bytes"))
             versions = tuple(Version(**entry) for entry in table["versions"])
             rejected = tuple((int(number), str(effect)) for number, effect in table["rejected"])
             kept = Kept(versions, int(table["change"]), str(table["offered"]), rejected)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError, KeyError) as error:
+        except (OSError, ValueError, TypeError, KeyError, InputError) as error:
             raise InputError(f"{path}: cannot be read ({error}); move it away to begin without it") from error
         if not kept.versions:
             raise InputError(f"{path}: got no version, wanted at least one; move it away to begin without it")

@@ -1,0 +1,103 @@
+"""Which files a page may open: recordings, models and column maps below the folders that were named at the start."""
+
+from __future__ import annotations
+
+import glob
+import itertools
+import os
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+
+from safedpa.errors import InputError, RunError
+from safedpa.limits import readable
+
+__all__ = ["RECORDINGS", "Shelf"]
+
+RECORDINGS = (".csv", ".parquet", ".mcap")
+_MODELS = (".toml",)
+_MOST_FILES = 1000
+_START_BYTES = 4096
+_MAGIC = {".parquet": b"PAR1", ".mcap": b"\x89MCAP0\r\n"}
+
+
+class Shelf:
+    """Files below ``folders``. What a link points to counts, not where the link lies."""
+
+    def __init__(self, folders: Iterable[Path]) -> None:
+        self._folders = list(dict.fromkeys(folder.resolve() for folder in folders))
+
+    @classmethod
+    def of(cls, files: Iterable[str], folders: Iterable[Path]) -> Shelf:
+        """Of the folders named, and those of the files that were named; without any, of the current one."""
+        named = [*folders, *(Path(file).resolve().parent for file in files)]
+        return cls(named or [Path()])
+
+    @property
+    def words(self) -> str:
+        """The folders, for people."""
+        return ", ".join(map(str, self._folders))
+
+    def with_folder(self, folder: Path) -> Shelf:
+        """The same, and what lies in this folder."""
+        return Shelf([*self._folders, folder])
+
+    def recordings(self, lines: Iterable[str]) -> list[str]:
+        """Paths of recordings from paths and patterns. Raises RunError naming the first that may not be opened."""
+        found: list[str] = []
+        for line in lines:
+            pattern = self._readable(line)
+            if not pattern:
+                continue
+            matches = sorted(itertools.islice(glob.iglob(pattern), _MOST_FILES)) if self._may_look(pattern) else []
+            found += [self.recording(path) for path in matches or [pattern]]
+            if len(found) >= _MOST_FILES:
+                raise RunError(f"{readable(line)}: names {_MOST_FILES} files and more; name fewer")
+        return list(dict.fromkeys(found))
+
+    def recording(self, path: str) -> str:
+        """The path of a recording. Raises RunError where it is outside, is none, or does not begin as one does."""
+        found = self._below(path, RECORDINGS, "a recording (.csv, .parquet or .mcap)")
+        with found.open("rb") as file:
+            start = file.read(_START_BYTES)
+        magic = _MAGIC.get(found.suffix.lower())
+        if (magic is None and (b"\0" in start or b"-----BEGIN" in start)) or not start.startswith(magic or b""):
+            raise self._refusal(path, "a recording (.csv, .parquet or .mcap)")
+        return str(found)
+
+    def model(self, name: str, shipped: Iterable[str]) -> str:
+        """The path of a model's file, or the name of one that ships. Raises InputError otherwise."""
+        if name in shipped or name.removesuffix(".toml") in shipped:
+            return name
+        return str(self._below(name, _MODELS, "a model file (.toml), or the name of one that ships"))
+
+    def _below(self, path: str, endings: tuple[str, ...], wanted: str) -> Path:
+        """The same refusal whatever is wrong, so that nobody learns what lies elsewhere."""
+        try:
+            found = Path(os.path.realpath(self._readable(path), strict=True))
+            inside = next((folder for folder in self._folders if found.is_relative_to(folder)), None)
+            hidden = inside is None or any(part.startswith(".") for part in found.relative_to(inside).parts)
+            if hidden or found.suffix.lower() not in endings or not stat.S_ISREG(found.stat().st_mode):
+                raise self._refusal(path, wanted)
+        except (OSError, ValueError) as error:
+            raise self._refusal(path, wanted) from error
+        return found
+
+    def _may_look(self, pattern: str) -> bool:
+        """Whether all that a pattern can match lies below: its parts before the first wildcard do, none leads up."""
+        parts = Path(pattern).parts
+        if ".." in parts or "**" in pattern:
+            return False
+        fixed = list(itertools.takewhile(lambda part: not glob.has_magic(part), parts))
+        start = Path(os.path.realpath(Path(*fixed) if fixed else Path()))
+        return len(fixed) == len(parts) or any(start.is_relative_to(folder) for folder in self._folders)
+
+    @staticmethod
+    def _readable(line: str) -> str:
+        text = line.strip()
+        if "\0" in text or len(text) > 4096:
+            return "\1"  # a name that no file has
+        return str(Path(text).expanduser()) if text else ""
+
+    def _refusal(self, path: str, wanted: str) -> InputError:
+        return RunError(f"{readable(path)}: cannot be opened from here; wanted {wanted} below {self.words}")

@@ -1,0 +1,31 @@
+"""Opens a page in a person's browser without telling its token to other users of the machine."""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import os
+import tempfile
+import threading
+import webbrowser
+from pathlib import Path
+
+__all__ = ["show"]
+
+_SECONDS = 60.0
+
+
+def show(address: str) -> None:
+    """By way of a file that only this user can read: the arguments of a browser are everybody's to read."""
+    handle, name = tempfile.mkstemp(prefix="safedpa-page-", suffix=".html")  # made with mode 0600
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(f'<meta http-equiv="refresh" content="0; url={html.escape(address)}">')
+    threading.Thread(target=webbrowser.open, args=(Path(name).as_uri(),), daemon=True).start()
+    timer = threading.Timer(_SECONDS, _remove, (name,))
+    timer.daemon = True
+    timer.start()
+
+
+def _remove(name: str) -> None:
+    with contextlib.suppress(OSError):
+        os.unlink(name)

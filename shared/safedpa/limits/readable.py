@@ -1,0 +1,29 @@
+"""Names and sentences that others chose, made fit for a terminal, a log and a page."""
+
+from __future__ import annotations
+
+import unicodedata
+
+from safedpa.limits.table import limit
+
+__all__ = ["readable"]
+
+_KINDS = frozenset(("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
+"""Unicode's control, format (with those that turn the direction), surrogate, private, unassigned; ends of lines."""
+
+
+def readable(text: str, longest: int | None = None) -> str:
+    r"""The text with every character that moves, colours, hides or reorders others written as ``\xNN`` or ``\uNNNN``.
+
+    Cut at ``longest`` letters (else the table's ``name_letters``), and it says so.
+    """
+    most = limit("name_letters") if longest is None else longest
+    shown = text[:most]
+    if not (shown.isascii() and shown.isprintable()):
+        shown = "".join(_visible(sign) if unicodedata.category(sign) in _KINDS else sign for sign in shown)
+    return shown if len(text) <= most else f"{shown}... ({len(text)} letters)"
+
+
+def _visible(sign: str) -> str:
+    code = ord(sign)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"

@@ -1,0 +1,97 @@
+"""The table of limits, and how a person sets one."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+
+from safedpa.errors import InputError
+
+__all__ = ["TABLE", "VARIABLE", "Limit", "LimitError", "limit", "too_much"]
+
+VARIABLE = "SAFEDPA_LIMITS"
+"""Environment variable that sets limits: ``name=number,name=number``; processes that are started inherit it."""
+_MEBI = 1024 * 1024
+
+
+class LimitError(InputError):
+    """Something from outside is larger than its limit; the message names the limit."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """One line of the table."""
+
+    name: str
+    value: int
+    of: str
+    """What is measured."""
+    why: str
+    """How the number was chosen."""
+
+
+TABLE: dict[str, Limit] = {
+    item.name: item
+    for item in (
+        Limit("toml_bytes", _MEBI // 4, "bytes of a TOML text", "the largest that ships has 3 KB"),
+        Limit("toml_depth", 12, "brackets within brackets in TOML", "files of our own have 2"),
+        Limit("toml_dots", 12, "parts of one dotted key in TOML", "time grows with their square; our own have 1"),
+        Limit("digits", 100, "digits of one number in TOML or JSON", "one of 64 bits has at most 17 that count"),
+        Limit("json_bytes", 4 * _MEBI, "bytes of a JSON text", "the largest result in the repository has 0.4 MB"),
+        Limit("json_depth", 40, "brackets within brackets in JSON", "reports have 7"),
+        Limit("offer_bytes", 64 * 1024, "bytes of an offered model, or of its margin", "all effects together: 3 KB"),
+        Limit("offer_lines", 400, "lines of an offered model", "all effects of a car together: 110"),
+        Limit("model_effects", 64, "effects of one model", "the largest library has 24"),
+        Limit("model_free", 48, "free parameters of one model", "time grows with their square; all of a car: 30"),
+        Limit("header_bytes", 64 * 1024, "bytes of the header of a CSV file", "4096 columns of 15 letters"),
+        Limit("columns", 4096, "columns of a table", "the widest log that we have has 14"),
+        Limit("table_bytes", 8192 * _MEBI, "bytes of a CSV or Parquet file", "a day at 100 Hz has 2 GB as text"),
+        Limit("parquet_footer_bytes", 16 * _MEBI, "bytes that describe a Parquet file", "about 100 a column and group"),
+        Limit("expansion", 100, "times that a file grows when opened", "our recordings: 3 to 6"),
+        Limit("expansion_free_bytes", 8 * _MEBI, "bytes to which every file may grow", "small ones repeat themselves"),
+        Limit("mcap_record_bytes", 32 * _MEBI, "bytes of one record in an MCAP file", "chunks of our own: 16 KB"),
+        Limit("mcap_chunk_bytes", 16 * _MEBI, "bytes of one opened chunk in an MCAP file", "common writers: 1 to 4 MB"),
+        Limit("mcap_channels", 65_535, "channels of an MCAP file", "what the format can number"),
+        Limit("tensor_bytes", 256 * _MEBI, "bytes of a file of weights", "ours have 0.7 MB"),
+        Limit("tensor_header_bytes", _MEBI, "bytes of the header of a file of weights", "ours have 7 KB"),
+        Limit("tensors", 512, "tensors in a file of weights", "ours have 44"),
+        Limit("tensor_name", 200, "letters of a tensor's name", "ours have 18"),
+        Limit("archive_members", 1024, "files in an archive", "ours have 2"),
+        Limit("archive_bytes", 512 * _MEBI, "bytes of an archive when opened", "kept drives have some MB"),
+        Limit("message_entries", 256, "fields of one message", "the largest kind has 26"),
+        Limit("upload_bytes", 512 * _MEBI, "bytes of one upload", "a day at 20 Hz has 0.4 GB as text"),
+        Limit("uploads", 32, "uploads of one page", "each waits on the disk until the page is closed"),
+        Limit("page_bytes", 64 * 1024, "bytes of one request to a page but for uploads", "a click has 1 KB"),
+        Limit("socket_bytes", _MEBI, "bytes of one message to a page's socket", "a column map typed by hand has 4 KB"),
+        Limit("name_letters", 200, "letters of a name or sentence that is shown", "longer ones are cut, and say so"),
+    )
+}
+
+
+@lru_cache(maxsize=8)
+def _settings(text: str) -> dict[str, int]:
+    found = {}
+    for part in filter(None, (item.strip() for item in text.split(","))):
+        name, _, number = part.partition("=")
+        if name not in TABLE or not (number.isascii() and number.isdecimal()) or not 0 < int(number[:19]) < 1 << 62:
+            raise InputError(
+                f"{VARIABLE}: got '{part[:80]}', wanted NAME=NUMBER with one of {', '.join(TABLE)} and a whole number "
+                "above 0"
+            )
+        found[name] = int(number)
+    return found
+
+
+def limit(name: str) -> int:
+    """The limit in force: that of the environment, or the table's. Raises InputError for a setting that is none."""
+    return _settings(os.environ.get(VARIABLE, "")).get(name, TABLE[name].value)
+
+
+def too_much(name: str, got: int | str, about: str = "") -> LimitError:
+    """The error that says which limit was passed and how to raise it; ``about`` names what was read."""
+    entry = TABLE[name]
+    where = f"{about}: " if about else ""
+    return LimitError(
+        f"{where}{entry.of}: got {got}, wanted at most {limit(name)}; if this is meant, set {VARIABLE}={name}=NUMBER"
+    )

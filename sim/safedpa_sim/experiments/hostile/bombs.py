@@ -1,0 +1,229 @@
+"""Small inputs that ask for much, one of each kind for every loader: refused, soon, and in little memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from safedpa.errors import InputError
+
+__all__ = ["BOMBS", "Bomb", "attempt"]
+
+_MAGIC = b"\x89MCAP0\r\n"
+_MEBI = 1 << 20
+
+
+@dataclass(frozen=True)
+class Bomb:
+    """One hostile input: what it is, its ending, how its bytes are made."""
+
+    name: str
+    ending: str
+    make: Callable[[], bytes]
+
+
+def attempt(path: Path) -> str:
+    """Hands the file to the loader that its ending asks for; returns the refusal, empty where it was taken.
+
+    Whatever else than InputError comes out is a hole, and is raised.
+    """
+    try:
+        _LOADERS[path.suffix](path)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def _model(path: Path) -> object:
+    from safedpa.dynamics import load_model
+
+    return load_model(path)
+
+
+def _map(path: Path) -> object:
+    from safedpa.records import load_column_map
+
+    return load_column_map(str(path))
+
+
+def _run(path: Path) -> object:
+    from safedpa.records import load_run
+    from safedpa.systems import CAR
+
+    return load_run(path, CAR)
+
+
+def _weights(path: Path) -> object:
+    from safedpa.networks import load_weights
+
+    return load_weights(path)
+
+
+def _archive(path: Path) -> object:
+    from safedpa.limits import check_archive
+
+    check_archive(path)
+    return None
+
+
+def _message(path: Path) -> object:
+    from safedpa.bus.codec import decode
+    from safedpa.bus.messages import ModelMessage
+
+    return decode(ModelMessage, path.read_bytes())
+
+
+def _margin(path: Path) -> object:
+    from safedpa.safety.margin_text import margin_from_text
+
+    return margin_from_text(path.read_text(encoding="utf-8"))
+
+
+_LOADERS: Mapping[str, Callable[[Path], object]] = {
+    ".toml": _model,
+    ".map": _map,
+    ".csv": _run,
+    ".parquet": _run,
+    ".mcap": _run,
+    ".safetensors": _weights,
+    ".npz": _archive,
+    ".msgpack": _message,
+    ".json": _margin,
+}
+
+
+def _text(text: str) -> Callable[[], bytes]:
+    return text.encode
+
+
+def _mcap(compression: str, packed: bytes, told: int) -> bytes:
+    name = compression.encode()
+    body = struct.pack("<QQQII", 0, 1, told, 0, len(name)) + name + struct.pack("<Q", len(packed)) + packed
+    header = struct.pack("<BQII", 1, 8, 0, 0)
+    return _MAGIC + header + struct.pack("<BQ", 6, len(body)) + body
+
+
+def _zstd(told: int | None = None) -> bytes:
+    import zstandard
+
+    size = 2048 * _MEBI
+    packer = zstandard.ZstdCompressor(level=3).compressobj(size=size)
+    piece = bytes(_MEBI)
+    packed = b"".join([*(packer.compress(piece) for _ in range(size // _MEBI)), packer.flush()])
+    return _mcap("zstd", packed, size if told is None else told)
+
+
+def _many_chunks() -> bytes:
+    """Each of its chunks is allowed, all together are not."""
+    import zstandard
+
+    size = 8 * _MEBI
+    private = struct.pack("<BQ", 0x80, 0) * (size // 9)
+    one = _mcap("zstd", zstandard.compress(private, 19), len(private))
+    return one + one[len(_MAGIC) + 17 :] * 400
+
+
+def _lz4() -> bytes:
+    import lz4.frame
+
+    return _mcap("lz4", lz4.frame.compress(bytes(256 * _MEBI)), 1000)
+
+
+def _parquet(rows: int, columns: int = 7) -> bytes:
+    import pyarrow
+    from pyarrow import parquet
+
+    names = ["t", "x", "y", "yaw", "speed", "target_speed", "steer"]
+    names += [f"c{number}" for number in range(columns - len(names))]
+    constant = pyarrow.array([1.0]).cast(pyarrow.float64())
+    if rows > 1:
+        constant = pyarrow.concat_arrays([pyarrow.nulls(0, pyarrow.float64()), _repeated(rows)])
+    sink = io.BytesIO()
+    parquet.write_table(pyarrow.table(dict.fromkeys(names, constant)), sink, compression="zstd")
+    return sink.getvalue()
+
+
+def _repeated(rows: int) -> object:
+    import numpy as np
+    import pyarrow
+
+    return pyarrow.array(np.ones(rows))
+
+
+def _tensors(header: object, length: int | None = None) -> bytes:
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return struct.pack("<Q", len(text) if length is None else length) + text
+
+
+def _zip() -> bytes:
+    sink = io.BytesIO()
+    with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("heights.npy", bytes(1024 * _MEBI))
+    return sink.getvalue()
+
+
+def _zip_that_lies() -> bytes:
+    """Its directory tells of 10 bytes."""
+    packed = zlib.compress(bytes(200 * _MEBI))[2:-4]
+    sink = io.BytesIO()
+    with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:
+        for number in range(3000):
+            archive.writestr(f"{number}.npy", packed[:100])
+    return sink.getvalue()
+
+
+def _many_tables() -> bytes:
+    return b"\x81\xa1x\xdd" + struct.pack(">I", 4_000_000) + b"\x80" * 4_000_000
+
+
+def _many_fields() -> bytes:
+    return b"\xde\x27\x10" + b"".join(b"\xa5" + f"{number:05d}".encode() + b"\xc0" for number in range(10_000))
+
+
+_LONG = "1" * 100_000
+_CAR = "format = 1\nrobot = 'car'\n[base]\nkind='kinematic_bicycle'\ndrive='speed_servo'\n"
+_EMPTY = {"dtype": "F32", "shape": [0], "data_offsets": [0, 0]}
+_HUGE = {"dtype": "F32", "shape": [1 << 30] * 4, "data_offsets": [0, 0]}
+BOMBS: tuple[Bomb, ...] = (
+    Bomb("a key of 50 000 parts", ".toml", _text("a" + ".a" * 50_000 + " = 1\n")),
+    Bomb("a table's name of 30 000 parts", ".toml", _text("[a" + ".a" * 30_000 + "]\n")),
+    Bomb("arrays in arrays", ".toml", _text("x = " + "[" * 50_000)),
+    Bomb("tables in tables", ".toml", _text("x = " + "{a=" * 30_000)),
+    Bomb("a number of 100 000 digits", ".toml", _text(f"format = {_LONG}\n")),
+    Bomb("a string without an end", ".toml", _text('"""\\' * 40_000)),
+    Bomb("a file of 200 MB", ".toml", lambda: b"#" * (200 * _MEBI)),
+    Bomb("1000 effects", ".toml", _text(_CAR + "[[effects]]\nname='payload'\n" * 1000)),
+    Bomb("a key of 50 000 parts in a column map", ".map", _text("a" + ".a" * 50_000 + " = 1\n")),
+    Bomb("a million columns", ".csv", _text(",".join(f"c{n}" for n in range(1_000_000)) + "\n1\n")),
+    Bomb("5000 columns", ".csv", _text(",".join(f"c{n}" for n in range(5000)) + "\n" + "1," * 4999 + "1\n")),
+    Bomb("one line of 50 MB", ".csv", lambda: b"t,x,y,yaw,speed,target_speed,steer\n" + b"1" * (50 * _MEBI)),
+    Bomb("30 million equal rows", ".parquet", lambda: _parquet(30_000_000)),
+    Bomb("10 000 columns", ".parquet", lambda: _parquet(1, 10_000)),
+    Bomb("a description of 2 GB", ".parquet", lambda: b"PAR1" + bytes(99) + b"\x00\x94\x35\x77PAR1"),
+    Bomb("a chunk of 2 GB in 65 KB", ".mcap", _zstd),
+    Bomb("a chunk that says less than it holds", ".mcap", lambda: _zstd(1000)),
+    Bomb("a chunk of lz4 that says less than it holds", ".mcap", _lz4),
+    Bomb("400 chunks of 8 MB", ".mcap", _many_chunks),
+    Bomb("a chunk that says 2^63 bytes", ".mcap", lambda: _mcap("zstd", b"x" * 100, 1 << 63)),
+    Bomb("a header of 2^40 bytes", ".safetensors", lambda: _tensors(b"{}", 1 << 40)),
+    Bomb("arrays in the header", ".safetensors", lambda: _tensors(b'{"a":' + b"[" * 100_000)),
+    Bomb("a shape of 2^120 numbers", ".safetensors", lambda: _tensors({"a": _HUGE})),
+    Bomb("a number of 100 000 digits", ".safetensors", lambda: _tensors(b'{"a":{"shape":[' + _LONG.encode() + b"]}}")),
+    Bomb("12 000 tensors", ".safetensors", lambda: _tensors({f"t{n}": _EMPTY for n in range(12_000)})),
+    Bomb("a gigabyte in a megabyte", ".npz", _zip),
+    Bomb("3000 members", ".npz", _zip_that_lies),
+    Bomb("4 million empty tables", ".msgpack", _many_tables),
+    Bomb("arrays in arrays", ".msgpack", lambda: b"\x81\xa1x" + b"\x91" * 4_000_000),
+    Bomb("a list that says 2^32 entries", ".msgpack", lambda: b"\x81\xa8document\xdd\xff\xff\xff\xff"),
+    Bomb("10 000 fields", ".msgpack", _many_fields),
+    Bomb("arrays in arrays", ".json", _text("[" * 100_000)),
+    Bomb("a number of 100 000 digits", ".json", _text(f'{{"coverage": {_LONG}}}')),
+    Bomb("10 million bytes", ".json", _text('"' + "a" * 10_000_000 + '"')),
+)  # fmt: skip
+"""What is too long, too deep, too wide, or becomes too much when it is opened."""

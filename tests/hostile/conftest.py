@@ -1,0 +1,35 @@
+"""Offers of models by somebody who has a diagnosis' key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from safedpa.bus import ModelMessage
+
+
+@pytest.fixture
+def offer_of() -> Callable[..., ModelMessage]:
+    """``offer_of(document, fingerprint, change, margin)``."""
+
+    def made(document: str, fingerprint: str = "0123456789ab", change: int = 1, margin: str = "") -> ModelMessage:
+        return ModelMessage(
+            epoch=1,
+            tick=0,
+            robot_time=0.0,
+            publish_time=0.0,
+            step="offer",
+            change=change,
+            fingerprint=fingerprint,
+            replaces="",
+            document=document,
+            margin=margin,
+        )
+
+    return made
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The marker of tests that need Chromium."""
+    config.addinivalue_line("markers", "browser: opens the page in a headless browser")
