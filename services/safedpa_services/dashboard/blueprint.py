@@ -58,7 +58,9 @@ def _tab(name: str, scene: Scene, look: Look) -> Any:
     )
     right = rrb.Vertical(
         _curves(f"{origin}/latent", "estimate, one sigma", max(map(len, legend_names(look)), default=0)),
-        _curves(f"{origin}/residual", "measured - predicted", max(len(v.name) + len(v.unit) + 3 for v in look.system.state)),
+        _curves(
+            f"{origin}/residual", "measured - predicted", max(len(v.name) + len(v.unit) + 3 for v in look.system.state)
+        ),
         _curves(f"{origin}/diagnosis/error", "error over 1 s [of its usual change]", 15),
         _curves(f"{origin}/steps", "time of a step [ms]", 13),
         _lanes(f"{origin}/services", "services"),
@@ -105,7 +107,9 @@ def _curves(origin: str, name: str, letters: int) -> Any:
     """The curves end at the cursor; a legend of so many letters stands right of it, where there is nothing to cover."""
     share = min((_LETTER_POINTS * letters + _FRAME_POINTS) / _PANE_POINTS, 0.6)
     seconds = rrb.TimeRangeBoundary.cursor_relative
-    shown = TimeRange(start=seconds(seconds=-_SHOWN_SECONDS), end=seconds(seconds=_SHOWN_SECONDS * share / (1.0 - share)))
+    shown = TimeRange(
+        start=seconds(seconds=-_SHOWN_SECONDS), end=seconds(seconds=_SHOWN_SECONDS * share / (1.0 - share))
+    )
     return rrb.TimeSeriesView(
         origin=origin,
         name=name,

@@ -45,7 +45,14 @@ class Painter:
     """
 
     def __init__(
-        self, look: Look, fleet: str, *, save: Path | None, bind: str, grpc_port: int | None, memory: str = SERVER_MEMORY
+        self,
+        look: Look,
+        fleet: str,
+        *,
+        save: Path | None,
+        bind: str,
+        grpc_port: int | None,
+        memory: str = SERVER_MEMORY,
     ) -> None:
         self._look = look
         batches = rr.ChunkBatcherConfig.DEFAULT()
@@ -128,4 +135,3 @@ def _colours(colours: tuple[int, ...]) -> Any:
 
 def _points(points: tuple[tuple[float, float], ...]) -> Any:
     return np.array(points, dtype=np.float32).reshape(-1, 2)
-
