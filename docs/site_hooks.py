@@ -33,7 +33,7 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """Links to notebooks lead to their pages; one out of the folder becomes the path that it names in the repository."""
+    """Links to notebooks lead to their pages; one out of the folder becomes the path that it names."""
     del config, files
     depth = page.file.src_uri.count("/")
     out = "../" * (depth + 1)

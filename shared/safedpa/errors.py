@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 __all__ = [
     "BusError",
@@ -31,6 +32,7 @@ __all__ = [
     "RunError",
     "SafedpaError",
     "did_you_mean",
+    "near_files",
 ]
 
 
@@ -80,3 +82,18 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return f"{hint}known: {', '.join(names)}"
+
+
+def near_files(path: Path, shipped: Iterable[str] = ()) -> str:
+    """``did you mean 'drive.csv'? ``, of the files beside one that is not there and of names that ship; else empty.
+
+    Never raises: what cannot be listed has no names.
+    """
+    try:
+        beside = [item.name for item in path.parent.iterdir()]
+    except OSError:
+        beside = []
+    near = difflib.get_close_matches(path.name, [*shipped, *beside], n=1)
+    if not near:
+        return ""
+    return f"did you mean '{near[0] if near[0] not in beside else path.parent / near[0]}'? "

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from safedpa.extras import needs
+from safedpa_services.command_line.names import complete_effects, complete_models
 from safedpa_services.command_line.options import force_option, given_model, inputs_of, loaded_runs, run_options
 
 if TYPE_CHECKING:
@@ -18,8 +19,8 @@ __all__ = ["command"]
 
 
 @click.command(name="add")
-@click.argument("model")
-@click.argument("effect")
+@click.argument("model", shell_complete=complete_models)
+@click.argument("effect", shell_complete=complete_effects)
 @run_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="MODEL2.toml", help="The new model.")
 @click.option("--where", metavar="WORDS", help="It acts there alone: 'x above', 'abs_speed below', 'circle', 'strip'.")

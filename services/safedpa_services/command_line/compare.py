@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.extras import needs
+from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     folder_option,
     force_option,
@@ -31,7 +32,7 @@ NAME = 20
 
 
 @click.command(name="compare")
-@click.argument("model")
+@click.argument("model", shell_complete=complete_models)
 @run_options
 @folder_option("compare.html and compare.json")
 @click.option("--before", metavar="MODEL", help="An earlier model: say which state gets worse in which run.")

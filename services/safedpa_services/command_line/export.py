@@ -8,6 +8,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import need
+from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
 
@@ -17,7 +18,7 @@ __all__ = ["command"]
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["csv", "parquet"]),
+    type=Choice(["csv", "parquet"]),
     help="Of a recording. csv: text, every digit kept; parquet: binary, smaller and faster.",
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="PATH", help="The file to write a recording to.")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from safedpa.errors import InputError
+from safedpa_services.command_line.names import Choice
 from safedpa_services.command_line.options import inputs_of
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def fleet_options(command: Command) -> Command:
         click.option("--jobs", type=int, metavar="N", help="Of a fleet: robots at a time; by default one a core."),
         click.option(
             "--by",
-            type=click.Choice(["auto", "folder", "file", "robot"]),
+            type=Choice(["auto", "folder", "file", "robot"]),
             default="auto",
             show_default=True,
             help="What a robot of a fleet is: a folder of recordings, a file, or a name inside MCAP recordings.",

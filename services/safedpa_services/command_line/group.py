@@ -21,6 +21,21 @@ COMMANDS = (
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 
 
+START = """\
+safedpa drives a robot behind a safety filter, and finds out what its model of the robot lacks.
+
+What to do first:
+  safedpa up                          drive the simulated car; prints the address of the live view; Ctrl-C ends it
+  safedpa up --no-filter              the same without the filter, to see what it is for
+  safedpa compare MODEL RUN...        how wrong is a model, and where? MODEL: a file, or a name such as car
+  safedpa diagnose MODEL RUN...       which physical effect does it lack?
+  safedpa workbench MODEL RUN...      the same by looking and clicking
+  safedpa effects                     the effects that it knows
+
+Every command: safedpa --help. One of them: safedpa up --help. Pages: docs/index.md, or make docs."""
+"""What ``safedpa`` alone says."""
+
+
 class _Commands(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
@@ -39,10 +54,10 @@ class _Commands(click.Group):
         try:
             code = self.main(arguments, prog_name="safedpa", standalone_mode=False)
         except click.exceptions.NoArgsIsHelpError as error:
-            click.echo(error.format_message())
+            click.echo(error.format_message() if arguments else START)
             return 0
         except click.ClickException as error:
-            return _fail(error.format_message(), 2)
+            return _fail(_with_cure(error), 2)
         except (click.Abort, KeyboardInterrupt):
             return _fail("interrupted", 1)
         except SafedpaError as error:
@@ -53,6 +68,15 @@ class _Commands(click.Group):
                 raise
             return _fail(f"{arguments[0]} needs pip install 'safedpa[{extra}]'; not installed: {error.name}", 1)
         return code if isinstance(code, int) else 0
+
+
+def _with_cure(error: click.ClickException) -> str:
+    """The message, and where it says no more than that something is missing or unknown, what to look at."""
+    message = error.format_message().rstrip()
+    asked = getattr(error, "ctx", None)
+    if asked is None or "did you mean" in message.lower() or "known:" in message:
+        return message
+    return f"{message.rstrip('.')}; '{asked.command_path} --help' says what it takes"
 
 
 _LONGEST_MESSAGE = 2000

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from safedpa.extras import needs
+from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     columns_option,
     effects_option,
@@ -20,7 +21,7 @@ __all__ = ["command"]
 
 
 @click.command(name="predict")
-@click.argument("model")
+@click.argument("model", shell_complete=complete_models)
 @click.argument("run")
 @columns_option
 @horizon_option(None)

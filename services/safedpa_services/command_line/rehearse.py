@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     as_json_option,
     columns_option,
@@ -23,7 +24,7 @@ __all__ = ["command"]
 
 
 @click.command(name="rehearse")
-@click.argument("model")
+@click.argument("model", shell_complete=complete_models)
 @runs_argument
 @columns_option
 @effects_option

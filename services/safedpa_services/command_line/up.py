@@ -12,6 +12,8 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
+from safedpa_services.command_line.grouped import Grouped
+from safedpa_services.command_line.names import Choice, complete_models
 from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
@@ -33,20 +35,35 @@ _OWN = {
     "point": ("force", "wind_direction"),
 }
 """Options that only some robots have."""
+_MOST_ROBOTS = 8
+"""The dashboard has a tab for so many."""
 _MOST_FORCE = 0.0149
 """N; a stronger wind pushes harder than the point robot can."""
 CHANGES = ("hitch", "headwind", "steering_offset")
 _ENDED_AT_ONCE = 130
+GROUPS = {
+    "Which robot": ("robot", "name", "robots", "seed"),
+    "The car": ("load", "change", "change_after"),
+    "The pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
+    "The point robot": ("force", "wind_direction"),
+    "How it drives": ("seconds", "rate", "lockstep", "unfiltered", "controller"),
+    "What it knows": ("model", "effects", "settings", "margin", "diagnosis"),
+    "Where it is seen and heard": ("headless", "fleet", "listen", "secure", "out", "as_json"),
+}
+"""Options as ``--help`` groups them."""
 CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 
 
-@click.command()
-@click.option("--robot", type=click.Choice(list(RATES)), default="car", show_default=True, help="kind of robot")
+@click.command(cls=Grouped, groups=GROUPS)
+@click.option("--robot", type=Choice(list(RATES)), default="car", show_default=True, help="kind of robot")
 @click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
-@click.option("--load", type=click.Choice(LOADS), default="none", show_default=True, help="what the car tows")
-@click.option("--change", type=click.Choice(CHANGES), help="what changes about the car while it drives")
+@click.option(
+    "--robots", type=int, default=1, show_default=True, help="how many, each in a scene of its own: r1, r2 ..."
+)
+@click.option("--load", type=Choice(LOADS), default="none", show_default=True, help="what the car tows")
+@click.option("--change", type=Choice(CHANGES), help="what changes about the car while it drives")
 @click.option("--change-after", type=float, default=30.0, show_default=True, help="seconds until then, by its clock")
-@click.option("--task", type=click.Choice(TASKS), help="what the pendulum has to do; default: balance")
+@click.option("--task", type=Choice(TASKS), help="what the pendulum has to do; default: balance")
 @click.option("--wind", type=float, metavar="SPEED", help="m/s, on the pendulum; default: 0")
 @click.option("--wind-direction", type=float, metavar="DEGREES", help="where it blows to: 0 aside, 90 up; default: 0")
 @click.option("--force", type=float, metavar="NEWTON", help="of the wind on the point robot; default: 0")
@@ -65,13 +82,15 @@ CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
     default=None,
     help="watch over the model and search for what it lacks; default: yes, but not with --lockstep --headless",
 )
-@click.option("--model", help="model file, or the name of one that ships; default: the robot's")
+@click.option(
+    "--model", shell_complete=complete_models, help="model file, or the name of one that ships; default: the robot's"
+)
 @click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="effects of your own in the model")
 @click.option("--settings", help="settings of the filter: a file or a name; default: the robot's")
 @click.option("--margin", default="", help="margin file; default: the shipped one of the model, if there is one")
 @click.option(
     "--controller",
-    type=click.Choice(CONTROLLERS),
+    type=Choice(CONTROLLERS),
     help="who wishes for actions; default: learned where the model's weights hold a policy, else goal_seeker or random",
 )
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
@@ -106,6 +125,10 @@ def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None
 
     if not options["secure"]:
         return nullcontext()
+    if options["robots"] > 1:
+        raise InputError(
+            "--robots: got more than 1 with --secure, whose certificates are for one; leave one of them out"
+        )
     if options["listen"]:
         raise InputError("--listen: got it with --secure, which is for this machine alone; docs/security.md has more")
     return throw_away_certificates(options["fleet"], options["name"])
@@ -127,6 +150,7 @@ def _meeting_place(options: dict[str, Any]) -> Iterator[str]:
 def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.bus import STATE, key_of
     from safedpa.dynamics import load_model
+    from safedpa.safety.shipped import margin_for
     from safedpa_services.supervisor.plan import Plan
 
     key_of(options["fleet"], options["name"], STATE)  # refuses names that the bus cannot carry
@@ -135,6 +159,8 @@ def _plan(options: dict[str, Any]) -> Plan:
         raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
     if not 0.0 <= options["change_after"] < 1e9:
         raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
+    if not 1 <= options["robots"] <= _MOST_ROBOTS:
+        raise InputError(f"--robots: got {options['robots']}, wanted 1 to {_MOST_ROBOTS}")
     robot = options["robot"]
     options = {
         **options,
@@ -147,9 +173,11 @@ def _plan(options: dict[str, Any]) -> Plan:
     model = load_model(options["model"])
     _check_rate(model, options["rate"])
     _check_robot(model, robot, options["model"], options["settings"])
+    margin_for(model, options["margin"])
     return Plan(
         robot=robot,
         name=options["name"],
+        robots=options["robots"],
         load=options["load"],
         seconds=options["seconds"],
         seed=options["seed"],
@@ -202,7 +230,10 @@ def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
     if robot != "car" and options["load"] != "none":
         foreign.append("load")
     if foreign:
-        raise InputError(f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none")
+        raise InputError(
+            f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none; "
+            f"leave it out, or choose a robot that has one with --robot: {_owners(foreign[0])}"
+        )
     if options["wind"] is not None and not 0.0 <= options["wind"] <= 15.0:
         raise InputError(f"--wind: got {options['wind']}, wanted 0 to 15 m/s")
     if options["wind_direction"] is not None and not -360.0 <= options["wind_direction"] <= 360.0:
@@ -214,6 +245,11 @@ def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
             raise InputError(f"--{name.replace('_', '-')}: got {options[name]}, wanted 0 to {most:g} {unit}")
     given = [(name, options[name]) for name in own if name != "change" and options[name] is not None]
     return tuple(f"--{name.replace('_', '-')}={value}" for name, value in given)
+
+
+def _owners(option: str) -> str:
+    """The robots that have an option of their own."""
+    return ", ".join(robot for robot, names in _OWN.items() if option in (*names, "load" * (robot == "car")))
 
 
 def _is_diagnosed(options: dict[str, Any]) -> bool:
@@ -261,9 +297,11 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     if plan.certificates is not None:
         services[0].start()  # the router, through which the supervisor itself hears
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
-        watch = Watch(bus, plan.name)
-        with _screen(plan, watch, services, robot, quiet=quiet) as on_turn:
-            code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried).run()
+        watch = Watch(bus, plan.names[0])
+        others = [(plan.robot_process(k + 1), Watch(bus, name)) for k, name in enumerate(plan.names[1:])]
+        shown = [*(child for child, _ in others), *services]
+        with _screen(plan, watch, shown, robot, quiet=quiet) as on_turn:
+            code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
     if code != 0:
         raise SafedpaError(f"robot: {robot.last_words()}")
     if stop.hurried:
@@ -272,7 +310,8 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     if robot.pid == 0:
         raise SafedpaError("ended before the robot was started; nothing was driven")
     health = {name: message for name, (message, _) in watch.health.items()}
-    return summary_of(plan.summary, watch.verdicts, [robot, *services], health, plan.recording, watch.standstills)
+    stands, accounts = watch.standstills, plan.other_summaries
+    return summary_of(plan.summary, watch.verdicts, [robot, *shown], health, plan.recording, stands, accounts)
 
 
 def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -> Any:
@@ -282,17 +321,19 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     where += f" --certificates {plan.certificates}" if plan.certificates is not None else ""
     hints = [f"recording {plan.recording}", f"others join with {where}"]
     hints.append(f"how it is: safedpa status --watch {where}")
-    if plan.workbench_port:
-        hints.append(f"workbench {plan.workbench_address}")
     if plan.diagnosis:
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
-    return screen(watch, services, robot, hints, plan.folder, quiet=quiet)
+    return screen(watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address)
 
 
 def _tell(summary: dict[str, Any]) -> None:
     verdicts = ", ".join(f"{count} {status}" for status, count in summary["verdicts"].items())
     latency = summary["latency_us"]
     click.echo(f"{summary['ticks']} ticks, {summary['goals_reached']} goals, {summary['collisions']} collisions")
+    for name, account in summary.get("robots", {}).items():
+        click.echo(
+            f"{name}: {account['ticks']} ticks, {account['goals_reached']} goals, {account['collisions']} collisions"
+        )
     click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
     for stand in summary["standstills"]:
         say(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")

@@ -9,12 +9,13 @@ import click
 
 from safedpa.extras import needs
 from safedpa_services.command_line.listening import bus_of
+from safedpa_services.command_line.names import complete_models
 
 __all__ = ["command"]
 
 
 @click.command(name="workbench")
-@click.argument("model", default="")
+@click.argument("model", default="", shell_complete=complete_models)
 @click.argument("runs", metavar="[RUN]...", nargs=-1)
 @click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
 @click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")

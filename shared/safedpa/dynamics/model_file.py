@@ -20,7 +20,7 @@ from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.law import Varies, Where, law_of
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
-from safedpa.errors import InputError, ModelFileError, did_you_mean
+from safedpa.errors import InputError, ModelFileError, did_you_mean, near_files
 from safedpa.limits import limit, parse_toml, text_of_file, too_much
 from safedpa.networks import load_weights, save_weights
 
@@ -45,8 +45,10 @@ def load_model(source: str | Path) -> PhysicsModel:
     try:
         text = text_of_file(path, "toml_bytes")
     except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
         raise ModelFileError(
-            f"{source}: cannot be read ({error}); wanted a model file, or one of {', '.join(shipped)}"
+            f"{source}: cannot be read ({reason}); {near_files(path, shipped)}wanted a model file, or one of "
+            f"{', '.join(shipped)}"
         ) from error
     try:
         return parse_model(text, path.parent)

@@ -8,7 +8,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from safedpa.errors import ColumnMapError, InputError, did_you_mean
+from safedpa.errors import ColumnMapError, InputError, did_you_mean, near_files
 from safedpa.limits import parse_toml, text_of_file
 from safedpa.records.column_map import (
     DERIVATIONS,
@@ -45,7 +45,8 @@ def load_column_map(source: str | Path) -> ColumnMap:
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ColumnMapError(
-            f"{source}: cannot be read ({reason}); wanted a column map file, or one of {', '.join(shipped)}"
+            f"{source}: cannot be read ({reason}); {near_files(path, shipped)}wanted a column map file, or one of "
+            f"{', '.join(shipped)}"
         ) from error
     try:
         return parse_column_map(text, path.stem)

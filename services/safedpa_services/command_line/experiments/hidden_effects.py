@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
 
@@ -22,9 +23,7 @@ _SUITES = (
 @click.command(name="hidden-effects")
 @click.option("--cases", type=int, default=48, show_default=True, help="of each suite")
 @click.option("--seed", type=int, default=0, show_default=True, help="draws strengths, drives and noise")
-@click.option(
-    "--suite", "suites", type=click.Choice(_SUITES), multiple=True, help="may be given several times; default: all"
-)
+@click.option("--suite", "suites", type=Choice(_SUITES), multiple=True, help="may be given several times; default: all")
 @click.option("--processes", type=int, default=2, show_default=True, help="with one thread each")
 @click.option(
     "--out",

@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
 
@@ -17,7 +18,7 @@ _CASES = ("hitch", "headwind", "steering_offset", "nothing", "all")
 
 
 @click.command(name="live")
-@click.option("--case", "case", type=click.Choice(_CASES), default="all", show_default=True, help="what changes")
+@click.option("--case", "case", type=Choice(_CASES), default="all", show_default=True, help="what changes")
 @click.option("--seed", type=int, default=1, show_default=True, help="of the first scene")
 @click.option(
     "--drives", type=int, default=10, show_default=True, help="scenes of each case in which something changes"
