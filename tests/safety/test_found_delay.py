@@ -105,6 +105,16 @@ def test_a_filtered_robot_looks_past_what_was_found(monkeypatch: pytest.MonkeyPa
     assert robot.pending.sent, "what is on its way is known"
 
 
+def test_what_the_robot_tells_is_not_counted_twice() -> None:
+    safety = SafetyFilterNode(CAR, settings_named("car"))
+    nodes = [AdaptationNode(CAR), PolicyNode(CAR), safety]
+    ticks = list(drive(Lateness(0.2, told="clock").robot(905, "box"), nodes, 60))
+    (robot,) = safety._robots.values()
+    assert robot.delay.periods > TOLERATED, "it is there, and found"
+    assert robot.until_action == 0.2
+    assert "later than told" not in ticks[-1].verdict.sentence
+
+
 def test_the_verdict_says_so() -> None:
     nodes = [AdaptationNode(CAR), PolicyNode(CAR), SafetyFilterNode(CAR, settings_named("car"))]
     ticks = list(drive(Lateness(0.2, told="nobody").robot(905, "box"), nodes, 30))

@@ -119,7 +119,7 @@ class FilteredRobot:
     delay: FoundDelay = field(init=False)
     """By how much commands act later than told."""
     until_action: float = 0.0
-    """s from the newest state until its action acts: what the robot tells, and what was found."""
+    """s from the newest state until its action acts: what the robot tells, or what was found where that is longer."""
     standing: Standstill = field(init=False)
     """How long it has stood, and whether an action failed to move it."""
 
@@ -239,7 +239,7 @@ class FilteredRobot:
                 self.memory = model.felt(command, self.memory, period=state.period)[1]
         self.former = None
         self.trail.add(state.tick, state.values, state.applied, self.memory)
-        self.until_action = min(state.until_action + self.delay.seconds, LONGEST_AGE)
+        self.until_action = min(max(state.until_action, self.delay.seconds), LONGEST_AGE)
         late = (self.memory or self.until_action > 0.0) and not too_late(state)
         self.pending = self.trail.pending(self.until_action) if late else ()
 

@@ -67,11 +67,11 @@ class FoundDelay:
         self._count = 0.0
         self._sums: list[list[float]] = []
         self.periods = 0
-        """The delay that is believed, beyond what model and robot tell."""
+        """The delay that is believed, beyond what the model knows; what the robot tells is part of it."""
 
     @property
     def seconds(self) -> float:
-        """s that are to be acted upon."""
+        """s that are to be acted upon, with what the robot tells."""
         return (self.periods - USUAL) * self._period if self.periods > TOLERATED else 0.0
 
     @property

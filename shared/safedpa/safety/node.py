@@ -248,7 +248,9 @@ def _report(
     state: StateMessage, verdict: Verdict, predicted: tuple[tuple[float, ...], ...], memory: FilteredRobot | None = None
 ) -> VerdictMessage:
     standstill = memory.standstill(verdict) if memory else ""
-    remarks = [said for said in (memory.margin.remark, memory.delay.remark) if said] if memory else []
+    remarks = [memory.margin.remark] if memory and memory.margin.remark else []
+    if memory and memory.until_action > state.until_action:
+        remarks.append(memory.delay.remark)
     stands = f" The robot has stood for {memory.standing.seconds:.1f} s. {standstill}." if memory and standstill else ""
     return VerdictMessage(
         epoch=state.epoch,
