@@ -6,7 +6,7 @@ BIN := $(ENVIRONMENT)/bin
 INSTALLED := $(ENVIRONMENT)/.installed
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help run test test-compiled test-fleet lint types contracts check docs environment constraints clean
+.PHONY: help run test test-compiled test-fleet lint types contracts check audit docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -58,6 +58,13 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PIP) torch==2.13.0
 	@$(PIP) --editable '.[test,lint]'
 	@touch $@
+
+audit:  ## known holes in what is pinned, and a bill of materials (build/sbom.json); needs pypi.org
+	@mkdir -p build
+	@$(PYTHON) -m venv build/audit
+	@build/audit/bin/python -m pip install -qq --disable-pip-version-check pip-audit
+	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --format cyclonedx-json --output build/sbom.json
+	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --strict
 
 constraints:  ## writes constraints.txt anew from the newest releases
 	@rm -rf build/constraints

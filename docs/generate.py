@@ -29,6 +29,7 @@ from safedpa.bus import (
 from safedpa.bus.access import ROLES, may_write
 from safedpa.bus.events import KINDS
 from safedpa.diagnosis.live.node import DiagnosisNode
+from safedpa.limits import TABLE
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
 from safedpa_services.command_line.experiment import EXPERIMENTS
@@ -115,6 +116,13 @@ def events() -> str:
     return "\n".join([*rows, *(f"| `{kind}` | {meaning} |" for kind, meaning in KINDS.items())])
 
 
+def limits() -> str:
+    """The table of limits."""
+    rows = ["| limit | at most | of | since |", "|---|---|---|---|"]
+    rows += [f"| `{item.name}` | {item.value:,} | {item.of} | {item.why} |" for item in TABLE.values()]
+    return "\n".join(rows)
+
+
 def metrics() -> str:
     """Every metric."""
     rows = ["| metric | type | labels | meaning |", "|---|---|---|---|"]
@@ -174,6 +182,7 @@ GENERATED = {
     "fields": fields,
     "asked": asked,
     "events": events,
+    "limits": limits,
     "metrics": metrics,
     "roles": roles,
 }

@@ -137,6 +137,7 @@ MODULES = {
     "node": (*WATCHED, "../operations/test_stop_orders.py", "../services/test_shipped.py", "test_strangers.py"),
     "on_its_way": ("test_on_its_way.py", "test_trail.py", "test_late_robot.py"),
     "trail": ("test_trail.py", "test_late_robot.py"),
+    "found_delay": ("test_found_delay.py",),
     "pending_actions": PENDING,
     "closed_loop": ROLLOUT,
     "rollout_barrier": ROLLOUT,
@@ -243,6 +244,7 @@ def main(arguments: list[str]) -> int:
 
     import_what_is_not_mutated()
     rows, survivors, start = [], [], time.monotonic()
+    text, open_ones = "", 0
     for module in arguments or list(MODULES):
         source = (ROOT / "shared" / "safedpa" / "safety" / f"{module}.py").read_text(encoding="utf-8")
         planted = mutants(source)
@@ -260,11 +262,13 @@ def main(arguments: list[str]) -> int:
             sys.stderr.write(f"survived: {module}:{mutant.line} {mutant.name}\n")
             survivors.append({"module": module, "line": mutant.line, "name": mutant.name})
         sys.stderr.write(f"{module}: {len(planted)} mutants, {len(left)} survived, {time.monotonic() - start:.0f} s\n")
-    return report(rows, survivors)
+        text, open_ones = report([*rows], [*survivors])  # after each: a run that is cut keeps what it did
+    sys.stdout.write(text)
+    return 1 if open_ones else 0
 
 
-def report(rows: list[dict[str, Any]], survivors: list[dict[str, Any]]) -> int:
-    """Renews these modules' part of ``summary.json``, writes ``summary.md`` from all of it, names the unexplained."""
+def report(rows: list[dict[str, Any]], survivors: list[dict[str, Any]]) -> tuple[str, int]:
+    """Renews these modules' part of the summaries; the text of ``summary.md``, and how many survivors are open."""
     path, renewed = HERE / "summary.json", {row["module"] for row in rows}
     before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"modules": [], "survivors": []}
     rows += [row for row in before["modules"] if row["module"] not in renewed and row["module"] in MODULES]
@@ -282,11 +286,10 @@ def report(rows: list[dict[str, Any]], survivors: list[dict[str, Any]]) -> int:
     lines += ["", f"Survivors without an explanation: {len(open_ones)}."]
     lines += [f"- line {survivor['line']}, {survivor['module']}: `{survivor['name']}`" for survivor in open_ones]
     text = "\n".join(lines) + "\n"
-    sys.stdout.write(text)
     document = {"mutants": total, "killed": total - alive, "modules": rows, "survivors": survivors}
     path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     (HERE / "summary.md").write_text("# Mutation run\n\n" + text, encoding="utf-8")
-    return 1 if open_ones else 0
+    return text, len(open_ones)
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ def test_an_allowed_message_that_goes_no_further_was_too_large(capsys: pytest.Ca
 def test_a_refusal_whose_reason_was_lost_is_told_all_the_same() -> None:
     refusals = Refusals()
     refusals.hear(END.format("10"))
-    assert refusals.counts == {"bus.denied": 1}
+    assert refusals.counts == {"bus.held_back": 1}
 
 
 def test_handshakes(capsys: pytest.CaptureFixture[str]) -> None:

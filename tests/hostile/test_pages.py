@@ -115,6 +115,7 @@ def test_without_the_token_nothing_is_answered(served: Served, path: str) -> Non
     assert served.ask(path) == 401
     assert served.ask(path, {"Cookie": f"safedpa_{served.port}=wrong"}) == 401
     assert served.ask(f"{path}?token=wrong") == 401
+    assert served.ask(f"{path}?" + "&".join(f"a{n}=1" for n in range(100))) == 401
 
 
 @pytest.mark.parametrize("path", PATHS)

@@ -106,14 +106,14 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.output import results_folder
     from safedpa.diagnosis.report import as_document
-    from safedpa_services.progress import progress
+    from safedpa_services.progress import narrated, progress
 
     loaded = given_model(model, options["effects"])
     read = inputs_of(model, runs, options["columns"], options["effects"])
     out = results_folder(options["out"], "diagnose", model, WRITTEN, read, options["force"])
     recorded = loaded_runs(loaded, runs, options["columns"])
-    with progress("diagnosing") as tell:
-        report = diagnose(loaded, recorded, options["horizon"], tell)
+    with narrated("diagnosing") as narrate:
+        report = diagnose(loaded, recorded, options["horizon"], narrate)
     document = as_document(report)
     with progress("writing") as tell:
         tell(0, 2)
@@ -254,8 +254,9 @@ def value_text(name: str, value: Value) -> str:
 def _bars(report: Report) -> list[tuple[str, str]]:
     first = report.stages[0].heldout_error
     lines = []
-    for stage in report.stages:
-        name = f"+ {stage.effects[-1]}" if stage.effects else "given model"
+    for number, stage in enumerate(report.stages):
+        before = report.stages[number - 1].effects if number else ()
+        name = " ".join(f"+ {own}" for own in stage.effects if own not in before) or "given model"
         length = round(BAR * min(stage.heldout_error / first, 1.0)) if first > 0 else 0
         runs = f" ({stage.runs_improved} runs better)" if stage.runs_improved else ""
         lines.append((f"  {name:24.24} {'█' * length:{BAR}} {stage.heldout_error:.3g}{runs}", ""))

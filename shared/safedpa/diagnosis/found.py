@@ -49,6 +49,8 @@ class Search:
     patch: Patch | None = None
     rivals: dict[str, list[str]] = field(default_factory=dict)
     """For each accepted effect the others of its stage, the best first."""
+    without: dict[str, tuple[Trial, HeldoutError]] = field(default_factory=dict)
+    """For each accepted effect the model of all others, fitted, where there are two or more."""
 
 
 def given_names(search: Search) -> set[str]:

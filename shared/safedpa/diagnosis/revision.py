@@ -6,6 +6,7 @@ Source: Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3 (exchange a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -13,17 +14,22 @@ import numpy as np
 from safedpa.diagnosis.fitting import fit, inverse_of, objectives
 from safedpa.diagnosis.found import Judged, Search, given_names, known_effects
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
+from safedpa.diagnosis.judging import SAME, SIMPLER, feigned_lateness, passes, with_reason
 from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
-__all__ = ["bounded", "exchange", "refit", "removals", "take_back", "unhelpful", "united"]
+__all__ = ["bounded", "exchange", "refit", "removals", "smallest", "take_back", "united"]
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
 _ROUNDING = 0.002
 """Share of a held-out error that is rounding."""
+_ONE = 1.0
+"""Standard errors of the best model's held-out error within which the smallest is as good.
+
+Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3.
+"""
 _TOGETHER = 0.7
 """Correlation of their fitted numbers from which effects are also taken out together."""
 
@@ -62,8 +68,9 @@ def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         best = min((refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
         if best is None or best.loss >= search.current.loss:
             continue
-        if block_gain(search.current, best, search.shooting) > SIMPLER:
-            new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
+        new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
+        late = feigned_lateness(replace(best, effects=(new,)), None, search.error, 0.0)
+        if block_gain(search.current, best, search.shooting) > SIMPLER and not late:
             _replace(search, name, new, best, heldout)
 
 
@@ -104,19 +111,34 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         _left_over(search, heldout)
 
 
-def unhelpful(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Accepted effects that lower the held-out error of no run are taken out: a stage has to help somewhere."""
+def smallest(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """The smallest model within one standard error of the best over whole runs, blocks where there is one run.
+
+    Accepted effects without which the held-out error stays within _ONE standard error of the best are taken out, the
+    least needed first; so is lateness that may be feigned. ``search.without`` holds what is left without each that
+    stays.
+    """
     by_name = known_effects(search, library)
-    for name in list(search.added):
-        if len(search.added) < 2:
+    most = search.error.value + _ONE * search.error.standard_error
+    while len(search.added) > 1:
+        search.without = {}
+        for name in search.added:
+            less = refit(search, [by_name[other] for other in search.added if other != name])
+            search.without[name] = less, error_with(less.fit, search.shooting, heldout)
+        late = [name for name in search.added if _feigned(search, name)]
+        least = min(late or search.added, key=lambda name: search.without[name][1].value)
+        if not late and search.without[least][1].value > most and _helps(search.without[least][1], search.error):
             return
-        less = refit(search, [by_name[other] for other in search.added if other != name])
-        error = error_with(less.fit, search.shooting, heldout)
-        if _helps(error, search.error):
-            continue
-        search.added = [other for other in search.added if other != name]
-        search.current, search.error = less, error
-        take_back(search, (name,), "lowers the held-out error of no run")
+        search.added = [other for other in search.added if other != least]
+        search.current, search.error = search.without[least]
+        take_back(search, (least,), "takes less than one standard error off the error over whole runs")
+    search.without = {}
+
+
+def _feigned(search: Search, name: str) -> bool:
+    """Whether an accepted effect, whichever way it came in, is lateness that the rest hardly needs."""
+    trial, row = replace(search.current, effects=(name,)), float(np.median(search.shooting.windows.period))
+    return feigned_lateness(trial, search.error, search.without[name][1], row)
 
 
 def _helps(before: HeldoutError, after: HeldoutError) -> bool:

@@ -45,7 +45,7 @@ class PhysicsModel(AbstractDynamics):
     The latent z is the vector of all free parameters, in SI units, in the order base first, then effects as listed.
     ``settings`` maps "base.<parameter>" and "<effect>.<parameter>" to values; every parameter must be there; those
     of the base that have a neutral value get it when they are left out.
-    Models are immutable but for their ``clock``: the ``with_`` methods return new ones.
+    Models are immutable but for their ``clock``. Where one ``holds``, dry friction holds what stands.
 
     Raises ModelFileError when an effect does not fit the robot or its actions, stands twice, or a parameter is missing,
     unknown or out of bounds.
@@ -57,8 +57,9 @@ class PhysicsModel(AbstractDynamics):
         effects: Sequence[AbstractEffect] = (),
         settings: Mapping[str, Setting] | None = None,
         period: float = 0.05,
+        holds: bool = False,
     ) -> None:
-        self.base = base
+        self.base, self.holds = base, holds
         self.effects = tuple(effects)
         self.system = base.system
         self.period = period
@@ -89,11 +90,12 @@ class PhysicsModel(AbstractDynamics):
 
     def with_settings(self, settings: Mapping[str, Setting]) -> PhysicsModel:
         """The same model with some settings replaced."""
-        return PhysicsModel(self.base, self.effects, {**self.settings, **settings}, self.period)
+        return PhysicsModel(self.base, self.effects, {**self.settings, **settings}, self.period, self.holds)
 
     def with_period(self, period: float) -> PhysicsModel:
         """The same equations over another period in s; itself where it is its own."""
-        return self if period == self.period else PhysicsModel(self.base, self.effects, self.settings, period)
+        again = PhysicsModel(self.base, self.effects, self.settings, period, self.holds)
+        return self if period == self.period else again
 
     def with_effect(self, item: AbstractEffect, settings: Mapping[str, Setting]) -> PhysicsModel:
         """The model with one more effect; ``settings`` by parameter name, where left out those that do nothing."""
@@ -101,7 +103,7 @@ class PhysicsModel(AbstractDynamics):
         if unknown:
             raise ModelFileError(f"{item.name}.{min(unknown)}: unknown parameter; leave it out")
         own = {f"{item.name}.{p.name}": settings.get(p.name, Setting(p.start)) for p in item.parameters}
-        return PhysicsModel(self.base, (*self.effects, item), {**self.settings, **own}, self.period)
+        return PhysicsModel(self.base, (*self.effects, item), {**self.settings, **own}, self.period, self.holds)
 
     def with_latent(self, latent: Array) -> PhysicsModel:
         """The model with the free parameters set to ``latent`` (latents,)."""
@@ -289,7 +291,7 @@ class PhysicsModel(AbstractDynamics):
                 felt = feel(own, Context(now, felt, base, seconds, period, operations))
             rates = known(now, felt, base, operations)
             if effects:
-                context = Context(now, felt, base, seconds, period, operations)
+                context = Context(now, felt, base, seconds, period, operations, self.holds)
                 for modify, own in effects:
                     rates = modify(rates, own, context)
             return rates

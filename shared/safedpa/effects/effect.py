@@ -78,6 +78,8 @@ class Context(NamedTuple):
     period: float
     """Seconds over which the action is held: friction laws round off their sign so that no period overshoots rest."""
     operations: Operations
+    holds: bool = False
+    """Whether dry friction holds what stands exactly, as rollouts need it; else it is rounded off, for slopes."""
 
 
 class AbstractEffect(ABC):

@@ -30,11 +30,14 @@ class Case:
     """Driven by the pymunk car with this load hitched, instead of the integrator."""
     runs: int = 6
     seconds: float = 40.0
+    fault: str | None = None
+    """One of ``BAD``: the first run is spoiled so."""
 
     @property
     def name(self) -> str:
         """Suite, hidden effects and seed, fit for a folder."""
-        return "-".join([self.suite, *(self.effects or ("nothing",)), str(self.seed)])
+        what = self.effects or (self.fault or "nothing",)
+        return "-".join([self.suite, *what, str(self.seed)])
 
 
 _DELAYS = {"actuator_delay": ("steering_delay", "drive_delay")}
@@ -56,7 +59,7 @@ ABSORBED = ("payload",)
 """What a free gain of the servo takes up whole: k / (1 + mass_ratio)."""
 
 
-PYMUNK_CAR = ("drive_lag", "quadratic_drag", "rolling_resistance", "steering_lag", "tyre_slip", "understeer")
+PYMUNK_CAR = ("drive_lag", "steering_lag", "tyre_slip", "understeer")
 """What the pymunk car has by itself and its given model has not: naming it is not wrong."""
 
 

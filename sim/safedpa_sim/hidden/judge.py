@@ -11,6 +11,7 @@ __all__ = ["Found", "Outcome", "judged"]
 
 Document = Mapping[str, Any]
 
+_DELAY_FOR_LAG = {"steering_delay": "steering_lag", "drive_delay": "drive_lag"}
 _BORDERS = ("_above", "_below", "at_x", "at_y", "radius")
 _BORDER, _SHARE = 0.2, 0.2
 """How far a number of a law may be from the truth: borders in their unit, others as a share."""
@@ -74,7 +75,12 @@ class Outcome:
 
     @property
     def right(self) -> bool:
-        """As the suite wants it: effects in their group, with their laws; nothing where nothing is."""
+        """As the suite wants it: effects in their group, with their laws; nothing where nothing is.
+
+        Of bad data anything may be said but an effect.
+        """
+        if self.suite == "bad":
+            return not self.added
         if not self.hidden:
             return self.verdict == "nothing_missing" and not self.added
         return self.all_in_group and self.laws_told
@@ -138,7 +144,9 @@ def _stands_for(name: str, groups: Mapping[str, set[str]], truth: Document) -> b
 def _justified(name: str, groups: Mapping[str, set[str]], truth: Document) -> bool:
     hidden = set(truth["effects"])
     equals = {other for name_hidden in hidden for other in truth["equals"][name_hidden]}
-    return name in hidden | equals | set(truth["present"]) or bool(groups[name] & hidden)
+    # an actuator that is neither a pure lag nor a pure delay may be called either, not both
+    late = {other for other, lag in _DELAY_FOR_LAG.items() if lag in truth["present"] and lag not in groups}
+    return name in hidden | equals | set(truth["present"]) | late or bool(groups[name] & hidden)
 
 
 def _near(document: Document, truth: Document, name: str) -> bool:

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa_sim.hidden.bad_data import BAD
 from safedpa_sim.hidden.case import Case
 from safedpa_sim.hidden.laws import LAWS
 from safedpa_sim.hidden.strengths import CAR_EFFECTS, PENDULUM_EFFECTS
@@ -114,6 +115,12 @@ def _towing(index: int, seed: int) -> Case:
     return Case("towing", seed, hidden, load=load.name)
 
 
+def _bad(index: int, seed: int) -> Case:
+    fault = list(BAD)[index % len(BAD)]
+    throttle = fault == "percent" or (index // len(BAD)) % 2 == 1
+    return Case("bad", seed, {}, drive="throttle" if throttle else "speed_servo", runs=3, fault=fault)
+
+
 SUITES: Final[dict[str, Callable[[int, int], Case]]] = {
     "ordinary": _ordinary,
     "fifth": _fifth,
@@ -125,7 +132,8 @@ SUITES: Final[dict[str, Callable[[int, int], Case]]] = {
     "pendulum": _pendulum,
     "towing": _towing,
     **LAWS,
+    "bad": _bad,
 }
 """By name: the case with a number and a seed. One effect in turn at ordinary strength or a fifth of it, or in hard
 logs; two or three drawn ones; nothing; a pendulum's; the pymunk car with a chair hitched; effects in a place, that sag,
-and with the speed."""
+and with the speed; nothing, but one of the runs gone bad."""

@@ -42,7 +42,8 @@ def command(**options: Any) -> None:
     """What diagnosis finds in recordings of real robots.
 
     A 1:10 car (four drives), a torque-limited pendulum (six logs), and balls dropped from a bridge. The car is also
-    diagnosed on every three of its logs, and judged by the fourth, which neither the search nor the fit saw.
+    diagnosed on every three of its logs, and judged by the fourth, which neither the search nor the fit saw, and the
+    model of all four by drives of another day, where they are in the folder.
     """
     from safedpa_services.progress import progress
     from safedpa_sim.experiments.real_logs import PARTS, RealLogs, real_logs_experiment
@@ -75,6 +76,10 @@ def _tell(result: dict[str, Any]) -> None:
     console = Console(highlight=False)
     console.print(_rows(result["rows"]))
     console.print(_targets(result["targets"]))
+    for row in result["rows"]:
+        for other in row.get("other_days", ()):
+            before, after = other["unseen_before"], other["unseen_after"]
+            console.print(f"Another day, {other['name']}: {before:.3f} to {after:.3f}, {after / before - 1.0:+.0%}")
     if result["stable_names"]:
         folds = sum(1 for row in result["rows"] if "unseen_change" in row)
         names = ", ".join(f"{name} {count}/{folds}" for name, count in result["stable_names"].items())

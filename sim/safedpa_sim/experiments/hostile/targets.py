@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ def state_at(tick: int) -> StateMessage:
 def messages() -> tuple[tuple[type[Any], bytes], ...]:
     """Good messages of some kinds, as they travel."""
     model = write_model(load_model("car"))
-    stamp = {"epoch": 1, "tick": 1, "robot_time": 0.05, "publish_time": 0.0}
+    stamp: dict[str, Any] = {"epoch": 1, "tick": 1, "robot_time": 0.05, "publish_time": 0.0}
     offer = ModelMessage(**stamp, step="offer", change=1, fingerprint="a" * 12, replaces="", document=model)
     health = HealthMessage(**stamp, service="policy", pid=1, state="running", detail="well")
     answer = Answer(ok=True, sentence="well", document=model)
@@ -78,11 +79,15 @@ def targets() -> Iterator[tuple[Target, ...]]:
         yield (*_codecs(), *_texts(), *_files(Path(name)))
 
 
+def _decoded(kind: type[Any], data: bytes) -> object:
+    return decode(kind, data)
+
+
 def _codecs() -> Iterator[Target]:
     kinds = messages()
     for kind, payload in kinds:
         others = tuple(other for _, other in kinds)
-        yield Target(f"message {kind.__name__}", (payload, *others), lambda data, kind=kind: decode(kind, data), 0.05)
+        yield Target(f"message {kind.__name__}", (payload, *others), partial(_decoded, kind), 0.05)
     state = encode(state_at(1))
     yield Target("bundle", (packed([("r1", state), ("r2", state)]),), unbundled, 0.05)
     keys = (b"safedpa/fleet/r1/state", b"safedpa/fleet/-/health/policy", b"safedpa/fleet/+/action")
