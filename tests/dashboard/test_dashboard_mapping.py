@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from itertools import groupby
 
 import pytest
 from hypothesis import given, settings
@@ -135,6 +136,7 @@ def test_the_verdict_is_written_down_when_its_status_changes_and_not_otherwise(l
     entries = _entries(view.take(items, 0.0))
     notes = [e.shape.text.split(":")[0] for e in entries if isinstance(e.shape, Note)]
     lanes = [e.shape.state for e in entries if isinstance(e.shape, States) and e.path[-1] == "filter"]
+    lanes = [state for state, _ in groupby(lanes)]
     assert notes == lanes == ["passed", "corrected", "passed", "corrected"]
 
 
@@ -162,11 +164,9 @@ def test_a_service_of_the_whole_fleet_is_shown_with_every_robot_and_falls_silent
     shown = _entries(view.take([*items, _received(HEALTH, health, NO_ROBOT)], 0.0))
     assert {e.path[1] for e in shown if e.path[2:] == ("services", "recorder")} == {"r1", "r2"}
     silent = _entries(view.take([], 1.5))
-    assert {(e.path[1], e.path[-1], e.shape.state) for e in silent} == {
-        ("r1", "recorder", "silent"),
-        ("r2", "recorder", "silent"),
-    }
-    assert _entries(view.take([], 2.5)) == []
+    lanes = {(e.path[1], e.path[-1], e.shape.state) for e in silent if e.path[2] == "services"}
+    assert lanes == {("r1", "recorder", "silent"), ("r2", "recorder", "silent")}
+    assert not any(isinstance(e.shape, Note) for e in _entries(view.take([], 2.5)))
 
 
 def test_a_latent_of_an_unknown_robot_shows_nothing(look, tick_of):

@@ -7,11 +7,15 @@ import json
 import pytest
 
 from safedpa.bus import FINDING, LATENT, MODEL, TAKEOVER, VERDICT, Request, Stale, TakeoverMessage
+from safedpa.diagnosis.live.foresight import Foresight
 from safedpa.diagnosis.live.node import DiagnosisNode
 from safedpa.diagnosis.live.work import Outcome
 from safedpa.dynamics import Setting, fingerprint, parse_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import MessageError, ModelFileError
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.margin_text import margin_text
+from safedpa_services.diagnosis.foretelling import foretell_with
 
 CHANGE = 800
 REPORT = json.dumps(
@@ -25,8 +29,8 @@ REPORT = json.dumps(
 class Driven:
     """A node beside a car whose steering is bent; services that agree with every offer."""
 
-    def __init__(self, car, worker, rows, state_of, verdict_of):
-        self.node, self.worker = DiagnosisNode(write_model(car), worker), worker
+    def __init__(self, car, worker, rows, state_of, verdict_of, **more):
+        self.node, self.worker = DiagnosisNode(write_model(car), worker, **more), worker
         self.rows, self.state_of, self.verdict_of = rows, state_of, verdict_of
         self.car, self.told, self.changes = car, [], []
 
@@ -97,6 +101,46 @@ def test_an_accepted_effect_is_prepared_on_the_newest_data_offered_and_taken(dri
     driven.until(lambda: driven.told[-1].model == new)
     assert driven.told[-1].stage == "learning"
     assert driven.ask("status").candidates == ()
+
+
+def test_what_accepting_does_is_told_before_and_gives_way_to_who_accepts(
+    car, worker, drive_of, state_of, verdict_of, margin_of
+):
+    rows = drive_of(4000, CHANGE, "steering_offset", angle=0.08)
+    told = {"margin": margin_of(0.05), "foretell": foretell_with("car")}
+    driven = Driven(car, worker, rows, state_of, verdict_of, **told)
+    driven.found("steering_offset", "steering_gain")
+    assert driven.ask("status").foreseen == ("", "")
+    driven.until(lambda: worker.begun[-1].task == "prepare")
+    assert worker.begun[-1].effect == "steering_offset"
+    worker.ready = Outcome(documents={"steering_offset": driven.document}, margin=margin_of(2.0))
+    driven.until(lambda: worker.begun[-1].effect == "steering_gain")
+    first, second = driven.ask("status").foreseen
+    assert first.startswith("the margin of obstacle goes from 0.05 to 2 where h is 1: at once it would stop")
+    assert second == ""
+    assert driven.changes == [], "nothing was offered to anybody"
+    assert driven.ask("accept", "steering_offset").ok
+    driven.tick()
+    assert worker.begun[-1].effect == "steering_offset"
+    worker.ready = Outcome(documents={"steering_offset": driven.document}, margin=margin_of(0.21))
+    new = fingerprint(parse_model(driven.document))
+    driven.until(lambda: driven.node.model_of("r1") == new)
+    assert driven.ask("status").earlier == 1
+
+
+def test_a_foreseen_model_that_cannot_be_made_and_a_margin_that_stays_are_told(margin_of):
+    ahead, foretell = Foresight(), foretell_with("car")
+    ahead.found = {"a": Outcome(failure="too few rows"), "b": Outcome(margin=margin_of(0.05)), "c": Outcome()}
+    told = ahead.told(margin_of(0.05), foretell)
+    assert told["a"] == "it cannot be made: too few rows"
+    assert told["b"] == "the margin stays as it is: obstacle 0.05"
+    assert "no margin could be calibrated" in told["c"]
+
+
+@pytest.fixture
+def margin_of():
+    """A margin for obstacles, as text."""
+    return lambda epsilon: margin_text(MarginCalibration({"obstacle": epsilon}, 0.99, 100, "2026-01-01", "aaaa"))
 
 
 def test_a_refused_offer_leaves_the_model_and_the_finding(driven):

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import socket
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +16,7 @@ from click.testing import CliRunner
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan
+from safedpa_services.supervisor.screen import _Page
 from safedpa_services.supervisor.supervisor import Supervisor
 from safedpa_sim.robots import CHANGES
 
@@ -110,3 +116,51 @@ def test_a_diagnosis_that_cannot_be_brought_up_ends_nothing(tmp_path: Path) -> N
     robot.start = lambda: None  # type: ignore[method-assign]
     assert supervisor.run() == 0
     assert DeadChild.started == 1, "it is not tried again and again"
+
+
+def test_several_robots_have_names_and_scenes_of_their_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    plan = planned(monkeypatch, tmp_path, "--robots", "3", "--name", "r7", "--seed", "4")
+    assert plan.names == ("r7", "r8", "r9")
+    robots = [plan.robot_process(index) for index in range(3)]
+    told = [dict(zip(robot.arguments[::2], robot.arguments[1::2], strict=False)) for robot in robots]
+    assert [(options["--name"], options["--seed"]) for options in told] == [("r7", "4"), ("r8", "5"), ("r9", "6")]
+    assert len({options["--summary"] for options in told}) == len({robot.log for robot in robots}) == 3
+    assert planned(monkeypatch, tmp_path, "--name", "ann").names == ("ann",)
+    assert planned(monkeypatch, tmp_path, "--name", "ann", "--robots", "2").names == ("ann1", "ann2")
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--robots", "0"], "--robots: got 0, wanted 1 to 8"),
+        (["--robots", "9"], "--robots: got 9, wanted 1 to 8"),
+        (["--robots", "2", "--secure"], "--robots: got more than 1 with --secure"),
+    ],
+)
+def test_robots_that_cannot_be_are_refused(tmp_path: Path, options: list[str], complaint: str) -> None:
+    result = CliRunner().invoke(up.command, [*options, "--out", str(tmp_path)])
+    assert complaint in str(result.exception)
+
+
+def test_an_address_is_told_once_somebody_answers_there(free_port: int) -> None:
+    page = _Page(f"http://127.0.0.1:{free_port}/live?token=t")
+    assert page.lines() == []
+    with socket.create_server(("127.0.0.1", free_port)):
+        until = time.monotonic() + 30.0
+        while not page.lines() and time.monotonic() < until:
+            time.sleep(0.05)
+        assert page.lines() == [f"workbench http://127.0.0.1:{free_port}/live?token=t"]
+    assert page.lines(), "a page that ended is the supervisor's affair, not news of an address"
+    assert _Page("").lines() == []
+
+
+@pytest.mark.slow
+@pytest.mark.processes
+def test_two_robots_drive_side_by_side(tmp_path: Path) -> None:
+    options = ("--robots", "2", "--headless", "--lockstep", "--seconds", "4", "--json", "--out", str(tmp_path))
+    command = [sys.executable, "-m", "safedpa_services", "up", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["ticks"] == summary["robots"]["r2"]["ticks"] == 80
+    assert sum(summary["verdicts"].values()) == 80, "those of the first robot alone"

@@ -24,12 +24,14 @@ from safedpa.bus import (
     Request,
     StateMessage,
     TakeoverMessage,
+    VerdictMessage,
 )
 from safedpa.errors import InputError
 from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.live_book import RobotBook
 from safedpa_services.workbench.live_cards import live_cards
-from safedpa_services.workbench.live_link import LiveLink
+from safedpa_services.workbench.live_link import LiveLink, Told
+from safedpa_services.workbench.live_page import _answered, _consequences
 from safedpa_services.workbench.live_panels import change_lines, error_bars
 from safedpa_services.workbench.look import LIGHT
 from safedpa_services.workbench.replay_link import ReplayLink
@@ -64,6 +66,13 @@ def state(tick, epoch=1, **more):
         **stamp(tick, epoch), values=(0.01 * tick, 0.0, 0.0, 1.0), applied=(1.0, 0.0), applied_by="filter",
         period=0.05, lockstep=False, goal=(2.0, 2.0), obstacles=((1.0, 1.0, 0.3),), field=(-4.0, 4.0, -4.0, 4.0),
         footprint=(0.1, 0.4, 0.15), **more,
+    )  # fmt: skip
+
+
+def verdict(tick, **more):
+    return VerdictMessage(
+        **stamp(tick), status="passed", sentence="The wish is safe.", action=(1.0, 0.0), wish=(1.0, 0.0), slack=0.0,
+        active=(), h_now=0.4, h_next=0.4, margin=0.03, solver="solved", microseconds=300.0, **more,
     )  # fmt: skip
 
 
@@ -123,6 +132,35 @@ def test_silence_is_said(book):
     book.seen = 20.0
     assert "diagnosis is silent since 10 s" in book.silence(20.0)
     assert "heard last 15 s ago" in book.silence(35.0)
+
+
+def test_a_robot_that_stands_is_said_to_stand_with_reason_and_cure_and_the_mark_stays(book):
+    assert book.standstill() == ""
+    for tick, seconds in ((199, 5.5), (219, 6.5)):
+        book.take(verdict(tick, stands=seconds, standstill="margin: obstacle leave less room"), 10.0)
+    assert book.standstill().startswith("r1 stands for 6 s, margin: obstacle leave less room. Give it another goal")
+    assert change_lines(book).count("stands: margin") == 1
+    book.take(verdict(220), 10.0)
+    assert book.standstill() == ""
+    assert change_lines(book).count("stands: margin") == 1
+
+
+def test_each_answer_is_told_in_words_and_each_consequence_with_h_and_margin_of_now(book):
+    yes, no = Answer(ok=True, sentence="change 1 begins"), Answer(ok=False, sentence="refused: nobody is there")
+    assert _answered("accept", Told(yes, yes.sentence)) == "Accepted: change 1 begins."
+    assert _answered("accept", Told(no, no.sentence)) == "Refused because nobody is there."
+    assert _answered("accept", Told(None, "No diagnosis answers.")) == "No diagnosis answers."
+    book.take(verdict(199), 10.0)
+    status = Answer(ok=True, sentence="", candidates=("drag", "wind"), foreseen=("the margin goes from 1 to 2",))
+    told = _consequences(status, book)
+    assert told["drag"].startswith("If you accept: the margin goes from 1 to 2. Now h is 0.40, the margin 0.030.")
+    assert "is being computed" in told["wind"]
+
+
+def test_the_end_is_told_with_an_account(book):
+    book.take(state(200, goals_reached=3), 10.0)
+    assert book.account() == "r1 drove for 10 s: 3 goals, 0 collisions."
+    assert "its drive has ended, or the link to it is broken. r1 drove for 10 s" in book.silence(20.0)
 
 
 def test_services_with_different_models_are_named(book):
@@ -231,6 +269,7 @@ import json, sys, threading, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from live_messages import finding, model, state, REPORT
+from safedpa.bus.process import Stop
 from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa_services.workbench.recordings import Choice
 from safedpa_services.workbench.serving import Serving
@@ -243,7 +282,8 @@ asked = []
 def answer(name, request):
     if request.do == "status":
         left = () if "accept" in asked else ("towed_load",)
-        return Answer(ok=True, sentence="the model is the one that the robot began with", candidates=left)
+        return Answer(ok=True, sentence="the model is the one that the robot began with", candidates=left,
+                      foreseen=("the margin of obstacle goes from 0.03 to 0.1",), earlier=len(asked))
     if request.model != "aaaa" or request.finding != 1:
         return Answer(ok=False, sentence="refused: another model")
     asked.append(request.do)
@@ -264,7 +304,7 @@ def drive():
 
 robot.answer_requests(answer)
 threading.Thread(target=drive, daemon=True).start()
-serve(Choice(), Path(sys.argv[1]), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus)
+serve(Choice(), Path(sys.argv[1]), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus, stop=Stop())
 """
 
 
@@ -273,7 +313,7 @@ serve(Choice(), Path(sys.argv[1]), Serving("127.0.0.1", int(sys.argv[2])), brows
 def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
     source = Path(__file__).read_text(encoding="utf-8")
     start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
-    header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage\n\n"
+    header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
     (tmp_path / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
     command = [sys.executable, "-c", SERVER, str(tmp_path), str(free_port)]
@@ -288,11 +328,20 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
         page.goto(line.split()[1])
         page.wait_for_selector(".candidate.open >> text=Accept", timeout=PATIENCE)
         assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
+        page.wait_for_selector("text=/If you accept: the margin of obstacle goes from 0.03 to 0.1/", timeout=PATIENCE)
+        assert not page.get_by_label("back to the model before").is_visible()
         page.keyboard.press("a")
         page.wait_for_selector("text=/change 1 is offered to/", timeout=PATIENCE)
         page.wait_for_selector("text=−80 % since the change", timeout=PATIENCE)
         assert page.locator(".candidate").count() == 0
+        page.get_by_label("back to the model before").wait_for(timeout=PATIENCE)
         assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+        server.send_signal(signal.SIGTERM)
+        page.wait_for_selector("text=/The drive has ended. r1 drove for/", timeout=PATIENCE)
+        server.wait(60)
+        page.wait_for_timeout(2000)
+        assert not page.locator("#popup").is_visible(), "an end is no lost connection"
+        complaints = [line for line in complaints if "ERR_CONNECTION_REFUSED" not in line and "WebSocket" not in line]
         page.close()
         assert hosts == {f"127.0.0.1:{free_port}"}
         assert complaints == []

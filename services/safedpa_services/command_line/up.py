@@ -35,12 +35,14 @@ _OWN = {
     "point": ("force", "wind_direction"),
 }
 """Options that only some robots have."""
+_MOST_ROBOTS = 8
+"""The dashboard has a tab for so many."""
 _MOST_FORCE = 0.0149
 """N; a stronger wind pushes harder than the point robot can."""
 CHANGES = ("hitch", "headwind", "steering_offset")
 _ENDED_AT_ONCE = 130
 GROUPS = {
-    "Which robot": ("robot", "name", "seed"),
+    "Which robot": ("robot", "name", "robots", "seed"),
     "The car": ("load", "change", "change_after"),
     "The pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
     "The point robot": ("force", "wind_direction"),
@@ -55,6 +57,9 @@ CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 @click.command(cls=Grouped, groups=GROUPS)
 @click.option("--robot", type=Choice(list(RATES)), default="car", show_default=True, help="kind of robot")
 @click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
+@click.option(
+    "--robots", type=int, default=1, show_default=True, help="how many, each in a scene of its own: r1, r2 ..."
+)
 @click.option("--load", type=Choice(LOADS), default="none", show_default=True, help="what the car tows")
 @click.option("--change", type=Choice(CHANGES), help="what changes about the car while it drives")
 @click.option("--change-after", type=float, default=30.0, show_default=True, help="seconds until then, by its clock")
@@ -120,6 +125,10 @@ def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None
 
     if not options["secure"]:
         return nullcontext()
+    if options["robots"] > 1:
+        raise InputError(
+            "--robots: got more than 1 with --secure, whose certificates are for one; leave one of them out"
+        )
     if options["listen"]:
         raise InputError("--listen: got it with --secure, which is for this machine alone; docs/security.md has more")
     return throw_away_certificates(options["fleet"], options["name"])
@@ -150,6 +159,8 @@ def _plan(options: dict[str, Any]) -> Plan:
         raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
     if not 0.0 <= options["change_after"] < 1e9:
         raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
+    if not 1 <= options["robots"] <= _MOST_ROBOTS:
+        raise InputError(f"--robots: got {options['robots']}, wanted 1 to {_MOST_ROBOTS}")
     robot = options["robot"]
     options = {
         **options,
@@ -166,6 +177,7 @@ def _plan(options: dict[str, Any]) -> Plan:
     return Plan(
         robot=robot,
         name=options["name"],
+        robots=options["robots"],
         load=options["load"],
         seconds=options["seconds"],
         seed=options["seed"],
@@ -285,9 +297,11 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     if plan.certificates is not None:
         services[0].start()  # the router, through which the supervisor itself hears
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
-        watch = Watch(bus, plan.name)
-        with _screen(plan, watch, services, robot, quiet=quiet) as on_turn:
-            code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried).run()
+        watch = Watch(bus, plan.names[0])
+        others = [(plan.robot_process(k + 1), Watch(bus, name)) for k, name in enumerate(plan.names[1:])]
+        shown = [*(child for child, _ in others), *services]
+        with _screen(plan, watch, shown, robot, quiet=quiet) as on_turn:
+            code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
     if code != 0:
         raise SafedpaError(f"robot: {robot.last_words()}")
     if stop.hurried:
@@ -296,7 +310,8 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     if robot.pid == 0:
         raise SafedpaError("ended before the robot was started; nothing was driven")
     health = {name: message for name, (message, _) in watch.health.items()}
-    return summary_of(plan.summary, watch.verdicts, [robot, *services], health, plan.recording, watch.standstills)
+    stands, accounts = watch.standstills, plan.other_summaries
+    return summary_of(plan.summary, watch.verdicts, [robot, *shown], health, plan.recording, stands, accounts)
 
 
 def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -> Any:
@@ -306,17 +321,19 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     where += f" --certificates {plan.certificates}" if plan.certificates is not None else ""
     hints = [f"recording {plan.recording}", f"others join with {where}"]
     hints.append(f"how it is: safedpa status --watch {where}")
-    if plan.workbench_port:
-        hints.append(f"workbench {plan.workbench_address}")
     if plan.diagnosis:
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
-    return screen(watch, services, robot, hints, plan.folder, quiet=quiet)
+    return screen(watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address)
 
 
 def _tell(summary: dict[str, Any]) -> None:
     verdicts = ", ".join(f"{count} {status}" for status, count in summary["verdicts"].items())
     latency = summary["latency_us"]
     click.echo(f"{summary['ticks']} ticks, {summary['goals_reached']} goals, {summary['collisions']} collisions")
+    for name, account in summary.get("robots", {}).items():
+        click.echo(
+            f"{name}: {account['ticks']} ticks, {account['goals_reached']} goals, {account['collisions']} collisions"
+        )
     click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
     for stand in summary["standstills"]:
         say(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")

@@ -20,6 +20,9 @@ from safedpa_services.dashboard.look import look_of
 from safedpa_services.dashboard.ports import Door, choose_port
 from safedpa_services.serving import service_parser
 
+_DRIVE_ENDED = "The drive has ended, and this dashboard with it: what is shown is the last of it."
+_DASHBOARD_ENDED = "This dashboard was ended: what is shown is the last that it heard; the robots do not need it."
+
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Shows until ``stop``; returns exit code 0."""
@@ -40,7 +43,9 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     sys.stdout.flush()
     with bus_from(options) as bus:
         bus.announce(NO_ROBOT, "dashboard", uuid.uuid4().hex[:12])
-        Dashboard(bus, FleetView(look), painter, options.robot, address).run(stop)
+        dashboard = Dashboard(bus, FleetView(look, options.fleet), painter, options.robot, address)
+        dashboard.run(stop)
+        dashboard.end(_DRIVE_ENDED if options.supervised else _DASHBOARD_ENDED)
     painter.close()
     return 0
 

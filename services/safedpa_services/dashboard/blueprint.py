@@ -6,8 +6,10 @@ from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.encodings import TimeRange
 
 from safedpa.systems import Variable
+from safedpa_services.dashboard.curves import legend_names
 from safedpa_services.dashboard.fleet_view import Scene
 from safedpa_services.dashboard.look import Look
 
@@ -18,6 +20,8 @@ MOST_TABS = 8
 """Robots with a tab; of further ones everything is recorded, and a pane can be added by hand."""
 
 _SHOWN_SECONDS = 20.0
+_PANE_POINTS, _LETTER_POINTS, _FRAME_POINTS = 370.0, 6.8, 46.0
+"""Widths of a plot in a window of 1400, of a letter of its legend, and of the legend's frame."""
 _BACKGROUND = [24, 26, 30]
 _LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
 
@@ -25,7 +29,7 @@ _LOG_COLUMNS = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["Body"]
 def blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
     """One tab for each of the first robots; a page that says what is awaited while there is none."""
     tabs = [_tab(name, scene, look) for name, scene in list(fields.items())[:MOST_TABS]]
-    waiting = rrb.TextDocumentView(origin="/waiting", name="no robot yet")
+    waiting = rrb.TextDocumentView(origin="/waiting", name="waiting for a robot")
     return rrb.Blueprint(
         rrb.Tabs(*tabs) if tabs else waiting,
         rrb.TopPanel(state="hidden"),
@@ -38,31 +42,39 @@ def blueprint_of(fields: dict[str, Scene], look: Look) -> rrb.Blueprint:
 
 def _tab(name: str, scene: Scene, look: Look) -> Any:
     origin = str(rr.new_entity_path(["robots", name]))
-    left = rrb.Vertical(
-        *_planes(origin, scene, look),
-        rrb.TextLogView(origin=f"{origin}/log", name="what changed", columns=_LOG_COLUMNS),
-        row_shares=[2.3, 1.9, 1] if look.is_pendulum else [4.2, 1],
+    words = rrb.Tabs(
+        rrb.TextDocumentView(origin=f"{origin}/now", name="now, and said last"),
+        rrb.TextLogView(origin=f"{origin}/log", name="all that changed", columns=_LOG_COLUMNS),
+        rrb.TextDocumentView(origin="/meaning", name="what the panes mean"),
+        active_tab=0,
     )
+    planes = _planes(origin, scene, look)
+    left = rrb.Vertical(*planes, words, row_shares=[2.0, 1.7, 1.3] if look.is_pendulum else [3.4, 1.5])
     middle = rrb.Vertical(
-        _curves(f"{origin}/barrier", "h: now blue, predicted orange, margin pink", legend=False),
+        _curves(f"{origin}/barrier", f"room left h{_bracketed(look.h_unit)}: keep above the margin", 11),
         *[_action(origin, variable) for variable in look.system.action],
         _lanes(f"{origin}/verdict", "verdict, diagnosis, model"),
         row_shares=[1.2, *(1.2 for _ in look.system.action), 1.6],
     )
     right = rrb.Vertical(
-        _curves(f"{origin}/latent", "latent, with one sigma"),
-        _curves(f"{origin}/residual", "residual: measured - predicted"),
-        _curves(f"{origin}/diagnosis/error", "error over 1 s blue, end of its band orange", legend=False),
-        _curves(f"{origin}/steps", "time of a step [ms]"),
+        _curves(f"{origin}/latent", "estimate, one sigma", max(map(len, legend_names(look)), default=0)),
+        _curves(
+            f"{origin}/residual", "measured - predicted", max(len(v.name) + len(v.unit) + 3 for v in look.system.state)
+        ),
+        _curves(f"{origin}/diagnosis/error", "error over 1 s [of its usual change]", 15),
+        _curves(f"{origin}/steps", "time of a step [ms]", 13),
         _lanes(f"{origin}/services", "services"),
-        row_shares=[0.95, 1.0, 0.95, 0.95, 1.6],
+        row_shares=[0.8, 1.0, 0.75, 1.0, 1.9],
     )
     return rrb.Horizontal(left, middle, right, column_shares=[1.48, 1, 1], name=name)
 
 
+def _bracketed(unit: str) -> str:
+    return f" [{unit.strip()}]" if unit else ""
+
+
 def _action(origin: str, variable: Variable) -> Any:
-    title = f"{variable.name} [{variable.unit}]: wish orange, filtered blue"
-    return _curves(f"{origin}/action/{variable.name}", title, legend=False)
+    return _curves(f"{origin}/action/{variable.name}", f"{variable.name} [{variable.unit}]: wished and let through", 8)
 
 
 def _planes(origin: str, scene: Scene, look: Look) -> list[Any]:
@@ -91,12 +103,19 @@ def _plane(origin: str, part: str, title: str, scene: Scene) -> Any:
     )
 
 
-def _curves(origin: str, name: str, *, legend: bool = True) -> Any:
+def _curves(origin: str, name: str, letters: int) -> Any:
+    """The curves end at the cursor; a legend of so many letters stands right of it, where there is nothing to cover."""
+    share = min((_LETTER_POINTS * letters + _FRAME_POINTS) / _PANE_POINTS, 0.6)
+    seconds = rrb.TimeRangeBoundary.cursor_relative
+    shown = TimeRange(
+        start=seconds(seconds=-_SHOWN_SECONDS), end=seconds(seconds=_SHOWN_SECONDS * share / (1.0 - share))
+    )
     return rrb.TimeSeriesView(
         origin=origin,
         name=name,
         time_ranges=[_last_seconds()],
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
+        axis_x=rrb.archetypes.TimeAxis(view_range=shown),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
     )
 
 

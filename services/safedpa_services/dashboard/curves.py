@@ -9,7 +9,7 @@ from safedpa_services.dashboard.look import Look
 from safedpa_services.dashboard.palette import GREY, ORANGE, PURPLE, SERIES, SKY, VERMILLION
 from safedpa_services.dashboard.shapes import Bands, Curves, Entry
 
-__all__ = ["action_entries", "barrier_entries", "latent_entries", "residual_entry", "style_entries"]
+__all__ = ["action_entries", "barrier_entries", "latent_entries", "legend_names", "residual_entry", "style_entries"]
 
 _MOST_CURVES = 16
 _LARGEST = 1e12
@@ -27,12 +27,25 @@ def style_entries(look: Look) -> list[Entry]:
     entries = [Entry(("barrier",), _styles(_BARRIER), static=True)]
     for variable in look.system.action:
         entries.append(Entry(("action", variable.name), _styles(_ACTION), static=True))
-    for index, (name, unit) in enumerate(zip(look.latent_names, look.latent_units, strict=True)):
-        entries.append(Entry(("latent", name), Bands(0.0, 0.0, name, unit, SERIES[index % len(SERIES)]), static=True))
+    shown = zip(look.latent_names, _short(look.latent_names), look.latent_units, strict=True)
+    for index, (name, short, unit) in enumerate(shown):
+        entries.append(Entry(("latent", name), Bands(0.0, 0.0, short, unit, SERIES[index % len(SERIES)]), static=True))
     names = tuple(f"{variable.name} [{variable.unit}]" for variable in look.system.state)
     colours = tuple(SERIES[index % len(SERIES)] for index in range(len(names)))
     residual = Curves((), names, colours, tuple(1.5 for _ in names))
     return [*entries, Entry(("residual",), residual, static=True)]
+
+
+def legend_names(look: Look) -> tuple[str, ...]:
+    """The latents as the legend has them, with units."""
+    named = zip(_short(look.latent_names), look.latent_units, strict=True)
+    return tuple(f"{name} [{unit}]" if unit not in ("", "1") else name for name, unit in named)
+
+
+def _short(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Without the effect's name, where that leaves them different."""
+    short = tuple(name.rpartition(".")[2] for name in names)
+    return short if len(set(short)) == len(short) else names
 
 
 def _styles(rows: tuple[tuple[str, int, float], ...]) -> Curves:

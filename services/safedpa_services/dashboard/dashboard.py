@@ -43,6 +43,11 @@ class Dashboard:
             if rest > 0.0:
                 time.sleep(rest)  # several messages make one turn: it costs the machine less
 
+    def end(self, sentence: str) -> None:
+        """Draws what still arrived, and says why nothing more comes."""
+        self.turn(0.0)
+        self._painter.draw(self._view.end(sentence, time.monotonic()))
+
     def turn(self, longest_wait: float) -> None:
         """Draws what arrived; waits up to ``longest_wait`` [s] for something to draw."""
         waiting = self._complete.take(longest_wait)

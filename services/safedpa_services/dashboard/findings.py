@@ -35,6 +35,12 @@ class FindingBook:
         self._number = 0
         self._models: list[str] = []
         self._model = ""
+        self._lane = ""
+
+    def lanes(self) -> list[Entry]:
+        """The lanes of the diagnosis and the model as they are now."""
+        lanes = (("diagnosis", self._stage), ("model", self._lane))
+        return [Entry(("verdict", name), States(state)) for name, state in lanes if state]
 
     @staticmethod
     def start() -> list[Entry]:
@@ -77,7 +83,8 @@ class FindingBook:
         if fingerprint not in self._models and len(self._models) < _MOST_MODELS:
             self._models.append(fingerprint)
         number = self._models.index(fingerprint) + 1 if fingerprint in self._models else _MOST_MODELS
-        return [Entry(("verdict", "model"), States(f"model {number}"))]
+        self._lane = f"model {number}"
+        return [Entry(("verdict", "model"), States(self._lane))]
 
 
 def _gap(value: float) -> float:

@@ -1,15 +1,20 @@
-"""Every robot of the fleet: what arrived in, frames out. Nothing here draws, waits or raises on a strange message."""
+"""Every robot of the fleet: what arrived in, frames out. Nothing here draws, waits or raises on a strange message.
+
+What is drawn when it changes is drawn again every second, a keyframe: viewers that come later get the newest data
+first, and of what is old only what the memory still holds. So the last second of data shows the whole present.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from safedpa.bus import HEALTH, NO_ROBOT, STATE, HealthMessage, Received, Refused, StateMessage
+from safedpa.bus import HEALTH, NO_ROBOT, STATE, HealthMessage, Received, Refused, StateMessage, Topic
 from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.now_page import waiting_page
 from safedpa_services.dashboard.palette import ORANGE
 from safedpa_services.dashboard.pendulum import phase_bounds
 from safedpa_services.dashboard.robot_view import RobotView
-from safedpa_services.dashboard.shapes import Entry, Frame, Note
+from safedpa_services.dashboard.shapes import Entry, Frame, Note, Page
 from safedpa_services.dashboard.thinner import Pace, Thinner
 from safedpa_services.dashboard.time_line import TimeLine
 from safedpa_services.dashboard.world import field_of
@@ -22,6 +27,10 @@ MOST_ROBOTS = 32
 _TOLD_REFUSALS = 20
 """Lines in the log about refused messages per robot; the rest is counted."""
 
+KEYFRAME_SECONDS = 1.0
+_QUIET_SECONDS = 10.0
+"""When nothing at all was heard for so long the last keyframe is the newest there is, and no further one is drawn."""
+
 Scene = tuple[float, float, float, float]
 """The field: lowest x, highest x, lowest y, highest y in m; of a pendulum, the bounds of its phase plane in rad."""
 
@@ -32,13 +41,21 @@ class _Robot:
     thinner: Thinner = field(default_factory=Thinner)
     epoch: int | None = None
     refused: int = 0
+    newest: dict[str, float] = field(default_factory=dict)
+    """By topic: s on the time line of its last frame. A lane's keyframe belongs there, where no change comes before."""
 
 
 class FleetView:
     """Turns received messages into frames, oldest first."""
 
-    def __init__(self, look: Look) -> None:
+    def __init__(self, look: Look, fleet: str = "fleet") -> None:
         self._look = look
+        self._fleet = fleet
+        self._services: dict[str, str] = {}
+        self._waiting = waiting_page(fleet, {})
+        self._refusal = ""
+        self._heard = 0.0
+        self._next_keyframe = 0.0
         self._robots: dict[str, _Robot] = {}
         self._time = TimeLine()
         self.pace = Pace()
@@ -49,7 +66,9 @@ class FleetView:
     def take(self, items: list[Received | Refused], now: float) -> list[Frame]:
         """Frames of what arrived until ``now`` [s], the dashboard's monotonic clock."""
         lag = max((now - item.at for item in items if isinstance(item, Received)), default=0.0)
-        frames = self._pace_note(now) if self.pace.observe(lag, now) else []
+        frames = [self._wait()]
+        frames += self._pace_note(now) if self.pace.observe(lag, now) else []
+        self._heard = now if items else self._heard
         for item in items:
             if isinstance(item, Received) and item.robot == NO_ROBOT:
                 frames += self._take_fleet_health(item)
@@ -58,8 +77,24 @@ class FleetView:
         for name, robot in self._robots.items():
             silent = robot.view.health.silences(now)
             if silent:
-                frames.append(Frame(self._time.now(now), _under(name, silent)))
+                frames.append(self._frame(name, HEALTH, self._time.now(now), silent))
+        if now >= self._next_keyframe and now - self._heard < _QUIET_SECONDS:
+            self._next_keyframe = now + KEYFRAME_SECONDS
+            frames += self._keyframes(now)
         return [frame for frame in frames if frame.entries]
+
+    def end(self, sentence: str, now: float) -> list[Frame]:
+        """The last frames: each robot's page says why nothing more comes."""
+        frames = []
+        for name in self.fields:
+            robot = self._robots[name]
+            robot.view.now.end(sentence)
+            at = max(robot.newest.values(), default=0.0)
+            frames.append(self._frame(name, None, at, [Entry(("log",), Note(sentence, ORANGE))]))
+        if not self.fields:
+            text = f"# It ended while it waited for a robot\n\n{sentence}"
+            frames.append(Frame(0.0, (Entry(("waiting",), Page(text), static=True),)))
+        return [*frames, *self._keyframes(now)]
 
     @property
     def left_out(self) -> int:
@@ -72,6 +107,8 @@ class FleetView:
         if robot is None and item.topic not in (STATE, HEALTH):
             return nothing
         entries: list[Entry] = []
+        if isinstance(message, HealthMessage):
+            self._hear_of(f"{message.service} of {item.robot}", message.state)
         if robot is None:
             if len(self._robots) >= MOST_ROBOTS:
                 return nothing
@@ -82,17 +119,22 @@ class FleetView:
             robot.epoch = message.epoch
         at = self._moment(item, robot)
         draw = item.topic is HEALTH or robot.thinner.draws(item.topic.name, message.robot_time, self.pace.factor)
-        return Frame(at, _under(item.robot, entries + robot.view.take(message, item.at, draw=draw)))
+        return self._frame(item.robot, item.topic, at, entries + robot.view.take(message, item.at, draw=draw))
 
     def _take_fleet_health(self, item: Received) -> list[Frame]:
         message = item.message
         if not isinstance(message, HealthMessage) or message.service == "dashboard":
             return []
+        self._hear_of(message.service, message.state)
         at = self._time.now(item.at)
         return [
-            Frame(at, _under(name, robot.view.health.add(message, item.at, own=False)))
+            self._frame(name, HEALTH, at, robot.view.health.add(message, item.at, own=False))
             for name, robot in self._robots.items()
         ]
+
+    def _hear_of(self, service: str, state: str) -> None:
+        if service in self._services or len(self._services) < MOST_ROBOTS:
+            self._services[service] = state
 
     def _moment(self, item: Received, robot: _Robot) -> float:
         if item.topic is HEALTH or item.message.epoch != robot.epoch:
@@ -106,6 +148,7 @@ class FleetView:
 
     def _refuse(self, item: Refused, now: float) -> Frame:
         self.refused += 1
+        self._refusal = self._refusal or f"{item.key}: {item.reason}"
         robot = self._robots.get(item.robot)
         if robot is None:
             return Frame(0.0, ())
@@ -114,13 +157,45 @@ class FleetView:
             return Frame(0.0, ())
         last = " (further ones are not told)" if robot.refused == _TOLD_REFUSALS else ""
         note = Note(f"refused {item.reason[:200]}{last}", ORANGE, "WARN")
-        return Frame(self._time.now(now), _under(item.robot, [Entry(("log",), note)]))
+        return self._frame(item.robot, None, self._time.now(now), [Entry(("log",), note)])
 
     def _pace_note(self, now: float) -> list[Frame]:
         factor = self.pace.factor
         text = "dashboard: every picture is drawn" if factor == 1 else f"dashboard: behind, draws one in {factor}"
         note = Note(f"{text}; {self.left_out} left out so far", ORANGE, "INFO" if factor == 1 else "WARN")
-        return [Frame(self._time.now(now), _under(name, [Entry(("log",), note)])) for name in self.fields]
+        at = self._time.now(now)
+        return [self._frame(name, None, at, [Entry(("log",), note)]) for name in self.fields]
+
+    def _frame(self, name: str, topic: Topic | None, at: float, entries: list[Entry]) -> Frame:
+        """Entries of one robot, which its page and its next keyframe hear of."""
+        robot = self._robots[name]
+        if topic is not None:
+            robot.newest[topic.name] = max(at, robot.newest.get(topic.name, at))
+        for entry in entries:
+            if isinstance(entry.shape, Note):
+                robot.view.now.add(at, entry.shape)
+        return Frame(at, _under(name, entries))
+
+    def _keyframes(self, now: float) -> list[Frame]:
+        frames = []
+        for name in self.fields:
+            robot = self._robots[name]
+            frames += [
+                Frame(robot.newest[topic], _under(name, entries))
+                for topic, entries in robot.view.keyframe().items()
+                if topic in robot.newest
+            ]
+            page = Entry(("now",), robot.view.now.page(now))
+            frames.append(Frame(max(robot.newest.values(), default=0.0), _under(name, [page])))
+        return frames
+
+    def _wait(self) -> Frame:
+        """The page that is shown while there is no robot, where it has changed."""
+        page = self._waiting if self.fields else waiting_page(self._fleet, self._services, self._refusal)
+        if page == self._waiting:
+            return Frame(0.0, ())
+        self._waiting = page
+        return Frame(0.0, (Entry(("waiting",), page, static=True),))
 
 
 def _under(robot: str, entries: list[Entry]) -> tuple[Entry, ...]:

@@ -47,6 +47,15 @@ class HealthBook:
             entries.append(Entry(("steps", name), Curves((1e-3 * message.step_microseconds,))))
         return [*entries, *_change(name, service, message.state)]
 
+    @property
+    def states(self) -> dict[str, str]:
+        """The state of each service as it is shown."""
+        return {name: service.shown for name, service in self._services.items()}
+
+    def lanes(self) -> list[Entry]:
+        """The lane of each service as it is now."""
+        return [Entry(("services", name), States(state)) for name, state in self.states.items() if state]
+
     def silences(self, now: float) -> list[Entry]:
         """Entries of the services that fell silent since the last call."""
         late = [item for item in self._services.items() if now - item[1].heard > SILENT_SECONDS]

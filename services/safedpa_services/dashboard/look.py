@@ -42,6 +42,11 @@ class Look:
         return self.system.state_names[:3] == ("x", "y", "yaw")
 
     @property
+    def h_unit(self) -> str:
+        """Unit of the least barrier value, with a space before it; empty where it is the barriers' own choice."""
+        return f" {self.system.state[0].unit}" if self.is_car or self.is_pendulum else ""
+
+    @property
     def is_point(self) -> bool:
         """Whether it is pushed along its heading and turned at a rate."""
         return self.system.action_names == ("thrust", "turn")

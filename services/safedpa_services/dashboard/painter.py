@@ -12,6 +12,8 @@ from safedpa.errors import InputError
 from safedpa_services.dashboard.blueprint import TIME_LINE, blueprint_of
 from safedpa_services.dashboard.fleet_view import Scene
 from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.meaning import meaning
+from safedpa_services.dashboard.now_page import waiting_page
 from safedpa_services.dashboard.shapes import (
     Bands,
     Curves,
@@ -42,7 +44,16 @@ class Painter:
     Raises InputError when the file cannot be written or the port is taken.
     """
 
-    def __init__(self, look: Look, fleet: str, *, save: Path | None, bind: str, grpc_port: int | None) -> None:
+    def __init__(
+        self,
+        look: Look,
+        fleet: str,
+        *,
+        save: Path | None,
+        bind: str,
+        grpc_port: int | None,
+        memory: str = SERVER_MEMORY,
+    ) -> None:
         self._look = look
         batches = rr.ChunkBatcherConfig.DEFAULT()
         batches.flush_tick = _BATCH_SECONDS
@@ -51,7 +62,7 @@ class Painter:
         sinks: list[Any] = []
         try:
             if grpc_port is not None:
-                server = rr.GrpcServerSink(bind, grpc_port, server_memory_limit=SERVER_MEMORY, newest_first=True)
+                server = rr.GrpcServerSink(bind, grpc_port, server_memory_limit=memory, newest_first=True)
                 self.server_uri = str(server.uri)
                 sinks.append(server)
             if save is not None:
@@ -59,7 +70,8 @@ class Painter:
             self._stream.set_sinks(*sinks)
         except (RuntimeError, ValueError, OSError) as error:
             raise InputError(f"recording {save}, port {grpc_port}: {error}; choose another --save or port") from error
-        self._log(Entry(("waiting",), Page(_WAITING.format(fleet=fleet)), static=True))
+        self._log(Entry(("waiting",), waiting_page(fleet, {}), static=True))
+        self._log(Entry(("meaning",), Page(meaning(look)), static=True))
         self.arrange({})
 
     def arrange(self, fields: dict[str, Scene]) -> None:
@@ -123,10 +135,3 @@ def _colours(colours: tuple[int, ...]) -> Any:
 
 def _points(points: tuple[tuple[float, float], ...]) -> Any:
     return np.array(points, dtype=np.float32).reshape(-1, 2)
-
-
-_WAITING = """# Waiting for a robot
-
-Nobody has sent a state in fleet **{fleet}** yet. Start one with `safedpa up`, or check `--fleet` and `--connect`.
-A tab for each robot appears here as soon as it speaks.
-"""

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from safedpa.bus import (
+    FINDING,
+    HEALTH,
+    STATE,
+    VERDICT,
     FindingMessage,
     HealthMessage,
     LatentMessage,
@@ -21,6 +25,7 @@ from safedpa_services.dashboard.curves import (
 from safedpa_services.dashboard.findings import FindingBook
 from safedpa_services.dashboard.health import HealthBook
 from safedpa_services.dashboard.look import Look
+from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, UNKNOWN_STATUS, VERDICT_COLOURS
 from safedpa_services.dashboard.pendulum import (
     phase_prediction,
@@ -54,6 +59,19 @@ class RobotView:
         self._verdict: VerdictMessage | None = None
         self._status = ""
         self._in_force = ""
+        self._scenery: list[Entry] = []
+        self.now = NowPage(look)
+
+    def keyframe(self) -> dict[str, list[Entry]]:
+        """Everything that is drawn on change alone, as it is now, for who joins later: by the topic that changes it."""
+        in_force = [Entry(("verdict", "in_force"), States(self._in_force))] if self._in_force else []
+        status = [Entry(("verdict", "filter"), States(self._status))] if self._status else []
+        return {
+            STATE.name: [*self._scenery, *in_force],
+            VERDICT.name: status,
+            FINDING.name: self._findings.lanes(),
+            HEALTH.name: self.health.lanes(),
+        }
 
     def start(self) -> list[Entry]:
         """Static entries: names and colours."""
@@ -66,6 +84,7 @@ class RobotView:
 
     def take(self, message: Message, now: float, *, draw: bool = True) -> list[Entry]:
         """Entries of one message; changes of status are drawn in any case."""
+        self.now.take(message, now)
         if isinstance(message, HealthMessage):
             return self.health.add(message, now)
         if isinstance(message, FindingMessage | ModelMessage):
@@ -97,7 +116,8 @@ class RobotView:
         if scene != self._scene:
             self._scene = scene
             drawn = sector_entries if self._look.is_pendulum else scene_entries
-            entries += drawn(state, self._look)
+            self._scenery = drawn(state, self._look)
+            entries += self._scenery
         entries += body_entries(state, self._look)
         if self._look.is_pendulum:
             entries += phase_state(state, self._look)

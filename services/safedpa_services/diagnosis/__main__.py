@@ -21,6 +21,7 @@ from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import BusError
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.shipped import margin_for
+from safedpa_services.diagnosis.foretelling import foretell_with
 from safedpa_services.diagnosis.process_worker import ProcessWorker
 from safedpa_services.serving import service_parser
 
@@ -57,7 +58,7 @@ def _node(options: argparse.Namespace, worker: ProcessWorker) -> DiagnosisNode:
     def changes(robot: str, first: Version) -> ModelChanges:
         return ModelChanges(first, VersionFolder(Path(options.versions) / robot) if options.versions else None)
 
-    return DiagnosisNode(write_model(model), worker, text, changes, _folder(model))
+    return DiagnosisNode(write_model(model), worker, text, changes, _folder(model), foretell_with(options.settings))
 
 
 def _folder(model: PhysicsModel) -> Path | None:

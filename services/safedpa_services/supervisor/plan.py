@@ -52,6 +52,8 @@ class Plan:
     change_after: float = 0.0
     """s until then, by the robot's clock."""
 
+    robots: int = 1
+    """How many drive side by side, each in a scene of its own, all served by the same services."""
     certificates: Path | None = None
     """Folder of a certificate for every role: everything goes through a router over mutual TLS; None: plain text."""
 
@@ -61,9 +63,26 @@ class Plan:
         return self.folder / "recording.mcap"
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Of the robots on the bus: the name counted on, as r1, r2, r3."""
+        if self.robots == 1:
+            return (self.name,)
+        stem = self.name.rstrip("0123456789")
+        first = int(self.name[len(stem) :] or 1)
+        return tuple(f"{stem}{first + index}" for index in range(self.robots))
+
+    @property
     def summary(self) -> Path:
-        """What the robot says of itself at its end, as JSON."""
-        return self.folder / "robot.json"
+        """What the first robot says of itself at its end, as JSON."""
+        return self._summary(0)
+
+    def _summary(self, index: int) -> Path:
+        return self.folder / (f"robot-{self.names[index]}.json" if index else "robot.json")
+
+    @property
+    def other_summaries(self) -> dict[str, Path]:
+        """The same of the other robots, by name."""
+        return {name: self._summary(index) for index, name in enumerate(self.names) if index}
 
     @property
     def _scheduling(self) -> list[str]:
@@ -125,21 +144,25 @@ class Plan:
             return ZenohSettings(listen=(self.endpoint,))
         return ZenohSettings("client", (), (self.endpoint,), Certificates(self.certificates, "operator"))
 
-    def robot_process(self) -> Child:
-        """The robot."""
-        options = ["--robot", self.robot, "--name", self.name, "--load", self.load, "--seed", str(self.seed)]
-        options += ["--rate", repr(self.rate), "--seconds", repr(self.seconds), "--summary", str(self.summary)]
+    def robot_process(self, index: int = 0) -> Child:
+        """The robot, or another one beside it, whose scene has the next seed."""
+        options = ["--robot", self.robot, "--name", self.names[index], "--load", self.load]
+        options += ["--seed", str(self.seed + index), "--rate", repr(self.rate), "--seconds", repr(self.seconds)]
+        options += ["--summary", str(self._summary(index))]
         options += self.surroundings
         options += ["--change", self.change, "--change-after", repr(self.change_after)] if self.change else []
         options += ["--lockstep"] if self.lockstep else self._scheduling
-        return self._child("robot", "safedpa_sim.robots", *options)
+        name = f"robot {self.names[index]}" if index else "robot"
+        return self._child(name, "safedpa_sim.robots", *options, heartbeat=not index)
 
     def _child(self, name: str, module: str, *arguments: str, essential: bool = True, heartbeat: bool = True) -> Child:
         bus = ["--fleet", self.fleet, "--connect", self.endpoint]
         if self.certificates is not None:
             role = f"robot.{self.name}" if name == "robot" else name
             bus += ["--certificates", str(self.certificates), "--role", role]
-        return Child(name, module, (*arguments, *bus), self.folder / f"{name}.log", essential, heartbeat)
+        return Child(
+            name, module, (*arguments, *bus), self.folder / f"{name.replace(' ', '-')}.log", essential, heartbeat
+        )
 
     @staticmethod
     def new_folder(parent: Path, name: str) -> Path:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from rich.console import Console
 from rich.live import Live
@@ -19,13 +21,25 @@ from safedpa_services.terminal import Shown, terminal
 __all__ = ["screen"]
 
 _REDRAW_SECONDS = 0.25
+_PROBE_SECONDS = 0.05
 
 
 @contextmanager
 def screen(
-    watch: Watch, services: Sequence[Child], robot: Child, hints: list[str], folder: Path, *, quiet: bool
+    watch: Watch,
+    services: Sequence[Child],
+    robot: Child,
+    hints: list[str],
+    folder: Path,
+    *,
+    quiet: bool,
+    page: str = "",
 ) -> Iterator[Callable[[], None]]:
-    """Yields a function to call often; it redraws at most four times a second. ``folder`` is the run's."""
+    """Yields a function to call often; it redraws at most four times a second. ``folder`` is the run's.
+
+    The address of the ``page`` is told once it answers there.
+    """
+    door = _Page(page)
     console = terminal(stderr=True)
     if quiet:
         yield Warnings((robot, *services), folder).look
@@ -33,7 +47,7 @@ def screen(
     if not console.is_terminal:
         for hint in hints:
             console.print(hint, soft_wrap=True)
-        yield _Announcement(watch, console, Warnings((robot, *services), folder, _printer(console)))
+        yield _Announcement(watch, door, console, Warnings((robot, *services), folder, _printer(console)))
         return
     warnings = Warnings((robot, *services), folder)
     drawn = 0.0
@@ -44,7 +58,7 @@ def screen(
             warnings.look()
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                view = view_of(watch, services, robot, [*_live_view(watch), *hints], warnings.newest)
+                view = view_of(watch, services, robot, [*_live_view(watch), *door.lines(), *hints], warnings.newest)
                 live.update(Shown(view), refresh=True)
 
         yield redraw
@@ -55,18 +69,46 @@ def _printer(console: Console) -> Callable[[str], None]:
 
 
 class _Announcement:
-    """Tells the dashboard's address once, as soon as it is known, and warnings as they come."""
+    """Tells each address once, as soon as something answers there, and warnings as they come."""
 
-    def __init__(self, watch: Watch, console: Console, warnings: Warnings) -> None:
-        self._watch, self._console, self._warnings = watch, console, warnings
-        self._told = False
+    def __init__(self, watch: Watch, page: _Page, console: Console, warnings: Warnings) -> None:
+        self._watch, self._page, self._console, self._warnings = watch, page, console, warnings
+        self._told: set[str] = set()
 
     def __call__(self) -> None:
         self._warnings.look()
-        lines = [] if self._told else _live_view(self._watch)
-        for line in lines:
-            self._told = True
-            self._console.print(line, soft_wrap=True)
+        for line in [*_live_view(self._watch), *self._page.lines()]:
+            kind = line.split(" ", maxsplit=1)[0]
+            if kind not in self._told:
+                self._told.add(kind)
+                self._console.print(line, soft_wrap=True)
+
+
+class _Page:
+    """An address of this machine that is worth telling once somebody answers there."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._answers = False
+        self._next_look = 0.0
+
+    def lines(self) -> list[str]:
+        """The address with its name; nothing while nobody answers."""
+        if not self._address:
+            return []
+        if not self._answers and time.monotonic() >= self._next_look:
+            self._next_look = time.monotonic() + _REDRAW_SECONDS
+            self._answers = _answers(self._address)
+        return [f"workbench {self._address}"] if self._answers else []
+
+
+def _answers(address: str) -> bool:
+    parts = urlsplit(address)
+    try:
+        socket.create_connection((parts.hostname or "127.0.0.1", parts.port or 80), _PROBE_SECONDS).close()
+    except OSError:
+        return False
+    return True
 
 
 def _live_view(watch: Watch) -> list[str]:

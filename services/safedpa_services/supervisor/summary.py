@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +25,14 @@ def summary_of(
     health: dict[str, HealthMessage],
     recording: Path,
     standstills: Sequence[Stand] = (),
+    others: Mapping[str, Path] | None = None,
 ) -> dict[str, Any]:
     """The robot's own account, verdicts per status, stands, interventions, services with restarts, and the recording.
 
+    ``others``: by name, where further robots left theirs; they stand under ``robots``.
     Raises SafedpaError when the robot left no account.
     """
-    try:
-        account = json.loads(robot_summary.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise SafedpaError(f"the robot left no account of its run ({error}); see {robot_summary.parent}") from error
+    account = _account(robot_summary)
     recorder = health.get("recorder")
     failed = recorder.detail if recorder is not None and recorder.state == "failing" else None
     return {
@@ -44,4 +43,13 @@ def summary_of(
         "services": [{"name": child.name, "pid": child.pid, "restarts": child.restarts} for child in children],
         "recording": str(recording),
         "recording_error": failed,
+        **({"robots": {name: _account(path) for name, path in others.items()}} if others else {}),
     }
+
+
+def _account(path: Path) -> dict[str, Any]:
+    try:
+        account: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SafedpaError(f"the robot left no account of its run ({error}); see {path.parent}") from error
+    return account

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from safedpa.errors import SafedpaError
@@ -17,6 +17,8 @@ _TURN_SECONDS = 0.05
 _ROBOT_PATIENCE_SECONDS = 8.0
 """A robot brakes to a standstill before it ends."""
 _BRAKING_SECONDS = 5.0
+_OTHERS_PATIENCE_SECONDS = 5.0
+"""After the first robot's end, for the others to come to theirs."""
 _SERVICE_PATIENCE_SECONDS = 6.0
 """The filter takes up to 5 s to see robots stand that it serves beside this loop's."""
 _HUNG_SECONDS = 10.0
@@ -37,6 +39,8 @@ class Supervisor:
     """Called many times a second, to show what is going on."""
     hurried: Callable[[], bool] = lambda: False
     """Whether to end everything at once, in whatever state it is."""
+    others: Sequence[tuple[Child, Watch]] = ()
+    """Further robots that drive beside the first, whose end is the end."""
 
     def run(self) -> int:
         """Returns the robot's exit code, or 0 when stopped. Everything has ended afterwards, whatever happened.
@@ -49,10 +53,19 @@ class Supervisor:
                     child.start()
             self._await_services()
             if not self.stopped():
-                self.robot.start()
+                for child in self._robots:
+                    child.start()
             return self._attend()
         finally:
             self._end()
+
+    @property
+    def _robots(self) -> list[Child]:
+        return [self.robot, *(child for child, _ in self.others)]
+
+    @property
+    def _watches(self) -> list[Watch]:
+        return [self.watch, *(watch for _, watch in self.others)]
 
     def _await_services(self) -> None:
         deadline = time.monotonic() + _READY_SECONDS
@@ -70,15 +83,25 @@ class Supervisor:
     def _attend(self) -> int:
         while not self.stopped():
             self._turn()
+            for child in self._robots:
+                if child.exit_code not in (None, 0, 1):
+                    self._revive(child)
             code = self.robot.exit_code
             if code in (0, 1):
+                self._await_others()
                 return code
-            if code is not None:
-                self._revive(self.robot)
         return 0
+
+    def _await_others(self) -> None:
+        """Those that drive for as long a time, by clocks of their own."""
+        end = time.monotonic() + _OTHERS_PATIENCE_SECONDS
+        while not self.stopped() and time.monotonic() < end and any(c.exit_code is None for c, _ in self.others):
+            self._turn()
 
     def _turn(self) -> None:
         self.watch.listen(_TURN_SECONDS)
+        for _, watch in self.others:
+            watch.listen(0.0)
         for child in self.services:
             if child.exit_code is not None:
                 self._revive(child)
@@ -96,7 +119,10 @@ class Supervisor:
     def _end(self) -> None:
         """The robot stands first, then it ends, then the services, and the recorder last: it hears everything."""
         self._brake()
-        self.robot.end(self._patience(_ROBOT_PATIENCE_SECONDS))
+        for child in self._robots:
+            child.terminate()
+        for child in self._robots:
+            child.end(self._patience(_ROBOT_PATIENCE_SECONDS))
         self.watch.listen(0.0)
         others = [child for child in self.services if child.name not in _LAST]
         for child in others:
@@ -113,11 +139,16 @@ class Supervisor:
 
     def _brake(self) -> None:
         """Has the filter brake while everything still runs; where it does not answer, the robot does so by itself."""
-        if self.robot.pid == 0 or self.robot.exit_code is not None or self.hurried() or not self.watch.stop_robot():
-            return
+        driving = [pair for pair in zip(self._robots, self._watches, strict=True) if _drives(pair[0])]
+        braking = [pair for pair in driving if not self.hurried() and pair[1].stop_robot()]
         end = time.monotonic() + _BRAKING_SECONDS
-        while time.monotonic() < end and self.robot.exit_code is None and not self.hurried():
-            self.watch.listen(_TURN_SECONDS)
+        while braking and time.monotonic() < end and not self.hurried():
+            time.sleep(_TURN_SECONDS)
+            for watch in self._watches:
+                watch.listen(0.0)
             self.on_turn()
-            if self.watch.stands():
-                return
+            braking = [(child, watch) for child, watch in braking if _drives(child) and not watch.stands()]
+
+
+def _drives(child: Child) -> bool:
+    return child.pid != 0 and child.exit_code is None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from safedpa.bus import (
     FINDING,
     HEALTH,
+    NO_ROBOT,
     STATE,
     VERDICT,
     Bus,
@@ -86,6 +87,8 @@ class Watch:
 
     def _take(self, item: Received) -> None:
         message = item.message
+        if item.robot not in (self.robot, NO_ROBOT):
+            return
         if isinstance(message, HealthMessage):
             self.health[message.service] = (message, item.at)
         elif isinstance(message, StateMessage):

@@ -20,6 +20,7 @@ from safedpa.bus import (
 )
 from safedpa.errors import InputError
 from safedpa.limits import parse_json
+from safedpa.safety.standstill import Stand, note_standstill, what_to_do
 
 __all__ = ["LiveBook", "Mark", "RobotBook"]
 
@@ -74,12 +75,16 @@ class RobotBook:
     troubles: deque[str] = field(default_factory=lambda: deque(maxlen=5))
     """Messages about this robot that were refused, and why."""
 
+    stands: list[Stand] = field(default_factory=list)
+    """Every stand of more than 5 s while something was wished, since the start."""
+
     def take(self, message: Message, at: float) -> None:
         """Takes one message in, heard at ``at`` [s]."""
         if isinstance(message, StateMessage):
             self._state(message, at)
         elif isinstance(message, VerdictMessage):
             self.verdict = message
+            self._stand(message)
             if len(message.predicted) != 1:  # not the next state alone
                 self.ahead = message.predicted
         elif isinstance(message, FindingMessage):
@@ -98,10 +103,16 @@ class RobotBook:
             self.path.append((message.robot_time, message.values))
         self.state, self.seen = message, at
 
+    def _stand(self, verdict: VerdictMessage) -> None:
+        known = len(self.stands)
+        note_standstill(self.stands, verdict)
+        if len(self.stands) > known:
+            self.marks.append(Mark(float(self.stands[-1]["from"]), "model", f"stands: {verdict.standstill}"))
+
     def _anew(self, epoch: int) -> None:
         """Forgets what was before the robot's start."""
         self.epoch = epoch
-        for kept in (self.path, self.errors, self.marks):
+        for kept in (self.path, self.errors, self.marks, self.stands):
             kept.clear()
         self.finding, self.report, self.report_of, self.before = None, None, 0, None
 
@@ -165,10 +176,28 @@ class RobotBook:
         listed = ", ".join(f"{name} {value[:8]}" for name, value in present.items())
         return f"The services have different models in force ({listed}); the filter falls back where they matter."
 
+    def standstill(self) -> str:
+        """For how long the robot stands, why, and what to do about it; empty while it moves or nothing is wished."""
+        verdict = self.verdict
+        if verdict is None or not verdict.standstill:
+            return ""
+        told = f"{self.name} stands for {verdict.stands:.0f} s, {verdict.standstill}."
+        return f"{told} {what_to_do(verdict.standstill)}".rstrip()
+
+    def account(self) -> str:
+        """The drive in a sentence."""
+        state = self.state
+        if state is None:
+            return "Nothing was driven."
+        goals, collisions = state.goals_reached, state.collisions
+        driven = f"{self.name} drove for {state.robot_time:.0f} s: {goals} goal{'s' * (goals != 1)}"
+        return f"{driven}, {collisions} collision{'s' * (collisions != 1)}."
+
     def silence(self, at: float) -> str:
         """Who should be heard and is not, in words; empty while everything speaks."""
         if at - self.seen > _SILENT:
-            return f"{self.name} was heard last {at - self.seen:.0f} s ago."
+            since = f"{self.name} was heard last {at - self.seen:.0f} s ago"
+            return f"{since}: its drive has ended, or the link to it is broken. {self.account()}"
         if self.found is None:
             return "No diagnosis is heard; what is shown comes from the robot alone. The robot does not need it."
         if at - self.found > _SILENT:

@@ -35,6 +35,8 @@ class LiveLink:
         self._bus = bus
         self._inbox = bus.inbox((STATE, VERDICT, FINDING, MODEL, TAKEOVER, HEALTH))
         self.book = LiveBook()
+        self.ended = False
+        """Whether the drive has ended, and this page's server with it."""
 
     @property
     def title(self) -> str:

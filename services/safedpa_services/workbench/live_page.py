@@ -6,17 +6,18 @@ import asyncio
 import getpass
 import time
 from collections.abc import Callable
+from itertools import zip_longest
 from typing import Any
 
 from nicegui import events, ui
 
-from safedpa.bus import Request
+from safedpa.bus import Answer, Request
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
 from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.help import show_keys
 from safedpa_services.workbench.live_book import RobotBook
 from safedpa_services.workbench.live_cards import live_cards
-from safedpa_services.workbench.live_link import LiveLink
+from safedpa_services.workbench.live_link import LiveLink, Told
 from safedpa_services.workbench.live_panels import change_lines, driven_lines, error_bars, field_legend
 from safedpa_services.workbench.look import DARK, LIGHT
 from safedpa_services.workbench.panel_candidates import CandidatesPanel
@@ -37,6 +38,9 @@ class LivePage:
         self._look = LIGHT
         self._accepted: tuple[str, ...] = ()
         self._told = ""
+        self._pending = ""
+        self._earlier = 0
+        self._ended = False
         self._drawn: Any = None
         self._shown: Any = None
         self._asking = False
@@ -61,9 +65,11 @@ class LivePage:
                 action("Keys", show_keys, "?", hint="list of keyboard shortcuts")
             self._verdict = text("", "verdict", "div").props('role=status aria-live=polite id="verdict"')
             self._problem = text("", "verdict problem", "div").props("role=alert")
+            self._stands = text("", "verdict problem", "div").props('role=status aria-live=polite id="stands"')
             with ui.element("div").classes("columns"):
                 self._panels()
         self._problem.set_visibility(False)
+        self._stands.set_visibility(False)
         ui.timer(_PICTURE_SECONDS, self.show)
         ui.timer(_STATUS_SECONDS, self.ask_status)
 
@@ -87,7 +93,10 @@ class LivePage:
             with ui.element("div").classes("bottom"):
                 self._said = text("", "note", "div").props("role=status aria-live=polite")
                 with ui.element("div").classes("row"):
-                    action("Roll back", self._roll_back, "u", hint="back to the model before the last change")
+                    self._back = action(
+                        "Roll back", self._roll_back, "u", hint="back to the model before the last change"
+                    )
+        self._back.set_visibility(False)
 
     async def begin(self) -> None:
         """Chooses dark or light as the browser wishes."""
@@ -101,7 +110,12 @@ class LivePage:
         return self._link.book.robots.get(self._robot)
 
     def show(self) -> None:
-        """Draws what is known now."""
+        """Draws what is known now; once the drive has ended, that, and nothing any more."""
+        if self._ended:
+            return
+        if self._link.ended:
+            self._end()
+            return
         robots = sorted(self._link.book.robots)
         if robots != self._choice.options:
             self._choice.set_options(robots, value=self._robot if self._robot in robots else next(iter(robots), None))
@@ -114,6 +128,9 @@ class LivePage:
         finding = book.finding
         self._verdict.set_content(escaped(_capital(finding.sentence) if finding else "No finding was heard yet."))
         self._trouble(book.silence(time.monotonic()) or book.mismatch() or (book.troubles[-1] if book.troubles else ""))
+        stands = book.standstill()
+        self._stands.set_visibility(bool(stands))
+        self._stands.set_content(escaped(stands))
         self._filter.set_content(escaped(book.verdict.sentence if book.verdict else ""))
         self._where.set_content(escaped(_where(book)))
         self._legend.set_content(field_legend(self._look))
@@ -133,6 +150,18 @@ class LivePage:
         self._evidence.update_figure(evidence_figure(book, self._look))
         self._bars.set_content(error_bars(book))
         self._changes.set_content(change_lines(book))
+
+    def _end(self) -> None:
+        """The last word, which stays when the server is gone; the browser need not look for it."""
+        self._ended = True
+        book = self._book
+        self._trouble("")
+        self._stands.set_visibility(False)
+        account = "" if book is None else f" {book.account()}"
+        self._verdict.set_content(escaped(f"The drive has ended.{account} What is shown here is the last of it."))
+        self._candidates.show_cards([], "", "The drive has ended: nothing can be changed any more.")
+        self._back.set_visibility(False)
+        ui.run_javascript("document.body.classList.add('ended')")
 
     def _trouble(self, sentence: str) -> None:
         self._problem.set_visibility(bool(sentence))
@@ -163,11 +192,16 @@ class LivePage:
         if robot != self._robot:
             return
         if told.answer is None:
-            self._accepted, self._told = (), told.sentence
+            self._accepted, self._told, self._earlier = (), told.sentence, 0
         else:
+            if self._pending and not told.answer.pending:
+                ui.notify(_capital(told.sentence), timeout=8000, multi_line=True)
+            self._pending, self._earlier = told.answer.pending, told.answer.earlier
             self._accepted = told.answer.candidates
+            self._candidates.foretell(_consequences(told.answer, book))
             pending = f" ({told.answer.pending} …)" if told.answer.pending else ""
             self._told = told.sentence + pending
+        self._back.set_visibility(self._earlier > 0)
 
     async def _ask(self, do: str, effect: str = "") -> None:
         book = self._book
@@ -182,8 +216,8 @@ class LivePage:
             who=str(self._who.value or "workbench"),
         )
         told = await self._link.ask(self._robot, request)
-        self._told = told.sentence
-        ui.notify(told.sentence, type="positive" if told.ok else "negative", timeout=6000, multi_line=True)
+        self._told = _answered(do, told)
+        ui.notify(self._told, type="positive" if told.ok else "negative", timeout=6000, multi_line=True)
         await self.ask_status()
 
     async def _accept(self, effect: str = "") -> None:
@@ -197,7 +231,10 @@ class LivePage:
             await self._ask("reject", effect)
 
     async def _roll_back(self) -> None:
-        await self._ask("roll_back")
+        if self._earlier:
+            await self._ask("roll_back")
+        else:
+            ui.notify("There is no model to go back to: this is the one that the robot began with.")
 
     # the page itself
 
@@ -230,6 +267,28 @@ class LivePage:
             done = keys[str(event.key)]()
             if asyncio.iscoroutine(done):
                 await done
+
+
+_DONE = {"accept": "Accepted", "reject": "Rejected", "roll_back": "Rolled back"}
+
+
+def _answered(do: str, told: Told) -> str:
+    """The answer to a click, which begins with what became of it."""
+    if told.answer is None:
+        return told.sentence
+    if told.ok:
+        return f"{_DONE[do]}: {told.sentence}."
+    return f"Refused because {told.sentence.removeprefix('refused: ').rstrip('.')}."
+
+
+def _consequences(answer: Answer, book: RobotBook) -> dict[str, str]:
+    """What accepting each effect would do, with h and margin of now."""
+    verdict = book.verdict
+    now = "" if verdict is None else f" Now h is {verdict.h_now:.2f}, the margin {verdict.margin:.3f}."
+    waits = "what it does to the margin is being computed; the filter tells it in any case before it is used"
+    after = "All services take it over at one tick; the robot drives on meanwhile."
+    foreseen = zip_longest(answer.candidates, answer.foreseen[: len(answer.candidates)], fillvalue="")
+    return {effect: f"If you accept: {told or waits}.{now} {after}" for effect, told in foreseen}
 
 
 def _where(book: RobotBook) -> str:

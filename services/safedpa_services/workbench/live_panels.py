@@ -48,12 +48,15 @@ def driven_lines(book: RobotBook) -> str:
     if state is None:
         return ""
     model = book.finding.model[:8] if book.finding is not None else "unknown"
+    verdict = book.verdict
     rows = [
         ("clock", f"{state.robot_time:.0f} s"),
         ("goals reached", f"{state.goals_reached}"),
         ("collisions", f"{state.collisions}"),
         ("model in force", escaped(model)),
     ]
+    if verdict is not None:
+        rows += [("room left h", f"{verdict.h_now:.2f}"), ("margin", f"{verdict.margin:.3f}")]
     return '<table class="states">' + "".join(f"<tr><td>{k}</td><td>{v}</td></tr>" for k, v in rows) + "</table>"
 
 

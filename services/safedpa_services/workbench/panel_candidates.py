@@ -37,6 +37,8 @@ class CandidatesPanel:
         self._on_add, self._on_reject, self._words = on_add, on_reject, words
         self._cards: list[Card] = []
         self.open = 0
+        self._foreseen: dict[str, str] = {}
+        self._consequence: ui.html | None = None
         with panel(3, "What is missing"):
             with ui.element("div").classes("row tight") as self._busy:
                 ui.spinner(size="18px")
@@ -74,6 +76,12 @@ class CandidatesPanel:
         self._head.set_visibility(bool(cards))
         self._draw()
 
+    def foretell(self, foreseen: dict[str, str]) -> None:
+        """What each effect would do if it were added, by effect; stands above the buttons of the open card."""
+        self._foreseen = foreseen
+        if self._consequence is not None:
+            self._consequence.set_content(escaped(self._foreseen.get(self.effect, "")))
+
     def move(self, by: int) -> None:
         """Opens the next or the previous card."""
         if self._cards:
@@ -91,6 +99,7 @@ class CandidatesPanel:
         self._draw()
 
     def _draw(self) -> None:
+        self._consequence = None
         self._list.clear()
         with self._list:
             for index, card in enumerate(self._cards):
@@ -125,6 +134,7 @@ class CandidatesPanel:
             text(f"These data cannot tell it from {', '.join(card.equals).replace('_', ' ')}.", "problem", "div")
         if card.signature:
             text(f"Without it: {card.signature}.", "quiet", "div")
+        self._consequence = text(self._foreseen.get(card.effect, ""), "consequence", "div")
         with ui.element("div").classes("row"):
             yes, no = self._words
             action(yes, lambda: self._on_add(card.effect), "a", hint=f"{yes.lower()} {card.effect}", main=True)

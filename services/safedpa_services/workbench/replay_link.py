@@ -33,6 +33,7 @@ class ReplayLink:
         self._began = clock() - self._next[2].robot_time
         self.title = f"recording {path.name}"
         self.book = LiveBook()
+        self.ended = False
 
     def listen(self) -> None:
         """Takes in what was said up to now, by the robot's clock."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+import time
 from importlib.resources import files
 from pathlib import Path
 
@@ -35,6 +36,8 @@ _OPEN = (
     "serves on {host}: every machine that reaches this one can ask for the page; who has the way in may change models"
 )
 _LISTEN_SECONDS = 0.1
+_LAST_WORD_SECONDS = 1.0
+"""For the pages to say that the drive has ended."""
 _RECONNECT_SECONDS = 10.0
 """s for which a page that lost its connection is kept."""
 
@@ -75,7 +78,8 @@ def serve(
     if browser:
         app.on_startup(lambda: show(where))
     if stop is not None:
-        threading.Thread(target=_end_with, args=(stop,), daemon=True).start()
+        app.on_startup(lambda: stop.listen_to_signals(app.shutdown))  # the web server's own way out leaves no last word
+        threading.Thread(target=_end_with, args=(stop, link), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):  # which is how a person ends it
         ui.run(
             host=serving.host,
@@ -103,8 +107,11 @@ def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
     app.timer(_LISTEN_SECONDS, link.listen)
 
 
-def _end_with(stop: Stop) -> None:
+def _end_with(stop: Stop, link: LiveLink | ReplayLink | None) -> None:
     stop.wait()
+    if link is not None and Client.instances:
+        link.ended = True
+        time.sleep(_LAST_WORD_SECONDS)
     app.shutdown()
 
 

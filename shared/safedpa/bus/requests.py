@@ -67,6 +67,10 @@ class Answer:
     """Number of the newest finding; 0 while there was none."""
     candidates: tuple[str, ...] = ()
     """Effects that can be accepted now, best first."""
+    foreseen: tuple[str, ...] = ()
+    """To ``status``: what accepting each candidate would do to the filter's margin, in words; empty: not known yet."""
+    earlier: Count = 0
+    """How many models there are to roll back to."""
 
 
 def request_key(fleet: str, robot: str, name: str = REQUEST) -> str:

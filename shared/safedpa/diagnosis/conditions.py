@@ -19,11 +19,11 @@ from safedpa.diagnosis.heldout import Heldout, error_with
 from safedpa.diagnosis.judging import FALL, SIMPLER
 from safedpa.diagnosis.patch import Patch
 from safedpa.diagnosis.revision import refit, removals, take_back
-from safedpa.diagnosis.trial import Trial, block_gain, trial_of
+from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect, Conditioned, Context, Varies, Where, conditioned
-from safedpa.effects.conditioned import may_have_law
+from safedpa.effects.conditioned import may_have_law, plain
 from safedpa.errors import ModelFileError
 from safedpa.operations import NUMPY
 
@@ -172,11 +172,21 @@ def _chosen(search: Search, trials: Sequence[Trial], heldout: Heldout) -> Trial 
 
 
 def _passes(trial: Trial, search: Search, heldout: Heldout) -> bool:
-    gain = block_gain(search.current, trial, search.shooting, local=True)
-    if not gain > _LIKELY:
+    """Whether unseen blocks and held-out rollouts are better than with the present model, and with the plain effect."""
+    after = error_with(trial.fit, search.shooting, heldout).value
+    if not _better(trial, search.current, search.error.value, after, search):
         return False
-    fall = 1.0 - error_with(trial.fit, search.shooting, heldout).value / max(search.error.value, 1e-12)
-    return (gain > _SURE and fall > FALL) or fall > _MUCH
+    own = next(item for item in trial.fit.model.effects if item.name == trial.effects[0])
+    if own.name in {item.name for item in search.current.fit.model.effects}:
+        return True
+    everywhere = tried(search.current, [plain(own)], search.shooting)
+    before = error_with(everywhere.fit, search.shooting, heldout).value
+    return _better(trial, everywhere, before, after, search)
+
+
+def _better(trial: Trial, other: Trial, before: float, after: float, search: Search) -> bool:
+    gain, fall = block_gain(other, trial, search.shooting, local=True), 1.0 - after / max(before, 1e-12)
+    return (gain > _SURE and fall > FALL) or (gain > _LIKELY and fall > _MUCH)
 
 
 def _more_than_its_law(trial: Trial, search: Search) -> bool:

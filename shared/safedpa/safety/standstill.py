@@ -19,7 +19,7 @@ from typing import Final
 from safedpa.bus import VerdictMessage
 from safedpa.systems import System
 
-__all__ = ["DEAD_BAND_SECONDS", "TOLD_SECONDS", "Stand", "Standstill", "note_standstill", "places_of"]
+__all__ = ["DEAD_BAND_SECONDS", "TOLD_SECONDS", "Stand", "Standstill", "note_standstill", "places_of", "what_to_do"]
 
 Stand = dict[str, float | str]
 """``from`` [s, by the robot's clock], ``seconds``, ``reason``."""
@@ -32,6 +32,21 @@ _STILL: Final = 0.1
 """Of the way promised; less is none."""
 _DRIVEN: Final = 0.02
 """Of the way promised under the wish; with less the action that went out is not meant to move the robot either."""
+
+
+_CURES: Final = {
+    "dead band": "Free it if something blocks it, or give the model what holds it, such as a dead zone of its drive.",
+    "no decision": "An input of the filter is missing or refused, or it was ordered to stop: it drives on when all is "
+    "back, or after 'safedpa go'.",
+    "margin": "Give it another goal or more room, roll back to a model with a narrower margin, or calibrate anew.",
+    "boxed in": "Give it another goal or more room, or drive it out by hand.",
+}
+"""By what a reason begins with."""
+
+
+def what_to_do(reason: str) -> str:
+    """What a person can do about a robot that stands for this reason of a verdict; empty for one not known here."""
+    return _CURES.get(reason.partition(":")[0], "")
 
 
 def places_of(system: System) -> tuple[int, ...]:

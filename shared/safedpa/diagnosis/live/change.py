@@ -309,4 +309,5 @@ class ModelChanges:
             fingerprint=self.fingerprint,
             finding=self._finding,
             candidates=self._open_candidates(),
+            earlier=len(self._kept.versions) - 1,
         )

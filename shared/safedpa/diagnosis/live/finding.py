@@ -226,7 +226,7 @@ class RobotDiagnosis:
         if self._adopted is not None and self.time - self._adopted.at < _TOLD_SECONDS and finding is None:
             error = f"{error}, {self._adopted.before:.3f} with the model before"
         if finding is None or watch.band is None:
-            learned = f"learning what is usual: {100 * watch.learned_share:.0f} %"
+            learned = f"still learning what is usual: {watch.seconds_to_learn:.0f} s of driving to go"
             return (
                 f"{error}; {learned}"
                 if watch.band is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import RLock
 from typing import final
@@ -30,6 +30,7 @@ from safedpa.bus import (
 )
 from safedpa.diagnosis.live.change import ModelChanges
 from safedpa.diagnosis.live.finding import RobotDiagnosis
+from safedpa.diagnosis.live.foresight import Foresight, Foretell
 from safedpa.diagnosis.live.versions import Candidate, Version
 from safedpa.diagnosis.live.work import AbstractWorker, Outcome, Work
 from safedpa.dynamics import fingerprint, parse_model
@@ -46,6 +47,7 @@ class _Robot:
     told: Outcome | None = None
     """Whose candidates are proposed."""
     preparing: Work | None = None
+    ahead: Foresight = field(default_factory=Foresight)
 
 
 @final
@@ -55,7 +57,8 @@ class DiagnosisNode(AbstractNode):
     ``document`` is the text of the model file that robots begin with; raises ModelFileError when it is none. ``margin``
     is the text of the filter's margin for it; empty: the shipped one. ``folder`` holds the weights of a learned model.
     ``changes`` makes what keeps a robot's versions from the robot's name and the first one; by default they live as
-    long as the node. Nobody waits for any of it. ``answer`` may be called from any thread.
+    long as the node. ``foretell`` says what a candidate's margin would do; without it nothing is foretold. Nobody waits
+    for any of it. ``answer`` may be called from any thread.
     """
 
     name = "diagnosis"
@@ -71,12 +74,14 @@ class DiagnosisNode(AbstractNode):
         margin: str = "",
         changes: Callable[[str, Version], ModelChanges] = lambda _robot, first: ModelChanges(first),
         folder: Path | None = None,
+        foretell: Foretell | None = None,
     ) -> None:
         model = parse_model(document, folder)
         self._folder = folder
         self._system: System = model.system
         self._first = Version(fingerprint(model), document, margin)
         self._worker = worker
+        self._foretell = foretell
         self._new_changes = changes
         self._lock = RLock()
         self._changes: dict[str, ModelChanges] = {}
@@ -97,6 +102,7 @@ class DiagnosisNode(AbstractNode):
             latent if isinstance(latent, LatentMessage) else None,
             verdict if isinstance(verdict, VerdictMessage) else None,
         )
+        known.ahead.verdict = verdict if isinstance(verdict, VerdictMessage) else known.ahead.verdict
         self._propose(known, changes)
         self._prepare(robot, known, changes)
         found: dict[object, Message | None] = {FINDING: finding, MODEL: change}
@@ -108,7 +114,12 @@ class DiagnosisNode(AbstractNode):
 
     def answer(self, robot: str, request: Request) -> Answer:
         """Does what is asked about a robot, or says why not."""
-        return self.changes_of(robot).answer(request)
+        changes = self.changes_of(robot)
+        answer, known = changes.answer(request), self._robots.get(robot)
+        if request.do != "status" or known is None or self._foretell is None:
+            return answer
+        told = known.ahead.told(changes.version.margin, self._foretell)
+        return replace(answer, foreseen=tuple(told.get(effect, "") for effect in answer.candidates))
 
     def changes_of(self, robot: str) -> ModelChanges:
         """The versions of a robot's model; they outlive a restart of the robot."""
@@ -155,12 +166,17 @@ class DiagnosisNode(AbstractNode):
             known.told = outcome
             effects = () if outcome is None else outcome.effects
             changes.propose(number, {effect: Candidate(effect) for effect in effects})
+            if self._foretell is not None:
+                known.ahead.begin(self._works(known, changes, effects))
         if outcome is not None and outcome.effects and {(number, e) for e in outcome.effects} <= changes.rejected:
             known.diagnosis.dismiss()
 
     def _prepare(self, robot: str, known: _Robot, changes: ModelChanges) -> None:
         """Has the model with the accepted effect made, and its margin calibrated on the newest data."""
         wanted = changes.wanted
+        if wanted is None and known.preparing is None:
+            known.ahead.step(robot, self._worker)
+            return
         if known.preparing is not None:
             if wanted is None or wanted.effect != known.preparing.effect:
                 self._worker.cancel(robot)
@@ -169,24 +185,22 @@ class DiagnosisNode(AbstractNode):
                 work, known.preparing = known.preparing, None
                 _hand_over(changes, work, outcome)
             return
-        if wanted is None:
-            return
-        run, outcome = known.diagnosis.data(), known.diagnosis.outcome
-        if run is None or outcome is None:
+        works = [] if wanted is None else self._works(known, changes, (wanted.effect,))
+        if not works:
             changes.failed("the finding is not open any more: the error is back in its band")
             return
         known.diagnosis.pause()
-        document = outcome.documents.get(wanted.effect, "")
-        known.preparing = Work(
-            "prepare",
-            changes.version.document,
-            run,
-            effect=wanted.effect,
-            document=document,
-            footprint=known.footprint,
-            folder=self._folder,
-        )
+        known.ahead.interrupted()
+        known.preparing = works[0]
         self._worker.begin(robot, known.preparing)
+
+    def _works(self, known: _Robot, changes: ModelChanges, effects: tuple[str, ...]) -> list[Work]:
+        """To make the models with these effects, on the newest data; none where no finding is open."""
+        run, outcome = known.diagnosis.data(), known.diagnosis.outcome
+        if run is None or outcome is None:
+            return []
+        work = Work("prepare", changes.version.document, run, footprint=known.footprint, folder=self._folder)
+        return [replace(work, effect=effect, document=outcome.documents.get(effect, "")) for effect in effects]
 
 
 def _hand_over(changes: ModelChanges, work: Work, outcome: Outcome) -> None:

@@ -77,6 +77,11 @@ class Watch:
         return 1.0 if self.band is not None else len(self._seen) / _LEARN
 
     @property
+    def seconds_to_learn(self) -> float:
+        """s of driving until the band is known, a forecast begun in every half of the horizon; 0 once it is."""
+        return (1.0 - self.learned_share) * _LEARN * 0.5 * self.horizon
+
+    @property
     def error(self) -> float:
         """One-second error of the last stretch, scaled like a report's ``heldout_error``; 0 before the first."""
         recent = list(self._seen)[-STRETCH:]

@@ -1,0 +1,187 @@
+"""Who joins late is shown the whole present first, of every robot, also when the memory for viewers is full."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from safedpa.bus import FINDING, FindingMessage, Received
+from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.ports import choose_port
+
+pytestmark = [pytest.mark.processes, pytest.mark.filterwarnings("ignore:RRD file has no footer")]
+
+_FIRST_CHUNKS = 200
+_TICKS_OF_A_BATCH = 8
+"""The painter sends what it drew every 0.4 s; here by the robot's clock, since the drive is drawn faster than that."""
+_PATIENCE_SECONDS = 60.0
+_NEEDED = (
+    "world/obstacles", "world/clearance", "world/field", "world/goal", "now", "verdict/filter", "verdict/in_force",
+    "verdict/diagnosis", "verdict/model", "services/robot", "services/policy", "services/safety_filter",
+)  # fmt: skip
+
+
+def _finding(k):
+    stamp = {"epoch": 7, "tick": k, "robot_time": 0.05 * k, "publish_time": 0.0}
+    return FINDING, FindingMessage(
+        **stamp, model="aaa", stage="watching", sentence="The model fits.", number=0, error=0.03, band=0.06,
+        evidence=0.0, threshold=13.8, coverage=1.0, where="",
+    )  # fmt: skip
+
+
+class Drive:
+    """Robots that drive side by side, drawn for viewers; their scene, their findings and models never change."""
+
+    def __init__(self, look, tick_of, port, robots, memory="256MB"):
+        from safedpa_services.dashboard.painter import Painter
+
+        self.painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=port, memory=memory)
+        self.address = f"rerun+http://127.0.0.1:{port}/proxy"
+        self.view, self._robots, self._tick_of = FleetView(look), robots, tick_of
+
+    def go(self, ticks):
+        for k in range(ticks):
+            messages = [*self._tick_of(k, status="passed"), *([_finding(k)] if k % 20 == 0 else [])]
+            frames = self.view.take(
+                [Received(topic, robot, message, b"", "key", 0.05 * k) for robot in self._robots
+                 for topic, message in messages], 0.05 * k,
+            )  # fmt: skip
+            if k == 0:
+                self.painter.arrange(self.view.fields)
+            self.painter.draw(frames)
+            if k % _TICKS_OF_A_BATCH == 0:
+                self.painter._stream.flush()
+        self.painter._stream.flush()
+
+
+class Viewer:
+    """Rerun's own client, keeping what comes in the order in which it comes."""
+
+    def __init__(self, address, path):
+        program = Path(find_spec("rerun_cli").origin).parent / "rerun"
+        self._path = path
+        self._process = subprocess.Popen(
+            [str(program), address, "--save", str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+
+    def chunks(self, enough):
+        """What has come once ``enough`` of it is there."""
+        until = time.monotonic() + _PATIENCE_SECONDS
+        while not enough(found := self._read()):
+            assert time.monotonic() < until, f"it got {len(found)} chunks"
+            time.sleep(0.3)
+        return found
+
+    def all_chunks(self):
+        """What there is once nothing more comes."""
+        counts = [0, 0]
+
+        def settled(found):
+            counts.append(len(found))
+            return counts[-1] >= _FIRST_CHUNKS and counts[-1] == counts[-2] == counts[-3]
+
+        return self.chunks(settled)
+
+    def _read(self):
+        from rerun.chunk import RrdReader
+
+        if not self._path.exists() or self._path.stat().st_size == 0:
+            return []
+        copy = self._path.with_suffix(".copy.rrd")
+        copy.write_bytes(self._path.read_bytes())
+        try:
+            return list(RrdReader(copy).stream())
+        except (RuntimeError, OSError, ValueError):  # broken off in the middle of a chunk
+            return []
+
+    def close(self):
+        self._process.kill()
+        self._process.wait()
+
+
+@pytest.fixture
+def view_of(tmp_path):
+    """Starts a viewer that ends with the test."""
+    viewers = []
+
+    def start(address):
+        viewers.append(Viewer(address, tmp_path / f"viewer-{len(viewers)}.rrd"))
+        return viewers[-1]
+
+    yield start
+    for viewer in viewers:
+        viewer.close()
+
+
+@pytest.mark.parametrize(
+    ("robots", "ticks", "memory"),
+    [
+        pytest.param(("r1",), 1500, "256MB", id="after 75 s"),
+        pytest.param(("r1", "r2"), 600, "256MB", id="two robots"),
+        pytest.param(("r1", "r2"), 600, "2MB", id="two robots, memory full"),
+    ],
+)
+def test_who_joins_late_has_the_present_among_the_first_chunks(
+    look, tick_of, free_port, view_of, robots, ticks, memory
+):
+    drive = Drive(look, tick_of, choose_port(None, free_port, "--grpc-port", "127.0.0.1"), robots, memory)
+    try:
+        drive.go(ticks)
+        chunks = view_of(drive.address).all_chunks()
+    finally:
+        drive.painter.close()
+    assert (memory == "256MB") == any(_begin(chunk) == 0.0 for chunk in chunks), "was the memory limit reached?"
+    first = [chunk for chunk in chunks[:_FIRST_CHUNKS] if not chunk.is_static]
+    missing = {f"/robots/{robot}/{path}" for robot in robots for path in _NEEDED} - {c.entity_path for c in first}
+    assert not missing
+    for robot in robots:
+        told = " ".join(_texts(chunk) for chunk in first if chunk.entity_path == f"/robots/{robot}/now")
+        assert "0.0 s: passed: The wish was passed" in told, "the last sentence of the log was said at the start"
+
+
+def test_a_viewer_is_told_that_the_drive_has_ended(look, tick_of, free_port, view_of):
+    drive = Drive(look, tick_of, choose_port(None, free_port, "--grpc-port", "127.0.0.1"), ("r1",))
+    try:
+        drive.go(20)
+        viewer = view_of(drive.address)
+        viewer.chunks(lambda found: len(found) >= 60)
+        drive.painter.draw(drive.view.end("The drive has ended.", 1.0))
+    finally:
+        drive.painter.close()
+    viewer.chunks(lambda found: any("**The drive has ended.**" in _texts(c) for c in found if "now" in c.entity_path))
+
+
+def test_a_dashboard_that_ends_while_it_waits_says_so_to_its_viewer(free_port, view_of):
+    command = [sys.executable, "-m", "safedpa_services.dashboard", "--fleet", "nobody", "--grpc-port", str(free_port)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        assert process.stdout.readline().startswith("dashboard: http")
+        viewer = view_of(f"rerun+http://127.0.0.1:{free_port}/proxy")
+        viewer.chunks(lambda found: any("Nothing at all is heard" in _texts(chunk) for chunk in found))
+        process.terminate()
+        viewer.chunks(lambda found: any("dashboard was ended" in _texts(chunk) for chunk in found))
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _begin(chunk):
+    """s on the time line of its first row; of what is static, infinity."""
+    times = [] if chunk.is_static else _column(chunk, "t")
+    return min((1e-9 * getattr(value, "value", value) for value in times), default=float("inf"))
+
+
+def _texts(chunk):
+    if not chunk.entity_path.endswith(("/now", "/waiting")):
+        return ""
+    return " ".join(row[0] for row in _column(chunk, "TextDocument:text") if row)
+
+
+def _column(chunk, name):
+    column = chunk.to_record_batch().column(name)
+    return column.cast("int64").to_pylist() if name == "t" else column.to_pylist()
