@@ -5,6 +5,7 @@ mkdocs calls these functions while it builds; ``make docs`` runs it.
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 from pathlib import Path
@@ -35,12 +36,24 @@ def on_files(files: Files, *, config: Any) -> Files:
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
     """Links to notebooks lead to their pages; one out of the folder becomes the path that it names."""
     del config, files
+    if page.file.src_uri.startswith("reference/"):
+        markdown += "".join(f"\n::: {path}\n" for path in _shadowed(Path(page.file.src_uri).stem))
     depth = page.file.src_uri.count("/")
     out = "../" * (depth + 1)
     markdown = markdown.replace(".ipynb)", ".md)")
     for name in BESIDE:
         markdown = markdown.replace(f"]({out}{name})", f"]({'../' * depth}{name})")
     return re.sub(rf"\[([^\]]+)\]\({re.escape(out)}([^)]+)\)", _outside, markdown)
+
+
+def _shadowed(package: str) -> list[str]:
+    """Public names of a package that one of its modules bears as well: read as that module, they would be left out."""
+    folder = ROOT / "shared" / "safedpa" / package
+    if not folder.is_dir():
+        return []
+    imports = ast.walk(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
+    found = [(node.module, alias.name) for node in imports if isinstance(node, ast.ImportFrom) for alias in node.names]
+    return [f"{module}.{name}" for module, name in found if (folder / f"{name}.py").exists()]
 
 
 def _outside(found: re.Match[str]) -> str:

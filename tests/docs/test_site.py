@@ -104,7 +104,8 @@ def test_the_search_finds_pages_opened_as_files(site: Path) -> None:
 def test_every_page_is_in_the_navigation_and_begins_with_its_name(site: Path, repository: Path) -> None:
     listed = (repository / "mkdocs.yml").read_text(encoding="utf-8")
     for page in sorted((repository / "docs").rglob("*.md")):
-        assert str(page.relative_to(repository / "docs")) in listed, page
+        if page.parent.name != "results":  # what experiments write; the pages about them lead there
+            assert str(page.relative_to(repository / "docs")) in listed, page
     built = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")}
     assert {"index", "glossary", "reference/safety", "notebooks/diagnose_a_log", "CHANGELOG"} <= built
 
@@ -116,5 +117,6 @@ def test_the_reference_holds_every_public_name(site: Path, repository: Path) -> 
         text = (site / "reference" / f"{page.stem}.html").read_text(encoding="utf-8")
         shown = set(re.findall(r'id="safedpa\.[\w.]*?(\w+)"', text))
         lazily = {"GymnasiumSafetyFilter", "GymnasiumVectorSafetyFilter"}  # imported when they are asked for
-        public = getattr(importlib.import_module(f"safedpa.{page.stem}"), "__all__", ["diagnose", "compare_model"])
+        public = getattr(importlib.import_module(f"safedpa.{page.stem}"), "__all__", [])
         assert set(public) - lazily <= shown, page
+    assert "compare_model" in (site / "reference" / "diagnosis.html").read_text(encoding="utf-8")
