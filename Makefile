@@ -6,7 +6,7 @@ BIN := $(ENVIRONMENT)/bin
 INSTALLED := $(ENVIRONMENT)/.installed
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help run test test-compiled test-fleet lint types contracts check environment constraints clean
+.PHONY: help run test test-compiled test-fleet lint types contracts check audit docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -41,6 +41,11 @@ contracts: environment  ## import-linter: imports go down only, services never i
 
 check: lint types contracts test  ## all of it
 
+docs: environment  ## the pages as a site, in build/site: open index.html there, no server and no network needed
+	@$(BIN)/python docs/generate.py --check
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "Built: build/site/index.html"
+
 environment: $(INSTALLED)  ## creates .venv, or brings it up to date
 
 # Torch comes first, by its exact version: where a build for the processor alone is at hand, that one is taken.
@@ -54,11 +59,18 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PIP) --editable '.[test,lint]'
 	@touch $@
 
+audit:  ## known holes in what is pinned, and a bill of materials (build/sbom.json); needs pypi.org
+	@mkdir -p build
+	@$(PYTHON) -m venv build/audit
+	@build/audit/bin/python -m pip install -qq --disable-pip-version-check pip-audit
+	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --format cyclonedx-json --output build/sbom.json
+	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --strict
+
 constraints:  ## writes constraints.txt anew from the newest releases
 	@rm -rf build/constraints
 	@$(PYTHON) -m venv build/constraints
 	@build/constraints/bin/python -m pip install --quiet torch==2.13.0
-	@build/constraints/bin/python -m pip install --quiet --editable '.[bench,gym,test,lint]'
+	@build/constraints/bin/python -m pip install --quiet --editable '.[bench,test,lint]'
 	@build/constraints/bin/python -m pip freeze --exclude safedpa | sed 's/+cpu$$//' > constraints.txt
 	@rm -rf build/constraints
 

@@ -6,6 +6,7 @@ A generated part stands between ``<!-- generated: NAME -->`` and ``<!-- end -->`
 from __future__ import annotations
 
 import ast
+import importlib
 import inspect
 import re
 import sys
@@ -28,14 +29,18 @@ from safedpa.bus import (
 from safedpa.bus.access import ROLES, may_write
 from safedpa.bus.events import KINDS
 from safedpa.diagnosis.live.node import DiagnosisNode
+from safedpa.limits import TABLE
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
+from safedpa_services.command_line.experiment import EXPERIMENTS
+from safedpa_services.command_line.group import COMMANDS
 from safedpa_services.metrics.families import FAMILIES
 
 LOOP: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode)
 NODES = (*LOOP, DiagnosisNode)
 PAGES = Path(__file__).parent
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+COMMANDS_PACKAGE = "safedpa_services.command_line"
 OBSERVERS = ("recorder", "dashboard", "workbench")
 
 
@@ -111,12 +116,36 @@ def events() -> str:
     return "\n".join([*rows, *(f"| `{kind}` | {meaning} |" for kind, meaning in KINDS.items())])
 
 
+def limits() -> str:
+    """The table of limits."""
+    rows = ["| limit | at most | of | since |", "|---|---|---|---|"]
+    rows += [f"| `{item.name}` | {item.value:,} | {item.of} | {item.why} |" for item in TABLE.values()]
+    return "\n".join(rows)
+
+
 def metrics() -> str:
     """Every metric."""
     rows = ["| metric | type | labels | meaning |", "|---|---|---|---|"]
     for name, family in FAMILIES.items():
         rows.append(f"| `{name}` | {family.kind} | {', '.join(family.labels)} | {family.meaning} |")
     return "\n".join(rows)
+
+
+def commands() -> str:
+    """Every command with the first sentence of its help, and every experiment."""
+    rows = ["| command | what it does |", "|---|---|"]
+    for name in COMMANDS:
+        module = f"{COMMANDS_PACKAGE}.{name.replace('-', '_')}"
+        rows.append(f"| `safedpa {name}` | {_first_sentence(module)} |")
+    for name in EXPERIMENTS:
+        module = f"{COMMANDS_PACKAGE}.experiments.{name.replace('-', '_')}"
+        rows.append(f"| `safedpa experiment {name}` | {_first_sentence(module)} |")
+    return "\n".join(rows)
+
+
+def _first_sentence(module: str) -> str:
+    help_text = " ".join((importlib.import_module(module).command.help or "").split("\n\n")[0].split())
+    return help_text.split(". ")[0].rstrip(".").replace("|", "\\|")
 
 
 def _fields_of(kinds: list[type], module: ModuleType) -> str:
@@ -147,11 +176,13 @@ def _text(node: ast.stmt | None) -> str:
 
 
 GENERATED = {
+    "commands": commands,
     "topics": topics,
     "flow": flow,
     "fields": fields,
     "asked": asked,
     "events": events,
+    "limits": limits,
     "metrics": metrics,
     "roles": roles,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["progress"]
+__all__ = ["narrated", "progress"]
 
 
 @contextmanager
@@ -23,6 +23,31 @@ def progress(title: str) -> Iterator[Callable[[int, int], None]]:
         task = bar.add_task(title)
 
         def tell(done: int, everything: int) -> None:
+            bar.update(task, completed=done, total=everything)
+
+        yield tell
+
+
+@contextmanager
+def narrated(title: str) -> Iterator[Callable[[int, int, str], None]]:
+    """Yields ``tell(done, all, said)`` for work of which nobody knows how much is left: the seconds that passed are
+    shown, none that are to come, and what is ``said`` stands above the bar whenever it changes. Only on a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda _done, _all, _said: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task, last = bar.add_task(title), ""
+
+        def tell(done: int, everything: int, said: str) -> None:
+            nonlocal last
+            if said != last:
+                bar.console.print(f"{title}: {said}", highlight=False, markup=False)
+                last = said
             bar.update(task, completed=done, total=everything)
 
         yield tell

@@ -97,7 +97,12 @@ def _take(
 def _tick(
     node: AbstractNode, robot: str, state: StateMessage, model: PhysicsModel, fingerprint: str
 ) -> TakeoverMessage | None:
-    stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
+    stamp: dict[str, Any] = {
+        "epoch": state.epoch,
+        "tick": state.tick,
+        "robot_time": state.robot_time,
+        "publish_time": 0.0,
+    }
     latent = tuple(model.latent.tolist())
     resting = (0.0,) * len(model.system.action)
     inputs: Inputs = {

@@ -6,6 +6,7 @@
     │   ├── ColumnMapError    a column map: the key stands in the message
     │   ├── RunError          a recording: unreadable, empty, wrong columns
     │   └── MessageError      a message from the bus: wrong shape, type or not finite
+    ├── MissingExtraError     something that `pip install safedpa` alone does not bring
     ├── BusError              the bus cannot be opened or a name on it is taken
     │   └── JoinError         nobody lets this process in, now; it may be otherwise in a moment
     └── RecordingError        a recording could not be written (disk full, say)
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 __all__ = [
     "BusError",
@@ -24,11 +26,13 @@ __all__ = [
     "InputError",
     "JoinError",
     "MessageError",
+    "MissingExtraError",
     "ModelFileError",
     "RecordingError",
     "RunError",
     "SafedpaError",
     "did_you_mean",
+    "near_files",
 ]
 
 
@@ -56,6 +60,10 @@ class MessageError(InputError):
     """A message from the bus that cannot be used."""
 
 
+class MissingExtraError(SafedpaError):
+    """Something that ``pip install safedpa`` alone does not bring; the message names the extra."""
+
+
 class BusError(SafedpaError):
     """The bus cannot be opened, or a name on it is taken."""
 
@@ -74,3 +82,18 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return f"{hint}known: {', '.join(names)}"
+
+
+def near_files(path: Path, shipped: Iterable[str] = ()) -> str:
+    """``did you mean 'drive.csv'? ``, of the files beside one that is not there and of names that ship; else empty.
+
+    Never raises: what cannot be listed has no names.
+    """
+    try:
+        beside = [item.name for item in path.parent.iterdir()]
+    except OSError:
+        beside = []
+    near = difflib.get_close_matches(path.name, [*shipped, *beside], n=1)
+    if not near:
+        return ""
+    return f"did you mean '{near[0] if near[0] not in beside else path.parent / near[0]}'? "

@@ -79,7 +79,7 @@ def test_an_allowed_message_that_goes_no_further_was_too_large(capsys: pytest.Ca
 def test_a_refusal_whose_reason_was_lost_is_told_all_the_same() -> None:
     refusals = Refusals()
     refusals.hear(END.format("10"))
-    assert refusals.counts == {"bus.denied": 1}
+    assert refusals.counts == {"bus.held_back": 1}
 
 
 def test_handshakes(capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,15 +105,24 @@ def test_no_line_breaks_it_and_no_refusal_is_missed(lines: list[str]) -> None:
 
 def test_a_certificate_shown_by_two_is_told_once_it_lasts(capsys: pytest.CaptureFixture[str]) -> None:
     members: list[tuple[str, str]] = [("a", "policy"), ("b", "robot.r1")]
-    twins = Twins(lambda: members)
+    cut: list[set[str]] = []
+    twins = Twins(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
     assert twins.look() == []
     members.append(("c", "robot.r1"))
-    assert twins.look() == [], "a process that was just started anew"
+    assert not any(twins.look() for _ in range(3)), "a process that was just started anew"
+    assert cut == []
     assert twins.look() == ["robot.r1"]
+    assert cut == [{"c"}], "the one that was there first stays"
     (event,) = events(capsys)
     assert (event["kind"], event["service"]) == ("bus.twice", "robot.r1")
     members.pop()
     assert twins.look() == []
+
+
+def test_of_two_that_were_there_together_nobody_is_cut_off() -> None:
+    """The router began anew: nobody knows which is the copy."""
+    twins = Twins(lambda: [("a", "policy"), ("b", "policy")], lambda sessions: pytest.fail("one of them was cut off"))
+    assert [twins.look() for _ in range(5)][-1] == ["policy"]
 
 
 @pytest.mark.parametrize("name", ["operator", "healthcheck", "router", "", "stranger"])

@@ -207,3 +207,38 @@ def test_command_and_page_hear_of_the_margin_before_it_is_used(changing_node: An
     assert (offered.step, take.step) == ("offer", "take")
     assert changes.sentence.endswith("used from tick 7 on; the margin of a goes from 0.03 to 0.115")
     assert changes.fingerprint != NEW, "told before it is used"
+
+
+def test_one_calibration_has_one_text_whatever_the_order_of_its_tables() -> None:
+    turned = dataclasses.replace(OLD, epsilon=dict(reversed(OLD.epsilon.items())))
+    assert margin_text(turned) == margin_text(OLD)
+    assert list(turned.epsilon) != list(OLD.epsilon)
+
+
+@pytest.mark.parametrize(
+    ("old", "h", "told"),
+    [
+        ({}, 5.0, ["goes from 0 to 0.125 where h is 5, at once"]),
+        ({"a": 0.1}, 0.375, ["goes from 0.1 to 0.125 where h is 0.375, at once"]),
+        ({"a": 0.1}, 0.25, ["hardly any room", "all of it from 0.375 on"]),
+        ({"a": 0.1}, 0.24, ["it would stop the robot here", "all of it from 0.375 on"]),
+        ({"a": 0.125}, 0.1, []),
+    ],
+)
+def test_what_is_told_of_a_change_at_its_limits(old: dict[str, float], h: float, told: list[str]) -> None:
+    """With eta = 1/2 a robot may stand from h = 0.25 on, and the margin is in force as a whole from 0.375 on."""
+    text = margin_change(old, {"a": 0.125}, {"a": h}, 0.5)
+    assert all(words in text for words in told)
+    assert bool(text) == bool(told)
+
+
+def test_a_margin_rises_from_nothing_and_is_whole_at_its_limit() -> None:
+    phased = PhasedMargin({}, {"a": 0.125}, 0.5)
+    assert phased.waiting == ("a",)
+    assert phased.limited({"a": 0.125, "b": 0.3}) == {"a": 0.0, "b": 0.3}
+    phased.rise({"a": 0.374}, 0.05)
+    assert phased.limited({"a": 0.125}) == {"a": pytest.approx(0.0935)}
+    phased.rise({"a": 0.375}, 0.05)
+    assert phased.waiting == ()
+    assert phased.limited({"a": 0.125}) == {"a": 0.125}
+    assert PhasedMargin({"a": 0.125}, {"a": 0.125}, 0.5).waiting == ()

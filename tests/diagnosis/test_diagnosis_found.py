@@ -84,12 +84,21 @@ def test_a_payload_is_taken_up_by_a_free_servo_gain_and_it_says_so(hidden):
     assert "speed_gain" in payload.reason
 
 
-def test_a_rough_patch_is_not_blamed_on_the_library(hidden):
-    report = hidden({}, patch=True, runs=6, seconds=40.0, seed=194365079)
-    assert report.verdict == "unexplained"
-    assert report.added == ()
-    assert set(report.unexplained.depends_on) == {"x", "y"}
-    assert "sign(speed)" in report.unexplained.expression
+CARPET = {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}
+
+
+def test_a_carpet_is_told_with_its_place(hidden):
+    laws = {"rolling_resistance": "where circle"}
+    report = hidden({"rolling_resistance": CARPET}, laws=laws, runs=6, seconds=40.0, seed=194365079)
+    assert report.verdict == "effect_missing"
+    assert report.added == ("rolling_resistance",)
+    (told,) = report.conditions
+    assert (told.kind, told.words) == ("where", "circle")
+    assert "inside the circle of 1.5" in told.sentence
+    for name, value in CARPET.items():
+        assert report.parameters[f"rolling_resistance.{name}"].value == pytest.approx(value, abs=0.1)
+    model = report.models[-1]
+    assert parse_model(write_model(model)).effects == model.effects
 
 
 def test_the_document_is_the_contract(hidden):

@@ -42,11 +42,13 @@ def test_a_log_that_was_left_out_judges_what_the_others_taught(data, tmp_path, c
 
 
 def test_targets_say_what_was_asked_and_what_was_measured():
-    car = {"part": "car", "name": "", "change": -0.7, "added": ["a", "b"], "errors": [1.0, 0.3]}
-    left_out = {**car, "name": "one.csv", "unseen_change": -0.5}
+    car = {"part": "car", "name": "", "change": -0.7, "added": ["a", "b"], "errors": [1.0, 0.3], "verdict": "x"}
+    left_out = {**car, "name": "one.csv", "unseen_change": -0.2}
     pendulum = {"part": "pendulum", "name": "", "added": ["coulomb_friction", "torque_lag"], "errors": [1.0, 0.5, 0.4]}
     ball = {"part": "balls", "name": "Bowling Ball", "added": ["quadratic_drag"], "verdict": "effect_missing"}
     other = {"part": "balls", "name": "Golf Ball", "added": [], "verdict": "nothing_missing"}
+    undecided = targets_of([{**left_out, "verdict": "undecided", "unseen_change": 0.1}])
+    assert [item["met"] for item in undecided] == [True]  # honestly
     found = targets_of([car, left_out, pendulum, ball, other])
     assert [item["met"] for item in found] == [True, False, True, True, False, False]
     assert found[0]["measured"] == "-70.0 % with 2 effects"

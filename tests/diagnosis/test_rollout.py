@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from safedpa.diagnosis.rollout import rollout, rollout_at
 from safedpa.diagnosis.rollout_error import rollout_error
 from safedpa.diagnosis.windows import windows_of
-from safedpa.dynamics import load_model
+from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.records.run import Stretch
 
 
 def _one_by_one(model, run, horizon, stride):
     """The definition, in scalars: memory from the first row of the stretch on, then the window step by step."""
+    model = PhysicsModel(model.base, model.effects, model.settings, model.period, holds=True)
     found = {}
     used = 0
     for part in run.stretches:

@@ -14,10 +14,14 @@ from safedpa_sim.hidden import Case, write_case
 
 pytestmark = pytest.mark.slow
 
+CARPET = {"rolling_resistance": {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}}
+
 
 def test_a_rough_patch_is_not_told_across_rooms(tmp_path, monkeypatch):
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [])
-    log = write_case(Case("test", 194365079, {}, runs=4, seconds=40.0, patch=True), tmp_path)
+    log = write_case(
+        Case("test", 194365079, CARPET, runs=4, seconds=40.0, laws={"rolling_resistance": "where circle"}), tmp_path
+    )
     model = load_model(log.model)
     runs = [load_run(path, model.system) for path in log.runs]
     together = diagnose(model, runs)

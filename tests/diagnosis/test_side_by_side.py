@@ -30,7 +30,8 @@ def _variants(robot: str, name: str, shares: tuple[float, ...]) -> list[PhysicsM
     """The robot's model with one effect, at several shares of what is ordinary."""
     item = effects_of(robot)[name]
     given = load_model(_MODELS["throttle" if "throttle" in item.needs else robot])
-    base = PhysicsModel(given.base, (), {path: own for path, own in given.settings.items() if path[:5] == "base."})
+    own = {path: setting for path, setting in given.settings.items() if path[:5] == "base."}
+    base = PhysicsModel(given.base, (), own, holds=True)  # as rollouts have it
     numbers = [
         {
             p.name: Setting(float(np.clip(p.start + share * (p.typical - p.start), p.low, p.high)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -113,29 +112,18 @@ def test_yaw_that_drifts_with_the_square_of_the_speed_is_no_steering_offset():
     assert abs(term.coefficient - 0.08) < 0.004
 
 
-def test_a_strip_of_rough_floor_is_a_place_with_a_map(strip):
-    assert strip.verdict == "unexplained"
-    assert strip.added == ()
-    assert strip.unexplained.kind == "place"
-    assert strip.unexplained.depends_on == ("x", "y")
-    size = strip.unexplained.terms[0].coefficient
-    numbers = re.findall(r"[-+]?\d+\.\d+", strip.unexplained.terms[0].term.replace(" ", ""))
-    along_x, along_y, offset, half = (float(text) for text in numbers)
-    assert abs(size - 1.0) < 0.15
+def test_a_strip_of_rough_floor_is_rolling_resistance_there(strip):
+    assert strip.verdict == "effect_missing"
+    assert strip.added == ("rolling_resistance",)
+    assert [item.words for item in strip.conditions] == ["strip"]
+    numbers = {path.split(".")[1]: value.value for path, value in strip.parameters.items()}
+    assert abs(numbers["deceleration"] - 1.0) < 0.15
     # the strip's normal and offset, whichever of its two directions was found
-    sign = np.sign(along_x)
-    assert np.allclose([sign * along_x, sign * along_y], [np.cos(0.5), np.sin(0.5)], atol=0.06)
-    assert abs(abs(offset) - 0.5) < 0.1
-    assert abs(half - 0.5) < 0.1
-    table = strip.unexplained.map
-    assert (table.across, table.up, table.rate_unit) == ("x", "y", "m/s2")
-    rates = [
-        (abs(value), i, j) for i, row in enumerate(table.means) for j, value in enumerate(row) if value is not None
-    ]
-    _, row, column = max(rates)
-    x = np.mean(table.across_edges[column : column + 2])
-    y = np.mean(table.up_edges[row : row + 2])
-    assert abs(x * np.cos(0.5) + y * np.sin(0.5) - 0.5) < 1.0
+    sign = np.sign(np.cos(numbers["angle"]))
+    along = [sign * np.cos(numbers["angle"]), sign * np.sin(numbers["angle"])]
+    assert np.allclose(along, [np.cos(0.5), np.sin(0.5)], atol=0.06)
+    assert abs(abs(numbers["offset"]) - 0.5) < 0.1
+    assert abs(numbers["half_width"] - 0.5) < 0.1
 
 
 def test_the_report_and_the_page_show_the_formula_its_map_and_that_it_is_no_effect(cube):

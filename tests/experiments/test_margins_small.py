@@ -50,7 +50,7 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
     asked = [*SMALL, "--processes", "1", "--out", str(tmp_path), "--json"]
     cut = CliRunner().invoke(command, [*asked, "--minutes", "1e-9"])
     assert cut.exit_code == 0, cut.output
-    assert json.loads(cut.output)["missing"] == 8
+    assert json.loads(cut.output)["missing"] == 15
     done = CliRunner().invoke(command, asked)
     assert done.exit_code == 0, done.output
     result = json.loads(done.output)
@@ -59,12 +59,15 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
     margin = MarginCalibration.load(tmp_path / "pendulum" / "margin.toml")
     assert margin.fingerprint == fingerprint(load_model("pendulum"))
     assert (margin.drives, margin.coverage) == (4, 0.7)
-    assert "seeds 1000000 to 1000003" in margin.origin
+    assert "seeds 1000003 to 1000006" in margin.origin, "three drives go before"
+    assert "--drives 4 --coverage 0.7:" in margin.origin
     assert 0.0 < margin.epsilon["corridor"] <= margin.drive["corridor"]
     for kind in ("conformal", "drive"):
         fresh = row[f"fresh_{kind}"]
         assert fresh["drives"] == 2
-        assert 0.0 <= fresh["covered"]["corridor"][kind]["steps"] <= 1.0
+        counted = fresh["covered"]["corridor"][kind]
+        assert 0.0 <= counted["steps"] <= 1.0
+        assert margin.covered[f"{kind}.corridor"] == counted["drives" if kind == "drive" else "steps"]
     page = (tmp_path / "margins.md").read_text()
     assert "safedpa experiment margins --robot pendulum --drives 4 --fresh 2" in page
     assert f"| pendulum | corridor | drive | {margin.drive['corridor']:.4f} |" in page

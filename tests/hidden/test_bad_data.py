@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -13,7 +14,8 @@ from safedpa.errors import RunError
 from safedpa.records import load_run
 from safedpa.records.column_map_file import parse_column_map
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.hidden import Case, write_case
+from safedpa_sim.experiments.hidden_effects import run_cases
+from safedpa_sim.hidden import Case, cases_of, write_case
 from safedpa_sim.hidden.bad_data import BAD, write_bad_files
 
 LIBRARY = ("understeer", "rolling_resistance", "drive_dead_zone", "drive_delay", "viscous_drag")
@@ -115,3 +117,20 @@ def test_the_command_writes_them(good, tmp_path, capsys):
     rows = json.loads(capsys.readouterr().out)["files"]
     assert {row["file"] for row in rows} == {str(path) for path in (tmp_path / "told").iterdir()}
     assert all(row["kind"] and row["said"] for row in rows)
+
+
+def test_a_suite_has_each_fault_in_one_run_of_three_where_nothing_is_hidden():
+    cases = cases_of("bad", 20, seed=1)
+    assert {case.fault for case in cases} == set(BAD)
+    assert all(not case.effects and case.runs == 3 for case in cases)
+
+
+def test_a_file_that_is_refused_names_nothing():
+    (case,) = (case for case in cases_of("bad", 20, seed=1) if case.fault == "milliseconds")
+    (outcome,) = run_cases([replace(case, seconds=20.0)])
+    assert (outcome.verdict, outcome.added, outcome.right) == ("refused", (), True)
+
+
+def test_the_copy_lies_beside_the_log(tmp_path):
+    (case,) = (case for case in cases_of("bad", 20, seed=1) if case.fault == "same_twice")
+    assert len(write_case(replace(case, seconds=20.0), tmp_path).runs) == 4

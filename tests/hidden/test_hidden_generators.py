@@ -25,7 +25,6 @@ from safedpa_sim.hidden.car import simulate_cars
 from safedpa_sim.hidden.excitation import Commands
 from safedpa_sim.hidden.lanes import Lane
 from safedpa_sim.hidden.pendulum import GRAVITY, LENGTH, simulate_pendulums
-from safedpa_sim.hidden.write import PATCH
 
 pytestmark = pytest.mark.slow
 
@@ -186,13 +185,37 @@ def test_hard_logs_are_as_hard_as_they_say(tmp_path):
     assert error(log, {}).value > 1.5 * error(plain, {}).value
 
 
-def test_the_patch_pulls_inside_alone():
-    x, y, radius, pull = PATCH
-    inside = lane({}, 0.0, start=(x, y, 0.0, 0.5), rows=3, throttle=True, patch=PATCH)
-    outside = lane({}, 0.0, start=(x + radius + 0.5, y, 0.0, 0.5), rows=3, throttle=True, patch=PATCH)
-    speeds = simulate_cars([inside, outside, replace(inside, patch=None)], 0.05).states[:, :, 3]
-    assert speeds[2, 1] - speeds[0, 1] == pytest.approx(0.05 * pull, abs=1e-3)
+FLOORS = (
+    ({"at_x": 0.0, "at_y": 0.0, "radius": 1.0}, (0.0, 0.0), (1.5, 0.0)),
+    ({"x_above": 1.0}, (2.0, 0.0), (0.0, 0.0)),
+    ({"x_below": 1.0}, (0.0, 0.0), (2.0, 0.0)),
+    ({"y_above": 1.0}, (0.0, 2.0), (0.0, 0.0)),
+    ({"y_below": 1.0}, (0.0, 0.0), (0.0, 2.0)),
+)
+
+
+@pytest.mark.parametrize(("border", "inside", "outside"), FLOORS)
+def test_a_carpet_pulls_inside_alone(border, inside, outside):
+    floor = {"rolling_resistance": {"deceleration": 1.2, **border}}
+    lanes = [lane(own, 0.0, start=(*at, 0.0, 0.5), rows=3, throttle=True)
+             for own, at in ((floor, inside), (floor, outside), ({}, inside))]  # fmt: skip
+    speeds = simulate_cars(lanes, 0.05).states[:, :, 3]
+    assert speeds[2, 1] - speeds[0, 1] == pytest.approx(0.05 * 1.2, abs=1e-3)
     np.testing.assert_array_equal(speeds[1], speeds[2])
+
+
+def test_numbers_that_fall_with_the_time_or_the_speed():
+    sag = {"speed_command_gain": {"gain": 1.0, "gain_per_time": -0.01}}
+    speeds = simulate_cars([lane(sag, 2.0, rows=400)], 0.05).states[0, :, 3]
+    assert speeds[200] == pytest.approx(2.0 * 0.9, abs=0.02)
+    assert speeds[399] == pytest.approx(2.0 * 0.8, abs=0.02)
+    steer = {"steering_gain": {"gain": 1.0, "gain_per_abs_speed": -0.1}}
+    yaw = simulate_cars([lane(steer, 2.0, 0.2, start=(0.0, 0.0, 0.0, 2.0), rows=21)], 0.05).states[0, :, 2]
+    assert yaw[20] - yaw[0] == pytest.approx(2.0 * np.tan(0.8 * 0.2) / 0.32, rel=0.01)
+    above = {"steering_gain": {"gain": 0.5, "abs_speed_above": 1.0}}
+    for speed, gain in ((0.8, 1.0), (1.5, 0.5)):
+        yaw = simulate_cars([lane(above, speed, 0.1, start=(0.0, 0.0, 0.0, speed), rows=21)], 0.05).states[0, :, 2]
+        assert yaw[20] - yaw[0] == pytest.approx(speed * np.tan(gain * 0.1) / 0.32, rel=0.01)
 
 
 def test_suites_draw_different_cases_that_repeat():

@@ -24,7 +24,6 @@ DRAG = Outcome(
     all_named=True,
     all_in_group=True,
     wrong=(),
-    place_told=False,
     parameters=(Found("quadratic_drag.coefficient", 0.1208, 0.0005, 0.12),),
     error=0.011,
     error_ratio=1.02,
@@ -95,7 +94,7 @@ def test_the_page_has_every_figure():
     assert len({line.count("|") for line in rows[:4]}) == 1
     suite = [cell.strip() for cell in next(line for line in rows if line.startswith("| ordinary")).split("|")[1:-1]]
     assert suite[:7] == ["ordinary", "1", "100", "21 to 100", "100", "100", "0"]
-    assert suite[7:] == ["100", "1.020", "1.020", "100", "9.0", "9.0", "6.0", "6.0"]
+    assert suite[7:] == ["0", "100", "1.020", "1.020", "100", "9.0", "9.0", "6.0", "6.0"]
     assert "- `none-nothing-2`: hidden nothing; effect_missing, added payload" in page
 
 

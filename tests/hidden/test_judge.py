@@ -99,13 +99,27 @@ def test_what_the_pymunk_car_has_by_itself_is_not_wrong():
     assert outcome.wrong == ("battery_sag",)
 
 
-def test_the_patch_must_be_placed():
-    case = Case("patch", 1, {}, patch=True)
-    placed = {"depends_on": ["x", "y"], "expression": "", "share": 0.4}
-    assert judge(case, document((), "unexplained", unexplained=placed)).right
-    assert not judge(case, document((), "unexplained", unexplained={**placed, "depends_on": ["speed"]})).right
-    assert not judge(case, document(["rolling_resistance"], "unexplained", unexplained=placed)).right
-    assert not judge(case, document((), "nothing_missing")).right
+def test_a_law_must_be_told_the_right_way_out():
+    effects = {"rolling_resistance": {"deceleration": 1.0, "x_above": 0.5}}
+    case = Case("patches", 1, effects, laws={"rolling_resistance": "where x above"})
+
+    def said(words, border=0.55, effect="rolling_resistance", kind="where"):
+        found = document([effect])
+        found["parameters"] = {
+            f"{effect}.{name}": {"value": value, "std": 0.02, "unit": ""}
+            for name, value in (("deceleration", 1.05), ("x_above", border))
+        }
+        found["conditions"] = [{"effect": effect, "kind": kind, "words": words}] if words else []
+        return judge(case, found)
+
+    assert said("x above").right
+    assert said("x above").deviations == pytest.approx((2.5, 2.5))
+    for wrong in (said("x below"), said(""), said("x above", border=0.8), said("x above", kind="varies")):
+        assert not wrong.right
+    plain = judge(Case("ordinary", 1, DRAG), {**document(["quadratic_drag"]), "conditions": [
+        {"effect": "quadratic_drag", "kind": "varies", "words": "coefficient with time"}]})  # fmt: skip
+    assert plain.right
+    assert plain.false_laws == ("quadratic_drag varies coefficient with time",)
 
 
 def test_the_summary_counts():

@@ -195,7 +195,7 @@ def test_kept_rows_are_picked_and_their_actions_keep_the_impulse(seed: int, peri
         (('speed = { from = "v", unit = "km/h" }', "speed = 3"), "columns.speed: got 3"),
         (
             ('{ from = "v", unit = "km/h" }', '{ derive = "speed" }'),
-            "got 'speed'; known: rate_from_angle, speed_from_position",
+            "got 'speed'; did you mean 'slope'? known: rate_from_angle",
         ),
         (('{ from = "v", unit = "km/h" }', '{ derive = "speed_from_position" }'), "columns.speed.window: missing"),
         (

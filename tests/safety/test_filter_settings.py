@@ -7,6 +7,7 @@ import pytest
 
 from safedpa.errors import InputError
 from safedpa.safety import FilterSettings, load_settings, parse_settings, save_settings, write_settings
+from safedpa.safety.settings import without_former_keys
 
 
 def test_defaults_fit_the_car() -> None:
@@ -89,3 +90,24 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("value", [np.array([0.5, 0.5]), [0.5, 0.5], (0.5, 0.5)])
 def test_arrays_and_lists_become_tuples(value: Any) -> None:
     assert FilterSettings(weights=value).weights == (0.5, 0.5)
+
+
+def test_what_is_left_out_is_what_the_page_says() -> None:
+    left = FilterSettings()
+    numbers = (left.eta, left.relinearisations, left.plausible_wish, left.clearance, left.corridor_seconds)
+    assert numbers == (0.2, 3, 10.0, 0.05, 0.25)
+    assert (left.braking_deceleration, left.braking_gain, left.speed_low, left.speed_high) == (2.0, 2.5, -0.8, 2.2)
+
+
+@pytest.mark.parametrize("backup", [(-0.6, -0.34), (2.0, 0.34)])
+def test_what_lies_on_a_limit_is_within_it(backup: tuple[float, float]) -> None:
+    settings = FilterSettings(backup_action=backup, eta=1.0, relinearisations=20, margin=0.0)
+    assert settings.resting_action.tolist() == list(backup)
+    assert parse_settings(write_settings(settings)) == settings
+    assert FilterSettings(margin=0.5).margin == 0.5
+
+
+def test_keys_that_are_settings_no_more_are_named_and_left_out() -> None:
+    text = "format = 1\nslack_tolerance = 0.1\neta = 0.3\n slack_linear=2.0\n"
+    assert without_former_keys(text) == ("format = 1\neta = 0.3\n", ["slack_tolerance", "slack_linear"])
+    assert without_former_keys("eta = 0.3") == ("eta = 0.3", [])

@@ -13,7 +13,7 @@ from scipy.stats import binom
 from safedpa.errors import InputError
 from safedpa.safety import MarginCalibration, parse_settings, split_conformal_margin
 from safedpa.safety.ceiling import Ceiling, Seen
-from safedpa.safety.drive_calibration import calibration_from_drives
+from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
 from safedpa.safety.margin import margins_over_drives
 
 
@@ -97,6 +97,35 @@ def test_a_ceiling_rises_until_it_is_above_the_layer_of_the_margin() -> None:
     found = calibration_from_drives(low, 0.9, "2026-11-22", "x", Ceiling(0.1, {"a": 0.5}))
     assert found.drive["a"] == pytest.approx(4.9), "0.4 is too much for a ceiling of 0.5, and so on up to all of it"
     assert found.constants["drive.ceiling.a"] == 64.0
+
+
+def test_ten_drives_near_are_enough_and_fewer_are_not() -> None:
+    """A drive in which nothing of the kind was there is none that came near, and none with an error."""
+    near, far, low = Seen(0.3, 0.29), Seen(0.9, 0.88), Ceiling(0.1, {"a": 0.5})
+    for count, top, drive in ((10, 0.5, 0.01), (9, 1.0, 0.02)):
+        drives = [{"a": np.array([near, far])}] * count + [{"a": np.array([far])}] + [{}] * (98 - count)
+        made = calibration_from_drives(drives, 0.99, "", "x", low)
+        assert made.constants["ceiling.a"] == top
+        assert made.drive["a"] == pytest.approx(drive)
+        assert made.transitions == 2 * count + 1, "a drive without anything has no step"
+    never = calibration_from_drives([{"a": np.array([Seen(1e13, 1e13)])}] * 99, 0.99, "", "x", low)
+    assert never.constants["ceiling.a"] == 0.5 * 2.0**40
+    assert never.drive == {"a": 0.0}
+
+
+def test_what_a_margin_covers_is_counted_where_something_came_near() -> None:
+    low = Ceiling(0.1, {"a": 0.5})
+    drives = [
+        {"a": heights([0.1, 0.2, 0.3, 0.4])},
+        {"a": np.array([Seen(0.9, 0.6)])},
+        {},
+        {"a": np.array([Seen(0.9, 0.6), Seen(0.45, 0.2)])},
+    ]
+    assert covered_shares(drives, "a", 0.0, low).tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert covered_shares([{"a": np.array([Seen(0.25, 0.0), Seen(0.26, 0.0)])}], "a", 0.25).tolist() == [0.5], (
+        "an error of just the margin is covered"
+    )
+    assert covered_shares(drives, "a", 0.25, low).tolist() == [0.5, 0.0, 1.0, 0.5], "a wide margin sees farther"
 
 
 @pytest.mark.parametrize(

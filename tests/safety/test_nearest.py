@@ -154,6 +154,8 @@ def test_the_foot_is_what_the_search_finds_to_the_last_bit(seed: int) -> None:
     assert taken > 100
 
 
-@pytest.mark.parametrize("row", [(0.0, 0.0, 0.5), (1.0, 0.0, -0.5), (1.0, 0.0, 1.5), (np.nan, 1.0, 0.5), (np.inf, 1.0, 0.5)])
+@pytest.mark.parametrize(
+    "row", [(0.0, 0.0, 0.5), (1.0, 0.0, -0.5), (1.0, 0.0, 1.5), (np.nan, 1.0, 0.5), (np.inf, 1.0, 0.5)]
+)
 def test_the_foot_leaves_everything_else_to_the_search(row: tuple[float, float, float]) -> None:
     assert foot(row, (0.25, 0.5), (1.0, 1.0)) is None

@@ -7,7 +7,7 @@ import pytest
 
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.safety.on_its_way import Actuators
+from safedpa.safety.on_its_way import LONGEST, Actuators
 from safedpa.safety.trail import Trail
 
 CAR = load_model("car")
@@ -100,3 +100,76 @@ def test_a_state_that_nothing_was_decided_at_says_nothing() -> None:
     for tick in range(9):
         trail.add(tick, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0), memory)
     assert trail.foretold(0.0) is None
+
+
+def test_the_commands_of_before_are_told_in_order_and_none_after_a_gap() -> None:
+    assert Trail(CAR).commands(3, (9.0, 0.0)) == [(9.0, 0.0)]
+    trail = Trail(CAR)
+    for tick in range(5):
+        trail.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
+    first = [(float(tick), 0.0) for tick in range(5)]
+    assert trail.commands(5, (9.0, 0.0)) == [*first, (9.0, 0.0)]
+    assert trail.commands(4, (9.0, 0.0)) == [*first[:4], (9.0, 0.0)], "the newest tick's own is given"
+    for tick in (6, 3):
+        assert trail.commands(tick, (9.0, 0.0)) == [(9.0, 0.0)]
+
+
+def test_as_much_is_remembered_as_the_longest_dead_time_and_the_oldest_state_need() -> None:
+    trail = Trail(CAR)
+    for tick in range(300):
+        trail.add(tick, (0.0, 0.0, 0.0, 0.0), (float(tick), 0.0), ())
+    assert len(trail.commands(300, (0.0, 0.0))) == LONGEST + 20 + 2 + 1, "a second at 20 Hz, both ends, and the new one"
+
+
+def test_what_is_expected_goes_on_under_the_newest_action() -> None:
+    """It is in force from 0.12 s after its state on: from the third row on, and for as long as is asked."""
+    trail, _ = followed(DELAYED, 0.12, 10)
+    later = followed(DELAYED, 0.12, 14)[1]
+    rows = trail.expected(commands(10)[-1], LATENT, trail.pending(0.12), 3)
+    np.testing.assert_allclose(rows, later[10:13], atol=2e-3)
+    assert trail.expected(commands(10)[-1], None, trail.pending(0.12), 3) == rows, "the model's own latent"
+
+
+@pytest.mark.parametrize(("until_action", "ticks"), [(0.0, 5), (0.05, 7), (0.12, 11)])
+def test_a_prediction_is_held_against_the_measurement_as_soon_as_it_can_be(until_action: float, ticks: int) -> None:
+    """The dead time of 3 periods, the two newest states, and twice the age: of the state, and of what was in force."""
+    assert followed(DELAYED, until_action, ticks)[0].foretold(until_action) is not None
+    assert followed(DELAYED, until_action, ticks - 1)[0].foretold(until_action) is None
+
+
+def elsewhere(far: range, undecided: int = -1, latent: tuple[float, ...] = LATENT) -> Trail:
+    """Nine ticks of a robot that drives straight on; in those of ``far`` it is measured 100 m away."""
+    trail = Trail(DELAYED)
+    memory = DELAYED.initial_memory(np.array((1.0, 0.0)), np.array(LATENT))
+    for tick in range(9):
+        trail.add(tick, (0.05 * tick + 100.0 * (tick in far), 0.0, 0.0, 1.0), (1.0, 0.0), memory)
+        if tick != undecided:
+            trail.decided(latent)
+    return trail
+
+
+def test_a_prediction_begins_where_the_dead_time_began_and_not_before() -> None:
+    for far, away in ((range(4), False), (range(4, 5), True), (range(5, 8), False)):
+        foretold = elsewhere(far).foretold(0.0)
+        assert foretold is not None
+        assert (foretold.hoped[0] > 50.0) == away
+
+
+@pytest.mark.parametrize(("undecided", "known"), [(7, False), (4, False), (6, True), (8, True), (3, True)])
+def test_both_ends_of_a_prediction_were_decided_at(undecided: int, known: bool) -> None:
+    assert (elsewhere(range(0), undecided).foretold(0.0) is not None) == known
+
+
+def test_a_prediction_takes_the_latent_of_its_own_decision() -> None:
+    heavy = tuple(value + 0.5 for value in LATENT)
+    light, loaded = elsewhere(range(0)).foretold(0.0), elsewhere(range(0), latent=heavy).foretold(0.0)
+    assert light is not None
+    assert loaded is not None
+    start = np.array((0.2, 0.0, 0.0, 1.0))
+    for foretold, latent in ((light, LATENT), (loaded, heavy)):
+        memory = DELAYED.initial_memory(np.array((1.0, 0.0)), np.array(LATENT))
+        state = start
+        for _ in range(4):
+            state, memory = DELAYED.advance(state, np.array((1.0, 0.0)), memory, np.array(latent), period=PERIOD)
+        np.testing.assert_allclose(foretold.hoped, state, atol=1e-12)
+    assert abs(light.hoped[0] - loaded.hoped[0]) > 1e-5

@@ -92,6 +92,16 @@ def test_the_ceiling_is_never_below_the_layer_of_the_margin_in_force() -> None:
     assert NO_CEILING.errors("function", heights).tolist() == pytest.approx([-0.1, 0.2, -0.1])
     late = Seen(0.3, 0.2, 0.4, 0.45)  # (1 - eta) times the error at the state at which the condition was posed
     assert ceiling.error("function", late, 0.0) == pytest.approx(0.1 + 0.8 * 0.05)
+    assert NO_CEILING.error("function", late, 0.0) == pytest.approx(0.1), "with eta of 1 nothing of h now is asked for"
+    assert ceiling.error("function", Seen(0.5, 0.5), 0.0) is None, "at the ceiling nobody is near"
+    assert Ceiling.of_settings(FilterSettings(epsilon={"function": 0.0})).by_kind == {}, "no margin, no layer"
+
+
+def test_a_margin_that_just_fits_its_ceiling_keeps_it() -> None:
+    low = Ceiling(0.25, {"a": 0.5})
+    assert low.fitting("a", lambda _: 0.125) == (0.125, low)
+    assert low.fitting("a", lambda _: 0.126) == (0.126, Ceiling(0.25, {"a": 1.0}))
+    assert low.fitting("b", lambda _: 7.0) == (7.0, low), "without a ceiling every margin fits"
 
 
 @given(

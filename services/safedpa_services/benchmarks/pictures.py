@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from safedpa.errors import InputError
+from safedpa.extras import need
 
 __all__ = ["write_pictures"]
 
@@ -19,12 +19,11 @@ Document = dict[str, Any]
 def write_pictures(document: Document, folder: Path) -> list[Path]:
     """Writes ``speed.png`` (all programs of each row) and ``speed_growth.png`` (cost over size) where there are any.
 
-    Raises InputError when matplotlib is not installed.
+    Raises MissingExtraError when matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl
-    except ImportError as error:
-        raise InputError("--pictures: matplotlib is not installed; say pip install 'safedpa[train]'") from error
+    need("train", what="--pictures")
+    import matplotlib as mpl
+
     mpl.use("Agg")
     folder.mkdir(parents=True, exist_ok=True)
     rows = [row for row in document["rows"].values() if "failed" not in row]

@@ -4,20 +4,30 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from safedpa.extras import needs
+from safedpa_services.command_line.names import complete_effects, complete_models
 from safedpa_services.command_line.options import force_option, given_model, inputs_of, loaded_runs, run_options
+
+if TYPE_CHECKING:
+    from safedpa.effects import Varies, Where
 
 __all__ = ["command"]
 
 
 @click.command(name="add")
-@click.argument("model")
-@click.argument("effect")
+@click.argument("model", shell_complete=complete_models)
+@click.argument("effect", shell_complete=complete_effects)
 @run_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="MODEL2.toml", help="The new model.")
+@click.option("--where", metavar="WORDS", help="It acts there alone: 'x above', 'abs_speed below', 'circle', 'strip'.")
+@click.option("--varies", metavar="WORDS", help="A number of it changes: 'gain with time', 'gain with abs_speed'.")
+@click.option("--edge", type=float, default=0.05, show_default=True, help="Width over which --where sets in.")
 @force_option
+@needs("diagnosis")
 def command(
     model: str,
     effect: str,
@@ -28,10 +38,15 @@ def command(
     effects: Path | None,
     as_json: bool,
     force: bool,
+    where: str | None,
+    varies: str | None,
+    edge: float,
 ) -> None:
     """Add one EFFECT to MODEL, fitted to recorded RUNs, whatever the ranking says.
 
-    Prints the fitted numbers and the error on data that was not used for fitting, before and after.
+    With --where or --varies it acts in a region only, or one of its numbers changes with a variable; borders and
+    changes are fitted as well. Prints the fitted numbers and the error on data that was not used for fitting, before
+    and after.
     """
     from safedpa.diagnosis.addition import add_effect
     from safedpa.diagnosis.output import refuse_inputs, writable
@@ -41,15 +56,31 @@ def command(
     loaded = given_model(model, effects)
     refuse_inputs([out], inputs_of(model, runs, columns, effects), force)
     writable(out.absolute().parent)
-    found = add_effect(loaded, effect, loaded_runs(loaded, runs, columns), horizon)
+    law = _law(where, varies, edge, effect)
+    found = add_effect(loaded, effect, loaded_runs(loaded, runs, columns), horizon, law)
     save_model(found.model, out)
     before, after = found.before.value, found.after.value
     if as_json:
         values = {path: vars(value) for path, value in found.values.items()}
-        click.echo(json.dumps({"format": 1, "effect": effect, "before": before, "after": after, "parameters": values}))
+        told = {"sentence": found.sentence} if law is not None else {}
+        document = {"format": 1, "effect": effect, "before": before, "after": after, "parameters": values, **told}
+        click.echo(json.dumps(document))
         return
+    if found.sentence:
+        click.echo(found.sentence)
     for path, value in found.values.items():
         click.echo(value_text(path, value))
     change = f" ({100 * (after / before - 1):+.1f} %)" if before > 0 else ""
     click.echo(f"held-out error after {horizon:g} s: {before:.4g} before, {after:.4g} with {effect}{change}")
     click.echo(f"Model: {out}")
+
+
+def _law(where: str | None, varies: str | None, edge: float, effect: str) -> Where | Varies | None:
+    from safedpa.effects.law import law_of
+    from safedpa.errors import InputError
+
+    if where is not None and varies is not None:
+        raise InputError("--where and --varies: got both; wanted one of them")
+    if where is not None:
+        return law_of("where", where, edge, effect)
+    return None if varies is None else law_of("varies", varies, None, effect)

@@ -12,6 +12,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.command_line.listening import bus_of, certificates_option
+from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
@@ -97,4 +98,4 @@ def _tell(robot: str, end: Answer, *, as_json: bool) -> None:
         table = {"robot": robot, "change": end.change, "model": end.fingerprint, "sentence": end.sentence}
         click.echo(json.dumps(table))
     else:
-        click.echo(f"{robot}: {end.sentence}; model {end.fingerprint} in force")
+        say(f"{robot}: {end.sentence}; model {end.fingerprint} in force")

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 _RATE = click.option("--rate", type=float, default=20.0, show_default=True, help="ticks per second")
@@ -26,6 +27,7 @@ def command(context: click.Context) -> None:
 @click.option("--seconds", type=float, default=20.0, show_default=True, help="for each of the two measurements")
 @_RATE
 @_JSON
+@needs("sim")
 def latency(seconds: float, rate: float, *, as_json: bool) -> None:
     """Sense to act over Zenoh, every service its own process, beside a bare chain of relays."""
     from safedpa_services.benchmarks.latency import latency_benchmark
@@ -55,6 +57,7 @@ def latency(seconds: float, rate: float, *, as_json: bool) -> None:
 @click.option("--flood", is_flag=True, help="one more robot floods the bus with 1000 messages a second")
 @click.option("--find-largest", is_flag=True, help="double and bisect, from --robots on, for the largest that holds")
 @_JSON
+@needs("sim")
 def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **options: Any) -> None:
     """Many robots through one process of each service: late ticks, sense to act, processor time, memory."""
     from safedpa_services.benchmarks.fleet import FleetTrial, fleet_benchmark, largest_fleet

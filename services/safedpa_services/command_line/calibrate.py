@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import need
+from safedpa_services.command_line.names import complete_models
 
 if TYPE_CHECKING:
     from safedpa.dynamics import PhysicsModel
@@ -17,7 +19,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--model", default="car", show_default=True, help="model file, or the name of one that ships")
+@click.option(
+    "--model",
+    shell_complete=complete_models,
+    default="car",
+    show_default=True,
+    help="model file, or the name of one that ships",
+)
 @click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
 @click.option(
     "--coverage", type=float, default=0.99, show_default=True, help="share of steps, and of drives, that are covered"
@@ -38,6 +46,8 @@ def command(
     from safedpa.safety.recorded import calibration_from_recordings
     from safedpa.safety.shipped import settings_named
 
+    if simulator:
+        need("train", what="--simulator")
     loaded = load_model(model)
     constants = _simulated(loaded, simulator, states, coverage) if simulator else {}
     calibration = calibration_from_recordings(

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from safedpa.extras import needs
+from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     folder_option,
     force_option,
@@ -30,11 +32,12 @@ NAME = 20
 
 
 @click.command(name="compare")
-@click.argument("model")
+@click.argument("model", shell_complete=complete_models)
 @run_options
 @folder_option("compare.html and compare.json")
 @click.option("--before", metavar="MODEL", help="An earlier model: say which state gets worse in which run.")
 @force_option
+@needs("diagnosis")
 def command(
     model: str,
     runs: tuple[str, ...],
@@ -76,11 +79,10 @@ def command(
 
 
 def _show(comparison: Comparison, page: Path, change: str) -> None:
-    from rich.console import Console
-
     from safedpa.diagnosis.summary import naive_sentence, run_sentence, state_sentence, where_sentence
+    from safedpa_services.terminal import terminal
 
-    console = Console(highlight=False, soft_wrap=False)
+    console = terminal(highlight=False, soft_wrap=False)
     console.print()
     console.print(where_sentence(comparison), style="bold", markup=False)
     console.print(f"{state_sentence(comparison)} {naive_sentence(comparison)}", markup=False)

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 from safedpa_services.command_line.fleet_diagnosis import diagnosed_fleet, fleet_options, wants_fleet
+from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     as_json_option,
     columns_option,
@@ -46,7 +48,7 @@ FINDINGS = 6
 
 
 @click.command(name="diagnose")
-@click.argument("model")
+@click.argument("model", shell_complete=complete_models)
 @click.argument("runs", metavar="RUN...", nargs=-1)
 @columns_option
 @horizon_option()
@@ -56,6 +58,7 @@ FINDINGS = 6
 @click.option("--check", is_flag=True, help="Only say what these runs could show, in seconds; writes nothing.")
 @force_option
 @fleet_options
+@needs("diagnosis")
 def command(model: str, runs: tuple[str, ...], **options: Any) -> int:
     """Find out which physical effect MODEL lacks, by recorded RUNs.
 
@@ -103,14 +106,14 @@ def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> No
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.output import results_folder
     from safedpa.diagnosis.report import as_document
-    from safedpa_services.progress import progress
+    from safedpa_services.progress import narrated, progress
 
     loaded = given_model(model, options["effects"])
     read = inputs_of(model, runs, options["columns"], options["effects"])
     out = results_folder(options["out"], "diagnose", model, WRITTEN, read, options["force"])
     recorded = loaded_runs(loaded, runs, options["columns"])
-    with progress("diagnosing") as tell:
-        report = diagnose(loaded, recorded, options["horizon"], tell)
+    with narrated("diagnosing") as narrate:
+        report = diagnose(loaded, recorded, options["horizon"], narrate)
     document = as_document(report)
     with progress("writing") as tell:
         tell(0, 2)
@@ -177,9 +180,9 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
 
 
 def _show(report: Report, out: Path, margin: Path | None) -> None:
-    from rich.console import Console
+    from safedpa_services.terminal import terminal
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = terminal(highlight=False, soft_wrap=True)
     console.print()
     for line, style in story_lines(report):
         console.print(line, style=style, markup=False)
@@ -238,6 +241,7 @@ def _found(report: Report) -> list[str]:
     for name in report.added:
         own = {path.split(".")[1]: item for path, item in report.parameters.items() if path.split(".")[0] == name}
         lines.append(f"{name}: {', '.join(value_text(key, item) for key, item in own.items())}")
+        lines += [f"  {item.sentence}" for item in report.conditions if item.effect == name]
     return lines
 
 
@@ -250,8 +254,9 @@ def value_text(name: str, value: Value) -> str:
 def _bars(report: Report) -> list[tuple[str, str]]:
     first = report.stages[0].heldout_error
     lines = []
-    for stage in report.stages:
-        name = f"+ {stage.effects[-1]}" if stage.effects else "given model"
+    for number, stage in enumerate(report.stages):
+        before = report.stages[number - 1].effects if number else ()
+        name = " ".join(f"+ {own}" for own in stage.effects if own not in before) or "given model"
         length = round(BAR * min(stage.heldout_error / first, 1.0)) if first > 0 else 0
         runs = f" ({stage.runs_improved} runs better)" if stage.runs_improved else ""
         lines.append((f"  {name:24.24} {'█' * length:{BAR}} {stage.heldout_error:.3g}{runs}", ""))

@@ -94,11 +94,12 @@ def _markdown(owner: str, items: list[AbstractEffect]) -> list[str]:
 
 
 def _show(listed: dict[str, list[AbstractEffect]]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    from safedpa_services.terminal import terminal
+
+    console = terminal()
     for owner, items in listed.items():
         table = Table(
             title=f"{owner}: {len(items)} effects, from the command to the sensor",

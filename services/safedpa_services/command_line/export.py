@@ -7,6 +7,8 @@ from pathlib import Path
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import need
+from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
 
@@ -16,7 +18,7 @@ __all__ = ["command"]
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["csv", "parquet"]),
+    type=Choice(["csv", "parquet"]),
     help="Of a recording. csv: text, every digit kept; parquet: binary, smaller and faster.",
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="PATH", help="The file to write a recording to.")
@@ -41,6 +43,7 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
         return
     if kind is None or out is None:
         raise InputError("export: wanted --format and --out for a recording, or --onnx DIR for a weights file")
+    need("diagnosis", what=f"--format {kind}")
     from safedpa.records.export import export_recording
 
     exported = export_recording(source, out, kind, robot)
@@ -50,6 +53,7 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
 
 
 def _export_networks(source: Path, folder: Path) -> None:
+    need("train", what="--onnx")
     from safedpa.networks import load_weights
     from safedpa_sim.training.onnx_export import export_onnx
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from safedpa.errors import InputError
+from safedpa_services.command_line.names import Choice
 from safedpa_services.command_line.options import inputs_of
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def fleet_options(command: Command) -> Command:
         click.option("--jobs", type=int, metavar="N", help="Of a fleet: robots at a time; by default one a core."),
         click.option(
             "--by",
-            type=click.Choice(["auto", "folder", "file", "robot"]),
+            type=Choice(["auto", "folder", "file", "robot"]),
             default="auto",
             show_default=True,
             help="What a robot of a fleet is: a folder of recordings, a file, or a name inside MCAP recordings.",
@@ -144,11 +145,10 @@ def _on_cluster(
 
 
 def _show(document: dict[str, Any], out: Path) -> None:
-    from rich.console import Console
-
     from safedpa.diagnosis.fleet.story import common_sentence, discovery_sentence, headline
+    from safedpa_services.terminal import terminal
 
-    console = Console(highlight=False)
+    console = terminal(highlight=False)
     console.print()
     console.print(headline(document), style="bold", markup=False, soft_wrap=True)
     console.print(_table(document))

@@ -8,6 +8,7 @@ from importlib.metadata import version
 import click
 
 from safedpa.errors import InputError, SafedpaError, did_you_mean
+from safedpa.extras import extra_of
 from safedpa.limits import readable
 
 __all__ = ["COMMANDS", "safedpa"]
@@ -18,6 +19,21 @@ COMMANDS = (
     "train-baselines", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
+
+
+START = """\
+safedpa drives a robot behind a safety filter, and finds out what its model of the robot lacks.
+
+What to do first:
+  safedpa up                          drive the simulated car; prints the address of the live view; Ctrl-C ends it
+  safedpa up --no-filter              the same without the filter, to see what it is for
+  safedpa compare MODEL RUN...        how wrong is a model, and where? MODEL: a file, or a name such as car
+  safedpa diagnose MODEL RUN...       which physical effect does it lack?
+  safedpa workbench MODEL RUN...      the same by looking and clicking
+  safedpa effects                     the effects that it knows
+
+Every command: safedpa --help. One of them: safedpa up --help. Pages: docs/index.md, or make docs."""
+"""What ``safedpa`` alone says."""
 
 
 class _Commands(click.Group):
@@ -38,17 +54,29 @@ class _Commands(click.Group):
         try:
             code = self.main(arguments, prog_name="safedpa", standalone_mode=False)
         except click.exceptions.NoArgsIsHelpError as error:
-            click.echo(error.format_message())
+            click.echo(error.format_message() if arguments else START)
             return 0
         except click.ClickException as error:
-            return _fail(error.format_message(), 2)
+            return _fail(_with_cure(error), 2)
         except (click.Abort, KeyboardInterrupt):
             return _fail("interrupted", 1)
-        except InputError as error:
-            return _fail(str(error), 2)
         except SafedpaError as error:
-            return _fail(str(error), 1)
+            return _fail(str(error), 2 if isinstance(error, InputError) else 1)
+        except ModuleNotFoundError as error:  # of a part that no command names beforehand
+            extra = extra_of(error.name or "")
+            if extra is None:
+                raise
+            return _fail(f"{arguments[0]} needs pip install 'safedpa[{extra}]'; not installed: {error.name}", 1)
         return code if isinstance(code, int) else 0
+
+
+def _with_cure(error: click.ClickException) -> str:
+    """The message, and where it says no more than that something is missing or unknown, what to look at."""
+    message = error.format_message().rstrip()
+    asked = getattr(error, "ctx", None)
+    if asked is None or "did you mean" in message.lower() or "known:" in message:
+        return message
+    return f"{message.rstrip('.')}; '{asked.command_path} --help' says what it takes"
 
 
 _LONGEST_MESSAGE = 2000

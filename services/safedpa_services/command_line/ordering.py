@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.command_line.listening import bus_of
+from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer
@@ -82,6 +83,6 @@ def _tell(answer: Answer, told: dict[str, str], *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps({"sentence": answer.sentence, "robots": told}))
         return
-    click.echo(answer.sentence)
+    say(answer.sentence)
     for name, sentence in told.items():
-        click.echo(f"{name}: {sentence}")
+        say(f"{name}: {sentence}")

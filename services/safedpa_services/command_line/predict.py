@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from safedpa.extras import needs
+from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     columns_option,
     effects_option,
@@ -19,13 +21,14 @@ __all__ = ["command"]
 
 
 @click.command(name="predict")
-@click.argument("model")
+@click.argument("model", shell_complete=complete_models)
 @click.argument("run")
 @columns_option
 @horizon_option(None)
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="FILE.csv", help="Where to write.")
 @effects_option
 @force_option
+@needs("diagnosis")
 def command(
     model: str, run: str, columns: str | None, horizon: float, out: Path, effects: Path | None, force: bool
 ) -> None:

@@ -9,6 +9,8 @@ from pathlib import Path
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
+from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     as_json_option,
     columns_option,
@@ -22,7 +24,7 @@ __all__ = ["command"]
 
 
 @click.command(name="rehearse")
-@click.argument("model")
+@click.argument("model", shell_complete=complete_models)
 @runs_argument
 @columns_option
 @effects_option
@@ -33,6 +35,7 @@ __all__ = ["command"]
 )  # fmt: skip
 @click.option("--seed", type=int, default=0, show_default=True, help="Draws the noise.")
 @as_json_option
+@needs("diagnosis")
 def command(
     model: str,
     runs: tuple[str, ...],

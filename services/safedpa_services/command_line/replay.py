@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import need
 from safedpa_services.command_line.options import as_json_option, effects_option
+from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
     from safedpa.replay.replay import Replay
@@ -47,6 +49,8 @@ def command(**options: Any) -> int:
     from safedpa.replay.assumed import complete_setups
     from safedpa.replay.tape import read_tape
 
+    if options["rrd"] is not None:
+        need("view", what="--rrd")
     if options["effects"] is not None:
         load_own(options["effects"])
     change = _change(options)
@@ -103,7 +107,7 @@ def _compared(tape: Tape, assumed: list[str], options: dict[str, Any]) -> int:
     if options["as_json"]:
         click.echo(json.dumps(document_of(tape, found, gaps, assumed)))
     else:
-        click.echo("\n".join(lines_of(tape, found, gaps, assumed)))
+        say("\n".join(lines_of(tape, found, gaps, assumed)))
     return _code(found)
 
 
@@ -126,8 +130,8 @@ def _changed(tape: Tape, change: Change, assumed: list[str], options: dict[str, 
         document["findings"] = [asdict(finding) for finding in tape.findings]
         click.echo(json.dumps(document if driven is None else document | {"closed_loop": driven}))
         return 0
-    click.echo(f"robot '{tape.robot}' from {', '.join(str(path) for path in tape.files)}")
-    click.echo("\n".join([*told_lines(tape, assumed), *what_if_lines(summary, decisions, changed)]))
+    say(f"robot '{tape.robot}' from {', '.join(str(path) for path in tape.files)}")
+    say("\n".join([*told_lines(tape, assumed), *what_if_lines(summary, decisions, changed)]))
     if driven is not None:
         click.echo("\n".join(_driven_lines(driven)))
     return 0

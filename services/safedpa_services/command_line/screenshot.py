@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from safedpa.errors import InputError, SafedpaError
+from safedpa.extras import needs
 
 if TYPE_CHECKING:
     import subprocess
@@ -23,6 +24,7 @@ _PAINT_SECONDS = 1.0
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file")
 @click.option("--size", default="1400x800", show_default=True, help="WIDTHxHEIGHT in pixels")
 @click.option("--at", type=float, default=None, help="moment on the time line in s; default: the end")
+@needs("view")
 def command(recording: Path, out: Path, size: str, at: float | None) -> None:
     """Make a picture of a dashboard RECORDING (.rrd)."""
     if not recording.is_file():
@@ -92,7 +94,7 @@ def _viewer() -> str:
     found = importlib.util.find_spec("rerun_cli")
     binary = Path(found.origin).parent / "rerun" if found and found.origin else None
     if binary is None or not binary.is_file():
-        raise SafedpaError("screenshot: Rerun's viewer is not installed; install rerun-sdk")
+        raise SafedpaError("screenshot: Rerun's viewer is not installed; say: pip install 'safedpa[view]'")
     return str(binary)
 
 

@@ -71,16 +71,15 @@ def _nobody(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> st
 
 
 def _draw(document: dict[str, Any], picture: Path | None) -> None:
-    from rich.console import Console
-
     from safedpa_services.status.table import picture_of
+    from safedpa_services.terminal import terminal
 
-    console = Console(soft_wrap=False)
+    console = terminal(soft_wrap=False)
     if not console.is_terminal:
-        console = Console(width=max(_FEWEST_COLUMNS, console.width))
+        console = terminal(width=max(_FEWEST_COLUMNS, console.width))
     console.print(picture_of(document, console.width))
     if picture is not None:
-        drawn = Console(width=console.width, file=io.StringIO(), record=True, force_terminal=True)
+        drawn = terminal(width=console.width, file=io.StringIO(), record=True, force_terminal=True)
         drawn.print(picture_of(document, console.width))
         _write_svg(drawn, f"safedpa status --fleet {document['fleet']}", picture)
 
@@ -98,15 +97,15 @@ def _write_svg(drawn: Console, title: str, picture: Path) -> None:
 
 def _watched(fleet: FleetOverview) -> bool:
     """Draws until Ctrl-C; whether everything was healthy at the last look."""
-    from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
     from safedpa.bus.process import Stop
     from safedpa_services.status.document import document_of
     from safedpa_services.status.table import picture_of
+    from safedpa_services.terminal import Shown, terminal
 
-    stop, console, healthy = Stop(), Console(), False
+    stop, console, healthy = Stop(), terminal(), False
     stop.listen_to_signals()
     with Live(console=console, auto_refresh=False, screen=console.is_terminal, vertical_overflow="crop") as live:
         while not stop():
@@ -117,5 +116,5 @@ def _watched(fleet: FleetOverview) -> bool:
                 heard = time.monotonic() - fleet.since
                 live.update(Text(f"fleet '{fleet.bus.fleet}': nobody was heard for {heard:.0f} s"), refresh=True)
             else:
-                live.update(picture_of(document, console.width, console.height), refresh=True)
+                live.update(Shown(picture_of(document, console.width, console.height)), refresh=True)
     return healthy

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
+from safedpa_services.command_line.names import Choice
 
 if TYPE_CHECKING:
     from safedpa_sim.training.configuration import Configuration
@@ -19,7 +21,7 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("robot", type=click.Choice(["car", "pendulum", "point"]))
+@click.argument("robot", type=Choice(["car", "pendulum", "point"]))
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
 @click.option("--configuration", "source", metavar="FILE", help="what to train on; 'car' when left out")
 @click.option("--model", metavar="MODEL.toml", help="simulate this one, of `safedpa diagnose` say; its effects join e")
@@ -32,10 +34,9 @@ __all__ = ["command"]
 @click.option("--tune", is_flag=True, help="only tune WEIGHTS on the recorded RUNs")
 @click.option("--weights", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: what to tune")
 @click.option("--columns", type=click.Path(path_type=Path, dir_okay=False), help="with --tune: column map of the runs")
-@click.option(
-    "--what", type=click.Choice(["all", "phi", "heads"]), default="all", show_default=True, help="with --tune"
-)
+@click.option("--what", type=Choice(["all", "phi", "heads"]), default="all", show_default=True, help="with --tune")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("train")
 def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool, **options: Any) -> None:
     """Train the learned model of a robot, or tune one on recorded runs.
 

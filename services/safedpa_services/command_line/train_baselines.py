@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -26,6 +27,7 @@ __all__ = ["command"]
 @click.option("--steps", type=click.IntRange(min=1), help="of each; 4 million when left out")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("train")
 def command(out: Path, names: str | None, tasks: str | None, steps: int | None, seed: int, as_json: bool) -> None:
     """Train the model-free baselines of the point robot: in still air (the benchmark's task), and in winds.
 

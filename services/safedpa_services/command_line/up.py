@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import missing, need
+from safedpa_services.command_line.grouped import Grouped
+from safedpa_services.command_line.names import Choice, complete_models
+from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
     from safedpa.bus.process import Stop
@@ -36,19 +41,29 @@ _MOST_FORCE = 0.0149
 """N; a stronger wind pushes harder than the point robot can."""
 CHANGES = ("hitch", "headwind", "steering_offset")
 _ENDED_AT_ONCE = 130
+GROUPS = {
+    "Which robot": ("robot", "name", "seed"),
+    "The car": ("load", "change", "change_after"),
+    "The pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
+    "The point robot": ("force", "wind_direction"),
+    "How it drives": ("seconds", "rate", "lockstep", "unfiltered", "controller"),
+    "What it knows": ("model", "effects", "settings", "margin", "diagnosis"),
+    "Where it is seen and heard": ("headless", "fleet", "listen", "secure", "out", "as_json"),
+}
+"""Options as ``--help`` groups them."""
 CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 
 
-@click.command()
-@click.option("--robot", type=click.Choice(list(RATES)), default="car", show_default=True, help="kind of robot")
+@click.command(cls=Grouped, groups=GROUPS)
+@click.option("--robot", type=Choice(list(RATES)), default="car", show_default=True, help="kind of robot")
 @click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
 @click.option(
     "--robots", type=int, default=1, show_default=True, help="how many, each in a scene of its own: r1, r2 ..."
 )
-@click.option("--load", type=click.Choice(LOADS), default="none", show_default=True, help="what the car tows")
-@click.option("--change", type=click.Choice(CHANGES), help="what changes about the car while it drives")
+@click.option("--load", type=Choice(LOADS), default="none", show_default=True, help="what the car tows")
+@click.option("--change", type=Choice(CHANGES), help="what changes about the car while it drives")
 @click.option("--change-after", type=float, default=30.0, show_default=True, help="seconds until then, by its clock")
-@click.option("--task", type=click.Choice(TASKS), help="what the pendulum has to do; default: balance")
+@click.option("--task", type=Choice(TASKS), help="what the pendulum has to do; default: balance")
 @click.option("--wind", type=float, metavar="SPEED", help="m/s, on the pendulum; default: 0")
 @click.option("--wind-direction", type=float, metavar="DEGREES", help="where it blows to: 0 aside, 90 up; default: 0")
 @click.option("--force", type=float, metavar="NEWTON", help="of the wind on the point robot; default: 0")
@@ -67,13 +82,15 @@ CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
     default=None,
     help="watch over the model and search for what it lacks; default: yes, but not with --lockstep --headless",
 )
-@click.option("--model", help="model file, or the name of one that ships; default: the robot's")
+@click.option(
+    "--model", shell_complete=complete_models, help="model file, or the name of one that ships; default: the robot's"
+)
 @click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="effects of your own in the model")
 @click.option("--settings", help="settings of the filter: a file or a name; default: the robot's")
 @click.option("--margin", default="", help="margin file; default: the shipped one of the model, if there is one")
 @click.option(
     "--controller",
-    type=click.Choice(CONTROLLERS),
+    type=Choice(CONTROLLERS),
     help="who wishes for actions; default: learned where the model's weights hold a policy, else goal_seeker or random",
 )
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
@@ -86,11 +103,14 @@ def command(**options: Any) -> None:
     from safedpa.bus.process import Stop
     from safedpa.dynamics import load_own_everywhere
 
+    need("sim", what="the simulated robot", instead="run a robot of your own (docs/bus.md)")
+    if not options["headless"]:
+        need("view", what="the dashboard", instead="leave it out with --headless")
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     stop = Stop()
-    with _certificates(options) as folder:
-        plan = _plan({**options, "certificates": folder})
+    with _certificates(options) as folder, _meeting_place(options) as endpoint:
+        plan = _plan({**options, "certificates": folder, "endpoint": endpoint})
         stop.listen_to_signals()
         summary = _drive(plan, stop, quiet=options["as_json"])
     if options["as_json"]:
@@ -114,10 +134,23 @@ def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None
     return throw_away_certificates(options["fleet"], options["name"])
 
 
+@contextmanager
+def _meeting_place(options: dict[str, Any]) -> Iterator[str]:
+    """Where the processes meet: without a word of the person at a socket that this user alone can reach."""
+    from safedpa.bus.ports import free_port
+    from safedpa_services.supervisor.private_folder import private_folder
+
+    if options["listen"] or options["secure"]:
+        yield options["listen"] or f"tls/127.0.0.1:{free_port()}"
+        return
+    with private_folder() as folder:
+        yield f"unixsock-stream/{folder}/bus"
+
+
 def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.bus import STATE, key_of
-    from safedpa.bus.ports import free_port
     from safedpa.dynamics import load_model
+    from safedpa.safety.shipped import margin_for
     from safedpa_services.supervisor.plan import Plan
 
     key_of(options["fleet"], options["name"], STATE)  # refuses names that the bus cannot carry
@@ -140,6 +173,7 @@ def _plan(options: dict[str, Any]) -> Plan:
     model = load_model(options["model"])
     _check_rate(model, options["rate"])
     _check_robot(model, robot, options["model"], options["settings"])
+    margin_for(model, options["margin"])
     return Plan(
         robot=robot,
         name=options["name"],
@@ -161,7 +195,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         margin=options["margin"],
         controller=_controller(model, options["controller"]),
         fleet=options["fleet"],
-        endpoint=options["listen"] or f"{'tls' if options['secure'] else 'tcp'}/127.0.0.1:{free_port()}",
+        endpoint=options["endpoint"],
         certificates=options["certificates"],
         folder=Plan.new_folder(options["out"], options["name"]),
     )
@@ -196,7 +230,10 @@ def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
     if robot != "car" and options["load"] != "none":
         foreign.append("load")
     if foreign:
-        raise InputError(f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none")
+        raise InputError(
+            f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none; "
+            f"leave it out, or choose a robot that has one with --robot: {_owners(foreign[0])}"
+        )
     if options["wind"] is not None and not 0.0 <= options["wind"] <= 15.0:
         raise InputError(f"--wind: got {options['wind']}, wanted 0 to 15 m/s")
     if options["wind_direction"] is not None and not -360.0 <= options["wind_direction"] <= 360.0:
@@ -210,6 +247,11 @@ def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
     return tuple(f"--{name.replace('_', '-')}={value}" for name, value in given)
 
 
+def _owners(option: str) -> str:
+    """The robots that have an option of their own."""
+    return ", ".join(robot for robot, names in _OWN.items() if option in (*names, "load" * (robot == "car")))
+
+
 def _is_diagnosed(options: dict[str, Any]) -> bool:
     """As asked; without a word not where only a summary is wanted that repeats bit for bit."""
     if options["diagnosis"] is not None:
@@ -219,11 +261,9 @@ def _is_diagnosed(options: dict[str, Any]) -> bool:
 
 def _workbench_port(options: dict[str, Any]) -> int:
     """Where the page is served; 0 where nobody looks, nothing is diagnosed, or its framework is not installed."""
-    from importlib.util import find_spec
-
     from safedpa.bus.ports import free_port
 
-    wanted = not options["headless"] and _is_diagnosed(options) and find_spec("nicegui") is not None
+    wanted = not options["headless"] and _is_diagnosed(options) and not missing("workbench")
     return free_port(range(8080, 8100)) if wanted else 0
 
 
@@ -296,12 +336,12 @@ def _tell(summary: dict[str, Any]) -> None:
         )
     click.echo(f"verdicts: {verdicts}; the filter changed {summary['interventions']} of {summary['ticks']} wishes")
     for stand in summary["standstills"]:
-        click.echo(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
+        say(f"stood for {stand['seconds']:.0f} s from {stand['from']:.1f} s on: {stand['reason']}")
     if latency["p50"] is not None:
         click.echo(f"sense to act: p50 {latency['p50']:.0f} us, p99 {latency['p99']:.0f} us")
     restarts = {service["name"]: service["restarts"] for service in summary["services"] if service["restarts"]}
     if restarts:
         click.echo("restarted: " + ", ".join(f"{name} {count} times" for name, count in restarts.items()))
     if summary["recording_error"]:
-        click.echo(f"recording broke off: {summary['recording_error']}", err=True)
+        say(f"recording broke off: {summary['recording_error']}", err=True)
     click.echo(f"recording: {summary['recording']}")

@@ -7,13 +7,15 @@ from typing import Any
 
 import click
 
+from safedpa.extras import needs
 from safedpa_services.command_line.listening import bus_of
+from safedpa_services.command_line.names import complete_models
 
 __all__ = ["command"]
 
 
 @click.command(name="workbench")
-@click.argument("model", default="")
+@click.argument("model", default="", shell_complete=complete_models)
 @click.argument("runs", metavar="[RUN]...", nargs=-1)
 @click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
 @click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
@@ -65,19 +67,15 @@ __all__ = ["command"]
     help="Take pictures of the page by a headless Chromium, write them there and end.",
 )
 @click.option("--no-browser", is_flag=True, help="Open no browser.")
+@needs("workbench")
 def command(**options: Any) -> None:
     """Compare MODEL with recorded RUNs on a web page, see where it fails, add what it lacks, watch the error fall.
 
     Without arguments the page asks for model and recordings; with --fleet or --connect it watches driving robots as
     well, at /live. Everything is served from this machine.
     """
-    import importlib.util
-
     from safedpa.dynamics import load_own_everywhere
-    from safedpa.errors import SafedpaError
 
-    if importlib.util.find_spec("nicegui") is None:
-        raise SafedpaError("workbench: NiceGUI is not installed; say: pip install 'safedpa[workbench]'")
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     if options["pictures"] is not None:

@@ -12,6 +12,7 @@ from safedpa.bus import NO_ROBOT
 from safedpa.bus.process import Stop, bus_from, run_process
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.extras import need
 from safedpa.safety.shipped import settings_named
 from safedpa_services.dashboard.dashboard import Dashboard
 from safedpa_services.dashboard.fleet_view import FleetView
@@ -27,6 +28,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     """Shows until ``stop``; returns exit code 0."""
     os.nice(10)  # the loop comes first; what arrives meanwhile waits, and is thinned out when it waits for long
     os.environ.setdefault("RUST_LOG", "error")
+    need("view", what="the dashboard")
     if not options.viewer and not options.save:
         raise InputError("--no-viewer: got no --save either; name a file to record to, or leave --no-viewer out")
     settings = settings_named(options.settings)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import uuid
 
 from safedpa.bus import NO_ROBOT
 from safedpa.bus.overview import FleetOverview
 from safedpa.bus.process import Stop, add_bus_options, bus_from, lifetime, run_process
-from safedpa.errors import InputError
+from safedpa.extras import need
 from safedpa_services.metrics.exporter import Exporter
 
 _SERVICE = "metrics"
@@ -28,8 +27,7 @@ def metrics_parser() -> argparse.ArgumentParser:
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Serves until ``stop``; returns the exit code."""
-    if importlib.util.find_spec("prometheus_client") is None:
-        raise InputError("metrics: prometheus_client is not installed; install 'safedpa[metrics]'")
+    need("metrics", what="the page of metrics")
     os.nice(10)  # the loop comes first
     with bus_from(options) as bus, lifetime(_SERVICE, stop):
         bus.announce(NO_ROBOT, _SERVICE, uuid.uuid4().hex[:12])

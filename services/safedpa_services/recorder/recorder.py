@@ -164,7 +164,10 @@ class Recorder:
         told = f"{lost} messages lost" if lost else ""
         if self._error and self._file is not None:
             told = f"{told}; goes on in {self._file.path.name}; {self._error}"
-        return told if self._file is not None else self._error
+        if self._file is not None:
+            return told
+        waits = f"; goes on when {_ROOM_BYTES >> 20} MiB are free" if self._is_full else ""
+        return f"{self._error}{waits}"
 
 
 def _free_bytes(path: Path) -> int:

@@ -6,14 +6,17 @@ import argparse
 from pathlib import Path
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport
-from safedpa.bus.access import ROUTER, access_control, size_limits
+from safedpa.bus.access import ROUTER, access_control, rate_limits, size_limits
 from safedpa.bus.certificates import Certificates
 from safedpa.bus.log import log_event
 from safedpa.bus.process import Stop, Urgency, run_process
 from safedpa.errors import InputError
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals
-from safedpa_services.router.router import Router
+from safedpa_services.router.router import Router, revoked_in
 from safedpa_services.router.zenoh_log import capture_zenoh_log
+
+REVOKED = "revoked.txt"
+"""In the folder of certificates: names of certificates that are good for nothing any more, one a line."""
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
@@ -32,7 +35,8 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
             service=ROUTER,
             robots=", ".join(options.robot),
         )
-        Router(bus, refusals, transport.members).run(stop)
+        revoked = None if options.certificates is None else options.certificates / REVOKED
+        Router(bus, refusals, transport.members, transport.cut_off, revoked).run(stop)
     return 0
 
 
@@ -41,15 +45,18 @@ def _settings(options: argparse.Namespace) -> ZenohSettings:
     if not listen:
         raise InputError("--listen: got none, wanted where to accept connections, such as tls/0.0.0.0:7447")
     limits = tuple(size_limits(options.fleet))
+    rates = tuple(rate_limits(options.fleet, options.robot))
     if options.plain:
         if options.certificates is not None:
             raise InputError("--plain: got it together with --certificates, wanted one of them")
-        return ZenohSettings("router", listen, connect, limits=limits)
+        return ZenohSettings("router", listen, connect, limits=limits, rates=rates)
     if options.certificates is None:
         raise InputError("--certificates: got none, wanted the folder of 'safedpa certificates' (or --plain)")
     certificates = Certificates(options.certificates, options.role)
     access = access_control(options.fleet, options.robot, dict(map(_link, options.link)))
-    return ZenohSettings("router", listen, connect, certificates, access, limits)
+    revoked = revoked_in(options.certificates / REVOKED)
+    access["policies"] = [policy for policy in access["policies"] if not revoked & {*policy["subjects"]}]
+    return ZenohSettings("router", listen, connect, certificates, access, limits, rates)
 
 
 def _link(text: str) -> tuple[str, tuple[str, ...]]:

@@ -100,7 +100,8 @@ class Refusals:
             return
         name = self._names.get(decision.session) or self.name_of(decision.session) or "somebody"
         if decision is _UNKNOWN:
-            self._refused("bus.denied", "a message was denied; Zenoh's log had no room to say whose", name, decision)
+            sentence = "a message was held back: it came too often, or Zenoh's log had no room to say whose it was"
+            self._refused("bus.held_back", sentence, name, decision)
         elif decision.allowed and decision.act == "Put":
             self._refused(
                 "bus.too_large", f"{name} sent more bytes under '{decision.key}' than its topic allows", name, decision

@@ -2,58 +2,134 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 import time
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 from safedpa.bus import HEALTH, NO_ROBOT, Bus, HealthMessage
 from safedpa.bus.access import ROLES, ROUTER
 from safedpa.bus.log import log_event
+from safedpa.errors import SafedpaError
+from safedpa.limits import text_of_file
 from safedpa_services.router.refusals import Refusals
 
-__all__ = ["Router", "Twins"]
+__all__ = ["Revoked", "Router", "Twins", "revoked_in"]
 
 _HEARTBEAT_SECONDS = 0.25
-_BEATS_A_LOOK = 8
-"""A session that was lost is gone within the lease of half a second."""
+_LOOKS = 4
+"""After so many in a row a second process is none that was lost: that one is gone within the lease of half a second."""
 
+_MOST_COPIES = 1000
 Members = Callable[[], Iterable[tuple[str, str]]]
 """(Zenoh id, common name) of every session that is linked."""
+CutOff = Callable[[set[str]], int]
+"""Ends the links of sessions, by their Zenoh ids; how many there were."""
 
 
 class Twins:
     """Finds certificates that two processes show at once: a copy in wrong hands, or a service that was started twice.
 
+    The one that was there first stays; ``cut_off`` ends the links of the others. Of those that were there together
+    when the router began nobody knows which is the copy: both stay, and it is told.
+
     Only roles that announce themselves are one process each: people and health checks come and go in any number.
     """
 
-    def __init__(self, members: Members) -> None:
-        self._members = members
-        self._before: set[str] = set()
+    def __init__(self, members: Members, cut_off: CutOff = lambda sessions: 0) -> None:
+        self._members, self._cut_off = members, cut_off
+        self._looks: dict[str, int] = {}
+        """By name, in how many looks in a row it was there twice."""
+        self._since: dict[str, int] = {}
+        """By session, the number of the look that saw it first."""
+        self._number = 0
+        self._copies: set[str] = set()
+        """Sessions that were cut off, and come back by themselves."""
 
     def look(self) -> list[str]:
-        """Names that have been there twice since the last look; each is told as ``bus.twice``."""
+        """Names that have been there twice for some looks; each is told as ``bus.twice``."""
+        self._number += 1
         sessions: dict[str, set[str]] = {}
         for session, name in self._members():
             role = ROLES.get(name.partition(".")[0])
             if role is not None and role.lives:
                 sessions.setdefault(name, set()).add(session)
-        now = {name for name, found in sessions.items() if len(found) > 1}
-        lasting = sorted(now & self._before)
-        self._before = now
+        alive = {session for found in sessions.values() for session in found}
+        self._since = {session: self._since.get(session, self._number) for session in alive}
+        self._looks = {name: self._looks.get(name, 0) + 1 for name, found in sessions.items() if len(found) > 1}
+        if len(self._copies) > _MOST_COPIES:
+            self._copies &= alive
+        known = {name for name in self._looks if sessions[name] & self._copies}
+        lasting = sorted(known | {name for name, looks in self._looks.items() if looks >= _LOOKS})
         for name in lasting:
-            sentence = f"{len(sessions[name])} processes show the certificate of {name}: one of them is a copy"
-            log_event("bus.twice", sentence, level="warning", service=name)
+            self._tell(name, sessions[name])
         return lasting
+
+    def _tell(self, name: str, sessions: set[str]) -> None:
+        first = min(self._since[session] for session in sessions)
+        later = {session for session in sessions if self._since[session] > first}
+        cut = self._cut_off(later) if later else 0
+        self._copies |= later
+        what = "the later one is cut off" if cut else "one of them is a copy"
+        sentence = f"{len(sessions)} processes show the certificate of {name}: {what}"
+        log_event("bus.twice", sentence, level="warning", service=name)
+
+
+class Revoked:
+    """Ends the links of certificates whose names stand in a file, one a line; it is read again when it changes."""
+
+    def __init__(self, path: Path | None, members: Members, cut_off: CutOff) -> None:
+        self._path, self._members, self._cut_off = path, members, cut_off
+        self._read_at = -1
+        self.names: frozenset[str] = frozenset()
+
+    def look(self) -> int:
+        """How many links it ended now."""
+        if self._path is None:
+            return 0
+        self._read()
+        sessions = {session for session, name in self._members() if name in self.names} if self.names else set()
+        if not sessions:
+            return 0
+        cut = self._cut_off(sessions)
+        log_event("bus.revoked", f"{cut} links of revoked certificates were ended", level="warning", service=ROUTER)
+        return cut
+
+    def _read(self) -> None:
+        """A file that cannot be read revokes nobody more than before."""
+        assert self._path is not None
+        with contextlib.suppress(OSError, UnicodeDecodeError, SafedpaError):
+            changed = self._path.stat().st_mtime_ns
+            if changed != self._read_at:
+                self.names = revoked_in(self._path)
+                self._read_at = changed
+
+
+def revoked_in(path: Path) -> frozenset[str]:
+    """The names in a file of revoked certificates; none where there is no file."""
+    try:
+        lines = text_of_file(path, "toml_bytes").splitlines()
+    except FileNotFoundError:
+        return frozenset()
+    return frozenset(line.strip() for line in lines if line.strip() and not line.startswith("#"))
 
 
 class Router:
     """Sends the heartbeats of a router's own session, with the number and the newest of its refusals."""
 
-    def __init__(self, bus: Bus, refusals: Refusals, members: Members = tuple) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        refusals: Refusals,
+        members: Members = tuple,
+        cut_off: CutOff = lambda sessions: 0,
+        revoked: Path | None = None,
+    ) -> None:
         self._bus, self._refusals = bus, refusals
-        self._twins = Twins(members)
+        self._twins = Twins(members, cut_off)
+        self._revoked = Revoked(revoked, members, cut_off)
         self._twice: list[str] = []
         self._beats = 0
 
@@ -67,8 +143,8 @@ class Router:
     def beat(self) -> None:
         """One heartbeat, and now and then a look at who is there."""
         self._beats += 1
-        if self._beats % _BEATS_A_LOOK == 0:
-            self._twice = self._twins.look()
+        self._twice = self._twins.look()
+        self._revoked.look()
         message = HealthMessage(
             epoch=0,
             tick=0,

@@ -127,8 +127,8 @@ class Plan:
 
     def _workbench(self) -> Child:
         page = ("--model", self.model, "--out", str(self.folder / "workbench"), "--port", str(self.workbench_port))
-        page += ("--folder", str(self.folder))
-        child = self._child("workbench", "safedpa_services.workbench", *page, essential=False, heartbeat=False)
+        where = ("--folder", str(self.folder))
+        child = self._child("workbench", "safedpa_services.workbench", *page, *where, essential=False, heartbeat=False)
         child.environment = {_TOKEN_VARIABLE: self.page_token}
         return child
 

@@ -16,6 +16,7 @@ from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.view import view_of
 from safedpa_services.supervisor.warnings import Warnings
 from safedpa_services.supervisor.watch import Watch
+from safedpa_services.terminal import Shown, terminal
 
 __all__ = ["screen"]
 
@@ -39,7 +40,7 @@ def screen(
     The address of the ``page`` is told once it answers there.
     """
     door = _Page(page)
-    console = Console(stderr=True)
+    console = terminal(stderr=True)
     if quiet:
         yield Warnings((robot, *services), folder).look
         return
@@ -57,10 +58,8 @@ def screen(
             warnings.look()
             if time.monotonic() - drawn >= _REDRAW_SECONDS:
                 drawn = time.monotonic()
-                live.update(
-                    view_of(watch, services, robot, [*_live_view(watch), *door.lines(), *hints], warnings.newest),
-                    refresh=True,
-                )
+                view = view_of(watch, services, robot, [*_live_view(watch), *door.lines(), *hints], warnings.newest)
+                live.update(Shown(view), refresh=True)
 
         yield redraw
 

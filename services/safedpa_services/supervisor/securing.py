@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from safedpa.bus.access import ROUTER, check_names, roles_of
 from safedpa.bus.authority import HOSTS, Authority
-from safedpa.errors import InputError
+from safedpa_services.supervisor.private_folder import private_folder
 
 __all__ = ["throw_away_certificates"]
 
@@ -18,18 +17,15 @@ _DAYS = 30.0
 
 @contextmanager
 def throw_away_certificates(fleet: str, robot: str) -> Iterator[Path]:
-    """A folder, for this user alone, with a certificate for every role; nobody can make another one, and it is removed.
+    """A folder, for this user alone, with a certificate for every role; nobody can make another one, and it is
+    removed however the run ends.
 
     Raises InputError for names that cannot be a fleet's and a robot's.
     """
     check_names(fleet, (robot,))
-    try:
-        folder = tempfile.TemporaryDirectory(prefix="safedpa-certificates-")
-    except OSError as error:
-        raise InputError(f"--secure: no folder for certificates ({error.strerror}); name one by TMPDIR") from error
-    with folder as path:
-        authority = Authority(Path(path), fleet)
+    with private_folder() as folder:
+        authority = Authority(folder, fleet)
         for role in roles_of((robot,)):
             authority.issue(role, _DAYS, HOSTS if role == ROUTER else ())
-        (Path(path) / "authority.key.pem").unlink()
-        yield Path(path)
+        (folder / "authority.key.pem").unlink()
+        yield folder

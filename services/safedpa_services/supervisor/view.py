@@ -112,5 +112,5 @@ def _row(watch: Watch, child: Child) -> tuple[str | Text, ...]:
         str(message.refused),
         f"{message.step_microseconds:.0f} us",
         str(child.restarts),
-        message.detail[:60],
+        Text(message.detail[:60]),
     )

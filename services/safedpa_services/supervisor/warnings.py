@@ -11,12 +11,15 @@ from typing import Any
 
 from safedpa.errors import InputError
 from safedpa.limits import parse_json
+from safedpa.limits import readable as plain
 from safedpa_services.supervisor.child import Child
 
 __all__ = ["Warnings", "readable"]
 
 _LOOK_SECONDS = 0.5
 _MOST_BYTES = 65536
+_LONGEST_LINE = 500
+"""Letters."""
 """Read at one look of one log; a process that writes more is not read to the end."""
 _SHOWN = 4
 _LEAST_SECONDS = 5.0
@@ -109,4 +112,4 @@ def readable(event: dict[str, Any]) -> str:
     about = [str(event[name]) for name in ("service", "robot") if event.get(name)]
     about += [f"tick {event['tick']}"] if "tick" in event else []
     sentence = " ".join(str(event.get("sentence", "")).split())
-    return f"{stamp} {' '.join(about)}: {sentence}" if about else f"{stamp} {sentence}"
+    return plain(f"{stamp} {' '.join(about)}: {sentence}" if about else f"{stamp} {sentence}", _LONGEST_LINE)

@@ -114,8 +114,7 @@ class Guard:
     @staticmethod
     def _asked(scope: Scope) -> str:
         """The token in the address."""
-        query = urllib.parse.parse_qs(scope.get("query_string", b"").decode("latin-1")[:4096], max_num_fields=32)
-        return query.get("token", [""])[0]
+        return dict(_fields(bytes(scope.get("query_string", b"")))).get("token", "")
 
     def _shown(self, headers: dict[str, list[str]]) -> str:
         """The token in the cookie."""
@@ -123,10 +122,10 @@ class Guard:
             jar = SimpleCookie("; ".join(headers.get("cookie", []))[:8192])
         except CookieError:
             return ""
-        return jar[self._door.cookie].value if self._door.cookie in jar else ""
+        return str(jar[self._door.cookie].value) if self._door.cookie in jar else ""
 
     async def _give_cookie(self, scope: Scope, send: Send) -> None:
-        query = urllib.parse.parse_qsl(scope["query_string"].decode("latin-1"), max_num_fields=32)
+        query = _fields(scope["query_string"])
         rest = urllib.parse.urlencode([(name, value) for name, value in query if name != "token"])
         path = "/" + urllib.parse.quote(scope["path"].lstrip("/\\")) + (f"?{rest}" if rest else "")
         by_a_link = _headers(scope).get("sec-fetch-site", ["none"])[0] not in ("none", "same-origin")
@@ -149,7 +148,7 @@ class Guard:
             await _answer(send, 200, _FORM, {"Content-Type": "text/html; charset=utf-8"})
             return
         body = await _body(receive, 4096)
-        given = urllib.parse.parse_qs(body.decode("latin-1"), max_num_fields=4).get("password", [""])[0]
+        given = dict(_fields(body, "utf-8")).get("password", "")
         async with self._one_at_a_time:
             if _same(given, self._door.password):
                 await self._redirect(send, "/")
@@ -224,11 +223,19 @@ def _headers(scope: Scope) -> dict[str, list[str]]:
     return found
 
 
+def _fields(query: bytes, encoding: str = "latin-1") -> list[tuple[str, str]]:
+    """Of an address or a form; none where there are too many."""
+    try:
+        return urllib.parse.parse_qsl(query.decode(encoding, "replace")[:4096], max_num_fields=32)
+    except ValueError:
+        return []
+
+
 async def _body(receive: Receive, most: int) -> bytes:
     body = b""
     while True:
         message = await receive()
-        body += message.get("body", b"")
+        body += bytes(message.get("body", b""))
         if not message.get("more_body") or len(body) > most:
             return body[:most]
 

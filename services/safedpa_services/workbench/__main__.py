@@ -7,17 +7,14 @@ import os
 from pathlib import Path
 
 from safedpa.bus.process import Stop, bus_from, run_process
-from safedpa.errors import SafedpaError
+from safedpa.extras import need
 from safedpa_services.serving import service_parser
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Serves until ``stop``; returns exit code 0."""
-    import importlib.util
-
     os.nice(10)  # the loop comes first
-    if importlib.util.find_spec("nicegui") is None:
-        raise SafedpaError("workbench: NiceGUI is not installed; say: pip install 'safedpa[workbench]'")
+    need("workbench", what="the workbench", alone=True)  # its container writes no reports
     from safedpa_services.workbench.recordings import Choice
     from safedpa_services.workbench.server import chosen_port, serve
     from safedpa_services.workbench.serving import Serving

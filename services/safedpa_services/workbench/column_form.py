@@ -52,6 +52,8 @@ class Line:
     offset: float = 0.0
     flip: bool = False
     window: float = _WINDOW
+    kept: SourceColumn | DerivedColumn | None = None
+    """The map's own column where it says more than a line shows: shifted, joined, the slope of a named state."""
 
     @property
     def derivation(self) -> str:
@@ -71,11 +73,13 @@ def lines_of(system: System, columns: ColumnMap) -> list[Line]:
 
 def _line_of(line: Line, column: SourceColumn | DerivedColumn | None) -> Line:
     if isinstance(column, DerivedColumn):
-        return replace(line, source=DERIVED, window=column.window)
+        return replace(line, source=DERIVED, window=column.window, kept=column if column.of else None)
     if column is None:
         return line
+    kept = column if column.others or column.shift else None
+    source = f"{column.join} of {', '.join(column.sources)}" if column.others else column.source
     unit, flip = column.unit or "", column.flip
-    return replace(line, source=column.source, unit=unit, scale=column.scale, offset=column.offset, flip=flip)
+    return replace(line, source=source, unit=unit, scale=column.scale, offset=column.offset, flip=flip, kept=kept)
 
 
 def guessed(system: System, names: Sequence[str]) -> list[Line]:
@@ -111,9 +115,16 @@ def map_text(system: System, lines: Sequence[Line]) -> str:
 
 
 def _row(line: Line) -> str:
+    if isinstance(line.kept, DerivedColumn):
+        of, window = _quoted(line.kept.of), line.kept.window
+        return f'{line.target} = {{ derive = "{line.kept.derive}", of = {of}, window = {window!r} }}'
     if line.source == DERIVED:
         return f"{line.target} = {{ derive = {_quoted(line.derivation)}, window = {line.window!r} }}"
     parts = [f"from = {_quoted(line.source)}"]
+    if line.kept is not None:
+        names = ", ".join(map(_quoted, line.kept.sources))
+        parts = [f'from = [{names}], join = "{line.kept.join}"' if line.kept.others else f"from = {names}"]
+        parts += [f"shift = {line.kept.shift!r}"] if line.kept.shift else []
     if line.unit and line.unit != line.si:
         parts.append(f"unit = {_quoted(line.unit)}")
     if line.scale != 1.0:

@@ -38,7 +38,7 @@ class ColumnsTable:
 
     def _line(self, index: int, line: Line) -> None:
         text(f"{line.target} [{line.si}]")
-        columns = [*([DERIVED] if line.derivation else []), *self._raw.names]
+        columns = [*([DERIVED] if line.derivation or line.source == DERIVED else []), *self._raw.names]
         if line.source and line.source not in columns:
             columns.append(line.source)
         self._choice(index, "source", columns, line.source or None, f"column for {line.target}")
@@ -63,6 +63,8 @@ class ColumnsTable:
         if value is None:
             return
         change: dict[str, Any] = {field: float(value) if field in ("scale", "offset") else value}
+        if field == "source":
+            change["kept"] = None
         self.lines[index] = replace(self.lines[index], **change)
         if field == "source":
             self.show(self.lines, self._raw)

@@ -134,7 +134,7 @@ class LatentEstimator(AbstractEstimator):
         def step(free: list[float]) -> tuple[list[float], Any]:
             if quick is not None:
                 try:
-                    return quick(entries, felt, free, 0.0), memory
+                    return quick(entries, felt, free, self._model.clock.seconds), memory
                 except (ValueError, ArithmeticError):  # numbers that the other road answers
                     pass
             after, remembered = self._model.advance(state, action, memory, np.array(free), period=period)

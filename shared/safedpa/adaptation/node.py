@@ -171,6 +171,7 @@ class AdaptationNode(AbstractNode):
         plausible = held.model.system.is_plausible(values)
         if plausible and memory.state is not None and state.tick == memory.tick + 1:
             transition = _Transition(memory.state, applied, values, state.period)
+            held.model.clock.seconds = state.robot_time - state.period
             memory.estimator.update(*transition)
             memory.recent.append(transition)
         else:

@@ -38,6 +38,7 @@ __all__ = [
     "access_control",
     "check_names",
     "may_write",
+    "rate_limits",
     "role_of_robot",
     "roles_of",
     "size_limits",
@@ -47,6 +48,9 @@ NOBODY = "-"
 """Stands for the robot in the keys of a service that serves the whole fleet."""
 ROBOT = "robot"
 ROUTER = "router"
+_MOST_RATE = 4000.0
+"""Hz under one key. Robots tick at 500 at most, in lockstep as fast as they are answered; and what follows within a
+quarter of a millisecond is passed over, so that two that were held up together still both arrive."""
 _IN, _OUT = "ingress", "egress"
 _CARRIED = ("put", "query", "reply", "liveliness_token")
 _WANTED = ("declare_subscriber", "declare_queryable", "liveliness_query", "declare_liveliness_subscriber")
@@ -243,6 +247,18 @@ def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_Right]:
         _Right("wants", _WANTED, _IN, everything),
         _Right("takes away", (*_CARRIED, *_WANTED), _OUT, everything),
     ]
+
+
+def rate_limits(fleet: str, robots: Iterable[str]) -> list[dict[str, Any]]:
+    """Zenoh's ``downsampling``: how often each member may put under one key; what comes faster goes no further.
+
+    Of every tick's topics, of each robot and of bundles. Each member is counted for itself.
+    """
+    names = tuple(robots)
+    ticking = [topic for topic in TOPICS.values() if topic.delivery == "latest" and not topic.per_service]
+    rules = [{"key_expr": key_of(fleet, robot, topic), "freq": _MOST_RATE} for topic in ticking for robot in names]
+    rules += [{"key_expr": key_of(fleet, BUNDLE, topic), "freq": _MOST_RATE} for topic in ticking if topic.bundles]
+    return [{"id": "rates", "flows": [_IN], "messages": ["put"], "rules": rules}] if names else []
 
 
 def size_limits(fleet: str) -> list[dict[str, Any]]:

@@ -18,13 +18,13 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import final
 
 from safedpa.bus.log import log_event
 
-__all__ = ["Doorkeeper", "as_many_descriptors_as_allowed", "defer_accept"]
+__all__ = ["Doorkeeper", "as_many_descriptors_as_allowed", "cut_off", "defer_accept"]
 
 _SILENT_SECONDS = 250
 """For so long the kernel keeps who connected and said nothing; it costs it some hundred bytes, and us nothing."""
@@ -65,6 +65,17 @@ def defer_accept() -> set[int]:
                 found.listen(_MOST_WAITING)  # of a socket that listens already, this changes the number alone
                 ports.add(found.getsockname()[1])
     return ports
+
+
+def cut_off(far_ends: Collection[Address]) -> int:
+    """Ends the connections of this process to these addresses; how many there were."""
+    count = 0
+    for descriptor in _sockets():
+        with contextlib.suppress(OSError, IndexError), _borrowed(descriptor) as found:
+            if found.family in _INTERNET and tuple(found.getpeername()[:2]) in far_ends:
+                found.shutdown(socket.SHUT_RDWR)
+                count += 1
+    return count
 
 
 @dataclass
@@ -190,7 +201,7 @@ _LONGEST_GAP = 2048
 
 @contextlib.contextmanager
 def _borrowed(descriptor: int) -> Iterator[socket.socket]:
-    """The socket of a descriptor that belongs to somebody else and is not closed. Raises OSError where it is none now."""
+    """The socket of a descriptor that is somebody else's, and is not closed. Raises OSError where it is none now."""
     found = socket.socket(fileno=descriptor)
     try:
         yield found

@@ -42,6 +42,11 @@ KINDS = MappingProxyType(
         "bus.handshake_refused": "Somebody was refused at the router's door.",
         "bus.denied": "Somebody tried what its role may not; the router let nothing through.",
         "bus.too_large": "Somebody sent more bytes than the topic allows; the router let nothing through.",
+        "bus.held_back": "Somebody sends more often than any robot ticks; the router lets a part through.",
+        "bus.strangers_cut_off": "Connections were ended that did not say in time who they are.",
+        "bus.revoked": "Links of certificates that are good for nothing any more were ended.",
+        "page.refused": "A page was asked by another page, under another name, without its token, or for too much.",
+        "page.wrong_password": "Somebody gave a wrong password to a page.",
         "bus.log_overrun": "More was refused than could be told one by one.",
         "bus.zenoh": "A warning of the network library.",
     }

@@ -24,6 +24,7 @@ from safedpa.bus.messages import (
     WishMessage,
 )
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import readable
 
 __all__ = [
     "ACTION",
@@ -96,6 +97,10 @@ TOPICS: dict[str, Topic] = {
 """Every topic, by name."""
 
 
+LONGEST_NAME = 128
+"""Letters of a fleet's, a robot's or a service's name."""
+
+
 @lru_cache(maxsize=8192)
 def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
     """The key expression ``safedpa/{fleet}/{robot}/{topic}``, with ``/{service}`` behind health and takeover.
@@ -112,7 +117,14 @@ def key_of(fleet: str, robot: str, topic: Topic, service: str = "") -> str:
 
 def _check_name(name: str) -> None:
     if not name or set(name) & set("/*$#?") or name.startswith("@"):
-        raise InputError(f"name '{name}': got nothing, or one of / * $ # ? @; wanted letters, digits, '-', '_' or '.'")
+        raise InputError(
+            f"name '{readable(name)}': got nothing, or one of / * $ # ? @; wanted letters, digits, '-', '_' or '.'"
+        )
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise InputError(
+            f"name '{readable(name)}': got a character that is not printed, or more than {LONGEST_NAME}; wanted "
+            "letters, digits, '-', '_' or '.'"
+        )
 
 
 @lru_cache(maxsize=8192)
@@ -124,14 +136,16 @@ def topic_of(key: str) -> tuple[str, str, Topic]:
     """
     parts = key.split("/")
     if len(parts) not in (4, 5) or parts[0] != "safedpa":
-        raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/TOPIC")
+        raise InputError(f"key '{readable(key)}': wanted safedpa/FLEET/ROBOT/TOPIC")
     if parts[3] not in TOPICS:
-        raise InputError(f"key '{key}': {did_you_mean(parts[3], TOPICS)}")
+        raise InputError(f"key '{readable(key)}': {did_you_mean(readable(parts[3], 40), TOPICS)}")
     topic = TOPICS[parts[3]]
     if (len(parts) == 5) is not topic.per_service:
-        raise InputError(f"key '{key}': wanted {'a service' if topic.per_service else 'nothing'} behind '{parts[3]}'")
+        raise InputError(
+            f"key '{readable(key)}': wanted {'a service' if topic.per_service else 'nothing'} behind '{topic.name}'"
+        )
     for name in (parts[1], parts[2], *parts[4:]):
         _check_name(name)
     if parts[2] == BUNDLE:
-        raise InputError(f"key '{key}': got no bundle of messages there, wanted one")
+        raise InputError(f"key '{readable(key)}': got no bundle of messages there, wanted one")
     return parts[1], parts[2], topic

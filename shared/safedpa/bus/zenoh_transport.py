@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import os
+import secrets
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
 from safedpa.bus.certificates import Certificates
-from safedpa.bus.doorkeeper import Doorkeeper, defer_accept
+from safedpa.bus.doorkeeper import Doorkeeper, cut_off, defer_accept
 from safedpa.bus.log import log_event
 from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
 from safedpa.errors import BusError, JoinError
@@ -35,6 +37,8 @@ _LEASE_ON_ONE_MACHINE_MILLISECONDS = 2000
 """No network parts peers on one machine, but a machine that has too much to do keeps signs of life waiting for 0.5 s
 and more, and a link between peers that found each other is not made anew. A process that dies is seen at once anyway.
 """
+_LOCAL_SOCKET = "unixsock-stream/"
+"""Beginning of the endpoint of a socket in the file system: who may open the folder may connect, nobody else."""
 _ACCEPT_MILLISECONDS = 1000
 """For a handshake, once its first bytes are there: it takes 3 ms; by default a stranger has five times as long."""
 _MOST_ON_THEIR_WAY = 2000
@@ -51,8 +55,8 @@ class ZenohSettings:
 
     Without endpoints a peer listens on the loopback interface and finds others there by multicast. With ``connect`` it
     finds the others through those endpoints (and what they know), without multicast. With ``certificates`` every
-    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and nobody is found who was not named. ``access`` and
-    ``limits`` are a router's: Zenoh's ``access_control`` and ``low_pass_filter``.
+    endpoint is ``tls/HOST:PORT``, both sides prove who they are, and nobody is found who was not named. ``access``,
+    ``limits`` and ``rates`` are a router's: Zenoh's ``access_control``, ``low_pass_filter`` and ``downsampling``.
 
     Raises BusError for certificates with a peer, or with an endpoint that is not TLS.
     """
@@ -63,6 +67,7 @@ class ZenohSettings:
     certificates: Certificates | None = None
     access: Mapping[str, Any] | None = None
     limits: tuple[Mapping[str, Any], ...] = ()
+    rates: tuple[Mapping[str, Any], ...] = ()
     patience: float = 10.0
     """s to go on trying to connect at the start; later, while it runs, it tries for ever."""
 
@@ -95,7 +100,7 @@ class ZenohSettings:
     def configuration(self) -> dict[str, Any]:
         """The Zenoh configuration as paths and values."""
         alone = not self.listen and not self.connect
-        listen = self.listen or (("tcp/127.0.0.1:0",) if self.mode == "peer" else ())
+        listen = self.listen or ((_own_door(self.connect),) if self.mode == "peer" else ())
         return {
             "mode": self.mode,
             "listen/endpoints": [*map(_in_haste, listen)],
@@ -114,6 +119,7 @@ class ZenohSettings:
             "transport/shared_memory/enabled": False,
             **({} if self.certificates is None else _tls(self.certificates)),
             **({} if self.access is None else {"access_control": dict(self.access)}),
+            **({"downsampling": [dict(rate) for rate in self.rates]} if self.rates else {}),
             **({"low_pass_filter": [dict(limit) for limit in self.limits]} if self.limits else {}),
         }
 
@@ -136,6 +142,14 @@ def _tls(certificates: Certificates) -> dict[str, Any]:
     }
 
 
+def _own_door(connect: tuple[str, ...]) -> str:
+    """Where a peer listens that was not told: beside the socket of those it joins, or on the loopback interface."""
+    beside = next((endpoint for endpoint in connect if endpoint.startswith(_LOCAL_SOCKET)), "")
+    if not beside:
+        return "tcp/127.0.0.1:0"
+    return f"{beside.rpartition('/')[0]}/{os.getpid()}-{secrets.token_hex(4)}"
+
+
 def _in_haste(endpoint: str) -> str:
     """An endpoint to listen on where nobody has longer for the handshake of TLS."""
     plain = not endpoint.startswith("tls/") or "#" in endpoint
@@ -144,6 +158,8 @@ def _in_haste(endpoint: str) -> str:
 
 def _is_loopback(endpoint: str) -> bool:
     """Whether an endpoint like ``tcp/127.0.0.1:7447`` can be reached from this machine alone."""
+    if endpoint.startswith(_LOCAL_SOCKET):
+        return True
     host = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
@@ -166,7 +182,8 @@ class ZenohTransport(AbstractTransport):
                 configuration.insert_json5(path, json.dumps(value))
             self._session = zenoh.open(configuration)
         except zenoh.ZError as error:
-            raise JoinError(
+            kind = JoinError if settings.connect else BusError  # where it listens is the person's choice
+            raise kind(
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
                 f"({_first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error
@@ -267,14 +284,18 @@ class ZenohTransport(AbstractTransport):
         """Common name of the certificate of a linked session by its Zenoh id; empty when there is none."""
         return dict(self.members()).get(session, "")
 
-    def _far_ends(self) -> set[tuple[str, int]]:
-        """Addresses of those who are linked to this session."""
+    def cut_off(self, sessions: Collection[str]) -> int:
+        """Ends the links of these sessions, by their Zenoh ids; how many there were."""
+        ends = self._far_ends(sessions)
+        return cut_off(ends) if ends else 0
+
+    def _far_ends(self, sessions: Collection[str] | None = None) -> set[tuple[str, int]]:
+        """Addresses of those who are linked to this session, or of some of them."""
         found = set()
         for link in self._session.info.links():
-            for end in (str(link.dst), str(link.src)):
-                host, _, port = end.partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")
-                if port.isdecimal():
-                    found.add((host.strip("[]"), int(port)))
+            host, _, port = str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")
+            if port.isdecimal() and (sessions is None or str(link.zid) in sessions):
+                found.add((host.strip("[]"), int(port)))
         return found
 
     def close(self) -> None:  # noqa: D102

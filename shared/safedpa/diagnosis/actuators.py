@@ -5,12 +5,16 @@ A search asks for the felt actions of a log at hundreds of lags and delays; test
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from safedpa.diagnosis.windows import Floats, Windows
-from safedpa.effects import CommandEffect
+from safedpa.effects import AbstractEffect, CommandEffect
+from safedpa.effects.general_commands import ChannelDelay, ChannelLag
+from safedpa.operations import FLOATS
 
-__all__ = ["felt_at_once"]
+__all__ = ["felt_at_once", "late_commands"]
 
 _DELAYED = {
     "steering_delay": ("steer",),
@@ -18,7 +22,21 @@ _DELAYED = {
     "actuator_delay": ("throttle", "target_speed", "steer", "thrust", "turn"),
     "torque_delay": ("torque",),
 }
+_PERIOD = 0.05
+"""s, over which a step is looked at."""
 _LAGGED = {"steering_lag": ("steer",), "drive_lag": ("throttle", "target_speed"), "torque_lag": ("torque",)}
+
+
+def late_commands(item: AbstractEffect, names: Sequence[str]) -> frozenset[str]:
+    """The actions that an effect of ordinary size makes late: a step is not felt whole in the period that begins it."""
+    if not isinstance(item, CommandEffect):
+        return frozenset()
+    memory = item.initial_memory(dict.fromkeys(names, 0.0))
+    if memory is None:
+        return frozenset()
+    values = {parameter.name: parameter.typical for parameter in item.parameters}
+    felt, _ = item.transform(dict.fromkeys(names, 1.0), memory, values, _PERIOD, FLOATS)
+    return frozenset(name for name in names if felt[name] != 1.0)
 
 
 def felt_at_once(
@@ -27,6 +45,10 @@ def felt_at_once(
     """The felt columns of one of the library's own lags and delays; None for every other effect."""
     if not type(command).__module__.startswith("safedpa.effects."):
         return None
+    if isinstance(command, (ChannelDelay, ChannelLag)):
+        follow = _delayed if isinstance(command, ChannelDelay) else _lagged
+        (value,) = own.values()
+        return {**columns, command.channel: follow(columns[command.channel], value, windows)}
     for table, felt in ((_DELAYED, _delayed), (_LAGGED, _lagged)):
         if command.name in table and len(own) == 1:
             (value,) = own.values()

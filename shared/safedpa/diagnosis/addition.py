@@ -1,10 +1,12 @@
-"""One effect by choice: fitted on top of a model, whatever the ranking says."""
+"""One effect by choice: fitted on top of a model, whatever the ranking says; everywhere, or under a law."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from safedpa.diagnosis.condition_screen import begun_law
+from safedpa.diagnosis.condition_words import conditions_of
 from safedpa.diagnosis.evidence import evidence_at, shown_of
 from safedpa.diagnosis.final_numbers import with_final_numbers
 from safedpa.diagnosis.fitted_values import values_of
@@ -13,9 +15,10 @@ from safedpa.diagnosis.heldout import HeldoutError, error_with
 from safedpa.diagnosis.readiness import prepared
 from safedpa.diagnosis.report import Value
 from safedpa.diagnosis.search import begun
-from safedpa.diagnosis.trial import Trial, trial_of, tried
+from safedpa.diagnosis.shooting import Shooting
+from safedpa.diagnosis.trial import Trial, trial_of, tried, with_start
 from safedpa.dynamics import PhysicsModel
-from safedpa.effects import effect
+from safedpa.effects import AbstractEffect, Varies, Where, conditioned, effect
 from safedpa.errors import InputError, RunError
 from safedpa.records.run import Run
 
@@ -35,16 +38,22 @@ class Addition:
     values: dict[str, Value]
     before: HeldoutError
     after: HeldoutError
+    sentence: str = ""
+    """Where and when it acts, of an effect with a law."""
 
 
-def add_effect(model: PhysicsModel, name: str, runs: Sequence[Run], horizon: float = 1.0) -> Addition:
+def add_effect(
+    model: PhysicsModel, name: str, runs: Sequence[Run], horizon: float = 1.0, law: Where | Varies | None = None
+) -> Addition:
     """Fits one effect on top of a model at the horizon that the data choose; the errors are those after ``horizon``.
 
-    Raises InputError for an unknown effect or one that the model has, RunError for unusable runs.
+    Under a ``law`` its borders, or its change, are fitted with it. Raises InputError for an unknown effect, one that
+    the model has, or a law that does not fit it; RunError for unusable runs.
     """
     item = effect(model.system.name, name)
     if name in {own.name for own in model.effects}:
         raise InputError(f"effect '{name}': the model has it already; mark its parameters free to refit them")
+    made = item if law is None else conditioned(item, law, model.system)
     usable = prepared(model, runs)
     evidence = evidence_at(usable.runs, usable.seconds)
     shown = shown_of(usable.runs, horizon, evidence)
@@ -54,11 +63,24 @@ def add_effect(model: PhysicsModel, name: str, runs: Sequence[Run], horizon: flo
             "record more"
         )
     search = begun(model, evidence.shooting, evidence.heldout)
-    shooting, found = search.shooting, tried(search.current, [item], search.shooting).fit
+    shooting, found = search.shooting, _tried(search.current, item, made, law, search.shooting).fit
     for _ in range(_ROUNDS):
         shooting = shooting.around(found.model)
         found = fit(found.model, found.paths, shooting, found.scale)
     found, _ = with_final_numbers(found, shooting, evidence.heldout)
     final: Trial = trial_of(found, shooting, (name,), None)
     before = error_with(search.current.fit, search.shooting, shown)
-    return Addition(found.model, values_of(final, shooting), before, error_with(found, shooting, shown))
+    after = error_with(found, shooting, shown)
+    told = "".join(one.sentence for one in conditions_of(found.model, [name]))
+    return Addition(found.model, values_of(final, shooting), before, after, told)
+
+
+def _tried(
+    null: Trial, item: AbstractEffect, made: AbstractEffect, law: Where | Varies | None, shooting: Shooting
+) -> Trial:
+    """The fit on windows; under a law from where a screen over all regions begins."""
+    alone = tried(null, [item], shooting)
+    if law is None:
+        return alone
+    start = begun_law(null, alone, item, law, shooting)
+    return tried(null, [made], shooting, [with_start(null.fit.model, made, start)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from safedpa.diagnosis.addition import Addition, add_effect
 from safedpa.diagnosis.by_name import Names
 from safedpa.diagnosis.closest import closest_effects, likely_effects, nearest_effects
+from safedpa.diagnosis.condition_words import conditions_of
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
 from safedpa.diagnosis.evidence import Evidence, evidence_at, evidence_beside, shown_of
 from safedpa.diagnosis.experiment_choice import chosen_experiment
@@ -20,9 +21,9 @@ from safedpa.diagnosis.naive import naive_errors
 from safedpa.diagnosis.patch import in_one_room
 from safedpa.diagnosis.readiness import MOST_ROWS, Judgeable, judgeable, prepared, row_of
 from safedpa.diagnosis.remaining import formula_instead, remaining
-from safedpa.diagnosis.report import Candidate, Detectable, Experiment, Report, Unexplained, Verdict
-from safedpa.diagnosis.search import Judged, Search, searched
-from safedpa.diagnosis.stages import stages_of
+from safedpa.diagnosis.report import Candidate, Detectable, Experiment, Report, Unexplained, Value, Verdict
+from safedpa.diagnosis.search import Judged, Search, Tell, searched
+from safedpa.diagnosis.stages import Told, stages_of
 from safedpa.diagnosis.summary import worst_bins
 from safedpa.diagnosis.where import PLACE
 from safedpa.dynamics import PhysicsModel
@@ -36,8 +37,6 @@ _MOST_SHOWN = 0.5
 """Share of the library's numbers of which an ordinary size would have been found, without which "nothing is missing"
 would say more than the data do."""
 
-Tell = Callable[[int, int], None]
-
 
 def library_for(model: PhysicsModel) -> list[AbstractEffect]:
     """Every effect of the robot that the model's actions allow and the model does not have."""
@@ -48,7 +47,7 @@ def library_for(model: PhysicsModel) -> list[AbstractEffect]:
 
 
 def diagnose(
-    model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0, tell: Tell = lambda _done, _all: None
+    model: PhysicsModel, runs: Sequence[Run], horizon: float = 1.0, tell: Tell = lambda _done, _all, _said: None
 ) -> Report:
     """Which effects of the library the model lacks, by runs that it should predict.
 
@@ -73,19 +72,19 @@ def diagnose(
     usable.quality.extend([*_too_bad(search), *_rooms(evidence)])
     found = _rest_of(search, judge, Names(search, library, evidence.heldout))
     sizes = with_manoeuvres(_sizes(search, library), search.current, library) if judge.enough else ()
-    told = stages_of(search, evidence.heldout, shown)
+    told, final = stages_of(search, evidence.heldout, shown), values_of(search.current, search.shooting)
     return Report(
         robot=model.system.name,
         horizon=horizon,
         verdict=_verdict(search, found, judge, sizes),
         added=tuple(search.added),
         stages=tuple(told.stages),
-        candidates=_candidates(search, evidence.heldout, shown),
+        candidates=_candidates(search, evidence.heldout, shown, told, final),
         where=_where(model, usable.runs, horizon),
         unexplained=found.unexplained,
         next_experiment=experiment_for(search),
         data_quality=tuple(usable.quality),
-        parameters=values_of(search.current, search.shooting),
+        parameters=final,
         models=tuple(told.models),
         closest=closest_effects(
             found.likely,
@@ -97,6 +96,7 @@ def diagnose(
         detectable=tuple(sizes),
         naive=naive_errors(shown.windows),
         worse=told.worse,
+        conditions=conditions_of(search.current.fit.model, search.added),
         evidence=(usable.seconds, *asked),
     )
 
@@ -162,11 +162,19 @@ def _verdict(search: Search, found: _Rest, judge: Judgeable, sizes: Sequence[Det
     return "nothing_missing"
 
 
-def _candidates(search: Search, heldout: Heldout, shown: Heldout) -> tuple[Candidate, ...]:
+def _candidates(
+    search: Search, heldout: Heldout, shown: Heldout, told: Told, final: Mapping[str, Value]
+) -> tuple[Candidate, ...]:
+    """As they were judged; what was accepted with the final numbers and the error of its stage, so that no number
+    stands in a report twice with another value."""
     found = []
     for item in search.candidates:
         made = candidate_of(item, search)
-        if item.error is not None and shown is not heldout:
+        if item.decision == "accepted" and set(item.trial.effects) <= set(search.added):
+            stage = next(own for own in told.stages if set(item.trial.effects) <= set(own.effects))
+            numbers = {key: final[key if "." in key else f"{made.effect}.{key}"] for key in made.parameters}
+            made = replace(made, heldout_error=stage.heldout_error, parameters=numbers)
+        elif item.error is not None and shown is not heldout:
             made = replace(made, heldout_error=error_with(item.trial.fit, search.shooting, shown).value)
         found.append(made)
     return tuple(found)

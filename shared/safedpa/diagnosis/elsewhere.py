@@ -16,7 +16,7 @@ from safedpa.diagnosis.evidence import Evidence
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.found import Search
 from safedpa.diagnosis.heldout import error_with
-from safedpa.diagnosis.judging import FALL, Stage, inside
+from safedpa.diagnosis.judging import FALL, Stage, feigned_lateness, inside
 from safedpa.diagnosis.second_opinion import agrees
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried
 from safedpa.effects import AbstractEffect
@@ -76,6 +76,7 @@ def _open(search: Search, stage: Stage) -> list[Trial]:
         and trial.effects not in stage.doubted
         and stage.gains[trial.effects] > _OPEN
         and stage.errors[trial.effects].value < (1.0 - FALL) * before
+        and not feigned_lateness(trial, stage.errors[trial.effects], search.error, stage.row)
         and inside(trial, search)
     ]
     return sorted(found, key=lambda trial: stage.errors[trial.effects].value)[:_ASKED]

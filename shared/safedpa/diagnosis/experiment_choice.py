@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from safedpa.diagnosis.general_manoeuvres import general_manoeuvres
 from safedpa.diagnosis.report import Experiment
 from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
@@ -23,7 +24,7 @@ def manoeuvres(model: PhysicsModel) -> dict[str, tuple[Floats, Floats]]:
     names = model.system.action_names
     if names == ("torque",):
         return _pendulum(t)
-    return _car(t, names[0] == "throttle") if "steer" in names else {}
+    return _car(t, names[0] == "throttle") if "steer" in names else general_manoeuvres(model.system, t)
 
 
 def _car(t: Floats, throttle: bool) -> dict[str, tuple[Floats, Floats]]:

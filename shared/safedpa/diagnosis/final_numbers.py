@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.diagnosis.fitting import Fit, bounds_of
+from safedpa.diagnosis.found import Search
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.kinds_of_driving import between_kinds
 from safedpa.diagnosis.refinement import refined
+from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.shooting import Shooting
 
-__all__ = ["with_final_numbers"]
+__all__ = ["with_final_numbers", "with_form_in_doubt"]
 
 _WORSE = 0.02
 """Share by which the held-out error may grow: rollouts from a measured start reward what a lasting push makes of it."""
@@ -47,6 +50,28 @@ def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tupl
     own = found.deviations(shooting)
     apart = np.where(_lost(moved), 0.0, 0.5 * np.abs(moved.values - found.values))
     return replace(found, stated=np.hypot(own, np.minimum(apart, _MOST * own))), before
+
+
+def with_form_in_doubt(final: Fit, search: Search) -> Fit:
+    """The fit with deviations that allow for a wrong form of the model.
+
+    At least what the number differs by between kinds of driving, where that is more than chance. And for effects of
+    which the held-out error does not clearly show that they act std^2 + max over them of (d / 2)^2, d what the number
+    moves by without the effect: then the number of either model lies within two deviations.
+
+    Source: Buckland, Burnham and Augustin, Biometrics 53, 1997 (uncertainty of which model it is).
+    """
+    now, apart = dict(zip(search.current.fit.paths, search.current.fit.values, strict=True)), np.zeros(len(final.paths))
+    for less, error in search.without.values():
+        if search.error.value < (1.0 - CLEAR_FALL) * error.value:
+            continue
+        own = dict(zip(less.fit.paths, less.fit.values, strict=True))
+        moved = [abs(own[path] - now[path]) if path in own else 0.0 for path in final.paths]
+        apart = np.maximum(apart, moved)
+    kinds = between_kinds(search.current.fit, search.shooting)
+    if not (apart.any() or kinds.any()):
+        return final
+    return replace(final, stated=np.hypot(np.fmax(final.deviations(search.shooting), kinds), 0.5 * apart))
 
 
 def _lost(moved: Fit) -> NDArray[np.bool_]:

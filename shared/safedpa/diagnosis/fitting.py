@@ -23,7 +23,7 @@ from safedpa.dynamics.settings import Setting
 from safedpa.effects.parameter import Parameter
 
 __all__ = [
-    "Fit", "bounds_of", "difference_of", "fit", "inverse_of", "moved", "objectives", "products_of",
+    "Fit", "bounds_of", "difference_of", "fit", "inverse_of", "jackknife", "moved", "objectives", "products_of",
     "size_of",
 ]  # fmt: skip
 
@@ -86,7 +86,7 @@ class Fit:
         for group in (shooting.block, shooting.windows.run):
             count = len(np.unique(group))
             if group is shooting.block or count >= _FEWEST_RUNS:
-                squares = np.maximum(squares, _jackknife(products, slopes, group))
+                squares = np.maximum(squares, jackknife(products, slopes, group))
         found[self.free] = np.sqrt(np.maximum(squares, 0.0))
         return found
 
@@ -124,7 +124,7 @@ class Fit:
         return np.asarray(shooting.squares(residual) * self.scale**2)
 
 
-def _jackknife(products: Floats, slopes: Floats, group: NDArray[np.int64]) -> Floats:
+def jackknife(products: Floats, slopes: Floats, group: NDArray[np.int64]) -> Floats:
     """Squares of the deviations (paths,) by what each group of windows moves, to first order."""
     count, size = int(group.max()) + 1, products.shape[-1]
     curvature, slope = np.zeros((count, size, size)), np.zeros((count, size))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from safedpa.diagnosis.heldout import HeldoutError
 from safedpa.diagnosis.patch import Patch
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.trial import Trial
+from safedpa.effects import AbstractEffect
 
-__all__ = ["Judged", "Search", "given_names"]
+__all__ = ["Judged", "Search", "given_names", "known_effects"]
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,15 @@ class Search:
     patch: Patch | None = None
     rivals: dict[str, list[str]] = field(default_factory=dict)
     """For each accepted effect the others of its stage, the best first."""
+    without: dict[str, tuple[Trial, HeldoutError]] = field(default_factory=dict)
+    """For each accepted effect the model of all others, fitted, where there are two or more."""
 
 
 def given_names(search: Search) -> set[str]:
     """Effects that the given model has."""
     return {item.name for item in search.first.fit.model.effects}
+
+
+def known_effects(search: Search, library: Sequence[AbstractEffect]) -> dict[str, AbstractEffect]:
+    """Effects by name: those of the present model with their laws, the others plain."""
+    return {item.name: item for item in (*library, *search.current.fit.model.effects)}

@@ -31,15 +31,23 @@ class Heldout:
 class HeldoutError:
     """value: mean over the states; per_state (states,); by_run (runs,), on the scale of all runs, NaN without windows.
 
-    ``by_run_and_state`` (runs, states): the same state by state. ``errors`` (windows, states): predicted - measured at
-    the windows' ends.
+    ``by_run_and_state`` (runs, states): the same state by state. ``by_fold`` (folds,): that of what is held out
+    together, whole runs where there are three or more. ``errors`` (windows, states): predicted - measured at the
+    windows' ends.
     """
 
     value: float
     per_state: Floats
     by_run: Floats
     by_run_and_state: Floats
+    by_fold: Floats
     errors: Floats
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean over the folds: std(by_fold) / sqrt(folds); 0 for fewer than two."""
+        own = self.by_fold[np.isfinite(self.by_fold)]
+        return float(own.std(ddof=1) / np.sqrt(len(own))) if len(own) > 1 else 0.0
 
 
 def heldout_of(runs: Sequence[Run], horizon: float, folds: int = 6) -> Heldout:
@@ -66,11 +74,17 @@ def error_with(fitted: Fit, shooting: Shooting, heldout: Heldout) -> HeldoutErro
     errors = prediction_errors(windows, windows.end, predicted)
     scale = change_scale(windows, windows.end)
     found = scaled_error(trimmed_rms(errors), scale)
-    by_run = np.full(len(windows.names), np.nan)
-    by_state = np.full((len(windows.names), errors.shape[1]), np.nan)
-    for run in range(len(windows.names)):
-        own = np.flatnonzero(windows.run == run)
+    by_run, by_state = _by_group(errors, scale, windows.run, len(windows.names))
+    by_fold, _ = _by_group(errors, scale, heldout.fold, int(heldout.fold.max(initial=0)) + 1)
+    return HeldoutError(found.value, found.per_state, by_run, by_state, by_fold, errors)
+
+
+def _by_group(errors: Floats, scale: Floats, group: Rows, count: int) -> tuple[Floats, Floats]:
+    """Errors of each group of windows (groups,) and state by state (groups, states), NaN without windows."""
+    value, by_state = np.full(count, np.nan), np.full((count, errors.shape[1]), np.nan)
+    for number in range(count):
+        own = np.flatnonzero(group == number)
         if len(own):
             one = scaled_error(trimmed_rms(errors[own]), scale)
-            by_run[run], by_state[run] = one.value, one.per_state
-    return HeldoutError(found.value, found.per_state, by_run, by_state, errors)
+            value[number], by_state[number] = one.value, one.per_state
+    return value, by_state

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from safedpa.diagnosis.actuators import late_commands
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import HeldoutError
 from safedpa.diagnosis.second_opinion import CLEAR_FALL, MUCH
@@ -15,7 +16,7 @@ from safedpa.diagnosis.trial import Trial, block_gain, likeness
 
 __all__ = [
     "ALIKE", "FALL", "LIKELY", "LITTLE_FALL", "MOST_MISSING", "SAME", "SIMPLER", "SURE", "VERY_SURE", "Stage",
-    "farthest", "inside", "judged", "likely", "passes", "preferred", "with_reason",
+    "farthest", "feigned_lateness", "inside", "judged", "likely", "passes", "preferred", "with_reason",
 ]  # fmt: skip
 
 SURE = 3.0
@@ -50,12 +51,15 @@ class Stage:
     trials: list[Trial]
     gains: dict[tuple[str, ...], float]
     errors: dict[tuple[str, ...], HeldoutError]
+    row: float = 0.0
+    """s between two rows."""
     doubted: frozenset[tuple[str, ...]] = frozenset()
     """Trials that passed, but that the filter along whole recordings does not confirm."""
 
     def passes(self, trial: Trial, before: HeldoutError) -> bool:
         """Whether a trial is to be added by unseen blocks alone."""
-        return passes(self.gains[trial.effects], self.errors.get(trial.effects), before)
+        error = self.errors.get(trial.effects)
+        return passes(self.gains[trial.effects], error, before) and not feigned_lateness(trial, error, before, self.row)
 
 
 def passes(gain: float, error: HeldoutError | None, before: HeldoutError) -> bool:
@@ -66,10 +70,30 @@ def passes(gain: float, error: HeldoutError | None, before: HeldoutError) -> boo
     return (gain > SURE and fall > FALL) or (gain > VERY_SURE and fall > LITTLE_FALL)
 
 
+def feigned_lateness(trial: Trial, error: HeldoutError | None, before: HeldoutError, row: float) -> bool:
+    """Whether a trial makes later what is late already, or late by less than a row, without a clear fall of the error.
+
+    A lag is a delay to first order: the second one of a command corrects the shape of the first, which no actuator has
+    exactly. And what happens within a ``row`` [s] may be the servo's own way to answer, inside its loop.
+    """
+    if len(trial.effects) == 1 and error is not None and error.value < (1.0 - CLEAR_FALL) * before.value:
+        return False  # in a pair the other one may take it off
+    model = trial.fit.model
+    names = model.system.action_names
+    own = [late_commands(item, names) for item in model.effects if item.name in trial.effects]
+    others = [late_commands(item, names) for item in model.effects if item.name not in trial.effects]
+    if any(not one.isdisjoint(other) for one in own for other in others):
+        return True
+    late = [item for item in model.effects if item.name in trial.effects and late_commands(item, names)]
+    seconds = [model.settings[f"{item.name}.{p.name}"].value for item in late for p in item.parameters if p.unit == "s"]
+    return any(value < row for value in seconds)
+
+
 def likely(trial: Trial, stage: Stage, before: HeldoutError) -> bool:
     """Whether unseen blocks favour a trial enough to ask the filter along whole recordings, which may be certain."""
     gain, error = stage.gains[trial.effects], stage.errors.get(trial.effects)
-    return error is not None and gain > LIKELY and error.value < (1.0 - FALL) * before.value
+    enough = error is not None and gain > LIKELY and error.value < (1.0 - FALL) * before.value
+    return enough and not feigned_lateness(trial, error, before, stage.row)
 
 
 def preferred(trials: Sequence[Trial], search: Search) -> Trial | None:

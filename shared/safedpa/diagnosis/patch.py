@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -91,12 +90,22 @@ def best_patch(null: Trial, shooting: Shooting) -> Patch | None:
 
 
 def in_one_room(shooting: Shooting) -> bool:
-    """Whether the runs may be of one room: the places where any two of them were overlap."""
+    """Whether the runs may be of one room: the places where they were overlap, directly or by way of other runs."""
     windows = shooting.windows
     at = [windows.system.state_names.index(name) for name in PLACE]
     points = shooting.measured[:, shooting.measured.shape[1] // 2][:, at]
     boxes = [np.quantile(points[windows.run == run], [0.02, 0.98], axis=0) for run in np.unique(windows.run)]
-    return all(bool((one[0] <= other[1]).all() and (other[0] <= one[1]).all()) for one, other in combinations(boxes, 2))
+    reached, left = boxes[:1], boxes[1:]
+    while left:
+        near = [box for box in left if any(_overlap(box, other) for other in reached)]
+        if not near:
+            return False
+        reached, left = [*reached, *near], [box for box in left if not any(box is one for one in near)]
+    return True
+
+
+def _overlap(one: Floats, other: Floats) -> bool:
+    return bool((one[0] <= other[1]).all() and (other[0] <= one[1]).all())
 
 
 def _in_most_runs(patch: Patch, null: Trial, shooting: Shooting) -> bool:

@@ -25,7 +25,7 @@ from safedpa.diagnosis.where import PLACE
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.base import AbstractBase
-from safedpa.effects import CommandEffect
+from safedpa.effects import CommandEffect, Conditioned, Where
 
 __all__ = ["Refined", "refined"]
 
@@ -47,6 +47,8 @@ _FEWEST_RUNS = 4
 _NUMERICAL = 2e-4
 """Share of a number that integration leaves open: long quiet recordings put dead zones, forces and frictions within
 5e-5 of themselves, and 1.3e-4 to 2.3e-4 off."""
+_BORDER = 0.1
+"""Of the width over which a condition sets in: borders of sharp edges came out 2 to 4 mm off a width of 50."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +292,18 @@ def _numerical(model: PhysicsModel, paths: Sequence[str]) -> Floats:
     """What integration and rounded corners leave open of each number's change from doing nothing, (paths,)."""
     neutral = [model.parameters[path].neutral for path in paths]
     values = [model.settings[path].value for path in paths]
-    return _NUMERICAL * np.abs([value - (at or 0.0) for value, at in zip(values, neutral, strict=True)])
+    found = _NUMERICAL * np.abs([value - (at or 0.0) for value, at in zip(values, neutral, strict=True)])
+    return np.asarray(np.hypot(found, [_border(model, path) for path in paths]))
+
+
+def _border(model: PhysicsModel, path: str) -> float:
+    """What the form of a border's rounded edge leaves open of where it is, 0 for every other number."""
+    owner, name = path.split(".")
+    item = next((own for own in model.effects if own.name == owner), None)
+    if not isinstance(item, Conditioned) or not isinstance(item.law, Where):
+        return 0.0
+    own = {parameter.name for parameter in item.inner.parameters}
+    return 0.0 if name in own else _BORDER * item.law.edge
 
 
 def _runs_of(pieces: _Pieces, windows: Windows) -> Rows:

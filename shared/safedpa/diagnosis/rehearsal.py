@@ -137,6 +137,7 @@ def measured_noise(runs: Sequence[Run]) -> Floats:
 
 def simulated(model: PhysicsModel, runs: Sequence[Run], noise: Floats, random: np.random.Generator) -> Iterator[Run]:
     """The runs as the model would have driven them under the same commands, with noise (states,)."""
+    model = PhysicsModel(model.base, model.effects, model.settings, model.period, holds=True)
     for run in runs:
         states = run.states.copy()
         pieces = [piece for part in run.stretches for piece in _pieces(run, part)]

@@ -10,8 +10,8 @@ from safedpa.diagnosis.unexplained import Unexplained
 from safedpa.dynamics import PhysicsModel
 
 __all__ = [
-    "Candidate", "Close", "Decision", "Detectable", "Experiment", "Report", "Stage", "Unexplained", "Value", "Verdict",
-    "Worse", "as_document",
+    "Candidate", "Close", "Condition", "Decision", "Detectable", "Experiment", "Report", "Stage", "Unexplained",
+    "Value", "Verdict", "Worse", "as_document",
 ]  # fmt: skip
 
 Verdict = Literal["nothing_missing", "effect_missing", "unexplained", "undecided"]
@@ -115,6 +115,20 @@ class Detectable:
 
 
 @dataclass(frozen=True)
+class Condition:
+    """Where or when an added effect acts, or how a number of it varies."""
+
+    effect: str
+    kind: str
+    """``where`` or ``varies``."""
+    words: str
+    """As model files and ``safedpa add`` have it: ``x above``, ``gain with time``."""
+    edge: float | None
+    """Width over which a condition sets in, in the unit of its variable; None of what varies."""
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Report:
     """Everything that a diagnosis found; ``models`` are those of the stages, the given one (refitted) first."""
 
@@ -140,6 +154,8 @@ class Report:
     """Errors of what knows no physics, after the horizon: "no_change" and "constant_velocity"."""
     worse: tuple[Worse, ...] = ()
     """States that the last stage predicts worse in a run than the given model, the worst first."""
+    conditions: tuple[Condition, ...] = ()
+    """Of added effects that do not act everywhere and always alike."""
     evidence: tuple[float, ...] = ()
     """s; the horizons at which was decided, the search's own first: they follow from the data."""
 
@@ -150,6 +166,7 @@ def as_document(report: Report) -> dict[str, Any]:
     for name in (
         "robot", "horizon", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
         "data_quality", "parameters", "closest", "detectable", "naive", "worse", "evidence",
+        "conditions",
     ):  # fmt: skip
         plain[name] = _plain(getattr(report, name))
     return plain

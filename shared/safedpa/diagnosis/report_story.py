@@ -144,8 +144,9 @@ def _verdict(document: Mapping[str, Any]) -> str:
     if added:
         fall = 100.0 * (1.0 - last / first) if first > 0 else 0.0
         verb = "falls" if fall > 0 else "changes"
+        lacking, them = [_told(document, name) for name in added], "it" if len(added) == 1 else "them"
         return (
-            f"The model lacks {_joined(added)}. With {'it' if len(added) == 1 else 'them'} the error on data that was "
+            f"The model lacks {_joined(lacking)}. With {them} the error on data that was "
             f"not used for fitting {verb} from {first:.3g} to {last:.3g}, by {abs(fall):.0f} %."
         )
     if document["verdict"] == "undecided":
@@ -159,6 +160,12 @@ def _verdict(document: Mapping[str, Any]) -> str:
     if document["unexplained"] is not None and not document["unexplained"]["depends_on"]:
         return f"No verdict: {document['unexplained']['expression']}."
     return f"Something is missing that no effect of the library describes. The error is {first:.3g}."
+
+
+def _told(document: Mapping[str, Any], name: str) -> str:
+    """An effect by its name; one that does not act everywhere and always alike with where, when and how much."""
+    own = [item["sentence"] for item in document.get("conditions") or () if item["effect"] == name]
+    return own[0] if own else name
 
 
 def _remains(document: Mapping[str, Any]) -> str:

@@ -6,29 +6,35 @@ Source: Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3 (exchange a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from safedpa.diagnosis.fitting import fit, inverse_of, objectives
-from safedpa.diagnosis.found import Judged, Search, given_names
+from safedpa.diagnosis.found import Judged, Search, given_names, known_effects
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.judging import SAME, SIMPLER, passes, with_reason
+from safedpa.diagnosis.judging import SAME, SIMPLER, feigned_lateness, passes, with_reason
 from safedpa.diagnosis.second_opinion import CLEAR_FALL
 from safedpa.diagnosis.trial import Trial, block_gain, starts_of, trial_of, with_start
 from safedpa.effects import AbstractEffect
 
-__all__ = ["bounded", "exchange", "removals", "unhelpful", "united"]
+__all__ = ["bounded", "exchange", "refit", "removals", "smallest", "take_back", "united"]
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
 _ROUNDING = 0.002
 """Share of a held-out error that is rounding."""
+_ONE = 1.0
+"""Standard errors of the best model's held-out error within which the smallest is as good.
+
+Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3.
+"""
 _TOGETHER = 0.7
 """Correlation of their fitted numbers from which effects are also taken out together."""
 
 
-def _refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
+def refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
     """The given effects on top of the first model, from the numbers that the present model has, or from starts."""
     now = search.current.fit.model
     known = {item.name for item in now.effects}
@@ -53,17 +59,18 @@ def _refit(search: Search, items: Sequence[AbstractEffect]) -> Trial:
 
 def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Each accepted effect gives way to a rival that predicts unseen blocks better beside the others."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     if len(search.added) < 2:
         return
     for name in list(search.added):
         others = [by_name[other] for other in search.added if other != name]
         rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_EXCHANGED]
-        best = min((_refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
+        best = min((refit(search, [*others, rival]) for rival in rivals), key=lambda t: t.loss, default=None)
         if best is None or best.loss >= search.current.loss:
             continue
-        if block_gain(search.current, best, search.shooting) > SIMPLER:
-            new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
+        new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
+        late = feigned_lateness(replace(best, effects=(new,)), None, search.error, 0.0)
+        if block_gain(search.current, best, search.shooting) > SIMPLER and not late:
             _replace(search, name, new, best, heldout)
 
 
@@ -85,12 +92,12 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     """Accepted effects, and groups of effects with numbers that go together, without which unseen blocks are predicted
     as well are taken out again: the least needed first, until all are needed. Few blocks say little: what the held-out
     error clearly asks for stays."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     before = list(search.added)
     while len(search.added) > 1:
         without = {}
         for group in _groups(search):
-            less = _refit(search, [by_name[name] for name in search.added if name not in group])
+            less = refit(search, [by_name[name] for name in search.added if name not in group])
             without[group] = less, block_gain(less, search.current, search.shooting)
         group = min(without, key=lambda names: without[names][1])
         less, gain = without[group]
@@ -99,24 +106,39 @@ def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
             break
         search.added = [name for name in search.added if name not in group]
         search.current, search.error = less, error
-        _take_back(search, group)
+        take_back(search, group)
     if search.added != before:
         _left_over(search, heldout)
 
 
-def unhelpful(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
-    """Accepted effects that lower the held-out error of no run are taken out: a stage has to help somewhere."""
-    by_name = {item.name: item for item in library}
-    for name in list(search.added):
-        if len(search.added) < 2:
+def smallest(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """The smallest model within one standard error of the best over whole runs, blocks where there is one run.
+
+    Accepted effects without which the held-out error stays within _ONE standard error of the best are taken out, the
+    least needed first; so is lateness that may be feigned. ``search.without`` holds what is left without each that
+    stays.
+    """
+    by_name = known_effects(search, library)
+    most = search.error.value + _ONE * search.error.standard_error
+    while len(search.added) > 1:
+        search.without = {}
+        for name in search.added:
+            less = refit(search, [by_name[other] for other in search.added if other != name])
+            search.without[name] = less, error_with(less.fit, search.shooting, heldout)
+        late = [name for name in search.added if _feigned(search, name)]
+        least = min(late or search.added, key=lambda name: search.without[name][1].value)
+        if not late and search.without[least][1].value > most and _helps(search.without[least][1], search.error):
             return
-        less = _refit(search, [by_name[other] for other in search.added if other != name])
-        error = error_with(less.fit, search.shooting, heldout)
-        if _helps(error, search.error):
-            continue
-        search.added = [other for other in search.added if other != name]
-        search.current, search.error = less, error
-        _take_back(search, (name,), "lowers the held-out error of no run")
+        search.added = [other for other in search.added if other != least]
+        search.current, search.error = search.without[least]
+        take_back(search, (least,), "takes less than one standard error off the error over whole runs")
+    search.without = {}
+
+
+def _feigned(search: Search, name: str) -> bool:
+    """Whether an accepted effect, whichever way it came in, is lateness that the rest hardly needs."""
+    trial, row = replace(search.current, effects=(name,)), float(np.median(search.shooting.windows.period))
+    return feigned_lateness(trial, search.error, search.without[name][1], row)
 
 
 def _helps(before: HeldoutError, after: HeldoutError) -> bool:
@@ -128,15 +150,15 @@ def _helps(before: HeldoutError, after: HeldoutError) -> bool:
 def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
     """Two accepted effects give way to one that predicts unseen data as well with as many numbers, and whether two did:
     a payload and a rolling resistance are together exactly a towed load."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     for pair in combinations(list(search.added), 2):
         rest = [by_name[name] for name in search.added if name not in pair]
         for whole in _wholes(search, pair, by_name):
-            best = _refit(search, [*rest, whole])
+            best = refit(search, [*rest, whole])
             if _as_good(best, search, heldout):
                 _replace(search, pair[0], whole.name, best, heldout)
                 search.added.remove(pair[1])
-                _take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
+                take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
                 return True
     return False
 
@@ -162,15 +184,15 @@ def _as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
 def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Accepted effects that still stand at a bound of a parameter are taken out: what fits only there is something
     else."""
-    by_name = {item.name: item for item in library}
+    by_name = known_effects(search, library)
     fitted = search.current.fit
     held = {path.split(".")[0] for path, free in zip(fitted.paths, fitted.free, strict=True) if not free}
     group = [name for name in search.added if name in held]
     if group:
         search.added = [name for name in search.added if name not in group]
-        search.current = _refit(search, [by_name[name] for name in search.added])
+        search.current = refit(search, [by_name[name] for name in search.added])
         search.error = error_with(search.current.fit, search.shooting, heldout)
-        _take_back(search, group, "fits only at a bound")
+        take_back(search, group, "fits only at a bound")
 
 
 def _left_over(search: Search, heldout: Heldout) -> None:
@@ -178,12 +200,12 @@ def _left_over(search: Search, heldout: Heldout) -> None:
 
     A clear fall of the held-out error does with what a removal would have to lose.
     """
-    null = _refit(search, [])
+    null = refit(search, [])
     gain = block_gain(null, search.current, search.shooting)
     before = error_with(null.fit, search.shooting, heldout)
     clear = gain > SIMPLER and search.error.value < (1.0 - CLEAR_FALL) * before.value
     if not (clear or passes(gain, search.error, before)):
-        _take_back(search, search.added)
+        take_back(search, search.added)
         search.added, search.current, search.error = [], search.first, search.first_error
 
 
@@ -202,7 +224,8 @@ def _groups(search: Search) -> list[tuple[str, ...]]:
     return [*singles, *found]
 
 
-def _take_back(search: Search, group: Sequence[str], why: str = "no longer needed beside the others") -> None:
+def take_back(search: Search, group: Sequence[str], why: str = "no longer needed beside the others") -> None:
+    """Candidates that were accepted are said to be gone."""
     for index, item in enumerate(search.candidates):
         gone = set(group) & set(item.trial.effects)
         if item.decision == "accepted" and gone:

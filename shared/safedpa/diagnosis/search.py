@@ -11,18 +11,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from safedpa.diagnosis.conditions import conditional, of_patch, placed
 from safedpa.diagnosis.elsewhere import Passing, passing_elsewhere
 from safedpa.diagnosis.evidence import Evidence
-from safedpa.diagnosis.final_numbers import with_final_numbers
-from safedpa.diagnosis.fitting import fit
+from safedpa.diagnosis.final_numbers import with_final_numbers, with_form_in_doubt
+from safedpa.diagnosis.fitting import Fit, fit
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.judging import MOST_MISSING, Stage, farthest, inside, judged, likely, preferred
 from safedpa.diagnosis.naive import naive_errors
 from safedpa.diagnosis.pairs import pairs_of
 from safedpa.diagnosis.patch import Patch, best_patch
-from safedpa.diagnosis.revision import bounded, exchange, removals, unhelpful, united
-from safedpa.diagnosis.second_opinion import CLEAR_FALL, agrees, certain, clear
+from safedpa.diagnosis.revision import bounded, exchange, removals, smallest, united
+from safedpa.diagnosis.second_opinion import CLEAR_FALL, MUCH, agrees, certain, clear
 from safedpa.diagnosis.shooting import Shooting
 from safedpa.diagnosis.starts import best_start
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried_in_turn
@@ -30,12 +31,15 @@ from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
-__all__ = ["Judged", "Search", "accept", "addition", "begun", "searched"]
+__all__ = ["Judged", "Search", "Tell", "accept", "addition", "begun", "searched"]
 
 MOST = 12
 """Additions."""
 _ASKED = 3
 """Trials of one stage that the filter along whole recordings is asked about at most."""
+
+_SETTLED = 4
+"""Trials of one stage that are fitted about their own model while MUCH is missing."""
 
 _FAR = 0.5
 """Share of a free number."""
@@ -47,7 +51,9 @@ _STUCK, _SURELY = 0.25, 0.5
 Where much is missing, a free number that stands for all of it is a little better too, and hides what is missing.
 """
 
-Tell = Callable[[int, int], None]
+Tell = Callable[[int, int, str], None]
+"""(done, of how many, what is looked for and the best that is known so far): of this stage, for nobody knows how many
+will follow."""
 Beside = Callable[[], Iterable[Evidence]]
 """Makes the same recordings at other horizons; asked only where one horizon leaves a question open."""
 
@@ -57,34 +63,62 @@ def searched(
     library: Sequence[AbstractEffect],
     shooting: Shooting,
     heldout: Heldout,
-    tell: Tell = lambda _done, _all: None,
+    tell: Tell = lambda _done, _all, _said: None,
     beside: Beside = lambda: (),
 ) -> Search:
     """Free parameters refitted, then additions until nothing passes, second thoughts, and the final numbers."""
     search = begun(model, shooting, heldout)
+    _additions(search, library, heldout, tell, beside)
+    tell(0, 3, f"second thoughts about all that was added; {_so_far(search)}")
+    _second_thoughts(search, library, heldout)
+    tell(1, 3, f"where and when it acts; {_so_far(search)}")
+    if library and conditional(search, library, heldout):
+        _additions(search, library, heldout, tell, beside)  # a law may lay bare what it hid
+        _second_thoughts(search, library, heldout)
+    tell(2, 3, f"final numbers; {_so_far(search)}")
+    if library:
+        final, search.error = with_final_numbers(search.current.fit, search.shooting, heldout)
+        search.current = replace(search.current, fit=with_form_in_doubt(final, search))
+    return search
+
+
+def _additions(search: Search, library: Sequence[AbstractEffect], heldout: Heldout, tell: Tell, beside: Beside) -> None:
+    """One effect after the other, until none passes."""
     before: dict[str, Trial] = {}
-    for stage in range(MOST if library else 0):
+    first = 1 + max((item.stage for item in search.candidates), default=-1)
+    for stage in range(first, MOST if library else 0):
         rest = [item for item in library if item.name not in {own.name for own in search.current.fit.model.effects}]
-        trials = tried_in_turn(search.current, rest, search.shooting, before, _later(tell, stage, len(library)))
+        trials = tried_in_turn(
+            search.current, rest, search.shooting, before, _stage_told(tell, search, stage, len(rest))
+        )
         before = {trial.effects[0]: trial for trial in trials}
         if not addition(search, stage, trials, rest, heldout, beside):
             break
+
+
+def _second_thoughts(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Exchanges, and what the others do without."""
     exchange(search, library, heldout)
     removals(search, library, heldout)
     if united(search, library, heldout):
         removals(search, library, heldout)  # what took the place of two may do what a third did
-    unhelpful(search, library, heldout)
+    smallest(search, library, heldout)
     if search.first_error.value > MOST_MISSING:
         bounded(search, library, heldout)
-    if library:
-        final, search.error = with_final_numbers(search.current.fit, search.shooting, heldout)
-        search.current = replace(search.current, fit=final)
-    return search
 
 
-def _later(tell: Tell, stage: int, size: int) -> Callable[[int], None]:
-    """Tells how much of a stage is done, another one being expected."""
-    return lambda done: tell(stage * size + done, (stage + 2) * size)
+def _stage_told(tell: Tell, search: Search, stage: int, size: int) -> Callable[[int], None]:
+    """Tells how much of a stage is done."""
+    said = f"stage {stage + 1} of at most {MOST}; {_so_far(search)}"
+    return lambda done: tell(done, size, said)
+
+
+def _so_far(search: Search) -> str:
+    """The best sentence so far."""
+    if not search.added:
+        return f"so far nothing is found missing, error {search.first_error.value:.3g}"
+    names = ", ".join(search.added)
+    return f"so far missing: {names}, error {search.first_error.value:.3g} to {search.error.value:.3g}"
 
 
 def begun(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
@@ -139,7 +173,7 @@ def addition(
         chosen = _far_better(search, two, chosen) or chosen
         best, passed, doubted = chosen or best, chosen is not None, doubted | refused
         every = sorted([*trials, *pairs], key=lambda trial: trial.loss)
-        stage = Stage(number, every, stage.gains | two.gains, stage.errors | two.errors)
+        stage = Stage(number, every, stage.gains | two.gains, stage.errors | two.errors, stage.row)
     stage = replace(stage, doubted=doubted)
     if not passed and best is not None and best.effects not in doubted and likely(best, stage, search.error):
         passed = certain(best, search)
@@ -150,6 +184,9 @@ def addition(
         search.patch = _place_instead(null, best, shooting)
         passed = search.patch is None
     search.candidates += [_with(elsewhere, judged(search, stage, trial, best, passed)) for trial in stage.trials]
+    floor = None if search.patch is None else of_patch(search.patch, search, rest)
+    if floor is not None:
+        return placed(search, floor, number, heldout)
     if not passed or best is None:
         return False
     for name in best.effects:
@@ -170,10 +207,13 @@ def _stage(search: Search, number: int, trials: list[Trial], heldout: Heldout, a
     """Gains of all trials, held-out errors of the ``at_most`` best that gain anything."""
     gains = {trial.effects: block_gain(search.current, trial, search.shooting) for trial in trials}
     close = [trial for trial in trials if gains[trial.effects] > 1.0][:at_most]
-    errors: dict[tuple[str, ...], HeldoutError] = {
-        trial.effects: error_with(trial.fit, search.shooting, heldout) for trial in close
-    }
-    return Stage(number, trials, gains, errors)
+    errors: dict[tuple[str, ...], HeldoutError] = {}
+    for trial in close:
+        shooting, own = search.shooting, trial.fit
+        if search.error.value > MUCH and len(errors) < _SETTLED:
+            shooting, own = _settled(trial, shooting)
+        errors[trial.effects] = error_with(own, shooting, heldout)
+    return Stage(number, trials, gains, errors, float(np.median(search.shooting.windows.period)))
 
 
 def _best(search: Search, stage: Stage) -> tuple[Trial | None, bool, frozenset[tuple[str, ...]]]:
@@ -218,10 +258,19 @@ def _agreed(search: Search, stage: Stage, passing: Sequence[Trial]) -> tuple[Tri
 def accept(search: Search, best: Trial, heldout: Heldout) -> None:
     """Adds the best trial and fits it to the end: the next stage's trials begin there, so its error counts for them."""
     search.added += [name for name in best.effects if name not in search.added]
-    shooting = search.shooting.around(best.fit.model)
-    again = fit(best.fit.model, best.fit.paths, shooting, best.fit.scale)
+    shooting, again = _settled(best, search.shooting)
     search.shooting, search.current = shooting, trial_of(again, shooting, (), None)
     search.error = error_with(again, shooting, heldout)
+
+
+def _settled(trial: Trial, shooting: Shooting) -> tuple[Shooting, Fit]:
+    """A trial fitted anew in windows whose starts and weights are those of its own model.
+
+    The weights of the model before take what it lacks for hands that push, where that is much: a car that a load holds
+    where the model drives on.
+    """
+    own = shooting.around(trial.fit.model)
+    return own, fit(trial.fit.model, trial.fit.paths, own, trial.fit.scale)
 
 
 def _place_instead(null: Trial, best: Trial, shooting: Shooting) -> Patch | None:

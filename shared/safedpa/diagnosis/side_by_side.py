@@ -48,7 +48,7 @@ class SideBySide:
         self._reference = None
         if self._step is None:
             settings = {path: Setting(own[0], path in varied) for path, own in values.items()}
-            self._reference = PhysicsModel(first.base, others, settings, first.period)
+            self._reference = PhysicsModel(first.base, others, settings, first.period, holds=True)
             names = self._reference.latent_names
         self._numbers: list[Any] = [
             np.array(values[path])[:, None] if path in varied else np.float64(values[path][0]) for path in names
@@ -95,5 +95,5 @@ def _recorded(
     named |= {f"{owner.name}.{item.name}": item for owner in effects for item in owner.parameters}
     settings = {path: Setting(named[path].start, free=True) for path in free}
     settings |= {path: Setting(value) for path, value in fixed}
-    model = PhysicsModel(base, effects, settings)
+    model = PhysicsModel(base, effects, settings, holds=True)
     return model.straight_arrays(None), model.latent_names

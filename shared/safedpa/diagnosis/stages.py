@@ -13,7 +13,6 @@ from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
 from safedpa.diagnosis.report import Stage, Worse
 from safedpa.diagnosis.search import Search
 from safedpa.dynamics import PhysicsModel
-from safedpa.effects import effect
 
 __all__ = ["Told", "stages_of"]
 
@@ -33,7 +32,7 @@ class Told:
 
 
 def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> Told:
-    """The given model refitted, then one stage per accepted effect, each refitted on the same windows.
+    """The given model refitted, then one stage per accepted effect that helps some run, refitted on the same windows.
 
     ``heldout`` has the search's own horizon, which gives the order; the errors are those of ``shown``. Effects stand
     in the order in which they were accepted. Where one helps only beside a later one, they are put in the order in
@@ -45,12 +44,25 @@ def stages_of(search: Search, heldout: Heldout, shown: Heldout) -> Told:
         search.added, steps = _by_fall(search, first, heldout)
     names = heldout.windows.system.state_names
     errors = [error if shown is heldout else error_with(fitted, search.shooting, shown) for fitted, error in steps]
+    kept = _that_help(errors)
     found = []
-    for number, error in enumerate(errors):
-        before = errors[number - 1] if number else None
+    for number, before in zip(kept, [None, *kept], strict=False):
+        error = errors[number]
         per_state = {name: float(value) for name, value in zip(names, error.per_state, strict=True)}
-        found.append(Stage(tuple(search.added[:number]), error.value, per_state, _improved(before, error)))
-    return Told(found, [item.model for item, _ in steps], _worse(errors, shown))
+        gain = _improved(None if before is None else errors[before], error)
+        found.append(Stage(tuple(search.added[:number]), error.value, per_state, gain))
+    return Told(found, [steps[number][0].model for number in kept], _worse([errors[number] for number in kept], shown))
+
+
+def _that_help(errors: Sequence[HeldoutError]) -> list[int]:
+    """The stages that predict some run better than the one before, the first and the last: what helps only beside a
+    later effect is one stage with it."""
+    kept = [0]
+    for number in range(1, len(errors)):
+        helps = (errors[number].by_run < errors[kept[-1]].by_run).any()
+        if helps or number == len(errors) - 1:
+            kept.append(number)
+    return kept
 
 
 def _worse(errors: Sequence[HeldoutError], shown: Heldout) -> tuple[Worse, ...]:
@@ -87,7 +99,7 @@ def _step(search: Search, names: Sequence[str], heldout: Heldout) -> _Step:
         return search.current.fit, error_with(search.current.fit, search.shooting, heldout)
     model, final = search.first.fit.model, search.current.fit.model
     for name in names:
-        item = effect(model.system.name, name)
+        item = next(own for own in search.current.fit.model.effects if own.name == name)
         model = model.with_effect(item, {p.name: final.settings[f"{name}.{p.name}"] for p in item.parameters})
     own = [path for path in model.settings if path.split(".")[0] in names]
     found = fit(model, [*search.first.fit.paths, *own], search.shooting, search.current.fit.scale)

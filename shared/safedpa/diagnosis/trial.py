@@ -164,22 +164,24 @@ def _start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[
     return found
 
 
-def block_gain(one: Trial, other: Trial, shooting: Shooting) -> float:
+def block_gain(one: Trial, other: Trial, shooting: Shooting, *, local: bool = False) -> float:
     """How much better ``other`` predicts unseen blocks than ``one``, in standard errors of the blocks' differences.
 
     Few blocks know their own spread badly: the ratio t of their sum and its standard error follows Student's
     distribution, and what is returned is the normal deviate of the same probability, (8 n + 1) / (8 n + 3)
     sqrt(n log(1 + t^2 / n)) for n degrees of freedom (Wallace, Annals of Mathematical Statistics 30, 1959); 0 for fewer
     than 8 blocks. Differences of the squares over the better one's mean square; each window's counts at most 20 times
-    the typical.
+    the typical, or as much as the largest tenth where what differs acts in some windows only (``local``).
     """
     scale = np.maximum(np.minimum(one.heldout.sum(axis=0), other.heldout.sum(axis=0)) / shooting.size, 1e-12)
-    return deviate_of(((one.heldout - other.heldout) / scale).sum(axis=1), shooting)
+    return deviate_of(((one.heldout - other.heldout) / scale).sum(axis=1), shooting, local=local)
 
 
-def deviate_of(difference: Floats, shooting: Shooting) -> float:
+def deviate_of(difference: Floats, shooting: Shooting, *, local: bool = False) -> float:
     """The gain of differences (windows,) of squares in units of the noise, as ``block_gain`` has it."""
     most = 20.0 * float(np.median(np.abs(difference))) + 1e-12
+    if local:
+        most = max(most, float(np.quantile(np.abs(difference), 0.9)))
     sums = np.zeros(int(shooting.block.max()) + 1)
     np.add.at(sums, shooting.block, np.clip(difference, -most, most))
     sums = sums[np.unique(shooting.block)]

@@ -10,7 +10,9 @@ import numpy as np
 from safedpa.dynamics.dynamics import Array
 from safedpa.operations import FLOATS, NUMPY, Operations, Scalar, operations_for
 
-__all__ = ["columns", "common_operations", "is_torch", "joined", "like"]
+__all__ = ["columns", "common_operations", "is_torch", "joined", "like", "single_robot"]
+
+_FLOAT = np.dtype(np.float64)
 
 
 def is_torch(array: Any) -> bool:
@@ -63,3 +65,12 @@ def like(state: Array, values: np.ndarray[Any, Any]) -> Array:
     import torch
 
     return torch.as_tensor(np.array(values), dtype=state.dtype, device=state.device)
+
+
+def single_robot(state: Array, action: Array, latent: Array | None) -> bool:
+    """Whether all are vectors of ordinary floats: one robot."""
+    return _vector(state) and _vector(action) and (latent is None or _vector(latent))
+
+
+def _vector(part: Array) -> bool:
+    return type(part) is np.ndarray and part.ndim == 1 and part.dtype == _FLOAT

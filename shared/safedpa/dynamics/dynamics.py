@@ -42,7 +42,10 @@ class AbstractDynamics(ABC):
         period: float | None = None,
         time: float = 0.0,
     ) -> tuple[Array, Any]:
-        """State and memory after ``period`` seconds under a held action; ``time`` [s] counts from the run's start."""
+        """State and memory after ``period`` seconds under a held action.
+
+        ``time`` [s] counts from the run's start, or from where a model with a clock was told that it is.
+        """
 
     def held(
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float

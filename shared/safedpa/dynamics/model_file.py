@@ -15,10 +15,12 @@ from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.own import load_own_of_environment
 from safedpa.dynamics.physics import PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX, Setting, base_default, wanted
+from safedpa.effects.conditioned import conditioned, law_behind
 from safedpa.effects.effect import AbstractEffect
+from safedpa.effects.law import Varies, Where, law_of
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
-from safedpa.errors import InputError, ModelFileError, did_you_mean
+from safedpa.errors import InputError, ModelFileError, did_you_mean, near_files
 from safedpa.limits import limit, parse_toml, text_of_file, too_much
 from safedpa.networks import load_weights, save_weights
 
@@ -27,6 +29,7 @@ __all__ = ["FORMAT", "load_model", "parse_model", "save_model", "shipped_models"
 FORMAT = 1
 _TOP = ("format", "robot", "period", "base", "networks", "effects")
 _NETWORKS = ("weights", "digest")
+_LAWS = (Where.key, Varies.key, "edge")
 _PARAMETER_KEYS = ("value", "free", "unit")
 
 
@@ -42,8 +45,10 @@ def load_model(source: str | Path) -> PhysicsModel:
     try:
         text = text_of_file(path, "toml_bytes")
     except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
         raise ModelFileError(
-            f"{source}: cannot be read ({error}); wanted a model file, or one of {', '.join(shipped)}"
+            f"{source}: cannot be read ({reason}); {near_files(path, shipped)}wanted a model file, or one of "
+            f"{', '.join(shipped)}"
         ) from error
     try:
         return parse_model(text, path.parent)
@@ -83,7 +88,7 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
     for entry in _effect_tables(table):
         item = _effect(base, entry)
         effects.append(item)
-        settings.update(_settings(item.name, item.parameters, entry, ("name",)))
+        settings.update(_settings(item.name, item.parameters, entry, ("name", *_LAWS)))
     free = sum(setting.free for setting in settings.values())
     if free > limit("model_free"):
         raise ModelFileError(str(too_much("model_free", free)))
@@ -121,9 +126,17 @@ def write_model(model: PhysicsModel, weights: str = "") -> str:
         name = weights or ("" if source is None else source.name)
         lines += ["", "[networks]", f'weights = "{name}"', f'digest = "{model.base.weights.digest}"']
     for item in model.effects:
-        lines += ["", "[[effects]]", f'name = "{item.name}"', f"# {item.equation}"]
+        lines += ["", "[[effects]]", f'name = "{item.name}"', *_law_lines(item), f"# {item.equation}"]
         lines += _setting_lines(model, item.name, item.parameters)
     return "\n".join(lines) + "\n"
+
+
+def _law_lines(item: AbstractEffect) -> list[str]:
+    law = law_behind(item)
+    if law is None:
+        return []
+    lines = [f'{law.key} = "{law.words}"']
+    return [*lines, f"edge = {law.edge!r}"] if isinstance(law, Where) else lines
 
 
 def _setting_lines(model: PhysicsModel, owner: str, parameters: tuple[Parameter, ...]) -> list[str]:
@@ -202,9 +215,20 @@ def _effect(base: AbstractBase, entry: Mapping[str, Any]) -> AbstractEffect:
         got = f"got {name!r}" if "name" in entry else "missing"
         raise ModelFileError(f"effects.name: {got}, wanted the name of an effect; 'safedpa effects' lists them")
     try:
-        return effect(base.system.name, name)
+        item = effect(base.system.name, name)
     except InputError as error:
         raise ModelFileError(f"effects.name: {error}") from error
+    keys = [key for key in (Where.key, Varies.key) if key in entry]
+    if not keys:
+        if "edge" in entry:
+            raise ModelFileError(f"{name}.edge: got it without 'where', which it belongs to; leave it out")
+        return item
+    if len(keys) > 1 or (keys[0] == Varies.key and "edge" in entry):
+        raise ModelFileError(
+            f"{name}: got 'where' and 'varies' or its edge together; wanted one of them, leave one out"
+        )
+    edge = _number(f"{name}.edge", "", entry["edge"]) if "edge" in entry else None
+    return conditioned(item, law_of(keys[0], entry[keys[0]], edge, name), base.system)
 
 
 def _settings(
@@ -246,7 +270,7 @@ def _period(table: Mapping[str, Any]) -> float:
 
 def _number(path: str, unit: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        in_unit = "without unit" if unit == "1" else f"in {unit}"
+        in_unit = "without unit" if unit in ("1", "") else f"in {unit}"
         raise ModelFileError(f"{path}: got {value!r}, wanted a finite number {in_unit}")
     return float(value)
 

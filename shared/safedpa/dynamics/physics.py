@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics.base import AbstractBase
-from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like
+from safedpa.dynamics.columns import columns, common_operations, is_torch, joined, like, single_robot
 from safedpa.dynamics.dynamics import AbstractDynamics, Array
+from safedpa.dynamics.run_clock import RunClock
 from safedpa.dynamics.settings import Setting, base_default, check_effects, check_settings
 from safedpa.dynamics.straight import (
     Equations,
@@ -25,14 +26,13 @@ from safedpa.dynamics.straight import (
 )
 from safedpa.dynamics.straight_tangent import StraightTangent
 from safedpa.dynamics.tangent import batched_difference, forward_mode, intercept, single_tangent
-from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, Named, RateEffect, SensorEffect
+from safedpa.effects.conditioned import plain
+from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, FeltEffect, Named, RateEffect, SensorEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
 from safedpa.operations import FLOATS, NUMPY, Operations, Scalar, half_angled
 
 __all__ = ["PhysicsModel", "Setting"]
-
-_FLOAT = np.dtype(np.float64)
 
 _Values = Mapping[str, Named]
 """Parameter values by owner ("base" or an effect's name) and name."""
@@ -45,7 +45,7 @@ class PhysicsModel(AbstractDynamics):
     The latent z is the vector of all free parameters, in SI units, in the order base first, then effects as listed.
     ``settings`` maps "base.<parameter>" and "<effect>.<parameter>" to values; every parameter must be there; those
     of the base that have a neutral value get it when they are left out.
-    Models are immutable: the ``with_`` methods return new ones.
+    Models are immutable but for their ``clock``. Where one ``holds``, dry friction holds what stands.
 
     Raises ModelFileError when an effect does not fit the robot or its actions, stands twice, or a parameter is missing,
     unknown or out of bounds.
@@ -57,11 +57,13 @@ class PhysicsModel(AbstractDynamics):
         effects: Sequence[AbstractEffect] = (),
         settings: Mapping[str, Setting] | None = None,
         period: float = 0.05,
+        holds: bool = False,
     ) -> None:
-        self.base = base
+        self.base, self.holds = base, holds
         self.effects = tuple(effects)
         self.system = base.system
         self.period = period
+        self.clock = RunClock()
         optional = {f"base.{item.name}": base_default(item) for item in base.parameters if item.neutral is not None}
         self.settings = {**optional, **(settings or {})}
         check_effects(base, self.effects)
@@ -69,6 +71,7 @@ class PhysicsModel(AbstractDynamics):
         self.latent_names = tuple(path for path in self.parameters if self.settings[path].free)
         ordered = sorted(self.effects, key=lambda item: item.stage)
         self._commands = tuple(item for item in ordered if isinstance(item, CommandEffect))
+        self._felts = tuple(item for item in ordered if isinstance(item, FeltEffect))
         self._rates = tuple(item for item in ordered if isinstance(item, RateEffect))
         self._sensors = tuple(item for item in ordered if isinstance(item, SensorEffect))
 
@@ -87,11 +90,12 @@ class PhysicsModel(AbstractDynamics):
 
     def with_settings(self, settings: Mapping[str, Setting]) -> PhysicsModel:
         """The same model with some settings replaced."""
-        return PhysicsModel(self.base, self.effects, {**self.settings, **settings}, self.period)
+        return PhysicsModel(self.base, self.effects, {**self.settings, **settings}, self.period, self.holds)
 
     def with_period(self, period: float) -> PhysicsModel:
         """The same equations over another period in s; itself where it is its own."""
-        return self if period == self.period else PhysicsModel(self.base, self.effects, self.settings, period)
+        again = PhysicsModel(self.base, self.effects, self.settings, period, self.holds)
+        return self if period == self.period else again
 
     def with_effect(self, item: AbstractEffect, settings: Mapping[str, Setting]) -> PhysicsModel:
         """The model with one more effect; ``settings`` by parameter name, where left out those that do nothing."""
@@ -99,7 +103,7 @@ class PhysicsModel(AbstractDynamics):
         if unknown:
             raise ModelFileError(f"{item.name}.{min(unknown)}: unknown parameter; leave it out")
         own = {f"{item.name}.{p.name}": settings.get(p.name, Setting(p.start)) for p in item.parameters}
-        return PhysicsModel(self.base, (*self.effects, item), {**self.settings, **own}, self.period)
+        return PhysicsModel(self.base, (*self.effects, item), {**self.settings, **own}, self.period, self.holds)
 
     def with_latent(self, latent: Array) -> PhysicsModel:
         """The model with the free parameters set to ``latent`` (latents,)."""
@@ -123,7 +127,7 @@ class PhysicsModel(AbstractDynamics):
         period: float | None = None,
         time: float = 0.0,
     ) -> tuple[Array, Any]:
-        used = self.period if period is None else period
+        used, time = self.period if period is None else period, self.clock.seconds + time
         quick = self._quick(state, action, memory, latent, used, time)
         if quick is not None:
             return quick
@@ -192,13 +196,13 @@ class PhysicsModel(AbstractDynamics):
     def held(  # noqa: D102
         self, state: Array, action: Array, memory: Any, latent: Array | None, steps: int, *, period: float
     ) -> tuple[list[list[float]], Any]:
-        step = self.straight(period) if _single(state, action, latent) else None
+        step = self.straight(period) if single_robot(state, action, latent) else None
         if step is not None:
             entries, felt, rows = state.tolist(), action.tolist(), []
             free = (self.latent if latent is None else latent).tolist()
             with contextlib.suppress(ValueError, ArithmeticError):  # answered below
-                for _ in range(steps):
-                    entries = step(entries, felt, free, 0.0)
+                for index in range(steps):
+                    entries = step(entries, felt, free, self.clock.seconds + index * period)
                     rows.append(entries)
                 return rows, memory
         return super().held(state, action, memory, latent, steps, period=period)
@@ -212,8 +216,7 @@ class PhysicsModel(AbstractDynamics):
         memory: Any = None,
         time: float = 0.0,
     ) -> tuple[Array, Array]:
-        if around is None:
-            around = self._middle
+        around, time = self._middle if around is None else around, self.clock.seconds + time
         quick = None if self._commands else self._quick_tangent(state, around, latent, time)
         if quick is not None:
             return quick
@@ -251,12 +254,12 @@ class PhysicsModel(AbstractDynamics):
         return batched_difference(step, np.asarray(around, dtype=np.float64), self._ranges)
 
     def slopes(self, state: Array, latent: Array | None, around: Array, memory: Any) -> Array:  # noqa: D102
-        if not self._commands and _single(state, around, latent):
+        if not self._commands and single_robot(state, around, latent):
             tangent = self._straight.tangent(self.period)
             free = (self.latent if latent is None else latent).tolist()
             with contextlib.suppress(ValueError, ArithmeticError):  # answered below
                 if tangent is not None:
-                    return np.array(tangent(state.tolist(), around.tolist(), free, 0.0)[1])
+                    return np.array(tangent(state.tolist(), around.tolist(), free, self.clock.seconds)[1])
         return super().slopes(state, latent, around, memory)
 
     def _advance(
@@ -280,11 +283,15 @@ class PhysicsModel(AbstractDynamics):
         """The measured entries after one period, from the true state and what the mechanics feel of the action."""
         base, known = values["base"], self.base.rates
         effects = [(item.modify, values[item.name]) for item in self._rates]
+        feels = [(item.feel, values[item.name]) for item in self._felts]
 
         def derivative(now: Named, seconds: Scalar) -> Named:
-            rates = known(now, action, base, operations)
+            felt = action
+            for feel, own in feels:
+                felt = feel(own, Context(now, felt, base, seconds, period, operations))
+            rates = known(now, felt, base, operations)
             if effects:
-                context = Context(now, action, base, seconds, period, operations)
+                context = Context(now, felt, base, seconds, period, operations, self.holds)
                 for modify, own in effects:
                     rates = modify(rates, own, context)
             return rates
@@ -308,7 +315,7 @@ class PhysicsModel(AbstractDynamics):
         self, state: Array, action: Array, memory: Any, latent: Array | None, period: float, time: float
     ) -> tuple[Array, Any] | None:
         """The same step for one robot as a straight line of arithmetic; None where the reference has to answer."""
-        if not _single(state, action, latent) or (step := self._straight.floats(period)) is None:
+        if not single_robot(state, action, latent) or (step := self._straight.floats(period)) is None:
             return None
         try:
             felt = action.tolist()
@@ -325,7 +332,7 @@ class PhysicsModel(AbstractDynamics):
         self, state: Array, around: Array, latent: Array | None, time: float
     ) -> tuple[Array, Array] | None:
         """The tangent for one robot along the straight line, by complex steps; None where the reference answers."""
-        if not _single(state, around, latent) or (tangent := self._straight.tangent(self.period)) is None:
+        if not single_robot(state, around, latent) or (tangent := self._straight.tangent(self.period)) is None:
             return None
         free, action = (self.latent if latent is None else latent).tolist(), around.tolist()
         with contextlib.suppress(ValueError, ArithmeticError):
@@ -426,7 +433,13 @@ class PhysicsModel(AbstractDynamics):
     @cached_property
     def _takes_complex(self) -> bool:
         """Whether all equations are the project's own: a user's may call abs(), which drops an imaginary part."""
-        return all(type(part).__module__.startswith("safedpa.") for part in (self.base, *self.effects))
+        parts = (self.base, *(plain(item) for item in self.effects))
+        return all(type(part).__module__.startswith("safedpa.") for part in parts)
+
+    @cached_property
+    def timed(self) -> bool:
+        """Whether anything in it depends on the time since the start of the run."""
+        return any(item.timed for item in self.effects)
 
     @cached_property
     def _middle(self) -> NDArray[np.float64]:
@@ -435,12 +448,3 @@ class PhysicsModel(AbstractDynamics):
     @cached_property
     def _ranges(self) -> tuple[float, ...]:
         return tuple((self.system.action_high - self.system.action_low).tolist())
-
-
-def _single(state: Array, action: Array, latent: Array | None) -> bool:
-    """Whether all are vectors of ordinary floats: one robot."""
-    return _vector(state) and _vector(action) and (latent is None or _vector(latent))
-
-
-def _vector(part: Array) -> bool:
-    return type(part) is np.ndarray and part.ndim == 1 and part.dtype == _FLOAT

@@ -1,26 +1,36 @@
 """Named physical effects: one a file, with equation, parameters, units, bounds, signature and source."""
 
+from safedpa.effects.conditioned import Conditioned, conditioned
 from safedpa.effects.effect import (
     AbstractEffect,
     CommandEffect,
     Context,
+    FeltEffect,
     RateEffect,
     SensorEffect,
     Stage,
 )
+from safedpa.effects.general import general_effects
+from safedpa.effects.law import Varies, Where
 from safedpa.effects.library import effect, effects_of, load_effects, robots
 from safedpa.effects.parameter import Parameter
 
 __all__ = [
     "AbstractEffect",
     "CommandEffect",
+    "Conditioned",
     "Context",
+    "FeltEffect",
     "Parameter",
     "RateEffect",
     "SensorEffect",
     "Stage",
+    "Varies",
+    "Where",
+    "conditioned",
     "effect",
     "effects_of",
+    "general_effects",
     "load_effects",
     "robots",
 ]

@@ -1,9 +1,10 @@
-"""What a physical effect is: one of three small classes, each with one method to write.
+"""What a physical effect is: one of four small classes, each with one method to write.
 
 A model advances in a fixed order, whatever the order of effects in its file:
 
     true state  = restore(measured state)                SensorEffect
     command     = transform(action, memory)              CommandEffect   once per period, may remember
+    felt        = feel(command, true state, time)        FeltEffect      inside the integrator
     d(state)/dt = modify(rates of the base model)        RateEffect      inside the integrator
     measured    = measure(true state)                    SensorEffect
 
@@ -20,7 +21,7 @@ from typing import Any, ClassVar, NamedTuple
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations, Scalar
 
-__all__ = ["AbstractEffect", "CommandEffect", "Context", "RateEffect", "SensorEffect", "Stage"]
+__all__ = ["AbstractEffect", "CommandEffect", "Context", "FeltEffect", "RateEffect", "SensorEffect", "Stage"]
 
 Named = Mapping[str, Scalar]
 """Scalars by name: a state, an action, rates or parameters."""
@@ -77,6 +78,8 @@ class Context(NamedTuple):
     period: float
     """Seconds over which the action is held: friction laws round off their sign so that no period overshoots rest."""
     operations: Operations
+    holds: bool = False
+    """Whether dry friction holds what stands exactly, as rollouts need it; else it is rounded off, for slopes."""
 
 
 class AbstractEffect(ABC):
@@ -103,6 +106,8 @@ class AbstractEffect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     signature: ClassVar[str]
     source: ClassVar[str]
+    timed: ClassVar[bool] = False
+    """Whether it depends on the time since the start of the run."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of actions without which the effect has no meaning (``throttle`` for a dead zone of the throttle)."""
     mirrored: ClassVar[tuple[str, ...]] = ()
@@ -127,6 +132,14 @@ class CommandEffect(AbstractEffect):
         operations: Operations,
     ) -> tuple[Named, Any]:
         """The action felt, as its mean over the coming ``period`` [s], and the memory at its end."""
+
+
+class FeltEffect(AbstractEffect):
+    """An effect on the action that the mechanics feel at an instant, after delays and lags; it may see the state."""
+
+    @abstractmethod
+    def feel(self, parameters: Named, context: Context) -> Named:
+        """The action felt, from ``context.action``."""
 
 
 class RateEffect(AbstractEffect):

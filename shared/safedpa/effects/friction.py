@@ -1,4 +1,4 @@
-"""The sign of a motion as friction laws need it: rounded off near rest, so that nothing chatters there."""
+"""Dry friction near rest: rounded off, so that nothing chatters and slopes mean something there, or holding exactly."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 from safedpa.effects.effect import Context
 from safedpa.operations import Scalar
 
-__all__ = ["REST_RATE", "REST_SPEED", "direction_of"]
+__all__ = ["REST_RATE", "REST_SPEED", "direction_of", "resistance"]
 
 REST_SPEED: Final = 0.03
 """m/s; below it a car counts as nearly at rest in steps of 0.05 s: a hundredth of its usual speed, the noise of a good
@@ -27,3 +27,20 @@ def direction_of(speed: Scalar, deceleration: Scalar, rest: float, context: Cont
     """
     width = context.operations.maximum(deceleration, rest / _STEP) * context.period
     return context.operations.tanh(speed / width)
+
+
+def resistance(
+    rate: Scalar, speed: Scalar, deceleration: Scalar, rest: float, context: Context, inertia: Scalar = 1.0
+) -> Scalar:
+    """What a dry friction of size ``deceleration`` takes off ``rate``, d(speed)/dt without it.
+
+    Rounded off near rest: deceleration direction_of(speed). Where ``context.holds``, what would bring the robot to rest
+    within a period, at most its size: clip(rate + inertia speed / period, +-deceleration). So what is driven by less
+    than its friction stands still; rounded off it creeps, at up to half a metre a second per m/s2 of friction and s of
+    period. ``inertia``: by what the rate is divided after the friction.
+
+    Source: Karnopp, Journal of Dynamic Systems, Measurement, and Control 107, 1985 (stick and slip).
+    """
+    if context.holds:
+        return context.operations.clip(rate + inertia * speed / context.period, -deceleration, deceleration)
+    return deceleration * direction_of(speed, deceleration, rest, context)

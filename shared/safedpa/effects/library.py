@@ -110,6 +110,9 @@ def _effects_in(module: ModuleType) -> Iterator[AbstractEffect]:
         own = member.__module__ == module.__name__
         if own and issubclass(member, AbstractEffect) and not inspect.isabstract(member):
             yield member()
+    for several in vars(module).values():  # EFFECTS = general_effects(...)
+        if isinstance(several, (list, tuple)):
+            yield from (item for item in several if isinstance(item, AbstractEffect))
 
 
 def module_from(path: Path) -> ModuleType:

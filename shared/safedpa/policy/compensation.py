@@ -62,9 +62,10 @@ class SpeedCompensation:
         step, speed = self.model.straight(self.model.period), self._speed
         if step is not None:
             with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
-                loaded = step(state, wish, latent, 0.0)[speed]
-                beyond = step(state, nudged, latent, 0.0)[speed]
-                return loaded, step(state, wish, self._nominal_entries, 0.0)[speed], (beyond - loaded) / _NUDGE
+                now = self.model.clock.seconds
+                loaded = step(state, wish, latent, now)[speed]
+                beyond = step(state, nudged, latent, now)[speed]
+                return loaded, step(state, wish, self._nominal_entries, now)[speed], (beyond - loaded) / _NUDGE
         at, wished, further, known = np.array(state), np.array(wish), np.array(nudged), np.array(latent)
         memory = self.model.initial_memory(wished, known)
         loaded = self._speed_after(at, wished, memory, known)

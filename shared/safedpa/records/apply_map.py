@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import ColumnMapError, did_you_mean
-from safedpa.records.column_map import ColumnMap, DerivedColumn, SourceColumn
+from safedpa.records.column_map import SLOPE, ColumnMap, DerivedColumn, SourceColumn
 from safedpa.records.derive import slope
 from safedpa.records.run import Finding, Stretch
 from safedpa.records.table import Table
 from safedpa.records.units import factor_to_si
 from safedpa.systems import System
 
-__all__ = ["Rows", "check_map", "derive_states", "keep_rows", "mapped_rows"]
+__all__ = ["Rows", "check_map", "derive_states", "joined", "keep_rows", "mapped_rows"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,11 @@ def check_map(columns: ColumnMap, system: System) -> None:
     if columns.tracked_point is not None and not {"x", "y", "yaw"} <= set(system.state_names):
         raise ColumnMapError(f"{columns.name}: tracked_point: a {system.name} has no x, y and yaw; remove the table")
     for target, column in columns.columns.items():
+        if isinstance(column, DerivedColumn) and (target not in system.state_names or column.of == target):
+            raise ColumnMapError(f"{columns.name}: columns.{target}.derive: wanted for a state, of another state")
+        if isinstance(column, DerivedColumn) and column.of and column.of not in system.state_names:
+            known = did_you_mean(column.of, system.state_names)
+            raise ColumnMapError(f"{columns.name}: columns.{target}.of: got '{column.of}'; {known}")
         if isinstance(column, SourceColumn) and column.unit is not None:
             factor_to_si(column.unit, _unit(system, target), f"{columns.name}: columns.{target}.unit")
 
@@ -96,8 +101,23 @@ def _values(table: Table, columns: ColumnMap, system: System, target: str) -> ND
         return np.full(len(next(iter(table.columns.values()))), np.nan)
     factor = 1.0 if column.unit is None else factor_to_si(column.unit, _unit(system, target), target)
     gain = column.gain(factor)
-    raw = table.columns[column.source]
+    raw = joined(table, column)
     return raw if gain == 1.0 and column.offset == 0.0 else raw * gain + column.offset
+
+
+def joined(table: Table, column: SourceColumn) -> NDArray[np.float64]:
+    """The raw column, or several as one, (rows,)."""
+    if not column.others:
+        return table.columns[column.source]
+    parts = np.stack([table.columns[name] for name in column.sources])
+    if column.join == "norm":
+        return np.asarray(np.sqrt((parts**2).sum(axis=0)))
+    if column.join == "difference":
+        return np.asarray(parts[0] - parts[1:].sum(axis=0))
+    if column.join == "first":
+        there = np.isfinite(parts)
+        return np.asarray(np.take_along_axis(parts, there.argmax(axis=0)[None], axis=0)[0])
+    return np.asarray(parts.sum(axis=0) if column.join == "sum" else parts.mean(axis=0))
 
 
 def _kept(table: Table, columns: ColumnMap) -> NDArray[np.bool_]:
@@ -129,8 +149,8 @@ def derive_states(
 def _derivative(
     t: NDArray[np.float64], states: NDArray[np.float64], names: tuple[str, ...], column: DerivedColumn
 ) -> NDArray[np.float64]:
-    if column.derive == "rate_from_angle":
-        return slope(t, states[:, names.index("angle")], column.window)
+    if column.derive in ("rate_from_angle", SLOPE):
+        return slope(t, states[:, names.index(column.of or "angle")], column.window)
     along_x = slope(t, states[:, names.index("x")], column.window)
     along_y = slope(t, states[:, names.index("y")], column.window)
     yaw = states[:, names.index("yaw")]
@@ -145,7 +165,7 @@ def _trimmed(states: NDArray[np.float64], stretch: Stretch) -> Stretch:
 
 
 def _derived_finding(target: str, column: DerivedColumn) -> Finding:
-    source = "angle" if column.derive == "rate_from_angle" else "position"
+    source = column.of or ("angle" if column.derive == "rate_from_angle" else "position")
     return Finding(
         "derived_state",
         f"{target} is the slope of the measured {source} over {column.window:g} s, central; "

@@ -9,7 +9,9 @@ from safedpa.systems import System
 
 __all__ = [
     "DERIVATIONS",
+    "JOINS",
     "KEEPABLE",
+    "SLOPE",
     "ColumnMap",
     "DerivedColumn",
     "SkipRows",
@@ -20,6 +22,11 @@ __all__ = [
 
 DERIVATIONS = {"speed_from_position": ("speed", ("x", "y", "yaw")), "rate_from_angle": ("rate", ("angle",))}
 """What can be derived: its target, and the targets that it is derived from."""
+SLOPE = "slope"
+"""Derives any state from another one, which the map names with ``of``."""
+JOINS = ("mean", "sum", "difference", "norm", "first")
+"""How several columns become one: mean, sum, first less the others, root of the sum of squares, the first that is there
+in each row."""
 
 
 KEEPABLE = ("dead_command", "frozen", "out_of_bounds")
@@ -34,11 +41,21 @@ class SourceColumn:
     """
 
     source: str
+    """The raw column; the first of several that are joined."""
     unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
     flip: bool = False
     shift: float = 0.0
+    others: tuple[str, ...] = ()
+    """Further raw columns; what is joined is raw, before unit, scale and offset."""
+    join: str = ""
+    """One of JOINS where there are ``others``."""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """All raw columns that it is made of."""
+        return (self.source, *self.others)
 
     def gain(self, factor: float) -> float:
         """What the raw value is multiplied with, given the unit's factor to SI."""
@@ -55,6 +72,8 @@ class DerivedColumn:
 
     derive: str
     window: float
+    of: str = ""
+    """The state of which a ``slope`` is taken."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +118,8 @@ class ColumnMap:
     @property
     def sources(self) -> tuple[str, ...]:
         """The raw columns that are read, each once."""
-        used = [column.source for column in self.columns.values() if isinstance(column, SourceColumn)]
+        joined = [column.sources for column in self.columns.values() if isinstance(column, SourceColumn)]
+        used = [name for names in joined for name in names]
         return tuple(dict.fromkeys([*used, *(rule.column for rule in self.skip_where)]))
 
 

@@ -8,11 +8,13 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from safedpa.errors import ColumnMapError, InputError, did_you_mean
+from safedpa.errors import ColumnMapError, InputError, did_you_mean, near_files
 from safedpa.limits import parse_toml, text_of_file
 from safedpa.records.column_map import (
     DERIVATIONS,
+    JOINS,
     KEEPABLE,
+    SLOPE,
     ColumnMap,
     DerivedColumn,
     SkipRows,
@@ -25,8 +27,8 @@ __all__ = ["load_column_map", "parse_column_map", "shipped_column_maps"]
 
 FORMAT = 1
 _TOP = ("format", "robot", "columns", "unwrap", "skip_first_rows", "skip_where", "tracked_point", "keep_period", "keep")
-_SOURCE_KEYS = ("from", "unit", "scale", "offset", "flip", "shift")
-_DERIVED_KEYS = ("derive", "window")
+_SOURCE_KEYS = ("from", "unit", "scale", "offset", "flip", "shift", "join")
+_DERIVED_KEYS = ("derive", "window", "of")
 
 
 def load_column_map(source: str | Path) -> ColumnMap:
@@ -43,7 +45,8 @@ def load_column_map(source: str | Path) -> ColumnMap:
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ColumnMapError(
-            f"{source}: cannot be read ({reason}); wanted a column map file, or one of {', '.join(shipped)}"
+            f"{source}: cannot be read ({reason}); {near_files(path, shipped)}wanted a column map file, or one of "
+            f"{', '.join(shipped)}"
         ) from error
     try:
         return parse_column_map(text, path.stem)
@@ -90,7 +93,7 @@ def _columns(table: Any) -> dict[str, SourceColumn | DerivedColumn]:
     targets: dict[str, str] = {}
     for target, entry in table.items():
         column = columns[target] = _column(target, entry)
-        if isinstance(column, SourceColumn):
+        if isinstance(column, SourceColumn) and not column.others:  # what is joined may serve several: mean, difference
             if column.source in targets:
                 raise ColumnMapError(
                     f"columns.{target}: column '{column.source}' is already the source of '{targets[column.source]}'; "
@@ -116,8 +119,11 @@ def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
     scale = _number(f"{key}.scale", table.get("scale", 1.0))
     if scale == 0.0:
         raise ColumnMapError(f"{key}.scale: got 0, wanted another number; 0 would erase the column")
+    source, others, join = _joined(key, table)
     return SourceColumn(
-        source=_text(f"{key}.from", table.get("from"), "a column's name"),
+        source=source,
+        others=others,
+        join=join,
         unit=unit,
         scale=scale,
         offset=_number(f"{key}.offset", table.get("offset", 0.0)),
@@ -126,14 +132,33 @@ def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
     )
 
 
+def _joined(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
+    """The first raw column, the others, and how they are joined."""
+    entry, join = table.get("from"), table.get("join")
+    if not isinstance(entry, list):
+        if join is not None:
+            raise ColumnMapError(f"{key}.join: got {join!r} for one column; name several in 'from', or leave it out")
+        return _text(f"{key}.from", entry, "a column's name"), (), ""
+    names = tuple(_text(f"{key}.from", name, "a column's name") for name in entry)
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise ColumnMapError(f"{key}.from: got {entry!r}, wanted two different columns or more")
+    if join not in JOINS:
+        raise ColumnMapError(f"{key}.join: got {join!r}, wanted how they become one: {', '.join(JOINS)}")
+    return names[0], names[1:], str(join)
+
+
 def _derived(key: str, table: Mapping[str, Any]) -> DerivedColumn:
     _refuse_unknown(table, _DERIVED_KEYS, f"{key}.")
     derive = _text(f"{key}.derive", table["derive"], "what to derive")
-    if derive not in DERIVATIONS:
-        raise ColumnMapError(f"{key}.derive: got '{derive}'; {did_you_mean(derive, DERIVATIONS)}")
+    if derive not in (*DERIVATIONS, SLOPE):
+        raise ColumnMapError(f"{key}.derive: got '{derive}'; {did_you_mean(derive, (*DERIVATIONS, SLOPE))}")
+    if (derive == SLOPE) != ("of" in table):
+        wanted = "missing; wanted the state of which it is the slope" if derive == SLOPE else f"unknown with '{derive}'"
+        raise ColumnMapError(f"{key}.of: {wanted}")
     if "window" not in table:
         raise ColumnMapError(f"{key}.window: missing; wanted the seconds over which the slope is taken, 0.1 say")
-    return DerivedColumn(derive, _positive(f"{key}.window", table["window"]))
+    of = _text(f"{key}.of", table["of"], "a state's name") if derive == SLOPE else ""
+    return DerivedColumn(derive, _positive(f"{key}.window", table["window"]), of)
 
 
 def _check_derivation(
@@ -141,7 +166,7 @@ def _check_derivation(
 ) -> None:
     if isinstance(column, SourceColumn):
         return
-    wanted, needs = DERIVATIONS[column.derive]
+    wanted, needs = (target, (column.of,)) if column.derive == SLOPE else DERIVATIONS[column.derive]
     if target != wanted:
         raise ColumnMapError(f"columns.{target}.derive: '{column.derive}' gives '{wanted}', not '{target}'")
     for name in needs:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import re
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -161,11 +163,30 @@ def _texts(path: Path, wanted: Sequence[str], layout: _Layout, malformed: list[t
 def _parse(
     path: Path, wanted: Sequence[str], layout: _Layout, kind: pyarrow.DataType, malformed: list[tuple[int, int]]
 ) -> pyarrow.Table:
-    from pyarrow import csv as arrow_csv
 
     def skip(row: Any) -> str:
         malformed.append((row.number, row.actual_columns))
         return "skip"
+
+    with _quiet():
+        return _read(path, wanted, layout, kind, skip)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """A line that is no text makes the library print a traceback, and drop the line as it should."""
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+def _read(
+    path: Path, wanted: Sequence[str], layout: _Layout, kind: pyarrow.DataType, skip: Callable[[Any], str]
+) -> pyarrow.Table:
+    from pyarrow import csv as arrow_csv
 
     return arrow_csv.read_csv(
         path,

@@ -181,7 +181,7 @@ def _data(chunk: Chunk, budget: _Budget) -> bytes:
         with zstandard.ZstdDecompressor(max_window_size=limit("mcap_chunk_bytes")).stream_reader(chunk.data) as stream:
             data: bytes = stream.read(told + 1)
     elif chunk.compression == "lz4":
-        import lz4.frame
+        import lz4.frame  # type: ignore[import-untyped]
 
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=told + 1)
     elif chunk.compression == "":

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.errors import RunError, did_you_mean
+from safedpa.errors import RunError, did_you_mean, near_files
 from safedpa.records.run import Finding
 
 __all__ = ["Table", "require_columns", "require_file"]
@@ -27,7 +27,7 @@ def require_file(path: Path) -> None:
     """Raises RunError when there is no file, or an empty one."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "no such file"
-        raise RunError(f"{path}: {what}; wanted a recording (.csv, .parquet or .mcap)")
+        raise RunError(f"{path}: {what}; {near_files(path)}wanted a recording (.csv, .parquet or .mcap)")
     if path.stat().st_size == 0:
         raise RunError(f"{path}: the file is empty; wanted a recording with a header and rows")
 

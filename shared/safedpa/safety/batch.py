@@ -66,6 +66,10 @@ class BatchFilter:
             raise InputError(
                 f"model: got a '{model.system.name}' and {actions} actions, wanted a car and 2; filter it one by one"
             )
+        if model.timed:
+            raise InputError(
+                "model: depends on the time since the start, which a batch does not have; filter one by one"
+            )
         self._one = SafetyFilter.for_model(model, self.settings)
 
     def decide(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
@@ -78,6 +79,7 @@ class Request:
     barriers: Sequence[AbstractBarrier]
     epsilon: Mapping[str, float]
     stale: Sequence[str]
+    time: Any = None
 
 
 @final
@@ -97,8 +99,19 @@ class Decision:
         self._needs_latent = wanted is not None and len(wanted.names) > 0
         given = self._needs_latent or request.latent is not None
         self._latent = self._checked("latent", request.latent, wanted) if given else None
+        self._tell_time(request.time)
         self._margin = 0.0
         self._conditions: Conditions | None = None
+
+    def _tell_time(self, seconds: Any) -> None:
+        """A model that depends on the time since the start is asked at that time, and not at all without it."""
+        prediction = self._tools.prediction
+        if isinstance(seconds, (float, int)) and 0.0 <= seconds < inf:
+            prediction.tell_time(float(seconds))
+        elif prediction.timed:  # to any other model the time says nothing
+            self._problems.append(
+                f"time: got {seconds!r}, wanted the seconds since the start of the run, on which the model depends"
+            )
 
     def run(self) -> Verdict:
         """The verdict; raises DecisionError, or whatever a user's function raises, when there is none."""

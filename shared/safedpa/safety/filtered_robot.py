@@ -78,8 +78,8 @@ def _walked(step: StraightStep, state: StateMessage, held: Values, latent: Value
     """
     rows, entries, action, free = [], state.values, held.tolist(), latent.tolist()
     try:
-        for _ in range(steps):
-            entries = tuple(step(entries, action, free, 0.0))
+        for index in range(steps):
+            entries = tuple(step(entries, action, free, state.robot_time + index * state.period))
             rows.append(entries)
     except (ValueError, ArithmeticError):
         return ()
@@ -156,6 +156,7 @@ class FilteredRobot:
 
     def take_up(self, state: StateMessage) -> None:
         """What a state tells before anything else is known."""
+        self.model.clock.seconds = state.robot_time
         self.remember_actuators(state)
         self.barriers = self.scene.of(state)
         self.watch_margin(state)
@@ -177,6 +178,7 @@ class FilteredRobot:
 
     def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
         """``predicted``, kept for the next tick."""
+        self.model.clock.seconds = state.robot_time  # in between, another robot may have asked
         predicted, self.expected_memory = self.predicted(state, verdict, latent)
         self._watch_delay(state, latent)
         if self.pending:
@@ -355,6 +357,7 @@ class FilteredRobot:
             memory=self.pending,
             barriers=barriers,
             epsilon=self.margin.epsilon,
+            time=state.robot_time,
         )
         predicted, _ = self.predicted(state, verdict, latent)
         if verdict.status is Status.fallback or not predicted:

@@ -138,6 +138,7 @@ class SafetyFilterNode(AbstractNode):
             "barriers": barriers,
             "epsilon": memory.margin.epsilon,
             "stale": stale,
+            "time": state.robot_time,
         }
         ordered = memory.ordered = self.orders.reason(robot)
         if ordered:

@@ -57,6 +57,19 @@ class Prediction:
                 prediction._learned = model.base if model.base.is_latent(model.latent_names) else None
         return prediction
 
+    @property
+    def timed(self) -> bool:
+        """Whether the model depends on the time since the start of the run."""
+        return self._physics is not None and self._physics.timed
+
+    def tell_time(self, seconds: float) -> None:
+        """Seconds since the start of the run, for the questions that follow."""
+        if self._physics is not None:
+            self._physics.clock.seconds = seconds
+
+    def _seconds(self) -> float:
+        return 0.0 if self._physics is None else self._physics.clock.seconds
+
     def begin(self, state: tuple[float, ...], latent: tuple[float, ...] | None, memory: Any) -> Begin | None:
         """Where an action that is chosen at ``state`` begins to act; None: there and then."""
         return None if self._actuators is None or not memory else self._actuators.begin(state, latent, memory)
@@ -86,7 +99,11 @@ class Prediction:
         Raises ValueError or ArithmeticError for numbers that Python's math refuses.
         """
         recorded = None if self._physics is None else self._physics.straight_sensitivity
-        return None if recorded is None else recorded(state, around, self._fixed if latent is None else latent, 0.0)[1]
+        return (
+            None
+            if recorded is None
+            else recorded(state, around, self._fixed if latent is None else latent, self._seconds())[1]
+        )
 
     def affine_motion(self, state: tuple[float, ...], latent: tuple[float, ...] | None) -> AffineMotion | None:
         """All of ``following`` and ``slopes_of_one`` at this state; None: ask those.
@@ -111,7 +128,7 @@ class Prediction:
         """``next_state`` for plain numbers. Raises InputError when the model returns another shape."""
         if self._physics is not None and (step := self._physics.straight(self._physics.period)) is not None:
             try:
-                return step(state, action, self._fixed if latent is None else latent, 0.0)
+                return step(state, action, self._fixed if latent is None else latent, self._seconds())
             except (ValueError, ArithmeticError):  # numbers that Python's math refuses
                 pass
         free = None if latent is None else _unwritten(latent)
@@ -125,7 +142,7 @@ class Prediction:
         """``slopes`` for plain numbers. Raises InputError when the model returns another shape."""
         if self._physics is not None and (tangent := self._physics.straight_tangent()) is not None:
             try:
-                return tangent(state, around, self._fixed if latent is None else latent, 0.0)[1]
+                return tangent(state, around, self._fixed if latent is None else latent, self._seconds())[1]
             except (ValueError, ArithmeticError):
                 pass
         free = None if latent is None else _unwritten(latent)

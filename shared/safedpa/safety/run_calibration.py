@@ -101,6 +101,7 @@ def _predictions(
     latent = model.latent if model.latent_names else None
     number = 0
     for run in runs:
+        begun = min((float(t[0]) for t, _, _ in run.parts() if len(t)), default=0.0)
         for t, states, actions in run.parts():
             if not len(t):
                 continue
@@ -114,7 +115,10 @@ def _predictions(
                 if along is not None:
                     latent = along.latent
                 if wanted or memory:
-                    predicted, memory = model.advance(states[row], actions[row], memory, latent, period=period)
+                    since = float(t[row]) - begun
+                    predicted, memory = model.advance(
+                        states[row], actions[row], memory, latent, period=period, time=since
+                    )
                 if wanted:
                     yield states[row], predicted, states[row + 1]
                 if along is not None and near:

@@ -143,13 +143,15 @@ class SafetyFilter:
         barriers: Sequence[AbstractBarrier] | None = None,
         epsilon: Mapping[str, float] | None = None,
         stale: Sequence[str] = (),
+        time: float | None = None,
     ) -> Verdict:
         """The verdict for ``state`` (states,), ``wish`` (actions,), ``latent`` (latents,); raises nothing.
 
         ``barriers`` replaces the filter's own for this call; ``epsilon`` overrides margins by kind; ``memory`` is what
         the model's actuators remember; ``stale`` names inputs that are too old: any of them brings the backup.
+        ``time`` [s] since the start of the run; a model that depends on it has the backup without.
         """
-        return self._answer(_decided, self._request(state, wish, latent, memory, barriers, epsilon, stale))
+        return self._answer(_decided, self._request(state, wish, latent, memory, barriers, epsilon, stale, time))
 
     def hold(self, absent: str, state: Any, latent: Any = None, **known: Any) -> Verdict:
         """The verdict where nothing but the wish is missing, for a robot that has no stand; arguments as in ``decide``.
@@ -175,6 +177,7 @@ class SafetyFilter:
         epsilon: Mapping[str, float] | None = None,
         stale: Sequence[str] = (),
         stands: bool = True,
+        time: float | None = None,
     ) -> Verdict:
         """The verdict while the robot is to stop for ``reason``, whatever is wished; other arguments as in ``decide``.
 
@@ -185,7 +188,7 @@ class SafetyFilter:
         """
         if stands:
             wish = self.tools.resting_action
-            request = self._request(state, wish, latent, memory, barriers, epsilon, stale)
+            request = self._request(state, wish, latent, memory, barriers, epsilon, stale, time)
             return replace(self._answer(lambda decision: decision.stopped(reason), request), wish=None)
         verdict = self.decide(
             state,
@@ -195,16 +198,17 @@ class SafetyFilter:
             barriers=barriers,
             epsilon=epsilon,
             stale=stale,
+            time=time,
         )
         if verdict.status not in (Status.passed, Status.corrected):
             return verdict
         return replace(verdict, status=Status.stopped, reason=f"Reason: {reason}. The barriers are kept.")
 
     def _request(
-        self, state: Any, wish: Any, latent: Any, memory: Any, barriers: Any, epsilon: Any, stale: Any
+        self, state: Any, wish: Any, latent: Any, memory: Any, barriers: Any, epsilon: Any, stale: Any, time: Any
     ) -> Request:
         scene = self._barriers if barriers is None else barriers
-        return Request(state, wish, latent, memory, scene, {} if epsilon is None else epsilon, stale)
+        return Request(state, wish, latent, memory, scene, {} if epsilon is None else epsilon, stale, time)
 
     def _answer(self, answer: Callable[[Decision], Verdict], request: Request) -> Verdict:
         """What a decision answers, if none is under way: two at once would share their workspaces, and mix."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,10 @@ from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.heldout import error_with, heldout_of
 from safedpa.diagnosis.report import Report, as_document
 from safedpa.diagnosis.shooting import shooting_of
-from safedpa.diagnosis.trial import trial_of, tried
+from safedpa.diagnosis.trial import trial_of, tried, with_start
 from safedpa.dynamics import PhysicsModel, load_model
-from safedpa.effects import effect
+from safedpa.effects import AbstractEffect, Where, conditioned, effect
+from safedpa.effects.law import law_of
 from safedpa.records import load_run
 from safedpa.records.run import Run
 
@@ -23,6 +25,8 @@ __all__ = ["HORIZON", "beside_the_truth", "diagnosed", "oracle_error"]
 
 HORIZON = 1.0
 """s, as the command has it."""
+_EDGE = 0.05
+"""Of conditions that the oracle is told, in the variable's unit."""
 
 
 def diagnosed(model: Path, runs: Sequence[Path]) -> dict[str, Any]:
@@ -30,18 +34,43 @@ def diagnosed(model: Path, runs: Sequence[Path]) -> dict[str, Any]:
     return as_document(diagnose(*_loaded(model, runs), HORIZON))
 
 
-def oracle_error(model: Path, runs: Sequence[Path], effects: Sequence[str]) -> float:
-    """The held-out error of the model with the named effects, fitted by the same fitter on the same windows."""
+def oracle_error(
+    model: Path,
+    runs: Sequence[Path],
+    effects: Mapping[str, Mapping[str, float]],
+    laws: Mapping[str, str] = MappingProxyType({}),
+) -> float:
+    """The held-out error of the model with the named effects, fitted by the same fitter on the same windows.
+
+    Effects with a law are fitted from their true ``effects`` numbers: a grid knows nothing of laws.
+    """
     given, recorded = _loaded(model, runs)
     heldout, shooting = heldout_of(recorded, HORIZON), shooting_of(recorded, HORIZON)
     free = list(given.latent_names)
     shooting = shooting.around(given)
     scale = np.maximum(shooting.residuals([given])[0].std(axis=(0, 1)), 1e-6)
     base = trial_of(fit(given, free, shooting, scale), shooting, (), None)
-    trial = tried(base, [effect(given.system.name, name) for name in effects], shooting)
+    items = [_with_law(given, name, laws.get(name)) for name in effects]
+    trial = tried(base, items, shooting, [_begun(base.fit.model, items, effects)] if laws else None)
     again = shooting.around(trial.fit.model)
     best = fit(trial.fit.model, trial.fit.paths, again, trial.fit.scale)
     return error_with(best, again, heldout).value
+
+
+def _with_law(model: PhysicsModel, name: str, law: str | None) -> AbstractEffect:
+    item = effect(model.system.name, name)
+    if law is None:
+        return item
+    key, words = law.split(" ", 1)
+    return conditioned(item, law_of(key, words, _EDGE if key == Where.key else None, name), model.system)
+
+
+def _begun(
+    model: PhysicsModel, items: Sequence[AbstractEffect], effects: Mapping[str, Mapping[str, float]]
+) -> PhysicsModel:
+    for item in items:
+        model = with_start(model, item, dict(effects[item.name]))
+    return model
 
 
 def _loaded(model: Path, runs: Sequence[Path]) -> tuple[PhysicsModel, list[Run]]:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from safedpa.errors import SafedpaError
+from safedpa.errors import RunError, SafedpaError
 from safedpa_sim.experiments.diagnosing import diagnosed, oracle_error
 from safedpa_sim.experiments.hidden_record import document_of, read_outcomes, write_document
 from safedpa_sim.hidden import SUITES, Case, Log, cases_of, write_cases
@@ -92,15 +92,29 @@ def run_cases(cases: Sequence[Case]) -> list[Outcome]:
         return [_outcome(log) for log in logs]
 
 
+_REFUSED = {
+    "verdict": "refused",
+    "added": [],
+    "stages": [{"heldout_error": "nan"}],
+    "candidates": [],
+    "unexplained": None,
+}
+"""What is said of a file that cannot be read as it is."""
+
+
 def _outcome(log: Log) -> Outcome:
     begin, processor = time.perf_counter(), time.process_time()
     try:
         document = diagnosed(log.model, log.runs)
+    except RunError as error:
+        if log.case.fault is None:
+            raise SafedpaError(f"{log.case.name}: {error}") from error
+        document = _REFUSED
     except SafedpaError as error:
         raise SafedpaError(f"{log.case.name}: {error}") from error
     seconds, processor = time.perf_counter() - begin, time.process_time() - processor
     truth = json.loads(log.truth.read_text(encoding="utf-8"))
-    oracle = oracle_error(log.model, log.runs, list(truth["effects"])) if truth["effects"] else None
+    oracle = oracle_error(log.model, log.runs, truth["effects"], truth["laws"]) if truth["effects"] else None
     return judged(log.case.name, document, truth, oracle, seconds, processor)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 __all__ = ["page_of"]
 
 _HEAD = (
-    "cases", "right", "95 % interval", "named first", "all named", "wrong extra", "parameters within 2 sd",
+    "cases", "right", "95 % interval", "named first", "all named", "wrong extra", "false law", "parameters within 2 sd",
     "error over oracle: median", "worst", "at most 1.1", "seconds: median", "worst", "of one core: median", "worst",
 )  # fmt: skip
 
@@ -44,7 +44,7 @@ def _table(first: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
     low, high = row["right"]["interval_95"]
-    shares = ("named_first", "all_named", "wrong_additions", "parameters_within_two")
+    shares = ("named_first", "all_named", "wrong_additions", "false_laws", "parameters_within_two")
     seconds = (
         "seconds_median", "seconds_largest", "processor_seconds_median", "processor_seconds_largest",
     )  # fmt: skip

@@ -20,6 +20,7 @@ from safedpa_sim.hidden.judge import Found, Outcome
 __all__ = ["document_of", "read_outcomes", "write_document"]
 
 _FORMAT = 1
+_LISTS = ("hidden", "added", "wrong", "told", "false_laws")
 _PACKAGES = ("safedpa", "numpy", "pymunk")
 
 
@@ -41,7 +42,7 @@ def document_of(outcomes: Sequence[Outcome], seeds: Sequence[int], end: datetime
 def _row(item: Outcome) -> dict[str, Any]:
     row = asdict(item)
     row["parameters"] = [{**asdict(found), "deviation": found.deviation} for found in item.parameters]
-    row.update({name: list(row[name]) for name in ("hidden", "added", "wrong")})
+    row.update({name: list(row[name]) for name in _LISTS})
     plain = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
     return {**plain, "right": item.right}
 
@@ -71,8 +72,8 @@ def read_outcomes(path: Path) -> tuple[list[Outcome], list[int]]:
 def _outcome(row: Mapping[str, Any]) -> Outcome:
     known = {field.name for field in fields(Outcome)}
     values = {name: value for name, value in row.items() if name in known}
-    for name in ("hidden", "added", "wrong"):
-        values[name] = tuple(values[name])
+    for name in _LISTS:
+        values[name] = tuple(values.get(name, ()))
     for name in ("error", "error_ratio", "seconds", "processor_seconds"):
         values[name] = float("nan") if values[name] is None else float(values[name])
     own = ("path", "value", "std", "truth")

@@ -21,12 +21,12 @@ def summary(suites: Iterable[str], outcomes: Sequence[Outcome]) -> dict[str, Any
         rows.append(_row(suite, "all", own))
         for name in sorted({item.hidden[0] for item in own if len(item.hidden) == 1}):
             effects.append(_row(suite, name, [item for item in own if item.hidden == (name,)]))
-    missed = [_missed(item) for item in outcomes if not item.right or item.wrong]
+    missed = [_missed(item) for item in outcomes if not item.right or item.wrong or item.false_laws]
     return {"suites": rows, "effects": effects, "missed": missed}
 
 
 def _missed(item: Outcome) -> dict[str, Any]:
-    return {"case": item.case, "hidden": list(item.hidden), "verdict": item.verdict, "added": list(item.added)}
+    return {"case": item.case, "hidden": list(item.hidden), "verdict": item.verdict, "added": [*item.added, *item.told]}
 
 
 def _row(suite: str, effect: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -43,6 +43,7 @@ def _row(suite: str, effect: str, outcomes: Sequence[Outcome]) -> dict[str, Any]
         "named_first": _share([item.first_named for item in outcomes]) if hidden else None,
         "all_named": _share([item.all_named for item in outcomes]) if hidden else None,
         "wrong_additions": _share([bool(item.wrong) for item in outcomes]),
+        "false_laws": _share([bool(item.false_laws) for item in outcomes]),
         "parameters_within_two": _share([value <= 2.0 for value in deviations]) if len(deviations) else None,
         "error_ratio_median": float(np.median(ratios)) if len(ratios) else None,
         "error_ratio_largest": float(ratios.max()) if len(ratios) else None,

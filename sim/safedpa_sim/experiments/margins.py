@@ -1,9 +1,11 @@
 """The margins that ship, and how often they hold on fresh drives: made and counted by one command.
 
-For each robot and model, drives on calibration seeds behind the filter with the margin that ships make the new margins:
-for a step, and for a whole drive. Drives on evaluation seeds behind the filter with the new margin tell how many steps
-and how many drives it covered, and how many goals each kind of margin costs. Drives are kept as they are made, so that
-a run may be cut anywhere and gone on with.
+For each robot and model in two rounds, since errors depend on where the filter lets the robot go: drives behind the
+filter with the margin that its settings assume make first margins, of a step and of a whole drive. Other drives behind
+the first margin of a step make the one that ships, and as many behind that of a drive likewise. What ships now decides
+nothing, so the same command makes the same margins again. Drives on evaluation seeds behind the filter with the new
+margin tell how many steps and how many drives it covered, and how many goals each kind of margin costs. Drives are kept
+as they are made, so that a run may be cut anywhere and gone on with.
 """
 
 from __future__ import annotations
@@ -11,30 +13,37 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import check_archive
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.margin import smallest_sample
 from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.theory_layer import Stay, stays_in_layer
 from safedpa_sim.experiments.car_workers import Workers
 from safedpa_sim.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
 from safedpa_sim.experiments.seeds import seeds_for
 from safedpa_sim.experiments.statistics import clopper_pearson_interval, cluster_interval, mean_interval
 
-__all__ = ["KINDS", "MarginCases", "margins_experiment"]
+__all__ = ["KINDS", "SHIPPED", "MarginCases", "margins_experiment"]
 
 KINDS = ("conformal", "drive")
 """Margins of a step and of a whole drive."""
+SHIPPED = "shipped"
+"""The margin that ships now, to hold the new ones against."""
 
 Tell = Callable[[int, int], None]
+
+_COVERAGE: Final = 0.99
 
 
 @final
@@ -45,14 +54,15 @@ class MarginCases:
     robots: tuple[str, ...]
     out: Path
     drives: int = 200
-    """On calibration seeds; 99 at least for a coverage of 99 %."""
+    """On calibration seeds, for each of ``KINDS``; 99 at least for a coverage of 99 %. Half as many, but no fewer than
+    that, go before."""
     fresh: int = 200
     """On evaluation seeds, for each kind of margin."""
     kinds: tuple[str, ...] = KINDS
-    """Kinds of margin behind which fresh drives are made."""
+    """Kinds of margin behind which fresh drives are made; of ``KINDS`` or ``SHIPPED``."""
     seconds: float = 0.0
     """Of a drive; 0: as each robot has it."""
-    coverage: float = 0.99
+    coverage: float = _COVERAGE
     processes: int = 2
     minutes: float = 0.0
     """After which no new drive begins; 0: until all is done."""
@@ -62,16 +72,26 @@ class MarginCases:
             if name not in DRIVERS:
                 raise InputError(f"--robot '{name}': {did_you_mean(name, DRIVERS)}")
         for kind in self.kinds:
-            if kind not in KINDS:
-                raise InputError(f"--kind '{kind}': {did_you_mean(kind, KINDS)}")
+            if kind not in (known := (*KINDS, SHIPPED)):
+                raise InputError(f"--kind '{kind}': {did_you_mean(kind, known)}")
         if self.drives < 1 or self.fresh < 0 or self.processes < 1 or self.seconds < 0.0 or self.minutes < 0.0:
             raise InputError("--drives and --processes: wanted more than 0; --fresh, --seconds, --minutes: 0 or more")
+
+    @property
+    def first(self) -> int:
+        """Drives of the first round."""
+        return max(smallest_sample(self.coverage), self.drives // 2)
+
+    @property
+    def total(self) -> int:
+        """Drives of one robot."""
+        return self.first + len(KINDS) * self.drives + len(self.kinds) * self.fresh
 
 
 def margins_experiment(cases: MarginCases, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
     """One entry a robot: its margins once they are there, what they covered; ``missing`` drives where time ran out."""
     ends = time.monotonic() + 60.0 * cases.minutes if cases.minutes else float("inf")
-    total = len(cases.robots) * (cases.drives + len(cases.kinds) * cases.fresh)
+    total = len(cases.robots) * cases.total
     count = _Count(total, tell)
     rows = {}
     with Workers(cases.processes) as workers:
@@ -92,34 +112,91 @@ class _Count:
 
 
 def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, count: _Count) -> dict[str, Any]:
-    folder = cases.out / name
-    seconds = cases.seconds or DRIVERS[name].seconds
-    shipped = margin_for(load_model(DRIVERS[name].model))
-    orders = [DriveOrder(name, seed, shipped, seconds=seconds) for seed in seeds_for("calibration", cases.drives)]
-    made = _driven(folder / "calibration", orders, workers, ends, count)
-    if len(made) < len(orders):
-        return {"drives": len(made)}
-    margin = _calibrated(cases, name, seconds, made)
-    margin.save(folder / "margin.toml")
-    row: dict[str, Any] = {"drives": len(made), "seconds": seconds, "epsilon": margin.epsilon, "drive": margin.drive}
-    row["behind_the_shipped_margin"] = _counted(made, margin, _ceiling(name)) | _driving(made, seconds)
+    folder, seconds = cases.out / name, cases.seconds or DRIVERS[name].seconds
+
+    def made(part: str, behind: MarginCalibration | None, kind: str, seeds: range) -> list[DriveResult]:
+        orders = [DriveOrder(name, seed, behind, kind, seconds) for seed in seeds]
+        return _driven(folder / part, orders, workers, ends, count)
+
+    first = made("first", None, KINDS[0], seeds_for("calibration", cases.first))
+    if len(first) < cases.first:
+        return {"drives": len(first)}
+    plain = cases.coverage * cases.first / (cases.first + 1)
+    before = _calibrated(cases, name, seconds, first, "the margin of the settings", plain)
+    seeds = seeds_for("calibration", cases.drives, cases.first)
+    second = {kind: made(f"calibration-{kind}", before, kind, seeds) for kind in KINDS}
+    if any(len(results) < cases.drives for results in second.values()):
+        return {"drives": sum(map(len, second.values()))}
+    behind = f"a margin of {cases.first} other drives"
+    tables = {kind: _calibrated(cases, name, seconds, results, behind) for kind, results in second.items()}
+    margin = _joined(tables)
+    row: dict[str, Any] = {"drives": cases.drives, "seconds": seconds, "epsilon": margin.epsilon, "drive": margin.drive}
+    ceiling = _ceiling(name)
+    for kind, results in second.items():
+        row[f"calibration_{kind}"] = _counted(results, _spoken_of(margin, None, kind), ceiling)
+        row[f"calibration_{kind}"] |= _driving(results, seconds)
     for kind in cases.kinds:
-        fresh = [DriveOrder(name, seed, margin, kind, seconds) for seed in seeds_for("evaluation", cases.fresh)]
-        results = _driven(folder / f"fresh-{kind}", fresh, workers, ends, count)
-        if results:
-            row[f"fresh_{kind}"] = _counted(results, margin, _ceiling(name)) | _driving(results, seconds)
+        ahead, which = (margin, kind) if kind in KINDS else (margin_for(load_model(DRIVERS[name].model)), KINDS[0])
+        if fresh := made(f"fresh-{kind}", ahead, which, seeds_for("evaluation", cases.fresh)):
+            spoken_of = _spoken_of(margin, ahead, kind)
+            row[f"fresh_{kind}"] = _counted(fresh, spoken_of, ceiling) | _driving(fresh, seconds)
+            if kind in spoken_of:
+                row[f"fresh_{kind}"]["layer"] = _layers(fresh, seconds, spoken_of[kind], ceiling.eta)
+    _with_the_rest(margin, margin_for(load_model(DRIVERS[name].model)), row).save(folder / "margin.toml")
     return row
 
 
-def _calibrated(cases: MarginCases, name: str, seconds: float, made: Sequence[DriveResult]) -> MarginCalibration:
+def _with_the_rest(
+    margin: MarginCalibration, shipped: MarginCalibration | None, row: dict[str, Any]
+) -> MarginCalibration:
+    """With what fresh drives told of it, and with the theorem's bound of this model, which no drive here measures."""
+    covered = {
+        f"{kind}.{barrier}": counted[kind][share]
+        for kind, share in zip(KINDS, ("steps", "drives"), strict=True)
+        for barrier, counted in row.get(f"fresh_{kind}", {}).get("covered", {}).items()
+    }
+    if shipped is None or not shipped.theorem:
+        return replace(margin, covered=covered)
+    known = {key: value for key, value in shipped.covered.items() if key.startswith("theorem.")}
+    bound = {key: value for key, value in shipped.constants.items() if "ceiling." not in key}
+    constants = bound | margin.constants
+    return replace(margin, theorem=shipped.theorem, constants=constants, covered=covered | known)
+
+
+def _joined(tables: Mapping[str, MarginCalibration]) -> MarginCalibration:
+    """Each kind of margin from the drives behind its own first one; ``tables`` by kind of margin."""
+    step, drive = (tables[kind] for kind in KINDS)
+    tops = {key: value for key, value in drive.constants.items() if key.startswith("drive.")}
+    return replace(step, drive=drive.drive, constants=step.constants | tops)
+
+
+def _spoken_of(margin: MarginCalibration, behind: MarginCalibration | None, kind: str) -> dict[str, dict[str, float]]:
+    """By kind of margin the tables that are counted on the drives behind one of them."""
+    tables = {"conformal": margin.epsilon, "drive": margin.drive}
+    if kind not in KINDS and behind is not None:
+        tables[kind] = behind.epsilon
+    return tables
+
+
+def _calibrated(
+    cases: MarginCases,
+    name: str,
+    seconds: float,
+    made: Sequence[DriveResult],
+    behind: str,
+    coverage: float | None = None,
+) -> MarginCalibration:
+    """``coverage`` of n / (n + 1) of the one that is asked for makes the plain quantile, which promises nothing."""
     first, last = made[0].seed, made[-1].seed
+    asked = f"--drives {cases.drives}" + ("" if cases.coverage == _COVERAGE else f" --coverage {cases.coverage}")
     origin = (
-        f"safedpa experiment margins --robot {name} --drives {len(made)}: seeds {first} to {last}, {seconds:g} s each, "
-        "in lockstep behind the margin that shipped before"
+        f"safedpa experiment margins --robot {name} {asked}: seeds {first} to {last}, {seconds:g} s each, "
+        f"in lockstep behind {behind}"
     )
     own = fingerprint(load_model(DRIVERS[name].model))
     heights = [item.heights for item in made]
-    return calibration_from_drives(heights, cases.coverage, time.strftime("%Y-%m-%d"), own, _ceiling(name), origin)
+    asked_for = cases.coverage if coverage is None else coverage
+    return calibration_from_drives(heights, asked_for, time.strftime("%Y-%m-%d"), own, _ceiling(name), origin)
 
 
 def _ceiling(name: str) -> Ceiling:
@@ -168,7 +245,6 @@ def _keep(path: Path, result: DriveResult) -> None:
         "ticks": result.ticks,
         "statuses": result.statuses,
         "least_h": result.least_h,
-        "layer": result.layer,
         "steps": {kind: len(values) for kind, values in result.heights.items()},
     }
     whole = path.with_name(f"new-{path.name}")
@@ -186,14 +262,16 @@ def _kept(path: Path) -> DriveResult:
     return DriveResult(heights=dict(zip(steps, parts, strict=False)), **about)
 
 
-def _counted(results: Sequence[DriveResult], margin: MarginCalibration, ceiling: Ceiling) -> dict[str, Any]:
+def _counted(
+    results: Sequence[DriveResult], tables: Mapping[str, Mapping[str, float]], ceiling: Ceiling
+) -> dict[str, Any]:
     """By kind of barrier: the share of steps that each margin covered, and of drives in which it covered every step."""
     drives = [item.heights for item in results]
     rows: dict[str, Any] = {}
-    for kind in margin.epsilon:
+    for kind in tables[KINDS[0]]:
         near = sum(len(ceiling.errors(kind, heights[kind])) > 0 for heights in drives if kind in heights)
         rows[kind] = {"drives": len(drives), "drives_near": near}
-        for name, table in (("conformal", margin.epsilon), ("drive", margin.drive)):
+        for name, table in tables.items():
             rows[kind][name] = _covered(covered_shares(drives, kind, table[kind], ceiling), table[kind])
     return {"covered": rows}
 
@@ -221,12 +299,26 @@ def _driving(results: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
         "goals_a_minute": mean_interval(goals),
         "statuses": dict(sorted(statuses.items())),
         "least_h": min(item.least_h for item in results),
-        "layer": {
-            "stays": sum(item.layer["stays"] for item in results),
-            "longest_seconds": max(item.layer["longest"] * seconds / item.ticks for item in results),
-            "fall": max(item.layer["fall"] for item in results),
-            "errors": max(item.layer["errors"] for item in results),
-            "least_rise": min(item.layer["least_rise"] for item in results),
-            "depth": max(item.layer["depth"] for item in results),
-        },
     }
+
+
+def _layers(
+    results: Sequence[DriveResult], seconds: float, epsilon: Mapping[str, float], eta: float
+) -> dict[str, dict[str, float]]:
+    """By kind of barrier: the stays of its least h in its boundary layer 0 <= h < epsilon / eta, over all drives."""
+    rows: dict[str, dict[str, float]] = {}
+    for kind, margin in epsilon.items():
+        stays: list[tuple[Stay, float]] = []
+        for item in results:
+            hoped, measured = item.heights.get(kind, np.zeros((0, 4))).T[:2].tolist()
+            found = stays_in_layer(measured[:-1], hoped[1:], [margin / eta] * len(hoped[1:]))
+            stays += [(stay, stay.ticks * seconds / item.ticks) for stay in found]
+        rows[kind] = {
+            "depth": margin / eta,
+            "stays": len(stays),
+            "longest_seconds": max((length for _, length in stays), default=0.0),
+            "fall": max((stay.fall for stay, _ in stays), default=0.0),
+            "errors": max((stay.errors for stay, _ in stays), default=0.0),
+            "least_rise": min((stay.least_rise for stay, _ in stays), default=0.0),
+        }
+    return rows

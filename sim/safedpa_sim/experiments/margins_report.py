@@ -6,7 +6,7 @@ from typing import Any
 
 __all__ = ["margins_page"]
 
-_NAMES = {"conformal": "step", "drive": "drive"}
+_NAMES = {"conformal": "step", "drive": "drive", "shipped": "shipped before"}
 
 
 def margins_page(result: dict[str, Any], command: str, date: str) -> str:
@@ -24,6 +24,8 @@ def _coverage(result: dict[str, Any]) -> list[str]:
     ]
     for name, kind, fresh in _fresh(result):
         for barrier, counted in fresh["covered"].items():
+            if kind not in counted:  # nothing shipped that covers this one
+                continue
             one = counted[kind]
             steps = _share(one["steps"], one["steps_95"])
             lines.append(
@@ -50,16 +52,16 @@ def _driving(result: dict[str, Any]) -> list[str]:
 
 def _layer(result: dict[str, Any]) -> list[str]:
     lines = [
-        "| robot | margin of a | stays in the boundary layer | longest, s | depth at most | h fell by at most "
+        "| robot | barrier | margin of a | depth of the boundary layer | stays in it | longest, s | h fell by at most "
         "| errors of one stay | least rise promised |",
-        "|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, kind, fresh in _fresh(result):
-        of = fresh["layer"]
-        lines.append(
-            f"| {name} | {_NAMES[kind]} | {of['stays']} | {of['longest_seconds']:.2f} | {of['depth']:.4f} "
-            f"| {of['fall']:.4f} | {of['errors']:.4f} | {of['least_rise']:.4f} |"
-        )
+        for barrier, of in fresh.get("layer", {}).items():
+            lines.append(
+                f"| {name} | {barrier} | {_NAMES[kind]} | {of['depth']:.4f} | {of['stays']} "
+                f"| {of['longest_seconds']:.2f} | {of['fall']:.4f} | {of['errors']:.4f} | {of['least_rise']:.4f} |"
+            )
     return lines
 
 

@@ -28,8 +28,8 @@ from safedpa.diagnosis.windows import windows_of
 from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
 from safedpa.records.run import Run
-from safedpa_sim.experiments.real_logs_data import BALLS, CAR, PENDULUM, ball_runs, mapped_runs, paths_of
-from safedpa_sim.experiments.real_logs_targets import targets_of
+from safedpa_sim.experiments.real_logs_data import BALLS, CAR, OTHER_DAY, PENDULUM, ball_runs, mapped_runs, paths_of
+from safedpa_sim.experiments.real_logs_targets import folds_target, targets_of
 
 __all__ = ["PARTS", "RealLogs", "real_logs_experiment"]
 
@@ -76,10 +76,12 @@ def real_logs_experiment(
         rows.append(row)
         tell(done + 1, len(jobs))
     left_out = [row for row in rows if row["part"] == "car" and row["name"]]
+    together = _together(left_out)
     return {
         **_circumstances(),
         "parts": list(experiment.parts),
-        "targets": targets_of(rows),
+        "targets": [*targets_of(rows), *([folds_target(together)] if together is not None else [])],
+        "folds_together": together,
         "stable_names": _stable(left_out),
         "rows": rows,
     }
@@ -120,7 +122,10 @@ def _car(job: _Job) -> dict[str, Any]:
     own = [run for path, run in zip(paths, runs, strict=True) if path.name != job.name]
     unseen = [run for path, run in zip(paths, runs, strict=True) if path.name == job.name]
     report = diagnose(model, own, _HORIZON["car"])
-    return {**_summary(report), **(_unseen(report, unseen[0]) if unseen else {})}
+    if unseen:
+        return {**_summary(report), **_unseen(report, unseen[0])}
+    others = mapped_runs(paths_of(job.folder, OTHER_DAY), model, "dart_car_columns")
+    return {**_summary(report), "other_days": [{"name": run.name, **_unseen(report, run)} for run in others]}
 
 
 def _unseen(report: Report, run: Run) -> dict[str, Any]:
@@ -188,6 +193,12 @@ def _summary(report: Report) -> dict[str, Any]:
 
 def _short(value: float) -> float:
     return float(f"{value:.4g}")
+
+
+def _together(left_out: list[dict[str, Any]]) -> float | None:
+    """By how much the errors on the logs that were left out fall, all of them added up; None where there are none."""
+    before, after = (sum(row[f"unseen_{when}"] for row in left_out) for when in ("before", "after"))
+    return round(after / before - 1.0, 4) if left_out and before > 0 else None
 
 
 def _stable(left_out: list[dict[str, Any]]) -> dict[str, int]:

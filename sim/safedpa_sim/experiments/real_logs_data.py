@@ -18,10 +18,12 @@ from safedpa.records.column_map import native_map
 from safedpa.records.run import Run
 from safedpa.records.run_of_rows import run_of_rows
 
-__all__ = ["BALLS", "CAR", "PENDULUM", "ball_runs", "mapped_runs", "paths_of"]
+__all__ = ["BALLS", "CAR", "OTHER_DAY", "PENDULUM", "ball_runs", "mapped_runs", "paths_of"]
 
-CAR = "car_1_Datarecording_*.csv"
+CAR = "car_1_Datarecording_09_16_2024_*.csv"
 """Lorenzo-Lyons/DART, System_identification/Data/91_free_driving_16_sept_2024."""
+OTHER_DAY = "car_1_Datarecording_09_27_2024_*.csv"
+"""The same repository, ROS_packages/racecar_pkg/src/Data: the same car in circles eleven days later."""
 PENDULUM = "data_measured.csv"
 """dfki-ric-underactuated-lab/torque_limited_simple_pendulum, results."""
 BALLS = "ball_drops.csv"

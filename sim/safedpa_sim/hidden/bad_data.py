@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -130,8 +130,8 @@ BAD: Final[Mapping[str, Bad]] = {
 """By name. ``same_twice`` is to be given beside the log that it is a copy of; ``percent`` is of a throttle."""
 
 
-def write_bad_files(log: Path, folder: Path) -> dict[str, Path]:
-    """Writes each of ``BAD`` made from a good log of a car in native columns into a folder; the files by name.
+def write_bad_files(log: Path, folder: Path, faults: Sequence[str] = tuple(BAD)) -> dict[str, Path]:
+    """Writes each of ``faults`` made from a good log of a car in native columns into a folder; the files by name.
 
     Raises InputError where the log has other columns.
     """
@@ -143,7 +143,7 @@ def write_bad_files(log: Path, folder: Path) -> dict[str, Path]:
     table = {name: values[:, index].copy() for index, name in enumerate(names)}
     folder.mkdir(parents=True, exist_ok=True)
     found = {}
-    for name, bad in BAD.items():
+    for name, bad in ((name, BAD[name]) for name in faults):
         if name == "percent" and "throttle" not in table:
             continue
         found[name] = folder / f"{name}.csv"

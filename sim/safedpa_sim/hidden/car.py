@@ -27,6 +27,8 @@ _HOME = 4.0
 """m from the origin at which the driver turns back."""
 _LATERAL = 6.0
 """m/s2; the driver steers no more than that at the speed he drives."""
+_ENDS = (("above", -np.inf), ("below", np.inf))
+"""Borders of a region, and where there is none."""
 _FARTHEST_STEER = 10.0
 """rad; stops that no steer reaches."""
 
@@ -49,7 +51,7 @@ class _Cars:
         self.actions = np.zeros((len(lanes), self.rows, 2))
         self._read_command_effects()
         self._read_forces()
-        self._read_patch()
+        self._read_laws()
 
     def _read_command_effects(self) -> None:
         lanes = self.lanes
@@ -77,7 +79,7 @@ class _Cars:
         towed = gathered(lanes, "towed_load", "mass_ratio")
         self.train_mass = 1.0 + towed
         self.floor = gathered(lanes, "rolling_resistance", "deceleration")
-        self.floor = self.floor + towed * gathered(lanes, "towed_load", "deceleration")
+        self.hitched = towed * gathered(lanes, "towed_load", "deceleration")
         self.emf = gathered(lanes, "back_emf", "coefficient")
         self.sag = gathered(lanes, "battery_sag", "rate")
         self.understeer = gathered(lanes, "understeer", "gradient")
@@ -86,17 +88,27 @@ class _Cars:
         self.drift_y = gathered(lanes, "crosswind_drift", "vy")
         self.scale = gathered(lanes, "speed_sensor_scale", "scale", 1.0)
 
-    def _read_patch(self) -> None:
-        far = (0.0, 0.0, -1.0, 0.0)
-        patches = np.array([lane.patch or far for lane in self.lanes])
-        self.patch_x, self.patch_y, self.patch_radius, self.patch_pull = patches.T
+    def _read_laws(self) -> None:
+        """Where and when numbers hold, and how they change: what no lane has is everywhere, always, and constant."""
+        lanes = self.lanes
+        self.floor_per_time = gathered(lanes, "rolling_resistance", "deceleration_per_time")
+        self.floor_x = [gathered(lanes, "rolling_resistance", f"x_{end}", at) for end, at in _ENDS]
+        self.floor_y = [gathered(lanes, "rolling_resistance", f"y_{end}", at) for end, at in _ENDS]
+        self.floor_at_x = gathered(lanes, "rolling_resistance", "at_x")
+        self.floor_at_y = gathered(lanes, "rolling_resistance", "at_y")
+        self.floor_radius = gathered(lanes, "rolling_resistance", "radius", np.inf)
+        self.command_per_time = gathered(lanes, "speed_command_gain", "gain_per_time")
+        self.steer_per_time = gathered(lanes, "steering_gain", "gain_per_time")
+        self.steer_per_speed = gathered(lanes, "steering_gain", "gain_per_abs_speed")
+        self.steer_above = gathered(lanes, "steering_gain", "abs_speed_above", -np.inf)
 
     def run(self) -> Trajectories:
         states = np.empty((len(self.lanes), self.rows, 4))
         for row in range(self.rows):
             self.actions[:, row] = self._driver(row)
             if row == 0:
-                self.drive_felt, self.steer_felt = self._scaled_drive(self.actions[:, 0, 0]), self._first_steer()
+                self.drive_felt = self._scaled_drive(self.actions[:, 0, 0], 0.0)
+                self.steer_felt = self._steer_scale(0.0) * self.actions[:, 0, 1]
             states[:, row] = np.stack([self.x, self.y, self.yaw, self.scale * self.speed], axis=1)
             for step in range(self.substeps):
                 self._substep(row, step)
@@ -129,11 +141,14 @@ class _Cars:
         self.yaw = self.yaw + 0.5 * STEP * (first[2] + second[2])
         free = self.speed + 0.5 * STEP * (first[3] + second[3])
         # dry friction takes off as much as it can and never turns a motion round: at rest it holds
-        self.speed = np.sign(free) * np.maximum(np.abs(free) - STEP * self._friction(), 0.0)
+        self.speed = np.sign(free) * np.maximum(np.abs(free) - STEP * self._friction(now * STEP), 0.0)
 
-    def _friction(self) -> Floats:
-        inside = np.hypot(self.x - self.patch_x, self.y - self.patch_y) < self.patch_radius
-        return np.asarray((self.floor + np.where(inside, self.patch_pull, 0.0)) / self.train_mass)
+    def _friction(self, seconds: float) -> Floats:
+        inside = np.hypot(self.x - self.floor_at_x, self.y - self.floor_at_y) < self.floor_radius
+        for at, ends in ((self.x, self.floor_x), (self.y, self.floor_y)):
+            inside &= (at > ends[0]) & (at < ends[1])
+        pull = np.maximum(self.floor + self.floor_per_time * seconds, 0.0)
+        return np.asarray((np.where(inside, pull, 0.0) + self.hitched) / self.train_mass)
 
     def _rates(
         self, yaw: Floats, speed: Floats, drive: Floats, steer: Floats, fresh: Floats, noise: Floats
@@ -152,8 +167,8 @@ class _Cars:
 
     def _felt(self, now: int) -> tuple[Floats, Floats]:
         """Drive and steer that the mechanics feel during step ``now``: scale, delay, lag, linkage."""
-        drive = self._scaled_drive(self._sent(0, now - self.drive_delay))
-        steer = self.steer_gain * self._sent(1, now - self.steer_delay)
+        drive = self._scaled_drive(self._sent(0, now - self.drive_delay), now * STEP)
+        steer = self._steer_scale(now * STEP) * self._sent(1, now - self.steer_delay)
         before_drive, before_steer = self.drive_felt, self.steer_felt
         self.drive_felt = before_drive + self.drive_follow * (drive - before_drive)
         self.steer_felt = before_steer + self.steer_follow * (steer - before_steer)
@@ -167,12 +182,14 @@ class _Cars:
         row = np.maximum(step, 0) // self.substeps
         return np.asarray(self.actions[np.arange(len(self.lanes)), row, channel])
 
-    def _scaled_drive(self, drive: Floats) -> Floats:
+    def _scaled_drive(self, drive: Floats, seconds: float) -> Floats:
         dead = np.sign(drive) * np.maximum(np.abs(drive) - self.dead_zone, 0.0)
-        return np.where(self.throttle, dead, self.command_gain * drive)
+        return np.where(self.throttle, dead, (self.command_gain + self.command_per_time * seconds) * drive)
 
-    def _first_steer(self) -> Floats:
-        return self.steer_gain * self.actions[:, 0, 1]
+    def _steer_scale(self, seconds: float) -> Floats:
+        size = np.abs(self.speed)
+        gain = self.steer_gain + self.steer_per_time * seconds + self.steer_per_speed * size
+        return np.where(size > self.steer_above, gain, 1.0)
 
 
 def _steps(seconds: Floats) -> NDArray[np.int64]:

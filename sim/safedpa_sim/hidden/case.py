@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 __all__ = ["ABSORBED", "Case", "equals_of", "truth_of"]
@@ -23,17 +23,21 @@ class Case:
     drive: Literal["speed_servo", "throttle"] = "speed_servo"
     hard: bool = False
     """Coloured disturbance, three times the noise, lost rows, tracking glitches, gain 10 % off and free."""
-    patch: bool = False
-    """A round patch of floor with resistance of its own, which no effect of the library describes."""
+    laws: Mapping[str, str] = field(default_factory=dict)
+    """By hidden effect, where it acts or how its number varies, as a model file says it: ``where x above``; the law's
+    numbers stand with the effect's."""
     load: str | None = None
     """Driven by the pymunk car with this load hitched, instead of the integrator."""
     runs: int = 6
     seconds: float = 40.0
+    fault: str | None = None
+    """One of ``BAD``: the first run is spoiled so."""
 
     @property
     def name(self) -> str:
         """Suite, hidden effects and seed, fit for a folder."""
-        return "-".join([self.suite, *(self.effects or ("patch" if self.patch else "nothing",)), str(self.seed)])
+        what = self.effects or (self.fault or "nothing",)
+        return "-".join([self.suite, *what, str(self.seed)])
 
 
 _DELAYS = {"actuator_delay": ("steering_delay", "drive_delay")}
@@ -55,7 +59,7 @@ ABSORBED = ("payload",)
 """What a free gain of the servo takes up whole: k / (1 + mass_ratio)."""
 
 
-PYMUNK_CAR = ("drive_lag", "quadratic_drag", "rolling_resistance", "steering_lag", "tyre_slip", "understeer")
+PYMUNK_CAR = ("drive_lag", "steering_lag", "tyre_slip", "understeer")
 """What the pymunk car has by itself and its given model has not: naming it is not wrong."""
 
 
@@ -76,7 +80,7 @@ def truth_of(case: Case) -> dict[str, Any]:
         "seed": case.seed,
         "robot": case.robot,
         "hard": case.hard,
-        "patch": case.patch,
+        "laws": dict(case.laws),
         "load": case.load,
         "effects": {name: dict(parameters) for name, parameters in case.effects.items()},
         "equals": {name: list(equals_of(case, name)) for name in case.effects},

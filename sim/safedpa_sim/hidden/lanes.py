@@ -26,8 +26,6 @@ class Lane:
     gain: float
     """1/s of the speed servo, m/s2 of the throttle; unused by a pendulum."""
     throttle: bool = False
-    patch: tuple[float, float, float, float] | None = None
-    """x, y, radius [m] of a round patch and its extra deceleration [m/s2]."""
     disturbance: Floats | None = None
     """(rows, 2): acceleration [m/s2] and yaw rate [rad/s] (pendulum: rad/s2 and nothing) that nobody commanded."""
 

@@ -42,6 +42,7 @@ class _Pendulums:
         lag = np.maximum(gathered(lanes, "torque_lag", "time_constant"), 1e-6)
         self.follow = np.asarray(1.0 - np.exp(-STEP / lag))
         self.gain = gathered(lanes, "torque_gain", "gain", 1.0)
+        self.gain_per_rate = gathered(lanes, "torque_gain", "gain_per_abs_rate")
         self.offset = gathered(lanes, "torque_offset", "offset")
         self.play = 0.5 * gathered(lanes, "backlash", "width")
         self._read_loads()
@@ -65,7 +66,7 @@ class _Pendulums:
             wanted = np.array([lane.commands.drive[row] for lane in self.lanes])
             self.torques[:, row] = wanted - _DAMPING * self.rate
             if row == 0:
-                self.lagged = self.gain * self.torques[:, 0]
+                self.lagged = self._scale() * self.torques[:, 0]
                 self.geared = self.lagged + self.offset
             states[:, row] = np.stack([self.angle + self.shown, self.rate], axis=1)
             for step in range(self.substeps):
@@ -95,9 +96,13 @@ class _Pendulums:
     def _felt(self, now: int) -> Floats:
         """The torque at the pivot during step ``now``: gain, delay, lag, offset, play."""
         row = np.maximum(now - self.delay, 0) // self.substeps
-        sent = self.gain * self.torques[np.arange(len(self.lanes)), row]
+        sent = self._scale() * self.torques[np.arange(len(self.lanes)), row]
         before = self.lagged
         self.lagged = before + self.follow * (sent - before)
         at_motor = np.where(self.follow < 1.0, 0.5 * (before + self.lagged), self.lagged) + self.offset
         self.geared = np.clip(self.geared, at_motor - self.play, at_motor + self.play)
         return self.geared
+
+    def _scale(self) -> Floats:
+        """What the motor makes of a torque; never of the other sign."""
+        return np.asarray(np.maximum(self.gain + self.gain_per_rate * np.abs(self.rate), 0.0))

@@ -9,7 +9,9 @@ from typing import Final
 import numpy as np
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa_sim.hidden.bad_data import BAD
 from safedpa_sim.hidden.case import Case
+from safedpa_sim.hidden.laws import LAWS
 from safedpa_sim.hidden.strengths import CAR_EFFECTS, PENDULUM_EFFECTS
 from safedpa_sim.robots.loads import LOADS
 
@@ -101,11 +103,6 @@ def _none_hard(index: int, seed: int) -> Case:
     return Case("none_hard", seed, {}, drive="throttle" if index % 4 == 3 else "speed_servo", hard=True)
 
 
-def _patch(index: int, seed: int) -> Case:
-    del index
-    return Case("patch", seed, {}, patch=True)
-
-
 def _pendulum(index: int, seed: int) -> Case:
     name = list(PENDULUM_EFFECTS)[index % len(PENDULUM_EFFECTS)]
     effects = {name: PENDULUM_EFFECTS[name].drawn(np.random.default_rng(seed))}
@@ -118,6 +115,12 @@ def _towing(index: int, seed: int) -> Case:
     return Case("towing", seed, hidden, load=load.name)
 
 
+def _bad(index: int, seed: int) -> Case:
+    fault = list(BAD)[index % len(BAD)]
+    throttle = fault == "percent" or (index // len(BAD)) % 2 == 1
+    return Case("bad", seed, {}, drive="throttle" if throttle else "speed_servo", runs=3, fault=fault)
+
+
 SUITES: Final[dict[str, Callable[[int, int], Case]]] = {
     "ordinary": _ordinary,
     "fifth": _fifth,
@@ -126,9 +129,11 @@ SUITES: Final[dict[str, Callable[[int, int], Case]]] = {
     "hard": _hard,
     "none": _none,
     "none_hard": _none_hard,
-    "patch": _patch,
     "pendulum": _pendulum,
     "towing": _towing,
+    **LAWS,
+    "bad": _bad,
 }
 """By name: the case with a number and a seed. One effect in turn at ordinary strength or a fifth of it, or in hard
-logs; two or three drawn ones; nothing; a patch of floor; a pendulum's; the pymunk car with a chair hitched."""
+logs; two or three drawn ones; nothing; a pendulum's; the pymunk car with a chair hitched; effects in a place, that sag,
+and with the speed; nothing, but one of the runs gone bad."""

@@ -6,10 +6,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
 
+from safedpa_sim.hidden.bad_data import BAD, write_bad_files
 from safedpa_sim.hidden.car import ACCELERATION_LIMIT, WHEELBASE, simulate_cars
 from safedpa_sim.hidden.case import Case, truth_of
 from safedpa_sim.hidden.excitation import car_commands, pendulum_commands
@@ -18,13 +20,12 @@ from safedpa_sim.hidden.pendulum import GRAVITY, LENGTH, MASS, simulate_pendulum
 from safedpa_sim.hidden.sensor import measured
 from safedpa_sim.hidden.strengths import LARGEST_STEER
 from safedpa_sim.hidden.towing import drive_towing
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 
-__all__ = ["PATCH", "PERIOD", "Log", "write_case", "write_cases"]
+__all__ = ["PERIOD", "Log", "write_case", "write_cases"]
 
 PERIOD: Final[dict[str, float]] = {"car": 0.05, "pendulum": 0.02}
 """s between rows."""
-PATCH: Final = (1.8, 0.8, 1.5, 1.2)
-"""x, y, radius [m] and extra deceleration [m/s2] of the rough patch: a carpet."""
 
 _SERVO_GAIN = 3.0
 """1/s in the given model."""
@@ -113,7 +114,6 @@ def _lane(case: Case, run: int) -> Lane:
         start=tuple(float(value) for value in start),
         gain=_true_gain(case),
         throttle=case.drive == "throttle",
-        patch=PATCH if case.patch else None,
         disturbance=markov(random, rows, period, _COLOURED[case.robot]) if case.hard else None,
     )
 
@@ -134,8 +134,19 @@ def _write(case: Case, folder: Path, runs: Sequence[tuple[Floats, Floats]]) -> L
     log.model.write_text(_model(case), encoding="utf-8")
     for number, (states, actions) in enumerate(runs):
         _write_run(case, folder / "given" / f"run_{number + 1}.csv", number, states, actions)
+    if case.fault is not None:
+        _spoil(log, case.fault)
     log.truth.write_text(json.dumps(truth_of(case), indent=1) + "\n", encoding="utf-8")
     return log
+
+
+def _spoil(log: Log, fault: str) -> None:
+    """Puts the bad file in the place of the first run; beside it where it is a copy of it."""
+    good = log.runs[0]
+    with TemporaryDirectory() as folder:
+        bad = write_bad_files(good, Path(folder), (fault,))[fault].read_text(encoding="utf-8")
+    copy = BAD[fault].kind == "same_recording"
+    (good.with_name(f"run_{log.case.runs + 1}.csv") if copy else good).write_text(bad, encoding="utf-8")
 
 
 def _write_run(case: Case, path: Path, number: int, states: Floats, actions: Floats) -> None:
@@ -153,13 +164,23 @@ def _model(case: Case) -> str:
         base = [f"length = {LENGTH}", f"mass = {MASS}", f"gravity = {GRAVITY}"]
         return _toml("pendulum", "rigid_pendulum", base)
     if case.load is not None:
-        servo = ["speed_gain = 5.0", "acceleration_limit = 4.5"]
-        return _toml("car", "kinematic_bicycle", ['drive = "speed_servo"', f"wheelbase = {WHEELBASE}", *servo])
+        return _measured_car()
     if case.drive == "throttle":
         own = [f"drive_gain = {_setting(_DRIVE_GAIN, case.hard)}"]
     else:
         own = [f"speed_gain = {_setting(_SERVO_GAIN, case.hard)}", f"acceleration_limit = {ACCELERATION_LIMIT}"]
     return _toml("car", "kinematic_bicycle", [f'drive = "{case.drive}"', f"wheelbase = {WHEELBASE}", *own])
+
+
+def _measured_car() -> str:
+    """The pymunk car as it is without a load, but for what its actuators and tyres do late and sideways."""
+    car = CAR_PARAMETERS
+    servo = [f"speed_gain = {car.servo_gain}", f"acceleration_limit = {car.servo_limit}"]
+    known = []
+    for line in (f"rolling_resistance.deceleration = {car.rolling}", f"quadratic_drag.coefficient = {car.drag}"):
+        name, number = line.split(".", 1)
+        known += ["", "[[effects]]", f'name = "{name}"', number]
+    return _toml("car", "kinematic_bicycle", ['drive = "speed_servo"', f"wheelbase = {WHEELBASE}", *servo, *known])
 
 
 def _setting(value: float, free: bool) -> str:

@@ -53,7 +53,7 @@ def ground_simulator(configuration: Configuration, runs: Sequence[Run], tell: Te
     report = diagnose(
         _to_be_mended(configuration),
         _first(runs, _ROWS),
-        tell=lambda done, everything: tell("3", done, everything, "diagnosis of the simulator"),
+        tell=lambda done, every, said: tell("3", done, every, f"diagnosis of the simulator; {said}"),
     )
     too_few = report.verdict == "undecided" and report.unexplained is not None
     if too_few or (report.verdict == "unexplained" and not report.added):

@@ -19,7 +19,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.errors import InputError
+from safedpa.extras import need
 from safedpa.networks import Weights
 from safedpa.networks.layers import layers_of
 from safedpa.networks.weights import STRIDE
@@ -40,12 +40,11 @@ _FEATURES = {"car": ("yaw", "speed"), "pendulum": ("angle", "rate")}
 def export_onnx(weights: Weights, folder: Path) -> tuple[Path, ...]:
     """Writes every network that the weights hold as ``<name>.onnx`` into ``folder``, and returns the paths.
 
-    Raises InputError when the packages for ONNX are not installed.
+    Raises MissingExtraError when the packages for ONNX are not installed.
     """
-    try:
-        import onnx
-    except ImportError as error:
-        raise InputError("--onnx: the package 'onnx' is not installed; say pip install 'safedpa[train]'") from error
+    need("train", what="--onnx")
+    import onnx
+
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name in NETWORKS:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa.extras import need
 from safedpa.networks import Weights
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phase_1a import train_affine
@@ -52,12 +53,8 @@ def stages_of(robot: str) -> dict[str, tuple[Stage, ...]]:
 
 def phase_function(module: str, name: str) -> Callable[..., Any]:
     """A phase's function, imported when it is called: its packages belong to the extra ``train``."""
-    try:
-        found: Callable[..., Any] = getattr(importlib.import_module(f"safedpa_sim.training.{module}"), name)
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"{module.replace('_', ' ')}: the module '{error.name}' is not installed; say pip install 'safedpa[train]'"
-        ) from error
+    need("train", what=module.replace("_", " "))
+    found: Callable[..., Any] = getattr(importlib.import_module(f"safedpa_sim.training.{module}"), name)
     return found
 
 

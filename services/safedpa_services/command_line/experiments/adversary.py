@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -26,6 +27,7 @@ __all__ = ["command"]
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="folder for adversary.json and adversary.md"
 )
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim")
 def command(**options: Any) -> None:
     """Attacks on the safety filter, judged by what shares no code with it.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from safedpa.extras import needs
 from safedpa_services.command_line.options import as_json_option
 
 __all__ = ["command"]
@@ -16,6 +17,7 @@ __all__ = ["command"]
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for the files.")
 @as_json_option
+@needs("diagnosis")
 def command(log: Path, out: Path, as_json: bool) -> None:
     """Spoil a good LOG of a car (CSV, native columns) in twenty ways.
 

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -39,6 +40,7 @@ __all__ = ["command"]
 @click.option("--processes", type=int, default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="folder for table, JSON, figures and finished cells")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("train")
 def command(**options: Any) -> None:
     """SafeDPA and its ablations on the car.
 

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -22,6 +23,7 @@ __all__ = ["command"]
 @click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well, after each scene")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim")
 def command(**options: Any) -> None:
     """Goals reached, collisions and milliseconds a wish.
 

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from safedpa.errors import SafedpaError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -27,6 +28,7 @@ _PIPE_COLUMNS = 120
 @click.option("--keep", type=click.Path(path_type=Path), metavar="DIR", help="keep logs, traces and recordings there")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="folder for faults.json and faults.md")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim")
 def command(**options: Any) -> None:
     """Faults on a fleet of real processes that drives in real time.
 

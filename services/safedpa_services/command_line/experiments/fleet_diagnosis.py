@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -28,6 +29,7 @@ __all__ = ["command"]
 @click.option("--record", type=click.Path(path_type=Path), metavar="FILE.json", help="write the result there as well")
 @click.option("--page", type=click.Path(path_type=Path), metavar="FILE.md", help="write the tables there as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim", "diagnosis")
 def command(**options: Any) -> None:
     """How well the diagnosis of a fleet finds which robots lack what.
 

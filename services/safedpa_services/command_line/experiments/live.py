@@ -9,6 +9,8 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
+from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
 
@@ -16,7 +18,7 @@ _CASES = ("hitch", "headwind", "steering_offset", "nothing", "all")
 
 
 @click.command(name="live")
-@click.option("--case", "case", type=click.Choice(_CASES), default="all", show_default=True, help="what changes")
+@click.option("--case", "case", type=Choice(_CASES), default="all", show_default=True, help="what changes")
 @click.option("--seed", type=int, default=1, show_default=True, help="of the first scene")
 @click.option(
     "--drives", type=int, default=10, show_default=True, help="scenes of each case in which something changes"
@@ -28,6 +30,7 @@ _CASES = ("hitch", "headwind", "steering_offset", "nothing", "all")
 @click.option("--record", type=click.Path(path_type=Path), metavar="FILE.mcap", help="one drive alone, recorded")
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim")
 def command(**options: Any) -> None:
     """Diagnosis beside a driving car, in lockstep.
 

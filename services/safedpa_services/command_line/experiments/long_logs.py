@@ -14,6 +14,8 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError, SafedpaError
+from safedpa.extras import needs
+from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
 
@@ -24,10 +26,11 @@ _KINDS = ("csv", "parquet", "mcap")
 @click.option("--runs", type=int, default=10, show_default=True)
 @click.option("--seconds", type=float, default=3600.0, show_default=True, help="of each run")
 @click.option("--period", type=float, default=0.01, show_default=True, help="seconds between rows")
-@click.option("--kind", "kinds", type=click.Choice(_KINDS), multiple=True, help="of file; may be repeated; default csv")
+@click.option("--kind", "kinds", type=Choice(_KINDS), multiple=True, help="of file; may be repeated; default csv")
 @click.option("--seed", type=int, default=0, show_default=True, help="draws drives and noise")
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim", "diagnosis")
 def command(**options: Any) -> None:
     """How long a diagnosis of hours takes, and how much memory.
 

@@ -9,20 +9,28 @@ from typing import Any
 
 import click
 
+from safedpa.extras import needs
+
 __all__ = ["command"]
 
 
 @click.command(name="margins")
 @click.option("--robot", "robots", multiple=True, help="name of a margin that ships; default: all of them")
-@click.option("--drives", type=int, default=200, show_default=True, help="to calibrate on, for each robot")
+@click.option("--drives", type=int, default=200, show_default=True, help="to calibrate each kind of margin on")
 @click.option("--fresh", type=int, default=200, show_default=True, help="to count on, for each kind of margin")
-@click.option("--kind", "kinds", multiple=True, help="conformal (for a step) or drive: behind which; default: both")
+@click.option(
+    "--kind",
+    "kinds",
+    multiple=True,
+    help="behind which margin: conformal (of a step), drive, shipped; default: conformal, drive",
+)
 @click.option("--seconds", type=float, default=0.0, help="of a drive; default: as each robot has it")
 @click.option("--coverage", type=float, default=0.99, show_default=True, help="of steps, and of drives")
 @click.option("--processes", type=int, default=2, show_default=True)
 @click.option("--minutes", type=float, default=0.0, help="begin no drive after so long; run again to go on")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="folder that keeps every drive")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim")
 def command(**options: Any) -> None:
     """Calibrate the margins of the shipped robots on whole drives, and count what they cover on fresh ones."""
     from safedpa_services.progress import progress
@@ -50,5 +58,7 @@ def command(**options: Any) -> None:
 
 def _asked(options: dict[str, Any]) -> str:
     """The command that makes the same again."""
-    chosen = " ".join(f"--robot {name}" for name in options["robots"])
-    return f"safedpa experiment margins {chosen} --drives {options['drives']} --fresh {options['fresh']} --out FOLDER"
+    chosen = [f"--robot {name}" for name in options["robots"]]
+    chosen += [f"--drives {options['drives']}", f"--fresh {options['fresh']}"]
+    chosen += [f"--kind {kind}" for kind in options["kinds"]]
+    return f"safedpa experiment margins {' '.join(chosen)} --out FOLDER"

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from safedpa.extras import needs
+
 __all__ = ["command"]
 
 
@@ -26,6 +28,7 @@ __all__ = ["command"]
 @click.option("--processes", type=int, default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="folder for tables, JSON and figures")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("train")
 def command(**options: Any) -> None:
     """SafeDPA and its baselines on the inverted pendulum in the wind.
 

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -29,6 +30,7 @@ __all__ = ["command"]
 @click.option("--processes", type=int, default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="folder for tables, JSON and a figure")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("train")
 def command(**options: Any) -> None:
     """A pendulum with half a kilogram more, or a hinge that rubs, which no model was told.
 

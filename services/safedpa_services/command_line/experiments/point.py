@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa.extras import needs
 
 __all__ = ["command"]
 
@@ -30,6 +31,7 @@ _QUICK = {"directions": 8, "episodes": 4, "steps": 500}
 @click.option("--quick", is_flag=True, help="8 directions x 4 episodes of 500 steps")
 @click.option("--out", type=_FOLDER, help="folder for tables, JSON and figures")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("train")
 def command(methods: str | None, quick: bool, out: Path | None, as_json: bool, **options: Any) -> None:
     """SafeDPA and its baselines on the point robot among eight hazards.
 

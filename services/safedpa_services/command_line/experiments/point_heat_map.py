@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from safedpa.extras import needs
+
 __all__ = ["command"]
 
 
@@ -23,6 +25,7 @@ __all__ = ["command"]
 )
 @click.option("--out", type=click.Path(path_type=Path), help="folder for table, JSON and a figure")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("train")
 def command(out: Path | None, as_json: bool, **options: Any) -> None:
     """The point robot near hazards in a wind: the change of h over turn and thrust, by each model.
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from safedpa.extras import needs
+
 __all__ = ["command"]
 
 
@@ -19,6 +21,7 @@ __all__ = ["command"]
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="folder for table and JSON")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("diagnosis")
 def command(hidden: tuple[str, ...], out: Path | None, as_json: bool, **options: Any) -> None:
     """A point robot that a force pushes and whose slides drag, and no model was told.
 

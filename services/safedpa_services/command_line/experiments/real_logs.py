@@ -9,6 +9,8 @@ from typing import Any
 import click
 
 from safedpa.errors import InputError
+from safedpa.extras import needs
+from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
 
@@ -25,7 +27,7 @@ _BALL = Path(__file__).resolve().parents[4] / "docs" / "examples" / "falling_bal
     metavar="DIR",
     help="folder with the recordings: see docs/real-logs.md for where they are",
 )
-@click.option("--part", type=click.Choice(_PARTS), default="all", show_default=True)
+@click.option("--part", type=Choice(_PARTS), default="all", show_default=True)
 @click.option(
     "--ball",
     type=click.Path(path_type=Path),
@@ -35,11 +37,13 @@ _BALL = Path(__file__).resolve().parents[4] / "docs" / "examples" / "falling_bal
 @click.option("--processes", type=int, default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("diagnosis")
 def command(**options: Any) -> None:
     """What diagnosis finds in recordings of real robots.
 
     A 1:10 car (four drives), a torque-limited pendulum (six logs), and balls dropped from a bridge. The car is also
-    diagnosed on every three of its logs, and judged by the fourth, which neither the search nor the fit saw.
+    diagnosed on every three of its logs, and judged by the fourth, which neither the search nor the fit saw, and the
+    model of all four by drives of another day, where they are in the folder.
     """
     from safedpa_services.progress import progress
     from safedpa_sim.experiments.real_logs import PARTS, RealLogs, real_logs_experiment
@@ -72,6 +76,10 @@ def _tell(result: dict[str, Any]) -> None:
     console = Console(highlight=False)
     console.print(_rows(result["rows"]))
     console.print(_targets(result["targets"]))
+    for row in result["rows"]:
+        for other in row.get("other_days", ()):
+            before, after = other["unseen_before"], other["unseen_after"]
+            console.print(f"Another day, {other['name']}: {before:.3f} to {after:.3f}, {after / before - 1.0:+.0%}")
     if result["stable_names"]:
         folds = sum(1 for row in result["rows"] if "unseen_change" in row)
         names = ", ".join(f"{name} {count}/{folds}" for name, count in result["stable_names"].items())

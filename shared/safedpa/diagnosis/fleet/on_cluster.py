@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from safedpa.diagnosis.fleet.workers import available_cores
 from safedpa.dynamics.own import EFFECTS_VARIABLE
 from safedpa.errors import InputError
+from safedpa.extras import need
 
 __all__ = ["on_cluster"]
 
@@ -34,7 +35,7 @@ def on_cluster(
     """Answers in the order in which they are done; ``failed(job, reason)`` for one that raises or kills its process.
 
     ``address``: of a running cluster (``auto``, ``ray://HOST:10001``), or ``local`` for an instance of its own with
-    ``cores``. Raises InputError when Ray is not installed or no cluster answers.
+    ``cores``. Raises MissingExtraError when Ray is not installed, InputError when no cluster answers.
     """
     ray = _started(address, cores)
 
@@ -70,10 +71,9 @@ def _answer(ray: Any, reference: Any, job: Job, failed: Callable[[Job, str], Ans
 def _started(address: str, cores: int | None) -> Any:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anybody
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    try:
-        import ray
-    except ImportError as error:
-        raise InputError("--ray: Ray is not installed; install it with: pip install 'safedpa[cluster]'") from error
+    need("cluster", what="--ray")
+    import ray
+
     own = {name: os.environ[name] for name in (EFFECTS_VARIABLE,) if name in os.environ}
     environment = {"env_vars": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **own}}
     settings: dict[str, Any] = {"runtime_env": environment, "log_to_driver": False, "logging_level": "error"}

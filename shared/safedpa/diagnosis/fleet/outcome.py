@@ -82,9 +82,13 @@ def outcome_of(result: Mapping[str, Any], report: Mapping[str, Any] | None) -> O
     common["unread"] = len(result["unreadable_files"])
     if report is None:
         return Outcome(**common)
-    added = tuple(report["added"])
+    # where and when are a robot's own: a number that holds in one place is not pooled with one that holds everywhere
+    laws = {item["effect"]: item for item in report.get("conditions") or ()}
+    every = set(report["added"])
+    added = tuple(name for name in report["added"] if name not in laws)
     found = tuple(_found(name, report) for name in added)
     rest = report["unexplained"] or {}
+    unexplained = [rest["expression"]] if rest.get("depends_on") else []
     last = _last(report)
     best = max((item["score"] for item in report["candidates"] if item["score"] is not None), default=-math.inf)
     return Outcome(
@@ -93,10 +97,10 @@ def outcome_of(result: Mapping[str, Any], report: Mapping[str, Any] | None) -> O
         evidence=min((_evidence(item, report["robot"]) for item in found), default=best),
         trials=max(1, sum(item["stage"] == 0 for item in report["candidates"])),
         last=last,
-        free={path: _number(item) for path, item in report["parameters"].items() if path.split(".")[0] not in added},
+        free={path: _number(item) for path, item in report["parameters"].items() if path.split(".")[0] not in every},
         error_before=_float(report["stages"][0]["heldout_error"]),
         error_after=_float(report["stages"][-1]["heldout_error"]),
-        unexplained=rest.get("expression", "") if rest.get("depends_on") else "",
+        unexplained="; ".join([item["sentence"] for item in laws.values()] + unexplained),
         depends_on=tuple(rest.get("depends_on", ())),
         findings=len({item["message"] for item in report["data_quality"]}),
     )

@@ -100,7 +100,9 @@ class Forecasts:
         change = np.zeros(len(applied)) if last.action is None else np.abs(applied - last.action)
         ended = []
         for own in last.running:
-            own.state, own.memory = model.advance(own.state, applied, own.memory, own.latent, period=self._period)
+            own.state, own.memory = model.advance(
+                own.state, applied, own.memory, own.latent, period=self._period, time=(tick - 1) * self._period
+            )
             own.summed = own.summed + applied
             own.variation = own.variation + change
             if tick - own.start >= self.steps:

@@ -23,6 +23,7 @@ class BatterySag(RateEffect):
     equation = "drive acceleration *= exp(-rate time)"
     parameters = (Parameter("rate", "1/s", 0.0, 0.1, 0.002),)
     signature = "acceleration residual against the drive that grows with the time since the start"
+    timed = True
     source = "Plett, Battery Management Systems, vol. 1, 2015, ch. 2 (voltage under load falls with charge)"
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102

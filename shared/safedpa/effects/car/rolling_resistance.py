@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
-from safedpa.effects.friction import REST_SPEED, direction_of
+from safedpa.effects.friction import REST_SPEED, resistance
 from safedpa.effects.parameter import Parameter
 
 __all__ = ["RollingResistance"]
@@ -28,6 +28,5 @@ class RollingResistance(RateEffect):
     source = "Gillespie, Fundamentals of Vehicle Dynamics, SAE 1992, ch. 4 (rolling resistance)"
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
-        deceleration = parameters["deceleration"]
-        pull = deceleration * direction_of(context.state["speed"], deceleration, REST_SPEED, context)
+        pull = resistance(rates["speed"], context.state["speed"], parameters["deceleration"], REST_SPEED, context)
         return {**rates, "speed": rates["speed"] - pull}

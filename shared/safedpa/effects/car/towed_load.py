@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
-from safedpa.effects.friction import REST_SPEED, direction_of
+from safedpa.effects.friction import REST_SPEED, resistance
 from safedpa.effects.parameter import Parameter
 
 __all__ = ["TowedLoad"]
@@ -34,6 +34,6 @@ class TowedLoad(RateEffect):
 
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
         ratio = parameters["mass_ratio"]
-        pull = ratio * parameters["deceleration"]
-        pull = pull * direction_of(context.state["speed"], pull, REST_SPEED, context)
+        most = ratio * parameters["deceleration"]
+        pull = resistance(rates["speed"], context.state["speed"], most, REST_SPEED, context, 1.0 + ratio)
         return {**rates, "speed": (rates["speed"] - pull) / (1.0 + ratio)}

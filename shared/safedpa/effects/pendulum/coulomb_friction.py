@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
-from safedpa.effects.friction import REST_RATE, direction_of
+from safedpa.effects.friction import REST_RATE, resistance
 from safedpa.effects.parameter import Parameter
 
 __all__ = ["CoulombFriction"]
@@ -29,5 +29,5 @@ class CoulombFriction(RateEffect):
     def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
         inertia = context.base["mass"] * context.base["length"] * context.base["length"]
         deceleration = parameters["torque"] / inertia
-        direction = direction_of(context.state["rate"], deceleration, REST_RATE, context)
-        return {**rates, "rate": rates["rate"] - deceleration * direction}
+        held = resistance(rates["rate"], context.state["rate"], deceleration, REST_RATE, context)
+        return {**rates, "rate": rates["rate"] - held}

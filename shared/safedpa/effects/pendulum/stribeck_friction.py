@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from safedpa.effects.effect import Context, Named, RateEffect, Stage
-from safedpa.effects.friction import REST_RATE, direction_of
+from safedpa.effects.friction import REST_RATE, resistance
 from safedpa.effects.parameter import Parameter
 
 __all__ = ["StribeckFriction"]
@@ -34,5 +34,5 @@ class StribeckFriction(RateEffect):
         inertia = context.base["mass"] * context.base["length"] * context.base["length"]
         rate, deceleration = context.state["rate"], parameters["torque"] / inertia
         fading = context.operations.exp(-((rate / parameters["fading_rate"]) * (rate / parameters["fading_rate"])))
-        direction = direction_of(rate, deceleration, REST_RATE, context)
-        return {**rates, "rate": rates["rate"] - deceleration * fading * direction}
+        held = resistance(rates["rate"], rate, deceleration, REST_RATE, context)  # at rest nothing has faded
+        return {**rates, "rate": rates["rate"] - fading * held}

@@ -130,7 +130,7 @@ def _many_chunks() -> bytes:
 
 
 def _lz4() -> bytes:
-    import lz4.frame
+    import lz4.frame  # type: ignore[import-untyped]
 
     return _mcap("lz4", lz4.frame.compress(bytes(256 * _MEBI)), 1000)
 

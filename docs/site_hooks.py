@@ -1,0 +1,67 @@
+"""What the site needs beyond the pages: notebooks as pages, and links that lead out of the folder of pages.
+
+mkdocs calls these functions while it builds; ``make docs`` runs it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+__all__ = ["notebook_as_markdown", "on_files", "on_page_markdown"]
+
+ROOT = Path(__file__).resolve().parents[1]
+BESIDE = ("CHANGELOG.md", "CONTRIBUTING.md")
+"""Pages that lie where people look for them first, and are shown on the site, too."""
+
+
+def on_files(files: Files, *, config: Any) -> Files:
+    """Adds the pages beside the folder, and each notebook as a page."""
+    for name in BESIDE:
+        text = (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](").replace("](LICENSE", "](../LICENSE")
+        files.append(File.generated(config, name, content=text))
+    for found in [file for file in files if file.src_uri.endswith(".ipynb")]:
+        text = notebook_as_markdown(json.loads(Path(found.abs_src_path).read_text(encoding="utf-8")))
+        files.remove(found)
+        page = File.generated(config, found.src_uri.replace(".ipynb", ".md"), content=text)
+        files.append(page)
+    return files
+
+
+def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
+    """Links to notebooks lead to their pages; one out of the folder becomes the path that it names."""
+    del config, files
+    depth = page.file.src_uri.count("/")
+    out = "../" * (depth + 1)
+    markdown = markdown.replace(".ipynb)", ".md)")
+    for name in BESIDE:
+        markdown = markdown.replace(f"]({out}{name})", f"]({'../' * depth}{name})")
+    return re.sub(rf"\[([^\]]+)\]\({re.escape(out)}([^)]+)\)", _outside, markdown)
+
+
+def _outside(found: re.Match[str]) -> str:
+    text, path = found[1], found[2]
+    return text if path in text else f"{text} (`{path}`)"
+
+
+def notebook_as_markdown(notebook: dict[str, Any]) -> str:
+    """Cells as Markdown: text as it is, code fenced, printed output as a block of its own, pictures inline."""
+    parts = []
+    for cell in notebook["cells"]:
+        text = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            parts.append(text)
+            continue
+        parts.append(f"```python\n{text}\n```")
+        for output in cell.get("outputs", []):
+            data = output.get("data", {})
+            if "image/png" in data:
+                parts.append(f"![what the cell draws](data:image/png;base64,{''.join(data['image/png']).strip()})")
+            printed = "".join(output.get("text", data.get("text/plain", [])))
+            if printed and "image/png" not in data:
+                parts.append(f"```text\n{printed.rstrip()}\n```")
+    return "\n\n".join(parts) + "\n"

@@ -1,0 +1,35 @@
+"""``safedpa experiment diagnosis-pictures``: the pictures of docs/diagnosis.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from safedpa.errors import InputError
+
+__all__ = ["command"]
+
+_PICTURES = ("missing", "undecided", "rehearse", "condition")
+
+
+@click.command(name="diagnosis-pictures")
+@click.option("--data", type=click.Path(path_type=Path), required=True, metavar="DIR", help="see docs/real-logs.md")
+@click.option("--picture", "names", type=click.Choice(_PICTURES), multiple=True, help="default: all")
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR", help="an existing folder")
+def command(data: Path, names: tuple[str, ...], out: Path) -> None:
+    """Draw what teaches how to read a diagnosis.
+
+    missing: a real pendulum and its candidates. undecided: what twelve seconds of a real car's drive could show.
+    rehearse: effects hidden in the pendulum's own commands. condition: a simulated carpet and where it was found.
+    """
+    from safedpa_services.progress import progress
+    from safedpa_sim.experiments.diagnosis_pictures import PICTURES, diagnosis_pictures
+
+    for what, folder in (("--data", data), ("--out", out)):
+        if not folder.is_dir():
+            raise InputError(f"{what} {folder}: got no folder that exists; make it, or name another one")
+    with progress("experiment diagnosis-pictures") as tell:
+        drawn = diagnosis_pictures(data, out, names or PICTURES, tell)
+    for path in drawn:
+        click.echo(str(path))

@@ -1,0 +1,97 @@
+"""Wheel and source distribution are built, and what a plain installation promises holds in an empty environment."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+FOREIGN = ("torch", "plotly", "rerun", "pymunk", "pyarrow", "jinja2", "nicegui", "matplotlib", "gymnasium")
+"""What the core must not bring. Of scipy nothing is imported; it comes because piqp's metadata ask for it."""
+PYTHONS = [name for name in ("python3.11", "python3.12") if shutil.which(name)]
+
+
+PIP = (sys.executable, "-m", "pip", "--quiet", "--no-input")
+
+
+def _run(*command: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    plain |= {"SAFEDPA_COMPILE": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    words = [str(part) for part in command]
+    return subprocess.run(words, capture_output=True, text=True, check=False, cwd=cwd, env=plain)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> tuple[Path, Path]:
+    """(wheel, source distribution) of the working tree; skips where hatchling can be had from nowhere."""
+    folder = tmp_path_factory.mktemp("built")
+    tools, out = folder / "tools", folder / "out"
+    hatchling = re.search(r"hatchling==[\d.]+", (repository / "pyproject.toml").read_text(encoding="utf-8"))
+    assert hatchling
+    done = _run(*PIP, "install", "--target", tools, hatchling[0])
+    if done.returncode != 0:
+        pytest.skip(f"no package index answers: {done.stderr.strip().splitlines()[-1]}")
+    build = (
+        "import sys; sys.path.insert(0, sys.argv[1]); del sys.argv[1]; from hatchling.cli import hatchling; hatchling()"
+    )
+    done = _run(sys.executable, "-c", build, tools, "build", "-d", out, cwd=repository)
+    assert done.returncode == 0, done.stderr
+    (wheel,), (source,) = out.glob("*.whl"), out.glob("*.tar.gz")
+    return wheel, source
+
+
+def test_the_wheel_holds_all_three_packages_and_what_ships_with_them(built: tuple[Path, Path]) -> None:
+    names = zipfile.ZipFile(built[0]).namelist()
+    assert {name.split("/")[0] for name in names if not name.startswith("safedpa-")} == {
+        "safedpa",
+        "safedpa_services",
+        "safedpa_sim",
+    }
+    endings = {Path(name).suffix for name in names}
+    assert {".toml", ".safetensors", ".typed", ".py"} <= endings
+    assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", ".so"))]
+
+
+def test_the_source_distribution_can_be_built_from(built: tuple[Path, Path]) -> None:
+    with tarfile.open(built[1]) as archive:
+        names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
+    assert {"pyproject.toml", "hatch_build.py", "README.md", "LICENSE", "constraints.txt"} <= names
+    assert not [name for name in names if name.startswith((".venv", "runs/", "build/"))]
+
+
+@pytest.mark.parametrize("interpreter", PYTHONS)
+def test_the_core_installs_into_an_empty_environment_and_the_readme_runs(
+    interpreter: str, built: tuple[Path, Path], repository: Path, tmp_path: Path
+) -> None:
+    done = _run(interpreter, "-m", "venv", "--without-pip", tmp_path / "empty")
+    if done.returncode != 0:
+        pytest.skip(f"{interpreter}: {(done.stderr or done.stdout).strip().splitlines()[-1]}")
+    python = tmp_path / "empty" / "bin" / "python"
+    pip = (*PIP, "--python", python)
+    done = _run(*pip, "install", "--no-compile", "--constraint", repository / "constraints.txt", built[0])
+    if done.returncode != 0 and re.search(r"No matching distribution|Could not fetch|Connection", done.stderr):
+        pytest.skip(f"no package index answers: {done.stderr.strip().splitlines()[-1]}")
+    assert done.returncode == 0, done.stderr
+    listed = _run(python, "-c", f"import importlib.util as u; print([n for n in {FOREIGN!r} if u.find_spec(n)])")
+    assert listed.stdout.strip() == "[]"
+    assert _run(*pip, "uninstall", "--yes", "scipy").returncode == 0
+
+    code = re.findall(r"```python\n(.*?)```", (repository / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    filtered = _run(python, "-c", "import safedpa.safety\n" + code[0], cwd=tmp_path)
+    assert filtered.stdout.startswith("corrected"), filtered.stderr
+    program = python.with_name("safedpa")
+    assert "steering_offset" in _run(program, "effects", "--robot", "car", cwd=tmp_path).stdout
+    asked = _run(program, "up", cwd=tmp_path)
+    assert (asked.returncode, asked.stderr.count("\n")) == (1, 1), asked.stderr
+    assert "pip install 'safedpa[sim]'" in asked.stderr
+    for service in ("adaptation", "policy", "safety_filter", "recorder"):
+        assert _run(python, "-m", f"safedpa_services.{service}", "--help").returncode == 0, service

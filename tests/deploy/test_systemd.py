@@ -1,0 +1,73 @@
+"""The systemd units are sound, and each service understands the options that its file of options gives."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+FOLDER = Path(__file__).resolve().parents[2] / "deploy" / "systemd"
+UNIT = (FOLDER / "safedpa@.service").read_text(encoding="utf-8")
+SERVICES = sorted(path.stem for path in FOLDER.glob("*.env") if path.stem != "loop")
+
+
+def _values(name: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for line in (FOLDER / f"{name}.env").read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            key, _, value = line.partition("=")
+            (found[key],) = shlex.split(value)
+    return found
+
+
+def test_every_service_of_a_loop_has_its_options() -> None:
+    assert SERVICES == ["adaptation", "diagnosis", "policy", "recorder", "router", "safety_filter"]
+    for name in SERVICES:
+        options = _values(name)["OPTIONS"].split()
+        assert name == "router" or options[:2] == ["--role", name]
+
+
+def test_every_service_understands_its_options(tmp_path: Path) -> None:
+    started = {}
+    for name in SERVICES:
+        values = _values("loop") | _values(name)
+        words = f"{values['LOOP']} {values['OPTIONS']}".split()
+        words = [
+            word.replace("/etc/safedpa", str(tmp_path)).replace("/var/lib/safedpa", str(tmp_path)) for word in words
+        ]
+        words.remove("--realtime") if "--realtime" in words else None  # not on a machine that runs tests
+        command = [sys.executable, "-m", f"safedpa_services.{name}", *words]
+        started[name] = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    for name, process in started.items():
+        said, _ = process.communicate(timeout=60)
+        assert process.returncode == 2, (name, said)
+        assert "usage:" not in said, (name, said)
+        assert str(tmp_path / "certificates") in said, (name, said)  # what stops it is that nobody made any
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+def test_systemd_itself_finds_nothing_wrong(tmp_path: Path) -> None:
+    text = UNIT.replace("/opt/safedpa/bin/python", sys.executable).replace("User=safedpa", "User=root")
+    (tmp_path / "safedpa@policy.service").write_text(text, encoding="utf-8")
+    shutil.copy(FOLDER / "safedpa.target", tmp_path)
+    units = [tmp_path / "safedpa@policy.service", tmp_path / "safedpa.target"]
+    plain = {**os.environ, "SYSTEMD_LOG_LEVEL": "warning"}
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", *units], capture_output=True, text=True, check=False, env=plain
+    )
+    about = [line for line in (done.stdout + done.stderr).splitlines() if "safedpa" in line]
+    assert done.returncode == 0 or not about, about
+
+
+@pytest.mark.parametrize(
+    "line", ["NoNewPrivileges=yes", "ProtectSystem=strict", "CapabilityBoundingSet=", "Restart=always", "User=safedpa"]
+)
+def test_a_service_has_no_rights_to_spare_and_comes_back(line: str) -> None:
+    assert line in UNIT.splitlines()

@@ -1,0 +1,88 @@
+"""A carpet on the floor, from logs to the filter: found, told, written, added by name, compared, driven with."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from safedpa.diagnosis.fleet.outcome import outcome_of
+from safedpa.dynamics import load_model
+from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.hidden import Case, write_case
+
+FLOOR = {"deceleration": 0.9, "x_above": 0.4}
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    laws = {"rolling_resistance": "where x above"}
+    case = Case("test", 11, {"rolling_resistance": FLOOR}, laws=laws, runs=4, seconds=30.0)
+    return write_case(case, tmp_path_factory.mktemp("carpet"))
+
+
+def said(arguments, capsys):
+    assert safedpa.run([str(item) for item in arguments]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_add_fits_number_and_border(log, tmp_path, capsys):
+    out = tmp_path / "with.toml"
+    words = ["--where", "x above", "--out", out, "--json"]
+    document = said(["add", log.model, "rolling_resistance", *log.runs, *words], capsys)
+    assert document["sentence"] == "rolling resistance 0.9 m/s2 beyond x = 0.40 m"
+    for name, value in FLOOR.items():
+        entry = document["parameters"][f"rolling_resistance.{name}"]
+        assert abs(entry["value"] - value) < 3.0 * entry["std"]
+    assert document["after"] < 0.15 * document["before"]
+    compared = said(["compare", out, *log.runs, "--out", tmp_path / "compared", "--json"], capsys)
+    assert compared["error"] < 0.02
+    settings = FilterSettings(
+        system="car", action_low=(-3.0, -0.4), action_high=(3.0, 0.4), backup_action=(0.0, 0.0), eta=0.3
+    )
+    filtered = SafetyFilter.for_model(load_model(out), settings, [FunctionBarrier(lambda x: 1.0 - x[3])])
+    before, behind = (filtered.decide(np.array([x, 0.0, 0.0, 0.95]), (3.0, 0.0)) for x in (-2.0, 3.0))
+    assert behind.action[0] - before.action[0] == pytest.approx(0.9 / 3.0, rel=0.05)  # deceleration over the gain
+
+
+def test_a_number_that_varies_is_added_by_name(log, tmp_path, capsys):
+    words = ["--varies", "deceleration with time", "--out", tmp_path / "sag.toml", "--json"]
+    document = said(["add", log.model, "rolling_resistance", *log.runs, *words], capsys)
+    assert "rolling_resistance.deceleration_per_time" in document["parameters"]
+    assert "a second" in document["sentence"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--where", "z above"], "where: got 'z'"),
+        (["--where", "x"], "wanted 'VARIABLE above|below|between'"),
+        (["--where", "x above", "--varies", "deceleration with time"], "got both"),
+        (["--varies", "gain with time"], "varies: got 'gain'"),
+        (["--where", "x above", "--edge", "0"], "wanted a width above 0 m"),
+    ],
+)
+def test_words_that_are_none_are_refused_in_one_line(words, told, log, tmp_path, capsys):
+    out = tmp_path / "none.toml"
+    arguments = ["add", log.model, "rolling_resistance", *log.runs, "--out", out, *words]
+    assert safedpa.run([str(item) for item in arguments]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+@pytest.mark.slow
+def test_diagnose_tells_it_the_right_way_out(log, tmp_path, capsys):
+    document = said(["diagnose", log.model, *log.runs, "--out", tmp_path, "--json"], capsys)
+    assert (document["verdict"], document["added"]) == ("effect_missing", ["rolling_resistance"])
+    (told,) = document["conditions"]
+    assert told["sentence"] == "rolling resistance 0.9 m/s2 beyond x = 0.40 m"
+    assert told["sentence"] in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert 'where = "x above"' in (tmp_path / "model.toml").read_text(encoding="utf-8")
+    costs = {"robot": "a", "status": "diagnosed", "reason": "", "unreadable_files": []}
+    outcome = outcome_of(costs, document)
+    assert outcome.found == ()  # a fleet does not pool it with what acts everywhere
+    assert outcome.unexplained == told["sentence"]

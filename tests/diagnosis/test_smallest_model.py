@@ -1,0 +1,161 @@
+"""The smallest model within one standard error of the best, over whole runs; lateness that a log cannot show."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from safedpa.diagnosis import revision
+from safedpa.diagnosis.actuators import late_commands
+from safedpa.diagnosis.final_numbers import with_form_in_doubt
+from safedpa.diagnosis.fitting import fit
+from safedpa.diagnosis.heldout import HeldoutError, error_with, heldout_of
+from safedpa.diagnosis.judging import feigned_lateness
+from safedpa.diagnosis.search import begun
+from safedpa.diagnosis.shooting import shooting_of
+from safedpa.diagnosis.stages import _that_help
+from safedpa.dynamics import Setting, load_model
+from safedpa.effects import effect
+
+ERRORS = {
+    ("drag",): 0.30,
+    ("lag",): 0.25,
+    ("drag", "lag"): 0.105,
+    ("drag", "slip"): 0.29,
+    ("lag", "slip"): 0.24,
+    ("drag", "lag", "slip"): 0.100,
+}
+
+
+def error_of(names, spread):
+    """A held-out error whose six runs differ by ``spread``."""
+    value = ERRORS[tuple(sorted(names))]
+    by_run = value + spread * np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+    return HeldoutError(value, np.full(4, value), by_run, np.tile(by_run[:, None], 4), by_run, np.zeros((1, 4)))
+
+
+@pytest.mark.parametrize(
+    ("spread", "left"), [(0.001, ["drag", "lag", "slip"]), (0.02, ["drag", "lag"])], ids=["sure", "within_one"]
+)
+def test_what_helps_whole_runs_by_less_than_one_standard_error_is_taken_out(spread, left, monkeypatch):
+    """Without slip 0.105: more than 0.100 + 0.001 / sqrt(5), less than 0.100 + 0.02 / sqrt(5)."""
+    search = SimpleNamespace(added=["drag", "lag", "slip"], candidates=[], shooting=None, without={})
+    search.error = error_of(search.added, spread)
+    monkeypatch.setattr(revision, "refit", lambda _, items: SimpleNamespace(fit=[item.name for item in items]))
+    monkeypatch.setattr(revision, "_feigned", lambda *_: False)
+    monkeypatch.setattr(revision, "error_with", lambda names, *_: error_of(names, spread))
+    library = [SimpleNamespace(name=name) for name in ("drag", "lag", "slip")]
+    monkeypatch.setattr(revision, "known_effects", lambda *_: {item.name: item for item in library})
+    revision.smallest(search, library, None)
+    assert search.added == left
+    assert set(search.without) == set(left)
+
+
+def test_which_commands_an_effect_makes_late():
+    def late(robot, name, *names):
+        return set(late_commands(effect(robot, name), names))
+
+    assert late("car", "steering_lag", "target_speed", "steer") == {"steer"}
+    assert late("car", "actuator_delay", "target_speed", "steer") == {"target_speed", "steer"}
+    assert late("car", "drive_delay", "throttle", "steer") == {"throttle"}
+    assert late("car", "steering_gain", "target_speed", "steer") == set()
+    assert late("car", "quadratic_drag", "target_speed", "steer") == set()
+    assert late("pendulum", "torque_lag", "torque") == {"torque"}
+
+
+@pytest.mark.parametrize(
+    ("have", "name", "seconds", "after", "feigned"),
+    [
+        ({}, "drive_delay", 0.03, 0.095, True),  # less than a row of 0.05 s
+        ({}, "drive_delay", 0.03, 0.080, False),  # clearly there
+        ({}, "drive_delay", 0.12, 0.095, False),
+        ({"steering_lag": 0.1}, "steering_delay", 0.06, 0.095, True),  # late already
+        ({"steering_lag": 0.1}, "actuator_delay", 0.06, 0.095, True),
+        ({"steering_lag": 0.1}, "actuator_delay", 0.06, 0.080, False),
+        ({"steering_lag": 0.1}, "drive_delay", 0.06, 0.095, False),
+        ({}, "understeer", 0.02, 0.095, False),
+    ],
+)
+def test_lateness_that_the_servo_or_another_lateness_may_feign(plain, with_effect, have, name, seconds, after, feigned):
+    model = plain
+    for other, value in have.items():
+        model = with_effect(model, other, time_constant=value)
+    item = effect("car", name)
+    model = model.with_effect(item, {item.parameters[0].name: Setting(seconds)})
+    trial = SimpleNamespace(effects=(name,), fit=SimpleNamespace(model=model))
+    assert feigned_lateness(trial, SimpleNamespace(value=after), SimpleNamespace(value=0.1), 0.05) is feigned
+
+
+@pytest.fixture(scope="module")
+def towing(tmp_path_factory):
+    """The pymunk car with a chair, driven for 6 runs of 40 s."""
+    from safedpa.records import load_run
+    from safedpa_sim.hidden import cases_of, write_case
+
+    log = write_case(cases_of("towing", 1, seed=52)[0], tmp_path_factory.mktemp("towing"))
+    model = load_model(str(log.model))
+    return log, model, [load_run(str(path), model.system) for path in log.runs]
+
+
+def test_doubt_whether_an_effect_acts_is_part_of_the_others_deviation(towing):
+    """A load's mass moves by several of its deviations with a lag of the drive that takes hardly anything off."""
+    _, model, runs = towing
+    shooting, heldout = shooting_of(runs, 1.0), heldout_of(runs, 1.0)
+
+    def fitted(*names):
+        made = model
+        for name in names:
+            made = made.with_effect(
+                effect("car", name), {p.name: Setting(p.typical) for p in effect("car", name).parameters}
+            )
+        own = shooting.around(made)
+        paths = [path for path in made.settings if path.split(".")[0] in names]
+        return fit(made, paths, own, np.full(4, 0.02))
+
+    search = begun(model, shooting, heldout)
+    less, full = fitted("towed_load"), fitted("towed_load", "drive_lag")
+    search.current = SimpleNamespace(fit=full)
+    search.error = error_with(full, search.shooting, heldout)
+    near, clear = search.error, SimpleNamespace(value=2.0 * search.error.value)
+    number = full.paths.index("towed_load.mass_ratio")
+    apart = abs(full.values[number] - less.values[less.paths.index("towed_load.mass_ratio")])
+    own = full.deviations(search.shooting)[number]
+    for error, expected in ((near, np.hypot(own, 0.5 * apart)), (clear, own)):
+        search.without = {"drive_lag": (SimpleNamespace(fit=less), error)}
+        assert with_form_in_doubt(full, search).deviations(search.shooting)[number] == pytest.approx(expected)
+    assert apart > 2.0 * own
+
+
+def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towing):
+    """The report says no number twice with another value."""
+    import json
+
+    from safedpa.diagnosis.diagnose import diagnose
+    from safedpa.diagnosis.report import as_document
+    from safedpa_sim.hidden.judge import judged
+
+    log, model, runs = towing
+    report = diagnose(model, runs)
+    document = as_document(report)
+    outcome = judged("towing", document, json.loads(log.truth.read_text(encoding="utf-8")), None, 0.0)
+    assert outcome.first_named
+    assert outcome.wrong == ()
+    assert max(abs(value) for value in outcome.deviations) < 2.0
+    for item in report.candidates:
+        if item.decision == "accepted" and set(item.effect.split(" + ")) <= set(report.added):
+            for key, value in item.parameters.items():
+                assert value == report.parameters[key if "." in key else f"{item.effect}.{key}"]
+            assert item.heldout_error in [stage.heldout_error for stage in report.stages]
+
+
+def test_what_helps_only_beside_a_later_effect_is_one_stage_with_it():
+    def errors(*by_run):
+        return SimpleNamespace(by_run=np.array(by_run))
+
+    falls = [errors(0.5, 0.5), errors(0.4, 0.5), errors(0.3, 0.4)]
+    assert _that_help(falls) == [0, 1, 2]
+    assert _that_help([errors(0.5, 0.5), errors(0.6, 0.5), errors(0.3, 0.4)]) == [0, 2]
+    assert _that_help([errors(0.5, 0.5), errors(0.4, 0.6), errors(0.4, 0.6), errors(0.3, 0.6)]) == [0, 1, 3]
+    assert _that_help([errors(0.5)]) == [0]

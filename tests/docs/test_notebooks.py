@@ -1,0 +1,34 @@
+"""The notebooks run, and print what stands in them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs"))
+
+from run_notebooks import NOTEBOOKS, run
+
+pytestmark = pytest.mark.slow
+
+
+def test_there_are_three() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["calibrate_a_margin", "diagnose_a_log", "filter_your_own"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_holds_what_its_cells_print(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    monkeypatch.chdir(tmp_path)
+    printed = run(notebook, path.name)
+    codes = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    kept = ["".join("".join(output["text"]) for output in cell["outputs"]) for cell in codes]
+    rounded = path.stem == "diagnose_a_log"  # a fit's last digits are the processor's
+    assert [bool(text) for text in printed] == [bool(text) for text in kept]
+    assert rounded or printed == kept, "run python docs/run_notebooks.py"
+    assert path.stat().st_size < 20_000

@@ -1,0 +1,113 @@
+"""Commands in pages are understood by the command line; the README is short; the glossary has its pictures."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+from safedpa_services.command_line.group import COMMANDS, safedpa
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SYNTAX = re.compile(r"[A-Z]{2,}(\.\.\.)?|\.\.\.|\[|\|")
+"""A line that says what a command takes, no command to type: MODEL, RUN..., [--json]."""
+FAST = ("safedpa effects --robot car", "safedpa --version", "safedpa up --help")
+
+
+def _blocks(text: str) -> Iterator[str]:
+    """Lines of indented blocks, and of fenced ones for a shell."""
+    fence = ""
+    for line in text.splitlines():
+        if line.startswith("```"):
+            fence = "" if fence else line
+            continue
+        if fence in ("```sh", "```bash", "```shell", "```console") or (not fence and line.startswith("    ")):
+            yield line.strip()
+
+
+def _commands() -> Iterator[tuple[str, str]]:
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        name = str(page.relative_to(ROOT))
+        for line in _blocks(text):
+            whole = line.split("   #")[0].split("  # ")[0].strip()
+            if re.match(r"(/opt/safedpa/bin/)?safedpa\b", whole):
+                yield name, whole.removeprefix("/opt/safedpa/bin/")
+        for found in re.findall(r"`(safedpa [a-z][^`]*)`", text):
+            yield name, found
+
+
+FOUND = sorted(set(_commands()))
+
+
+def _parsed(words: list[str]) -> None:
+    """Parses as the command line would, and runs nothing. Raises click's error for what it does not understand."""
+    group: click.Command = safedpa
+    context = click.Context(safedpa, info_name="safedpa")
+    while isinstance(group, click.Group) and words and not words[0].startswith("-"):
+        command = group.get_command(context, words[0])
+        assert command is not None
+        group, words = command, words[1:]
+        context = click.Context(command, info_name=command.name, parent=context)
+    if words[:1] == ["--version"]:
+        return
+    given, _, _ = group.make_parser(context).parse_args([word for word in words if word not in ("-h", "--help")])
+    for item in group.params:
+        value = given.get(item.name or "")
+        if isinstance(item.type, click.Choice) and isinstance(value, str) and not SYNTAX.search(value):
+            item.type.convert(value, item, context)
+
+
+def test_the_pages_hold_commands() -> None:
+    assert len(FOUND) > 100
+    assert {command.split()[1] for _, command in FOUND if len(command.split()) > 1} >= set(COMMANDS) - {"go", "reject"}
+
+
+@pytest.mark.parametrize("page", sorted({page for page, _ in FOUND}))
+def test_every_command_of_a_page_is_understood(page: str) -> None:
+    for where, command in FOUND:
+        if where != page:
+            continue
+        plainly = re.sub(r"\$\([^)]*\)", "FILE", command)
+        words = shlex.split(re.split(r" (?:\||>|&&|;|&) ?", plainly)[0].replace("\\", ""))[1:]
+        plain = [word.strip("[]") for word in words if word not in ("...", "\u2026")]
+        try:
+            _parsed(plain)
+        except click.ClickException as error:
+            pytest.fail(f"{page}: {command}: {error.format_message()}")
+
+
+@pytest.mark.parametrize("command", FAST)
+def test_the_fast_ones_run(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert safedpa.run(command.split()[1:]) == 0
+    assert capsys.readouterr().out
+
+
+def test_the_readme_is_short_and_leads_on() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 90
+    text = "\n".join(lines)
+    for page in ("start", "diagnosis", "own-system", "run-a-fleet", "claims", "glossary", "troubleshooting", "index"):
+        assert f"(docs/{page}.md)" in text, page
+
+
+@pytest.mark.parametrize("page", ["index", "start", "install", "troubleshooting", "glossary", "claims", "gallery"])
+def test_a_page_of_the_front_is_short(page: str) -> None:
+    assert len((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").split()) < 1500
+
+
+def test_each_picture_of_the_glossary_is_drawn_by_its_program(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is an extra")
+    sys.path.insert(0, str(ROOT / "docs"))
+    from draw_glossary import FOLDER, PICTURES, draw
+
+    page = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    kept = {path.stem for path in FOLDER.glob("*.svg")}
+    assert kept == set(PICTURES) == set(re.findall(r"\(pictures/glossary/(\w+)\.svg\)", page))
+    assert draw("h", tmp_path).read_text(encoding="utf-8").startswith("<?xml")

@@ -1,0 +1,120 @@
+"""The site is built without a complaint, every link in it leads somewhere, and nothing of it is fetched."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        find_spec("material") is None or find_spec("mkdocstrings") is None,
+        reason="mkdocs is not installed; say pip install 'safedpa[docs]'",
+    ),
+]
+
+
+class Page(HTMLParser):
+    """What a page refers to, what it fetches by itself, and where one may jump to in it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.fetched: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = {name: value or "" for name, value in attrs}
+        if "id" in found:
+            self.anchors.add(found["id"])
+        if tag == "a" and "href" in found:
+            self.links.append(found["href"])
+        if tag in ("img", "script", "iframe", "source", "video") and found.get("src"):
+            self.fetched.append(found["src"])
+        if tag == "link" and found.get("rel") not in ("canonical", "next", "prev"):
+            self.fetched.append(found.get("href", ""))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> Path:
+    folder = tmp_path_factory.mktemp("site") / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder]
+    plain = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=False, env=plain)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[Path, Page]:
+    return {path: Page(path) for path in sorted(site.rglob("*.html"))}
+
+
+def _inside(pages: dict[Path, Page], which: str) -> Iterator[tuple[Path, str]]:
+    for path, page in pages.items():
+        if path.name != "404.html":
+            yield from ((path, target) for target in getattr(page, which))
+
+
+def test_every_link_leads_to_a_page_and_to_a_place_in_it(pages: dict[Path, Page]) -> None:
+    broken = []
+    for path, target in _inside(pages, "links"):
+        parts = urlsplit(target)
+        if parts.scheme in ("http", "https", "mailto"):
+            continue
+        to = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+        to = to / "index.html" if to.is_dir() else to
+        anchored = not parts.fragment or to not in pages or unquote(parts.fragment) in pages[to].anchors
+        top = parts.fragment in ("", "__skip", "__drawer")
+        if not to.exists() or not (anchored or top):
+            broken.append(f"{path.name}: {target}")
+    assert not broken
+
+
+def test_nothing_is_fetched_from_elsewhere(pages: dict[Path, Page], site: Path) -> None:
+    for path, target in _inside(pages, "fetched"):
+        if target.startswith("data:"):
+            continue
+        assert not urlsplit(target).scheme, f"{path.name} fetches {target}"
+        assert not target.startswith("//"), f"{path.name} fetches {target}"
+        assert (path.parent / urlsplit(target).path).exists(), f"{path.name}: {target}"
+    for sheet in site.rglob("*.css"):
+        assert not re.search(r"(@import|url\()\s*[\"']?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet
+
+
+def test_the_search_finds_pages_opened_as_files(site: Path) -> None:
+    text = (site / "search" / "search_index.js").read_text(encoding="utf-8")
+    entries = json.loads(text.removeprefix("var __index = "))["docs"]
+    for words, page in (("slack", "glossary.html"), ("systemd", "install.html"), ("SafetyFilter", "reference/safety")):
+        assert any(words in entry["text"] + entry["title"] and page in entry["location"] for entry in entries), words
+
+
+def test_every_page_is_in_the_navigation_and_begins_with_its_name(site: Path, repository: Path) -> None:
+    listed = (repository / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in sorted((repository / "docs").rglob("*.md")):
+        assert str(page.relative_to(repository / "docs")) in listed, page
+    built = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")}
+    assert {"index", "glossary", "reference/safety", "notebooks/diagnose_a_log", "CHANGELOG"} <= built
+
+
+def test_the_reference_holds_every_public_name(site: Path, repository: Path) -> None:
+    for page in sorted((repository / "docs" / "reference").glob("*.md")):
+        if page.stem == "index":
+            continue
+        text = (site / "reference" / f"{page.stem}.html").read_text(encoding="utf-8")
+        shown = set(re.findall(r'id="safedpa\.[\w.]*?(\w+)"', text))
+        lazily = {"GymnasiumSafetyFilter", "GymnasiumVectorSafetyFilter"}  # imported when they are asked for
+        public = getattr(importlib.import_module(f"safedpa.{page.stem}"), "__all__", ["diagnose", "compare_model"])
+        assert set(public) - lazily <= shown, page

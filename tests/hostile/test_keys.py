@@ -1,0 +1,156 @@
+"""Keys of a run are gone when it is, whichever way it ended; a copy of one and a revoked one are cut off."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from safedpa.bus import ZenohSettings, ZenohTransport
+from safedpa.bus.access import access_control, roles_of
+from safedpa.bus.authority import HOSTS, Authority
+from safedpa.bus.certificates import Certificates
+from safedpa_services.router.refusals import Refusals
+from safedpa_services.router.router import Revoked, Twins
+from safedpa_services.supervisor.private_folder import private_folder
+
+_HOLDS = """
+import sys, time
+from safedpa_services.supervisor.securing import throw_away_certificates
+with throw_away_certificates("f", "r1") as folder:
+    print(folder, flush=True)
+    time.sleep(60)
+"""
+
+
+def until(true: Callable[[], object], seconds: float = 10.0) -> bool:
+    end = time.monotonic() + seconds
+    while not true():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV, signal.SIGINT])
+def test_the_keys_are_gone_whichever_way_the_run_ends(number: int) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", _HOLDS], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as running:
+        assert running.stdout is not None
+        folder = Path(running.stdout.readline().strip())
+        assert len(list(folder.glob("*.key.pem"))) > 5
+        assert folder.stat().st_mode & 0o077 == 0
+        running.send_signal(number)
+        running.wait()
+        assert until(lambda: not folder.exists())
+
+
+def test_what_a_killed_machine_left_behind_goes_with_the_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with private_folder() as living:
+        forgotten = tmp_path / "safedpa-run-forgotten"
+        shutil.copytree(living, forgotten)
+        (tmp_path / "safedpa-run-of-somebody-else").mkdir()
+        with private_folder() as next_one:
+            assert living.exists(), "another run's"
+            assert next_one.exists()
+            assert not forgotten.exists()
+            assert (tmp_path / "safedpa-run-of-somebody-else").exists(), "it is none of ours: nobody ever held it"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["safedpa-run-of-somebody-else"]
+
+
+def test_no_argument_of_any_process_tells_a_key_or_a_token(tmp_path: Path) -> None:
+    """Arguments are everybody's to read; the environment and the files are this user's."""
+    from safedpa_services.supervisor.plan import Plan
+
+    plan = Plan(
+        robot="car", name="r1", load="none", seconds=1.0, seed=0, rate=20.0, lockstep=False, filtered=True,
+        dashboard=True, model="car", settings="car", margin="", controller="", fleet="fleet",
+        endpoint="tcp/127.0.0.1:1", folder=tmp_path, diagnosis=True, workbench_port=8080,
+    )  # fmt: skip
+    children = [*plan.services(), plan.robot_process()]
+    assert plan.page_token in plan.workbench_address
+    assert any(plan.page_token in child.environment.values() for child in children)
+    assert not any(plan.page_token in argument for child in children for argument in child.arguments)
+    assert plan.page_token not in repr(plan)
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, free_port: int) -> tuple[ZenohTransport, str, Path]:
+    folder = tmp_path / "certificates"
+    authority = Authority(folder, "fleet")
+    for role in roles_of(("r1",)):
+        authority.issue(role, 1.0, HOSTS if role == "router" else ())
+    endpoint = f"tls/127.0.0.1:{free_port}"
+    access = access_control("fleet", ("r1",))
+    settings = ZenohSettings("router", (endpoint,), (), Certificates(folder, "router"), access)
+    return ZenohTransport(settings), endpoint, folder
+
+
+def _member(endpoint: str, folder: Path, role: str) -> ZenohTransport:
+    return ZenohTransport(ZenohSettings("client", (), (endpoint,), Certificates(folder, role)))
+
+
+@pytest.mark.processes
+def test_the_later_one_of_two_with_one_certificate_is_cut_off(fleet: tuple[ZenohTransport, str, Path]) -> None:
+    router, endpoint, folder = fleet
+    first = _member(endpoint, folder, "policy")
+    twins = Twins(router.members, router.cut_off)
+    twins.look()
+    own = {session for session, name in router.members() if name == "policy"}
+    copy = _member(endpoint, folder, "policy")
+    try:
+        for _ in range(4):
+            assert own < {session for session, name in router.members() if name == "policy"}
+            twins.look()
+        assert until(lambda: {session for session, name in router.members() if name == "policy"} == own, 2.0)
+    finally:
+        for transport in (copy, first, router):
+            transport.close()
+
+
+@pytest.mark.processes
+def test_a_revoked_certificate_s_link_ends(fleet: tuple[ZenohTransport, str, Path], tmp_path: Path) -> None:
+    router, endpoint, folder = fleet
+    members = [_member(endpoint, folder, role) for role in ("policy", "robot.r1")]
+    path = tmp_path / "revoked.txt"
+    revoked = Revoked(path, router.members, router.cut_off)
+    try:
+        assert revoked.look() == 0, "there is no such file"
+        path.write_text("# stolen\nrobot.r1\n", encoding="utf-8")
+        assert revoked.look() >= 1
+        assert until(lambda: [name for _, name in router.members()] == ["policy"], 2.0)
+    finally:
+        for transport in (*members, router):
+            transport.close()
+
+
+def test_a_router_that_starts_gives_a_revoked_name_no_right(tmp_path: Path) -> None:
+    import argparse
+
+    from safedpa_services.router.__main__ import REVOKED, _settings
+
+    authority = Authority(tmp_path, "fleet")
+    authority.issue("router", 1.0, HOSTS)
+    (tmp_path / REVOKED).write_text("robot.r1\n", encoding="utf-8")
+    options = argparse.Namespace(
+        fleet="fleet", listen=["tls/127.0.0.1:7447"], connect=[], certificates=tmp_path, role="router", robot=["r1"],
+        link=[], plain=False,
+    )  # fmt: skip
+    settings = _settings(options)
+    assert settings.access is not None
+    with_rights = {subject for policy in settings.access["policies"] for subject in policy["subjects"]}
+    assert "robot.r1" not in with_rights
+    assert "policy" in with_rights
+    assert Refusals().total == 0
+    assert os.path.exists(tmp_path / REVOKED)

@@ -1,0 +1,144 @@
+"""Wrong inputs at the command line: one line each, the cure in it, exit code 2; nothing that was given changes."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from safedpa_services.command_line.group import START, safedpa
+
+CAR = '[base]\nkind = "kinematic_bicycle"\ndrive = "speed_servo"\nwheelbase = 0.32\nacceleration_limit = 4.5\n'
+FILES = {
+    "drive.csv": "t,x,y,yaw,speed,target_speed,steer\n" + "".join(f"{k / 20},{k / 20},0,0,1,1,0\n" for k in range(200)),
+    "foreign.csv": "time,px,py\n0,0,0\n1,1,1\n",
+    "empty.csv": "",
+    "text.csv": "t,x,y,yaw,speed,target_speed,steer\n0,a,0,0,1,1,0\n0.05,b,0,0,1,1,0\n",
+    "bad.toml": "format = 1\nrobot = \n",
+    "old.toml": 'format = 7\nrobot = "car"\n',
+    "key.toml": f'format = 1\nrobot = "car"\n{CAR}speed_gian = 5.0\n',
+    "effect.toml": f'format = 1\nrobot = "car"\n{CAR}speed_gain = 5.0\n[[effects]]\nname = "rolling_resistence"\n',
+    "map.toml": 'format = 1\n[columns]\nx = "posx"\n',
+    "unit.toml": 'format = 1\nrobot = "car"\n[columns]\nx = { from = "x", unit = "metre" }\n',
+}
+
+WRONG = (  # a command line, and what of the cure the line must hold
+    ("diagnos car drive.csv", "did you mean 'diagnose'?"),
+    ("experiment saftey", "did you mean 'safety'?"),
+    ("bench everything", "'safedpa bench --help'"),
+    ("compare cra drive.csv", "did you mean 'car'?"),
+    ("compare kye.toml drive.csv", "did you mean 'key.toml'?"),
+    ("compare key.toml drive.csv", "did you mean 'speed_gain'?"),
+    ("compare effect.toml drive.csv", "did you mean 'rolling_resistance'?"),
+    ("compare bad.toml drive.csv", "at line 2"),
+    ("compare old.toml drive.csv", "wanted 1"),
+    ("compare car drvie.csv", "did you mean 'drive.csv'?"),
+    ("compare car empty.csv", "wanted a recording with a header and rows"),
+    ("compare car foreign.csv", "name a column map"),
+    ("compare car text.csv", "correct or remove the line"),
+    ("compare car drive.csv --columns dart_car_colums", "did you mean 'dart_car_columns'?"),
+    ("compare car drive.csv --columns map.toml", "'car' say in quotes"),
+    ("compare car drive.csv --columns unit.toml", "unknown unit 'metre'"),
+    ("compare car drive.csv --horizon -1", "choose 1, say"),
+    ("compare car drive.csv --horizon soon", "'safedpa compare --help'"),
+    ("compare car drive.csv --horizn 1", "Did you mean '--horizon'?"),
+    ("compare car", "'safedpa compare --help'"),
+    ("compare car drive.csv --out drive.csv", "choose another place with --out"),
+    ("compare pendulum drive.csv", "name a column map"),
+    ("compare car drive.csv --effects nothing.py", "wanted one that defines effects"),
+    ("diagnose car", "wanted recordings of a robot"),
+    ("diagnose car drive.csv --jobs 2", "--fleet"),
+    ("add car rolling_resistence drive.csv --out m.toml", "did you mean 'rolling_resistance'?"),
+    ("add car viscous_friction drive.csv --out m.toml", "belongs to robot 'pendulum'"),
+    ("add car rolling_resistance drive.csv", "'safedpa add --help'"),
+    ("add car rolling_resistance drive.csv --out nowhere/m.toml", "choose another place with --out"),
+    ("predict car drive.csv --horizon 1 --out drive.csv", "or say --force"),
+    ("effects --robot cra", "did you mean 'car'?"),
+    ("up --robot cra", "did you mean 'car'?"),
+    ("up --load chiar", "did you mean 'chair'?"),
+    ("up --change headwnd", "did you mean 'headwind'?"),
+    ("up --controller plannner", "did you mean 'planner'?"),
+    ("up --wind 4", "--robot: pendulum"),
+    ("up --robot pendulum --wind 40", "wanted 0 to 15 m/s"),
+    ("up --robot pendulum --load chair", "--robot: car"),
+    ("up --rate 0", "wanted 1 to 500"),
+    ("up --seconds -3", "wanted 0 (until Ctrl-C) or more"),
+    ("up --model cra", "did you mean 'car'?"),
+    ("up --model dart_car", "wanted a car with target_speed, steer"),
+    ("up --settings crar", "did you mean 'car'?"),
+    ("up --margin carr", "did you mean 'car'?"),
+    ("up --name a/b", "wanted letters, digits"),
+    ("up --secure --listen tcp/0.0.0.0:7447", "docs/security.md"),
+    ("calibrate nothing.mcap --out m.toml", "wanted a recording"),
+    ("export drive.csv --format csv --out o.csv", "wanted a recording of the bus"),
+    ("replay nothing.mcap", "no such file"),
+    ("screenshot nothing.rrd --out p.png", "wanted a recording that the dashboard wrote"),
+    ("train cra", "did you mean 'car'?"),
+    ("bench fleet --robots 0", "wanted 1 to 1000"),
+    ("bench all --only filtr", "did you mean 'filter'?"),
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_there_are_forty() -> None:
+    assert len(dict(WRONG)) >= 40
+
+
+@pytest.mark.parametrize(("line", "cure"), WRONG, ids=[line for line, _ in WRONG])
+def test_a_wrong_input_is_answered_by_one_line_with_its_cure(
+    line: str, cure: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path.name: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+    assert safedpa.run(line.split()) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("safedpa: ")
+    assert said.err.count("\n") == 1
+    assert cure in said.err
+    left = {path.name: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.is_file()}
+    assert left == before
+
+
+def test_without_arguments_it_says_what_to_do_first(capsys: pytest.CaptureFixture[str]) -> None:
+    assert safedpa.run([]) == 0
+    said = capsys.readouterr().out
+    assert said.strip() == START.strip()
+    assert said.index("safedpa up") < said.index("safedpa diagnose")
+    assert max(map(len, said.splitlines())) <= 120
+
+
+def test_the_options_of_up_stand_under_headings_and_none_is_lost(capsys: pytest.CaptureFixture[str]) -> None:
+    from safedpa_services.command_line.up import GROUPS, command
+
+    assert safedpa.run(["up", "--help"]) == 0
+    said = capsys.readouterr().out
+    assert [said.index(f"{heading}:") for heading in GROUPS] == sorted(said.index(f"{heading}:") for heading in GROUPS)
+    for item in command.params:
+        assert item.opts[0] in said
+    assert {name for names in GROUPS.values() for name in names} == {item.name for item in command.params}
+
+
+@pytest.mark.parametrize(
+    ("words", "begun", "wanted"),
+    [
+        (["comp"], "", {"compare"}),
+        (["compare"], "dart", {"dart_car"}),
+        (["add", "pendulum"], "viscous", {"viscous_friction"}),
+        (["up", "--robot"], "p", {"pendulum", "point"}),
+        (["up", "--model"], "car_l", {"car_learned"}),
+    ],
+)
+def test_the_tab_key_knows_commands_models_effects_and_robots(words: list[str], begun: str, wanted: set[str]) -> None:
+    from click.shell_completion import ShellComplete
+
+    given, last = (words[:-1], words[-1]) if not begun else (words, begun)
+    found = ShellComplete(safedpa, {}, "safedpa", "_SAFEDPA_COMPLETE").get_completions(given, last)
+    assert wanted <= {item.value for item in found}
