@@ -59,7 +59,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PIP) --editable '.[test,lint]'
 	@touch $@
 
-audit:  ## known holes in what is pinned, and a bill of materials (build/sbom.json); needs pypi.org
+audit:  ## known holes in what is pinned, and a bill of materials (build/sbom.json); needs the public index
 	@mkdir -p build
 	@$(PYTHON) -m venv build/audit
 	@build/audit/bin/python -m pip install -qq --disable-pip-version-check pip-audit

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SERVICES = ROOT / "services" / "safedpa_services"
-SHARED_BY_SERVICES = {"serving", "nodes"}
+SHARED_BY_SERVICES = {"serving", "nodes", "web"}
 LAUNCHERS = {"command_line", "supervisor", "benchmarks"}
 """What a person starts: these may know the services and the simulator."""
 HEAVY = {"torch", "rerun", "plotly", "scipy", "pandas", "matplotlib"}

@@ -68,3 +68,16 @@ def test_a_pendulum_under_less_torque_than_its_friction_stands():
     for _ in range(50):
         state, _ = model.advance(state, np.array([0.0]), ())
     np.testing.assert_allclose(state, [np.pi + 0.05, 0.0], atol=1e-12)
+
+
+def test_what_turns_a_motion_back_does_not_turn_the_friction_before_it():
+    """A pendulum that climbs: friction works against it until it turns, however hard gravity pulls."""
+    from safedpa.effects.effect import Context
+    from safedpa.effects.friction import REST_RATE, resistance
+    from safedpa.operations import FLOATS
+
+    context = Context({}, {}, {}, 0.0, 0.02, FLOATS, True)
+    assert resistance(-15.0, 0.2, 1.0, REST_RATE, context) == 1.0
+    assert resistance(-15.0, -0.2, 1.0, REST_RATE, context) == -1.0
+    assert resistance(-15.0, 0.0, 1.0, REST_RATE, context) == -1.0
+    assert resistance(0.5, 0.0, 1.0, REST_RATE, context) == 0.5

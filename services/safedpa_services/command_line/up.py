@@ -42,7 +42,7 @@ _MOST_FORCE = 0.0149
 CHANGES = ("hitch", "headwind", "steering_offset")
 _ENDED_AT_ONCE = 130
 GROUPS = {
-    "Which robot": ("robot", "name", "seed"),
+    "Which robot": ("robot", "name", "robots", "seed"),
     "The car": ("load", "change", "change_after"),
     "The pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
     "The point robot": ("force", "wind_direction"),

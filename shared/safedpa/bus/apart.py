@@ -26,7 +26,7 @@ from typing import IO, Any, final
 from safedpa.errors import InputError
 from safedpa.limits import parse_json
 
-__all__ = ["AbstractTicket", "Apart"]
+__all__ = ["AbstractTicket", "Apart", "serve"]
 
 _PROCESSOR_SECONDS = 5
 _MEMORY_BYTES = 1 << 30

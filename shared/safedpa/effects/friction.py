@@ -35,12 +35,15 @@ def resistance(
     """What a dry friction of size ``deceleration`` takes off ``rate``, d(speed)/dt without it.
 
     Rounded off near rest: deceleration direction_of(speed). Where ``context.holds``, what would bring the robot to rest
-    within a period, at most its size: clip(rate + inertia speed / period, +-deceleration). So what is driven by less
+    within a period, at most its size d: clip(clip(rate, +-d) + inertia speed / period, +-d). So what is driven by less
     than its friction stands still; rounded off it creeps, at up to half a metre a second per m/s2 of friction and s of
     period. ``inertia``: by what the rate is divided after the friction.
 
     Source: Karnopp, Journal of Dynamic Systems, Measurement, and Control 107, 1985 (stick and slip).
     """
     if context.holds:
-        return context.operations.clip(rate + inertia * speed / context.period, -deceleration, deceleration)
+        clip = context.operations.clip
+        # what drives harder than the friction turns the motion back soon, but not yet: its sign is that of the speed
+        pushed = clip(rate, -deceleration, deceleration)
+        return clip(pushed + inertia * speed / context.period, -deceleration, deceleration)
     return deceleration * direction_of(speed, deceleration, rest, context)

@@ -28,7 +28,7 @@ from safedpa.safety.settings import parse_settings
 from safedpa.safety.shipped import margin_for
 from safedpa.systems import CAR
 
-__all__ = ["Target", "state_at", "targets"]
+__all__ = ["Target", "messages", "state_at", "targets"]
 
 
 @dataclass(frozen=True)
