@@ -64,7 +64,7 @@ def _tab(name: str, scene: Scene, look: Look) -> Any:
         _curves(f"{origin}/diagnosis/error", "error over 1 s [of its usual change]", 15),
         _curves(f"{origin}/steps", "time of a step [ms]", 13),
         _lanes(f"{origin}/services", "services"),
-        row_shares=[0.8, 1.0, 0.75, 1.0, 1.9],
+        row_shares=[0.75, 1.2, 0.7, 1.2, 1.6],
     )
     return rrb.Horizontal(left, middle, right, column_shares=[1.48, 1, 1], name=name)
 

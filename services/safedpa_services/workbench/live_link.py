@@ -37,6 +37,8 @@ class LiveLink:
         self.book = LiveBook()
         self.ended = False
         """Whether the drive has ended, and this page's server with it."""
+        self.untold: set[object] = set()
+        """Pages whose browser does not know that yet."""
 
     @property
     def title(self) -> str:

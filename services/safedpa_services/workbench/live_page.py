@@ -27,6 +27,12 @@ __all__ = ["LivePage"]
 
 _PICTURE_SECONDS = 0.4
 _STATUS_SECONDS = 1.5
+_END_SECONDS = 10.0
+_SAY_NO_CONNECTION = """document.querySelectorAll('#popup span').forEach((span, index) => {
+  span.textContent = ['No connection to the live page.',
+    'The drive has ended, or this machine is too busy; what is shown is the last of it.'][index] || '';
+})"""
+"""In place of the framework's own words, should the last word not reach the browser in time."""
 
 
 class LivePage:
@@ -98,8 +104,14 @@ class LivePage:
                     )
         self._back.set_visibility(False)
 
+    def close(self) -> None:
+        """The tab is gone."""
+        self._link.untold.discard(self)
+
     async def begin(self) -> None:
         """Chooses dark or light as the browser wishes."""
+        self._link.untold.add(self)
+        ui.run_javascript(_SAY_NO_CONNECTION)
         self._set_dark(bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=5.0)))
         self.show()
 
@@ -114,7 +126,8 @@ class LivePage:
         if self._ended:
             return
         if self._link.ended:
-            self._end()
+            ui.timer(0.0, self._end, once=True)
+            self._ended = True
             return
         robots = sorted(self._link.book.robots)
         if robots != self._choice.options:
@@ -151,9 +164,8 @@ class LivePage:
         self._bars.set_content(error_bars(book))
         self._changes.set_content(change_lines(book))
 
-    def _end(self) -> None:
+    async def _end(self) -> None:
         """The last word, which stays when the server is gone; the browser need not look for it."""
-        self._ended = True
         book = self._book
         self._trouble("")
         self._stands.set_visibility(False)
@@ -161,7 +173,8 @@ class LivePage:
         self._verdict.set_content(escaped(f"The drive has ended.{account} What is shown here is the last of it."))
         self._candidates.show_cards([], "", "The drive has ended: nothing can be changed any more.")
         self._back.set_visibility(False)
-        ui.run_javascript("document.body.classList.add('ended')")
+        await ui.run_javascript("document.body.classList.add('ended'); return true", timeout=_END_SECONDS)
+        self._link.untold.discard(self)
 
     def _trouble(self, sentence: str) -> None:
         self._problem.set_visibility(bool(sentence))

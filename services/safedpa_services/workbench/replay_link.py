@@ -34,6 +34,7 @@ class ReplayLink:
         self.title = f"recording {path.name}"
         self.book = LiveBook()
         self.ended = False
+        self.untold: set[object] = set()
 
     def listen(self) -> None:
         """Takes in what was said up to now, by the robot's clock."""

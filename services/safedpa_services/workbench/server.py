@@ -36,8 +36,8 @@ _OPEN = (
     "serves on {host}: every machine that reaches this one can ask for the page; who has the way in may change models"
 )
 _LISTEN_SECONDS = 0.1
-_LAST_WORD_SECONDS = 1.0
-"""For the pages to say that the drive has ended."""
+_LAST_WORD_SECONDS = 4.0
+"""For the browsers to say that they show the end of the drive."""
 _RECONNECT_SECONDS = 10.0
 """s for which a page that lost its connection is kept."""
 
@@ -101,6 +101,7 @@ def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
     async def live(client: Client) -> None:
         ui.add_css(style)
         page = LivePage(link)
+        client.on_delete(page.close)
         await client.connected()
         await page.begin()
 
@@ -109,9 +110,10 @@ def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
 
 def _end_with(stop: Stop, link: LiveLink | ReplayLink | None) -> None:
     stop.wait()
-    if link is not None and Client.instances:
-        link.ended = True
-        time.sleep(_LAST_WORD_SECONDS)
+    if link is not None:
+        link.ended, until = True, time.monotonic() + _LAST_WORD_SECONDS
+        while link.untold and time.monotonic() < until:
+            time.sleep(0.05)
     app.shutdown()
 
 
