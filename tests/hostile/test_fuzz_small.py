@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import json
 import random
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
+import pyarrow
 import pytest
+from pyarrow import parquet
 
 from safedpa_services.command_line.experiments.hostile_pages import page_targets
 from safedpa_services.command_line.group import safedpa
@@ -23,6 +28,32 @@ def test_some_seconds_of_mutated_input_open_no_hole(tmp_path: Path) -> None:
     assert {tally.name: tally.holes for tally in tallies if tally.holes} == {}
     assert all(tally.inputs >= 20 for tally in tallies)
     assert sum(tally.refused for tally in tallies) > 100
+
+
+def test_a_table_that_contradicts_itself_does_not_end_the_process(tmp_path: Path) -> None:
+    """In a process of its own: pyarrow would take this one with it."""
+    script = (
+        "import random, sys\n"
+        "from pathlib import Path\n"
+        "from safedpa.errors import InputError\n"
+        "from safedpa.records import load_run\n"
+        "from safedpa.systems import CAR\n"
+        "from safedpa_sim.experiments.hostile.mutations import mutated\n"
+        "path, seed = Path(sys.argv[1]), Path(sys.argv[2]).read_bytes()\n"
+        "chance = random.Random(2)\n"
+        "for _ in range(1200):\n"
+        "    path.write_bytes(mutated(chance, (seed,)))\n"
+        "    try:\n"
+        "        load_run(path, CAR)\n"
+        "    except InputError:\n"
+        "        pass\n"
+    )
+    columns = {name: np.linspace(0.0, 1.0, 60) for name in ("t", "x", "y", "yaw", "speed", "target_speed", "steer")}
+    good = tmp_path / "good.parquet"
+    parquet.write_table(pyarrow.table(columns), good)
+    command = [sys.executable, "-c", script, str(tmp_path / "bad.parquet"), str(good)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-800:]
 
 
 def test_a_reader_with_a_hole_is_found(tmp_path: Path) -> None:
