@@ -25,7 +25,7 @@ EXAMPLES = DOCS / "examples"
 STEP = 0.001
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(autouse=True)
 def own():
     load_own(EXAMPLES / "cart.py")
     load_own(EXAMPLES / "helicopter.py")

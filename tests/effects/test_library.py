@@ -69,11 +69,13 @@ def test_the_documentation_s_python_runs() -> None:
 
 def test_the_documentation_s_errors_are_those_that_come() -> None:
     page = (DOCS / "model-files.md").read_text(encoding="utf-8")
-    tests = (Path(__file__).parents[1] / "dynamics" / "test_model_file.py").read_text(encoding="utf-8")
+    files = ("dynamics/test_model_file.py", "effects/test_laws.py")
+    tests = "".join([(Path(__file__).parents[1] / name).read_text(encoding="utf-8") for name in files])
     rows = re.findall(r"^\| [a-zA-Z ']+ \| `(.*?)` \|$", page, flags=re.MULTILINE)
     assert len(rows) >= 8
     for row in rows:
-        assert re.split(r": did|\?| known:|, steer; choose|: \.\.\.", row)[0] in tests
+        said = row.removeprefix("rolling_resistance.")
+        assert re.split(r": did|\?| known:|, steer; choose|: \.\.\.|, say", said)[0] in tests
 
 
 def test_loading_again_replaces(tmp_path: Path) -> None:

@@ -135,27 +135,3 @@ def test_one_action_and_three() -> None:
     assert one.solve([[2.0]], [1.0], [-0.5]).action == [0.5]
     three = QuadraticProgram(np.full(3, -1.0), np.full(3, 1.0), np.ones(3))
     np.testing.assert_allclose(three.solve([[1.0] * 3], [1.5], [0.0] * 3).action, 0.5, atol=1e-7)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_foot_is_what_the_search_finds_to_the_last_bit(seed: int) -> None:
-    random, taken = np.random.default_rng([seed, 77]), 0
-    for _ in range(500):
-        row = (*random.normal(size=2).tolist(), float(random.normal(0.0, 0.7)))
-        wish = tuple(np.clip(random.uniform(-0.2, 1.2, 2), 0.0, 1.0 if random.random() < 0.8 else 2.0).tolist())
-        weights = tuple(random.uniform(0.1, 1.0, 2).tolist())
-        problem = NearestKept(*wish, *weights, unit=True)
-        problem.add(*row)
-        solved, quick = problem.solve(), foot(row, wish, weights)
-        if quick is not None:
-            taken += 1
-            assert solved
-            assert quick == (problem.x, problem.y)
-    assert taken > 100
-
-
-@pytest.mark.parametrize(
-    "row", [(0.0, 0.0, 0.5), (1.0, 0.0, -0.5), (1.0, 0.0, 1.5), (np.nan, 1.0, 0.5), (np.inf, 1.0, 0.5)]
-)
-def test_the_foot_leaves_everything_else_to_the_search(row: tuple[float, float, float]) -> None:
-    assert foot(row, (0.25, 0.5), (1.0, 1.0)) is None

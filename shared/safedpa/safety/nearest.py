@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, final
 
-__all__ = ["KEPT", "MOST", "PARALLEL", "NearestKept", "Point", "Row", "foot", "nearest_kept"]
+__all__ = ["KEPT", "MOST", "PARALLEL", "NearestKept", "Point", "Row", "nearest_kept"]
 
 Row = tuple[float, float, float]
 """a_1, a_2, b."""
@@ -38,25 +38,6 @@ def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | No
     for a, b, limit in rows:
         problem.add(a, b, limit)
     return (problem.x, problem.y) if problem.solve() else None
-
-
-def foot(row: Row, wish: Point, weights: Point) -> Point | None:
-    """The minimiser with one condition within 0 <= u <= 1, to the last bit as ``NearestKept`` has it; None: ask that.
-
-    That is where the one condition binds and no bound does: the ordinary correction.
-    """
-    a, b, limit = row
-    x, y = wish
-    along, across = a / weights[0], b / weights[1]
-    size = a * along + b * across
-    broken = limit - a * x - b * y
-    if not (size > 0.0 and broken > KEPT and 0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
-        return None
-    share = broken / size
-    x, y = x + share * along, y + share * across
-    if x < -KEPT or x - 1.0 > KEPT or y < -KEPT or y - 1.0 > KEPT or limit - a * x - b * y > KEPT:
-        return None
-    return x, y
 
 
 @final

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from safedpa.safety.nearest import NearestKept, foot
+from safedpa.safety.nearest import NearestKept
 
 __all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "within"]
 
@@ -75,11 +75,6 @@ def closest(
     if not single:
         base, _, reach = sides[1]
         weight, aside = weights[1], (wish[1] - base) / reach
-        if len(rows) == 1:
-            slopes, limit, _, _ = rows[0]
-            found = foot((slopes[0], slopes[1], limit), ((wish[0] - low) / width, aside), (weights[0], weight))
-            if found is not None:
-                return [low + width * found[0], base + reach * found[1]]
     problem = NearestKept((wish[0] - low) / width, aside, weights[0], weight, unit=True)
     for index in range(len(rows)):
         slopes, limit, _, _ = rows[index]

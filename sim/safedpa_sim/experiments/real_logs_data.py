@@ -38,6 +38,8 @@ def paths_of(folder: Path, pattern: str) -> list[Path]:
 def mapped_runs(paths: Sequence[Path], model: PhysicsModel, columns: str) -> list[Run]:
     """The recordings through a column map that ships, named so that they can be told apart."""
     mapping = load_column_map(columns)
+    if not paths:
+        return []
     return with_distinct_names([load_run(path, model.system, mapping) for path in paths], paths)
 
 

@@ -105,7 +105,7 @@ class CarRobot(SimulatedRobot):
     def _take(self, load: Load | None) -> None:
         """What it tows, and the room that it takes with it; of a new load nobody knows how it hangs."""
         self._taken = load, footprint(load), towed_reach(load)
-        self._way = self._taken[2][1] if load else -1.0
+        self._way = self._taken[2][1] if self._taken[2] else -1.0
         """m driven backwards, as a state tells it."""
 
     def _watchdog_action(self) -> tuple[float, float]:
@@ -118,7 +118,7 @@ class CarRobot(SimulatedRobot):
         parts = ((drive, steer, self.period),) if self._late is None else self._late.felt((drive, steer), self.period)
         for felt_drive, felt_steer, seconds in parts:
             self.world.advance(felt_drive, felt_steer, seconds)
-        if self._taken[0]:
+        if self._taken[2]:
             self._way = reversed_way(self._way, before, self.world.state, self._taken[2][1])
         x, y, _, _ = self.world.state
         if hypot(self.goal[0] - x, self.goal[1] - y) < GOAL_RADIUS:
