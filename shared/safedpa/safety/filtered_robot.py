@@ -239,7 +239,7 @@ class FilteredRobot:
                 self.memory = model.felt(command, self.memory, period=state.period)[1]
         self.former = None
         self.trail.add(state.tick, state.values, state.applied, self.memory)
-        self.until_action = min(max(state.until_action, self.delay.seconds), LONGEST_AGE)
+        self.until_action = min(self.delay.beyond(state.until_action), LONGEST_AGE)
         late = (self.memory or self.until_action > 0.0) and not too_late(state)
         self.pending = self.trail.pending(self.until_action) if late else ()
 

@@ -69,16 +69,15 @@ class FoundDelay:
         self.periods = 0
         """The delay that is believed, beyond what the model knows; what the robot tells is part of it."""
 
-    @property
-    def seconds(self) -> float:
-        """s that are to be acted upon, with what the robot tells."""
-        return (self.periods - USUAL) * self._period if self.periods > TOLERATED else 0.0
+    def beyond(self, told: float) -> float:
+        """s that are to be acted upon, of which the robot tells ``told`` [s]: that, unless far more was found."""
+        if self.periods * self._period - told <= (TOLERATED + _ROUNDING) * self._period:
+            return told
+        return (self.periods - USUAL) * self._period
 
     @property
     def remark(self) -> str:
-        """What a verdict has to say about it; empty where nothing is acted upon."""
-        if self.periods <= TOLERATED:
-            return ""
+        """What a verdict has to say where it is acted upon."""
         return f"Commands act about {self.periods * self._period:.2g} s later than told; the filter looks past that."
 
     def observe(self, passed: Passed, latent: Plain | None) -> None:
