@@ -79,7 +79,7 @@ def test_a_core_without_any_extra_names_the_extra_that_a_command_needs(tmp_path:
         if extra is None:
             assert (code, said) == (0, ""), line
             continue
-        assert code == 1, (line, code, said)
+        assert code == 2, (line, code, said)
         assert said.count("\n") == 1, (line, said)
         named = re.search(r"pip install 'safedpa\[([a-z,]+)\]'", said)
         assert named, (line, said)

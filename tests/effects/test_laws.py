@@ -147,7 +147,10 @@ def test_a_model_file_says_it_and_is_read_back(name, law, numbers):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (FLOOR.replace("x above", "x abvoe"), "where: got 'x abvoe', wanted 'VARIABLE above|below|between'"),
+        (
+            FLOOR.replace("x above", "x abvoe"),
+            "rolling_resistance.where: got 'x abvoe', wanted 'VARIABLE above|below|between', say 'x above', or one of circle, strip",  # noqa: E501 - as the page has it, whole
+        ),
         (FLOOR.replace("x above", "z above"), "where: got 'z'; known: abs_speed"),
         (FLOOR.replace("edge = 0.05\n", ""), "edge: missing; give the width over which it sets in"),
         (FLOOR.replace("edge = 0.05", "edge = 0.0"), "edge: got 0, wanted a width above 0 m"),

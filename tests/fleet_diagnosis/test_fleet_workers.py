@@ -108,5 +108,5 @@ def test_a_local_cluster_answers_the_same():
 def test_without_ray_it_says_what_to_install(monkeypatch, small_fleet, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "ray", None)
     arguments = [*small_fleet.arguments[:3], "--out", str(tmp_path), "--ray"]
-    assert safedpa.run(["diagnose", *arguments]) == 1
+    assert safedpa.run(["diagnose", *arguments]) == 2
     assert "pip install 'safedpa[cluster]'" in capsys.readouterr().err

@@ -76,6 +76,32 @@ def test_what_is_believed_stays_until_it_is_refuted() -> None:
     assert found.periods == 0
 
 
+def test_a_delay_that_explains_everything_counts_for_it() -> None:
+    """Of a state that is exactly 0 all the time the right delay has no error at all: no reason to doubt it."""
+    still, push = (0.0, 0.0), (1.0, 0.0)
+    commands = tuple((still if n == 0 else push, None) for n in range(MOST + 1))
+    found = after([Passed((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), commands)] * 20)
+    assert found.periods == 0
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf, 1e300])
+def test_one_broken_number_says_nothing_and_spoils_nothing(broken: float) -> None:
+    periods = way(CAR, 4, 40, noise=1e-3)
+    bad = periods[8]._replace(now=(broken, *periods[8].now[1:]))
+    assert after([*periods[:8], bad, *periods[8:]]).periods == 4
+    bad = periods[8]._replace(before=(*periods[8].before[:3], broken))
+    assert after([*periods[:8], bad, *periods[8:]]).periods == 4
+
+
+def test_what_does_not_fit_says_nothing() -> None:
+    periods = way(CAR, 4, 40, noise=1e-3)
+    for bad in (
+        periods[8]._replace(now=(*periods[8].now, 1.0)),
+        periods[8]._replace(commands=(((1.0,), None), *periods[8].commands[1:])),
+    ):
+        assert after([bad, *periods]).periods == 4
+
+
 def test_the_commands_of_before_are_known_at_a_robots_first_tick_and_not_after_a_gap() -> None:
     trail = Trail(CAR)
     for tick, speed in enumerate((0.0, 0.1, 0.2)):

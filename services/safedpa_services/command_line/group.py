@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 import click
 
-from safedpa.errors import InputError, SafedpaError, did_you_mean
+from safedpa.errors import InputError, MissingExtraError, SafedpaError, did_you_mean
 from safedpa.extras import extra_of
 from safedpa.limits import readable
 
@@ -61,12 +61,12 @@ class _Commands(click.Group):
         except (click.Abort, KeyboardInterrupt):
             return _fail("interrupted", 1)
         except SafedpaError as error:
-            return _fail(str(error), 2 if isinstance(error, InputError) else 1)
+            return _fail(str(error), 2 if isinstance(error, (InputError, MissingExtraError)) else 1)
         except ModuleNotFoundError as error:  # of a part that no command names beforehand
             extra = extra_of(error.name or "")
             if extra is None:
                 raise
-            return _fail(f"{arguments[0]} needs pip install 'safedpa[{extra}]'; not installed: {error.name}", 1)
+            return _fail(f"{arguments[0]} needs pip install 'safedpa[{extra}]'; not installed: {error.name}", 2)
         return code if isinstance(code, int) else 0
 
 

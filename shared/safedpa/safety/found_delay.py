@@ -18,7 +18,7 @@ one model for each delay.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, log
+from math import exp, isfinite, log
 from typing import Final, NamedTuple, final
 
 from safedpa.safety.prediction import Prediction
@@ -44,6 +44,9 @@ _DIFFERS: Final = 0.01
 """Share of an action's range by which commands have to differ to tell anything."""
 _ROUNDING: Final = 1e-9
 """Share of a state below which an error is none."""
+_LEAST: Final = 1e-12
+"""Share of a state's largest sum of all delays; smaller sums count as this. A delay that explains everything has none,
+and must not count less for it."""
 
 
 class Passed(NamedTuple):
@@ -81,23 +84,42 @@ class FoundDelay:
         return f"Commands act about {self.periods * self._period:.2g} s later than told; the filter looks past that."
 
     def observe(self, passed: Passed, latent: Plain | None) -> None:
-        """Takes in one period; raises whatever the model raises."""
-        if not self._tells(passed.commands):
+        """Takes in one period; one with numbers that are not finite, or that does not fit, says nothing.
+
+        Raises whatever the model raises.
+        """
+        states = len(passed.now)
+        if len(passed.before) != states or not all(map(isfinite, (*passed.before, *passed.now))):
             return
-        if len(self._sums) != len(passed.commands):
-            self._sums, self._count = [[0.0] * len(passed.now) for _ in passed.commands], 0.0
-        motion = self._prediction.affine_motion(passed.before, latent)
+        if any(len(command) != len(self._ranges) for command, _ in passed.commands) or not self._tells(passed.commands):
+            return
+        squares = self._squares(passed, latent)
+        if not isfinite(sum(map(sum, squares))):
+            return
+        if len(self._sums) != len(squares) or len(self._sums[0]) != states:
+            self._sums, self._count = [[0.0] * states for _ in squares], 0.0
         self._count = self._keep * self._count + 1.0
-        for sums, (command, memory) in zip(self._sums, passed.commands, strict=True):
+        for sums, own in zip(self._sums, squares, strict=True):
+            for index, square in enumerate(own):
+                sums[index] = self._keep * sums[index] + square
+        if self._count >= _FEWEST:
+            self._believe()
+
+    def _squares(self, passed: Passed, latent: Plain | None) -> list[list[float]]:
+        """Squared error of each state (states,), in its unit squared, for each delay."""
+        motion = self._prediction.affine_motion(passed.before, latent)
+        found: list[list[float]] = []
+        for command, memory in passed.commands:
             if motion is not None:
                 reached = motion.after(command)
             else:
                 reached = self._prediction.following(passed.before, command, latent, memory)
-            for index, value in enumerate(passed.now):
-                error = value - reached[index]
-                sums[index] = self._keep * sums[index] + error * error + (_ROUNDING * value) ** 2
-        if self._count >= _FEWEST:
-            self._believe()
+            own: list[float] = []
+            for value, there in zip(passed.now, reached, strict=True):
+                error, rounded = value - there, _ROUNDING * value
+                own.append(error * error + rounded * rounded)  # infinite where it is too large, and no exception
+            found.append(own)
+        return found
 
     def _tells(self, commands: Sequence[tuple[Plain, object]]) -> bool:
         for index, width in enumerate(self._ranges):
@@ -107,7 +129,12 @@ class FoundDelay:
         return False
 
     def _believe(self) -> None:
-        costs = [sum([log(value) for value in sums if value > 0.0]) for sums in self._sums]
+        costs = [0.0] * len(self._sums)
+        for state in range(len(self._sums[0])):
+            column = [sums[state] for sums in self._sums]
+            least = _LEAST * max(column)
+            if least > 0.0:
+                costs = [cost + log(max(value, least)) for cost, value in zip(costs, column, strict=True)]
         limit = min(costs) + 2.0 * EVIDENCE / self._count
         if costs[min(self.periods, len(costs) - 1)] > limit:
             self.periods = min([n for n, cost in enumerate(costs) if cost <= limit])
