@@ -91,7 +91,7 @@ def test_the_core_installs_into_an_empty_environment_and_the_readme_runs(
     program = python.with_name("safedpa")
     assert "steering_offset" in _run(program, "effects", "--robot", "car", cwd=tmp_path).stdout
     asked = _run(program, "up", cwd=tmp_path)
-    assert (asked.returncode, asked.stderr.count("\n")) == (1, 1), asked.stderr
+    assert (asked.returncode, asked.stderr.count("\n")) == (2, 1), asked.stderr
     assert "pip install 'safedpa[sim]'" in asked.stderr
     for service in ("adaptation", "policy", "safety_filter", "recorder"):
         assert _run(python, "-m", f"safedpa_services.{service}", "--help").returncode == 0, service
