@@ -112,11 +112,13 @@ def test_nothing_is_taken_that_leads_through_less_than_half_of_the_layer() -> No
     assert found.action[0] == 0.0, "h is predicted below 0"
 
 
-def test_every_barrier_counts() -> None:
-    """One rises; the other would fall below half of its layer."""
-    found = led(way_out(), lambda action, ticks: [*dips(action, ticks), 0.5 - 0.05 * ticks])
-    assert found.action[0] != 0.0, "it ends before"
-    assert led(way_out(), lambda action, ticks: [*dips(action, ticks), 0.5 - 0.5 * ticks]).action[0] == 0.0
+def test_the_barriers_that_are_not_short_keep_their_conditions_all_along() -> None:
+    """The other one falls from 0.5; the condition allows (1 - eta) 0.5 + epsilon = 0.35 in the first tick."""
+    for after, kept in ((0.36, True), (0.34, False)):
+        found = led(way_out(), lambda action, ticks, b=after: [*dips(action, ticks), 0.5 if ticks == 0 else b])  # type: ignore[misc]
+        assert (found.action[0] != 0.0) == kept
+    sinks = led(way_out(), lambda action, ticks: [*dips(action, ticks), 0.5 - 0.05 * ticks])
+    assert "held for 0.5 s" in sinks.reason, "from 0.25 it may fall to 0.225, and would fall to 0.2"
 
 
 def test_of_those_that_lead_far_the_nearest_to_the_wish() -> None:

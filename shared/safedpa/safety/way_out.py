@@ -9,9 +9,10 @@ that stands all the same a manoeuvre: one action, held for up to 1.5 s. With
 
 it is taken where the model predicts for every tick k that it is held for, and every barrier i,
 
-    h_i(x[k]) >= min(h_i(x[0]) - epsilon_i / (100 eta), epsilon_i / (2 eta)), and not below 0,
+    h_i(x[k+1]) >= (1 - eta) h_i(x[k]) + epsilon_i                                    if h_i(x[0]) >= epsilon_i / eta,
+    h_i(x[k+1]) >= max(0, min(h_i(x[0]) - epsilon_i / (100 eta), epsilon_i / (2 eta)))   otherwise: in its layer,
 
-and share(x[n]) >= min(1, share(x[0]) + 1/50) at its end. Both are judged anew in every tick, from the state that is
+and share(x[n]) >= min(1, share(x[0]) + 1/50) at its end. All of it is judged anew in every tick, from the state that is
 measured, over what is left of the manoeuvre: whatever fails ends it, and the least unsafe action is back in its place.
 Since h holds the room that the backup needs to stop (braking straight lowers no h), the backup can end it at any tick.
 """
@@ -21,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from math import inf
 from typing import Final, final
 
 import numpy as np
@@ -77,7 +79,7 @@ class _Held:
     tick: int
     """When it was judged last."""
     floors: tuple[float, ...]
-    """(m,) no h is predicted below it."""
+    """(m,) below it no h may be predicted; -infinity for those that are to keep their conditions."""
     goal: float
     """Share at its end."""
 
@@ -119,7 +121,7 @@ class WayOut:
         if held is None:
             return verdict
         then = next(here.ahead(held.action))
-        slack = max([0.0, *self._missing(here, then)])
+        slack = max([0.0, *self._missing(here, here.heights, then)])
         if not relaxed and slack > 0.0:
             self.forget()
             return verdict
@@ -134,7 +136,7 @@ class WayOut:
         then = next(here.ahead(action.tolist()), None)
         if then is None:
             return None
-        missing = self._missing(here, then)
+        missing = self._missing(here, here.heights, then)
         for short, now, after, epsilon in zip(missing, here.heights, then, here.margins, strict=True):
             if short > 0.0 and not after > now >= 0.5 * epsilon / self._settings.eta:
                 return None
@@ -142,10 +144,10 @@ class WayOut:
         said = "The wish is taken: it raises every h that is short of its margin, and keeps the other conditions."
         return replace(verdict, action=action, reason=said, slack=max([0.0, *missing]), h_next=min(then))
 
-    def _missing(self, here: Here, then: Sequence[float]) -> list[float]:
-        """(m,) what each condition lacks."""
+    def _missing(self, here: Here, heights: Sequence[float], then: Sequence[float]) -> list[float]:
+        """(m,) what each condition lacks from one tick to the next."""
         share = 1.0 - self._settings.eta
-        rows = zip(here.heights, then, here.margins, strict=True)
+        rows = zip(heights, then, here.margins, strict=True)
         return [share * now + epsilon - after for now, after, epsilon in rows]
 
     def _followed(self, here: Here) -> _Held | None:
@@ -161,9 +163,7 @@ class WayOut:
 
     def _found(self, verdict: Verdict, here: Here) -> _Held | None:
         """The best manoeuvre from here, once all were looked at: the highest share, then the nearest to the wish."""
-        depths = [epsilon / self._settings.eta for epsilon in here.margins]
-        pairs = zip(here.heights, depths, strict=True)
-        floors = tuple(max(0.0, min(h - _DIP * depth, 0.5 * depth)) for h, depth in pairs)
+        floors = tuple(self._floor(h, epsilon) for h, epsilon in zip(here.heights, here.margins, strict=True))
         goal, most = min(1.0, self._share(here.heights, here) + _GAIN), round(_LONGEST / here.period)
         wish = np.asarray(verdict.wish).tolist()
         for action in self._actions[self._looked : self._looked + _A_TICK]:
@@ -185,19 +185,28 @@ class WayOut:
             self._held = _Held(best[2], ticks, here.tick, floors, goal)
         return self._held
 
-    def _best_end(self, action: Action, most: int, floors: Sequence[float], here: Here) -> tuple[int, float]:
-        """For how many ticks to hold the action, at most ``most``, and the share then; 0 where a floor breaks at once.
+    def _floor(self, h: float, epsilon: float) -> float:
+        depth = epsilon / self._settings.eta
+        return -inf if h >= depth else max(0.0, min(h - _DIP * depth, 0.5 * depth))
 
-        The first tick at which the share is largest, of those before a floor is broken.
+    def _best_end(self, action: Action, most: int, floors: Sequence[float], here: Here) -> tuple[int, float]:
+        """For how many ticks to hold the action, at most ``most``, and the share then; 0 where it fails at once.
+
+        The first tick at which the share is largest, of those before a floor or a condition is broken.
         """
-        best, ticks = -1.0, 0
+        best, ticks, before = -1.0, 0, here.heights
         for index, heights in enumerate(here.ahead(action)):
-            if index == most or any(h < floor for h, floor in zip(heights, floors, strict=True)):
+            if index == most or self._broken(floors, here, before, heights):
                 break
-            share = self._share(heights, here)
+            share, before = self._share(heights, here), heights
             if share > best:
                 best, ticks = share, index + 1
         return ticks, best
+
+    def _broken(self, floors: Sequence[float], here: Here, before: Sequence[float], then: Sequence[float]) -> bool:
+        """Whether a step breaks what one of the barriers is to keep."""
+        rows = zip(then, floors, self._missing(here, before, then), strict=True)
+        return any(missing > 0.0 if floor == -inf else h < floor for h, floor, missing in rows)
 
     def _share(self, heights: Sequence[float], here: Here) -> float:
         """The least h as a share of its layer's depth, up to ``_ENOUGH``; barriers without a margin have no layer."""
