@@ -33,14 +33,16 @@ def way_out() -> WayOut:
     return WayOut(SETTINGS, QuadraticProgram(low, high, SETTINGS.weight_vector))
 
 
-def here(tick: int, heights: Heights, known: int = 99, fails: float = 0.0, now: int = 0) -> Here:
+def here(
+    tick: int, heights: Heights, known: int = 99, fails: float = 0.0, now: int = 0, margins: Sequence[float] = ()
+) -> Here:
     """At the ``now``-th tick of a manoeuvre; the model has numbers for ``known`` ticks."""
 
     def ahead(action: Sequence[float]) -> Iterator[Sequence[float]]:
         return (heights(action[0], now + index + 1) for index in range(known))
 
     at = heights(0.0, 0) if now == 0 else heights(1.0, now)
-    return Here(tick, PERIOD, at, [0.1] * len(at), ahead, lambda action: abs(action[0]) <= fails)
+    return Here(tick, PERIOD, at, margins or [0.1] * len(at), ahead, lambda action: abs(action[0]) <= fails)
 
 
 def verdict(status: Status = Status.relaxed, wish: float = -1.0) -> Verdict:
@@ -101,7 +103,7 @@ def test_it_ends_where_a_tick_is_missing(tick: int) -> None:
 def test_nothing_is_taken_that_leads_through_less_than_half_of_the_layer() -> None:
     """Not even where it leads far out; from further down, nothing below what h is now."""
     for start, lowest, wanted in (
-        (0.19, 0.101, True),
+        (0.19, 0.1, True),
         (0.19, 0.099, False),
         (0.05, 0.0485, True),
         (0.05, 0.047, False),
@@ -123,9 +125,11 @@ def test_the_barriers_that_are_not_short_keep_their_conditions_all_along() -> No
 
 def test_of_those_that_lead_far_the_nearest_to_the_wish() -> None:
     def far(action: float, ticks: int) -> list[float]:
-        return [0.19 + (abs(action) >= 0.25) * 0.3 * (ticks > 1) - 0.0001 * ticks]
+        return [0.19 + (0.8 if action > 0.0 else 0.3) * (abs(action) >= 0.25 and ticks > 4) - 0.0001 * min(ticks, 4)]
 
-    assert led(way_out(), far).action[0] == -1.0
+    found = led(way_out(), far)
+    assert found.action[0] == -1.0, "twice the depth of the layer is far enough"
+    assert "held for 0.5 s" in found.reason, "no longer than that takes"
 
 
 def test_what_gains_nothing_is_not_taken() -> None:
@@ -159,6 +163,89 @@ def test_neither_passed_nor_violated_is_replaced() -> None:
     out = way_out()
     led(out, dips, ticks=1)
     assert not any(out.wanted(status) for status in Status if status not in (Status.relaxed, Status.corrected))
+
+
+def test_actions_are_looked_at_all_over_the_range_finer_near_rest_and_eight_in_a_tick() -> None:
+    settings = FilterSettings(action_low=(-0.6, -1.0), action_high=(2.0, 1.0), backup_action=(0.4, 0.0), eta=0.5)
+    out = WayOut(settings, QuadraticProgram(settings.low, settings.high, settings.weight_vector))
+    asked: list[tuple[float, ...]] = []
+
+    def fails(action: Sequence[float]) -> bool:
+        asked.append(tuple(action))
+        return True
+
+    still = replace(verdict(), wish=np.zeros(2))
+    counts = []
+    for tick in range(10):
+        now = Here(tick, PERIOD, [0.19], [0.1], lambda action: iter([[0.189]]), fails)
+        assert out.instead_of(still, now, 0.5) is still
+        counts.append(len(asked))
+    assert counts == list(range(8, 88, 8))
+    first, second = ({round(action[index], 6) for action in asked} for index in range(2))
+    assert first == {-0.6, -0.1, 0.15, 0.275, 0.4, 0.6, 0.8, 1.2, 2.0}
+    assert second == {-1.0, -0.5, -0.25, -0.125, 0.0, 0.125, 0.25, 0.5, 1.0}
+    assert len(set(asked)) == 80
+    assert (0.4, 0.0) not in asked
+
+
+def test_what_was_found_some_ticks_ago_is_judged_once_more() -> None:
+    settings = FilterSettings(action_low=(-1.0, -1.0), action_high=(1.0, 1.0), backup_action=(0.0, 0.0), eta=0.5)
+    for last, taken in ((0.3, True), (0.189, False)):
+        out = WayOut(settings, QuadraticProgram(settings.low, settings.high, settings.weight_vector))
+        found = verdict()
+        for tick in range(10):
+            rise = 0.3 if tick < 9 else last
+            known = Here(tick, PERIOD, [0.19], [0.1], lambda _, h=rise: iter([[0.189], [h]]), lambda _: False)  # type: ignore[misc]
+            found = out.instead_of(replace(verdict(), wish=np.zeros(2)), known, 1.0)
+        assert ("leads out" in found.reason) is taken
+
+
+def test_exactly_out_of_the_layer_in_one_tick_is_enough() -> None:
+    def out(action: float, ticks: int) -> list[float]:
+        return [0.1985 if ticks == 0 or action < 0.0 else 0.2 if ticks == 1 else 0.1]
+
+    found = led(way_out(), out, ticks=1, stood=0.5)
+    assert found.action[0] > 0.0
+    assert "held for 0.1 s" in found.reason
+    tool = way_out()
+    assert led(tool, lambda action, ticks: [0.1985, 0.19849, 0.2][min(ticks, 2)] * np.ones(1), ticks=1).action[0] != 0.0
+    assert tool.instead_of(verdict(), here(1, lambda _, ticks: [0.2], now=1), 0.0).action[0] != 0.0
+
+
+def test_a_barrier_at_the_edge_of_its_layer_keeps_its_condition_and_one_without_a_margin_has_none() -> None:
+    falls = led(way_out(), lambda action, ticks: [*dips(action, ticks), 0.2 if ticks == 0 else 0.15])
+    assert falls.action[0] == 0.0
+    tool, plain = way_out(), (0.1, 0.0)
+    for tick in range(2):
+        now = here(tick, lambda action, ticks: [*dips(action, ticks), 0.15], margins=plain, now=tick)
+        assert tool.instead_of(verdict(), now, 1.0).h_next == pytest.approx(0.15), "the least of both"
+
+
+@pytest.mark.parametrize(
+    ("now", "then", "taken"),
+    [
+        ((0.15, 0.5), (0.16, 0.4), True),
+        ((0.1, 0.5), (0.11, 0.4), True),  # h at the middle of the layer
+        ((0.09, 0.5), (0.1, 0.4), False),  # in its lower half
+        ((0.15, 0.5), (0.15, 0.4), False),  # it does not rise
+        ((0.15, 0.5), (0.16, 0.34), False),  # the other one breaks its condition
+        ((0.3, 0.5), (0.25, 0.35), True),  # exactly kept
+        ((0.3, 0.5), (0.24, 0.4), False),
+    ],
+)
+def test_the_wish_is_taken_where_it_raises_what_is_short(
+    now: tuple[float, ...], then: tuple[float, ...], taken: bool
+) -> None:
+    place = here(0, lambda _, ticks: list(now if ticks == 0 else then))
+    found = way_out().instead_of(verdict(wish=-3.0), place, 0.0)
+    assert bool(found.action[0] == -1.0) is taken, "within its bounds"
+    if taken:
+        assert "raises every h" in found.reason
+        assert not found.action.flags.writeable
+        assert found.h_next == min(then)
+        assert found.slack == pytest.approx(
+            max(0.0, *(0.5 * h + 0.1 - after for h, after in zip(now, then, strict=True)))
+        )
 
 
 def test_a_car_beside_an_obstacle_gets_out() -> None:
