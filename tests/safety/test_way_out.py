@@ -208,7 +208,7 @@ def test_exactly_out_of_the_layer_in_one_tick_is_enough() -> None:
     assert found.action[0] > 0.0
     assert "held for 0.1 s" in found.reason
     tool = way_out()
-    assert led(tool, lambda action, ticks: [0.1985, 0.19849, 0.2][min(ticks, 2)] * np.ones(1), ticks=1).action[0] != 0.0
+    assert led(tool, lambda action, ticks: [[0.1985, 0.19849, 0.2][min(ticks, 2)]], ticks=1).action[0] != 0.0
     assert tool.instead_of(verdict(), here(1, lambda _, ticks: [0.2], now=1), 0.0).action[0] != 0.0
 
 
