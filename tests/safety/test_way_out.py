@@ -213,7 +213,9 @@ def test_exactly_out_of_the_layer_in_one_tick_is_enough() -> None:
 
 
 def test_a_barrier_at_the_edge_of_its_layer_keeps_its_condition_and_one_without_a_margin_has_none() -> None:
-    falls = led(way_out(), lambda action, ticks: [*dips(action, ticks), 0.2 if ticks == 0 else 0.15 if ticks < 5 else 0.3])
+    falls = led(
+        way_out(), lambda action, ticks: [*dips(action, ticks), 0.2 if ticks == 0 else 0.15 if ticks < 5 else 0.3]
+    )
     assert falls.action[0] == 0.0
     tool, plain = way_out(), (0.1, 0.0)
     for tick in range(2):
