@@ -49,8 +49,8 @@ class FleetTrial:
     """So many processes that hold all three services each and share the robots; 0: one process of each service."""
     flood: bool = False
     """One more robot floods the bus with a thousand messages a second; it is not counted."""
-    offers: bool = False
-    """Somebody with a diagnosis' key offers models that take long to read, every other five seconds."""
+    offers: float = 0.0
+    """Somebody with a diagnosis' key offers models that take long to read, in every other stretch of so many s."""
 
 
 def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda _done, _all: None) -> dict[str, Any]:
@@ -139,7 +139,8 @@ def _children(trial: FleetTrial, folder: Path, begun: Path, summary: Path) -> li
         children.append(Child("flood", module, ("--connect", endpoint), folder / "flood.log"))
     if trial.offers:
         module = "safedpa_services.benchmarks.hostile.offering"
-        attack = ("--connect", endpoint, "--robots", str(trial.robots), "--account", str(folder / _OFFERS), *scheduling)
+        account = ("--account", str(folder / _OFFERS), "--stretch", repr(trial.offers))
+        attack = ("--connect", endpoint, "--robots", str(trial.robots), *account, *scheduling)
         children.append(Child("offers", module, attack, folder / "offers.log"))
     return children
 

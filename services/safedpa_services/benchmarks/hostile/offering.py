@@ -36,7 +36,6 @@ BOMBS = {
     "a megabyte": "#" * 1_000_000,
 }
 """Documents that take long to read, or much to hold."""
-_WINDOW_SECONDS = 5.0
 _PAUSE_SECONDS = 0.1
 """From one offer to the next."""
 _REMEMBERED = 20_000
@@ -91,7 +90,7 @@ def _offer(change: int, document: str, fingerprint: str) -> ModelMessage:
     )  # fmt: skip
 
 
-def _attack(bus: Bus, seen: _Seen, robots: list[str], stop: Stop) -> Iterator[tuple[float, float]]:
+def _attack(bus: Bus, seen: _Seen, robots: list[str], stretch: float, stop: Stop) -> Iterator[tuple[float, float]]:
     """The stretches of time in which it was attacked, as each of them ends; in between there is peace."""
     costly = costly_model()
     documents = {name: (text, "0123456789ab") for name, text in BOMBS.items()}
@@ -105,7 +104,7 @@ def _attack(bus: Bus, seen: _Seen, robots: list[str], stop: Stop) -> Iterator[tu
             if isinstance(item, Received):
                 seen.hear(item)
         now = time.monotonic()
-        if stop() or now - since >= _WINDOW_SECONDS:
+        if stop() or now - since >= stretch:
             if attacking:
                 yield since, now
             if stop():
@@ -123,7 +122,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     robots = [f"car{index:04d}" for index in range(options.robots)]
     seen, windows = _Seen(), []
     with bus_from(options) as bus:
-        for window in _attack(bus, seen, robots, stop):
+        for window in _attack(bus, seen, robots, options.stretch, stop):
             windows.append(window)
     account = {"windows": windows, "offers": len(seen.offers), "refusals": seen.refusals}
     options.account.write_text(json.dumps(account), encoding="utf-8")
@@ -134,5 +133,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="safedpa-offering")
     add_bus_options(parser)
     parser.add_argument("--robots", type=int, default=8)
+    parser.add_argument("--stretch", type=float, default=5.0, help="seconds of peace, then of attack, and so on")
     parser.add_argument("--account", type=Path, required=True)
     run_process(work, parser)  # with --realtime behind the loop and before the rest, to tell the time well
