@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_services.benchmarks.hostile import offered
-from safedpa_services.benchmarks.hostile.floods import _longest
-from safedpa_services.benchmarks.hostile.offering import FREEZES, costly_model
-from safedpa_services.benchmarks.hostile.offers import account_of_offers
-from safedpa_services.benchmarks.hostile.page import write_page
-from safedpa_services.command_line.experiments import hostile
+from safedpa_lab.benchmarks.hostile import offered
+from safedpa_lab.benchmarks.hostile.floods import _longest
+from safedpa_lab.benchmarks.hostile.offering import FREEZES, costly_model
+from safedpa_lab.benchmarks.hostile.offers import account_of_offers
+from safedpa_lab.benchmarks.hostile.page import write_page
+from safedpa_lab.commands.experiments import hostile
 from safedpa_services.command_line.group import safedpa
 
 ABOUT = {"held": True, "date": "2026-11-23 00:00", "cores": 2, "load_average": [1.0, 2.0]}
