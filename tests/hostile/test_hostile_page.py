@@ -40,7 +40,7 @@ def test_late_ticks_are_counted_where_they_belong(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("after", "state", "late", "held"),
     [
-        (0.004, "refused", 1, True), (0.011, "refused", 1, False), (None, "refused", 1, False),
+        (0.004, "refused", 1, True), (0.013, "refused", 1, False), (None, "refused", 1, False),
         (0.004, "ready", 1, False), (0.004, "refused", 3, False),
     ],
 )  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any
 __all__ = ["MOST_REFUSAL_SECONDS", "account_of_offers"]
 
 MOST_REFUSAL_SECONDS = 0.010
-"""Between the state of a tick and the refusal in the same tick, sense to act included."""
+"""Between the action of a tick, behind which offers are looked at, and the refusal in the same tick."""
 Window = Sequence[float]
 """Begin and end, monotonic, s."""
 Moments = Mapping[str, Any]
