@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from safedpa.bus.process import Stop
     from safedpa.dynamics import PhysicsModel
     from safedpa_services.supervisor.plan import Plan
+    from safedpa_services.supervisor.securing import Wallet
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
@@ -109,8 +110,8 @@ def command(**options: Any) -> None:
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     stop = Stop()
-    with _certificates(options) as folder, _meeting_place(options) as endpoint:
-        plan = _plan({**options, "certificates": folder, "endpoint": endpoint})
+    with _certificates(options) as wallet, _meeting_place(options) as endpoint:
+        plan = _plan({**options, "wallet": wallet, "endpoint": endpoint})
         stop.listen_to_signals()
         summary = _drive(plan, stop, quiet=options["as_json"])
     if options["as_json"]:
@@ -119,8 +120,8 @@ def command(**options: Any) -> None:
         _tell(summary)
 
 
-def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None]:
-    """The folder of throw-away certificates, if the person wants them."""
+def _certificates(options: dict[str, Any]) -> AbstractContextManager[Wallet | None]:
+    """Throw-away certificates, if the person wants them."""
     from safedpa_services.supervisor.securing import throw_away_certificates
 
     if not options["secure"]:
@@ -196,7 +197,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         controller=_controller(model, options["controller"]),
         fleet=options["fleet"],
         endpoint=options["endpoint"],
-        certificates=options["certificates"],
+        wallet=options["wallet"],
         folder=Plan.new_folder(options["out"], options["name"]),
     )
 
@@ -294,7 +295,7 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     from safedpa_services.supervisor.watch import Watch
 
     services, robot = plan.services(), plan.robot_process()
-    if plan.certificates is not None:
+    if plan.wallet is not None:
         services[0].start()  # the router, through which the supervisor itself hears
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
         watch = Watch(bus, plan.names[0])
@@ -318,7 +319,7 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     from safedpa_services.supervisor.screen import screen
 
     where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
-    where += f" --certificates {plan.certificates}" if plan.certificates is not None else ""
+    where += f" --certificates {plan.wallet.folder}" if plan.wallet is not None else ""
     hints = [f"recording {plan.recording}", f"others join with {where}"]
     hints.append(f"how it is: safedpa status --watch {where}")
     if plan.diagnosis:
