@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,27 +19,21 @@ __all__ = ["simulate"]
 def simulate(models: Sequence[PhysicsModel], windows: Windows, rows: Rows, starts: Floats) -> Floats:
     """Predicted states (models, windows, compared, states); models of one structure, whose numbers may differ.
 
-    ``starts`` (windows, states) or (models, windows, states). Beyond a window's end its last state stays: logs of
-    different rates have windows of as many seconds and far fewer rows, which are not followed further.
+    ``starts`` (windows, states) or (models, windows, states). Beyond a window's end nothing is meant.
     """
-    size, last = starts.shape[-1], int(rows[-1])
+    count, size = len(windows), starts.shape[-1]
     mechanics, felt = SideBySide(models), _felt(models, windows)
+    states = [np.ascontiguousarray(starts[..., index]) for index in range(size)]
     period = common_period(windows)
-    found = np.empty((len(models), len(windows), len(rows), size))
-    order = np.argsort(-windows.steps, kind="stable")
-    start, left = windows.start[order], -windows.steps[order]
-    states = [np.ascontiguousarray(starts[..., order, index]) for index in range(size)]
-    active = len(windows)
-    for compared, (row, following) in enumerate(pairwise([*rows.tolist(), last])):
-        for index, column in enumerate(states):
-            found[..., index][:, order[:active], compared] = column
-        for step in range(row, following):
-            running = int(np.searchsorted(left, -step, side="left"))
-            if running < active:
-                for index, column in enumerate(states):
-                    found[..., index][:, order[running:active], compared + 1 :] = column[..., running:, None]
-                states, active = [column[..., :running] for column in states], running
-            at = start[:active] + step
+    found = np.empty((len(models), count, len(rows), size))
+    wanted = {int(row): index for index, row in enumerate(rows)}
+    last = int(rows[-1])
+    for step in range(last + 1):
+        if step in wanted:
+            for index, column in enumerate(states):
+                found[:, :, wanted[step], index] = column
+        if step < last:
+            at = np.minimum(windows.start + step, windows.end - 1)
             seconds: Any = windows.period[at] if period is None else period
             states = mechanics.ahead(states, [column[..., at] for column in felt], seconds, windows.time[at])
     return found
