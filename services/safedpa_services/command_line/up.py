@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,13 @@ from safedpa_services.terminal import say
 if TYPE_CHECKING:
     from safedpa.bus.process import Stop
     from safedpa.dynamics import PhysicsModel
+    from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
+    from safedpa_services.supervisor.watch import Watch
+
+    ShownBy = Callable[[Watch, Sequence[Child], Child], AbstractContextManager[Callable[[], None]]]
+
+__all__ = ["command", "driven", "planned"]
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
@@ -109,14 +115,20 @@ def command(**options: Any) -> None:
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     stop = Stop()
-    with _certificates(options) as folder, _meeting_place(options) as endpoint:
-        plan = _plan({**options, "certificates": folder, "endpoint": endpoint})
+    with planned(options) as plan:
         stop.listen_to_signals()
-        summary = _drive(plan, stop, quiet=options["as_json"])
+        summary = driven(plan, stop, _screen_of(plan, quiet=options["as_json"]))
     if options["as_json"]:
         click.echo(json.dumps(summary))
     else:
         _tell(summary)
+
+
+@contextmanager
+def planned(options: dict[str, Any]) -> Iterator[Plan]:
+    """The plan that the options ask for, with the place where its processes meet. Raises InputError for bad ones."""
+    with _certificates(options) as folder, _meeting_place(options) as endpoint:
+        yield _plan({**options, "certificates": folder, "endpoint": endpoint})
 
 
 def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None]:
@@ -286,7 +298,8 @@ def _check_rate(model: PhysicsModel, rate: float) -> None:
         )
 
 
-def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
+def driven(plan: Plan, stop: Stop, shown_by: ShownBy) -> dict[str, Any]:
+    """Drives until the end or ``stop`` and returns the summary. Raises SafedpaError where the robot failed."""
     from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
     from safedpa_services.supervisor.summary import summary_of
@@ -300,7 +313,7 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
         watch = Watch(bus, plan.names[0])
         others = [(plan.robot_process(k + 1), Watch(bus, name)) for k, name in enumerate(plan.names[1:])]
         shown = [*(child for child, _ in others), *services]
-        with _screen(plan, watch, shown, robot, quiet=quiet) as on_turn:
+        with shown_by(watch, shown, robot) as on_turn:
             code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
     if code != 0:
         raise SafedpaError(f"robot: {robot.last_words()}")
@@ -314,7 +327,7 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     return summary_of(plan.summary, watch.verdicts, [robot, *shown], health, plan.recording, stands, accounts)
 
 
-def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -> Any:
+def _screen_of(plan: Plan, *, quiet: bool) -> ShownBy:
     from safedpa_services.supervisor.screen import screen
 
     where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
@@ -323,7 +336,9 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     hints.append(f"how it is: safedpa status --watch {where}")
     if plan.diagnosis:
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
-    return screen(watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address)
+    return lambda watch, services, robot: screen(
+        watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address
+    )
 
 
 def _tell(summary: dict[str, Any]) -> None:
