@@ -271,6 +271,7 @@ sys.path.insert(0, sys.argv[1])
 from live_messages import finding, model, state, REPORT
 from safedpa.bus.process import Stop
 from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
+from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.recordings import Choice
 from safedpa_services.workbench.serving import Serving
 from safedpa_services.workbench.server import serve
@@ -304,13 +305,13 @@ def drive():
 
 robot.answer_requests(answer)
 threading.Thread(target=drive, daemon=True).start()
-serve(Choice(), Path(sys.argv[1]), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus, stop=Stop())
+serve(Bench(Choice(), Path(sys.argv[1])), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus, stop=Stop())
 """
 
 
-@pytest.mark.browser
-@pytest.mark.processes
-def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
+@pytest.fixture
+def live(free_port, tmp_path):
+    """A live page beside a drive that is played: the server's process and its address."""
     source = Path(__file__).read_text(encoding="utf-8")
     start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
     header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
@@ -321,30 +322,7 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
     try:
         line = server.stdout.readline()
         assert "/live" in line
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        hosts, complaints = set(), []
-        page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
-        page.on("console", lambda message: complaints.append(message.text))
-        page.goto(line.split()[1])
-        page.wait_for_selector(".candidate.open >> text=Accept", timeout=PATIENCE)
-        assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
-        page.wait_for_selector("text=/If you accept: the margin of obstacle goes from 0.03 to 0.1/", timeout=PATIENCE)
-        assert not page.get_by_label("back to the model before").is_visible()
-        page.keyboard.press("a")
-        page.wait_for_selector("text=/change 1 is offered to/", timeout=PATIENCE)
-        page.wait_for_selector("text=−80 % since the change", timeout=PATIENCE)
-        assert page.locator(".candidate").count() == 0
-        page.get_by_label("back to the model before").wait_for(timeout=PATIENCE)
-        assert page.evaluate("document.documentElement.scrollWidth") <= 1280
-        server.send_signal(signal.SIGTERM)
-        page.wait_for_selector("text=/The drive has ended. r1 drove for/", timeout=PATIENCE)
-        server.wait(60)
-        page.wait_for_timeout(2000)
-        assert not page.locator("#popup").is_visible(), "an end is no lost connection"
-        complaints = [line for line in complaints if "ERR_CONNECTION_REFUSED" not in line and "WebSocket" not in line]
-        page.close()
-        assert hosts == {f"127.0.0.1:{free_port}"}
-        assert complaints == []
+        yield server, line.split()[1]
     finally:
         server.send_signal(signal.SIGINT)
         try:
@@ -353,3 +331,55 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
             server.kill()
             server.wait()
             server.stdout.close()
+
+
+@pytest.mark.browser
+@pytest.mark.processes
+def test_a_candidate_is_accepted_on_the_live_page(browser, live):
+    server, address = live
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    hosts, complaints = set(), []
+    page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
+    page.on("console", lambda message: complaints.append(message.text))
+    page.goto(address)
+    page.wait_for_selector(".candidate.open >> text=Accept", timeout=PATIENCE)
+    assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
+    page.wait_for_selector("text=/If you accept: the margin of obstacle goes from 0.03 to 0.1/", timeout=PATIENCE)
+    assert not page.get_by_label("back to the model before").is_visible()
+    page.keyboard.press("a")
+    page.wait_for_selector("text=/change 1 is offered to/", timeout=PATIENCE)
+    page.wait_for_selector("text=−80 % since the change", timeout=PATIENCE)
+    assert page.locator(".candidate").count() == 0
+    page.get_by_label("back to the model before").wait_for(timeout=PATIENCE)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    server.send_signal(signal.SIGTERM)
+    page.wait_for_selector("text=/The drive has ended. r1 drove for/", timeout=PATIENCE)
+    server.wait(60)
+    page.wait_for_timeout(2000)
+    assert not page.locator("#popup").is_visible(), "an end is no lost connection"
+    complaints = [line for line in complaints if "ERR_CONNECTION_REFUSED" not in line and "WebSocket" not in line]
+    page.close()
+    assert hosts == {address.split("/")[2]}
+    assert complaints == []
+
+
+@pytest.mark.browser
+@pytest.mark.processes
+def test_a_drive_that_ends_while_the_page_loads_is_told_to_have_ended(browser, live):
+    """The page was delivered, its scripts are still on their way: the server waits for it with the last word."""
+    server, address = live
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    ended = []
+
+    def end(response):
+        if response.request.resource_type == "document" and not ended:
+            ended.append(response.url)
+            server.send_signal(signal.SIGTERM)
+
+    page.on("response", end)
+    page.goto(address)
+    page.wait_for_selector("text=/The drive has ended/", timeout=PATIENCE)
+    server.wait(60)
+    page.wait_for_timeout(1500)
+    assert not page.locator("#popup").is_visible()
+    page.close()

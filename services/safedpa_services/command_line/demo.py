@@ -163,7 +163,10 @@ class _Demonstration:
             "seed": self._options["seed"],
             "changed": summary.get("changed"),
             **told,
-            **{name: summary[name] for name in ("robot_seconds", "goals_reached", "collisions", "standstills", "recording")},
+            **{
+                name: summary[name]
+                for name in ("robot_seconds", "goals_reached", "collisions", "standstills", "recording")
+            },
             "report": report,
             "picture": str(self._options["picture"]) if self._picture is not None and not self._trouble else "",
             "failure": self._trouble or _failure(story, summary),

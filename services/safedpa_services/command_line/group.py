@@ -14,8 +14,8 @@ from safedpa.limits import readable
 __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
-    "accept", "add", "bench", "calibrate", "certificates", "compare", "demo", "diagnose", "effects", "experiment", "export",
-    "go", "predict", "rehearse", "reject", "replay", "roll-back", "screenshot", "status", "stop", "train",
+    "accept", "add", "bench", "calibrate", "certificates", "compare", "demo", "diagnose", "effects", "experiment",
+    "export", "go", "predict", "rehearse", "reject", "replay", "roll-back", "screenshot", "status", "stop", "train",
     "train-baselines", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""

@@ -31,8 +31,6 @@ LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
 RATES = {"car": 20.0, "pendulum": 100.0, "point": 50.0}
 """Kinds of robots, with their ticks per second."""
-_DRIVEN = {"car": ("target_speed", "steer"), "pendulum": ("torque",), "point": ("thrust", "turn")}
-"""What the simulated ones take as their action."""
 _MODELS = {"point": "point_wind"}
 """Where the robot's model does not bear its name."""
 _OWN = {
@@ -217,16 +215,11 @@ def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> N
     """Refuses the model of another robot, and settings of another one, before any process starts."""
     from safedpa.safety.scenes import scene_of
     from safedpa.safety.shipped import settings_named
-    from safedpa.systems import systems
+    from safedpa_services.supervisor.drivable import why_not_driven
 
-    system = model.system
-    states = systems()[robot].state_names
-    if (system.name, system.state_names, system.action_names) != (robot, states, _DRIVEN[robot]):
-        raise InputError(
-            f"--model {name}: a {system.name} with {', '.join(system.action_names)} (states "
-            f"{', '.join(system.state_names)}), wanted a {robot} with {', '.join(_DRIVEN[robot])} (states "
-            f"{', '.join(states)})"
-        )
+    refusal = why_not_driven(model, robot)
+    if refusal:
+        raise InputError(f"--model {name}: {refusal}")
     try:
         scene_of(model, settings_named(settings))
     except InputError as error:

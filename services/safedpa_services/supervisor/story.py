@@ -138,7 +138,9 @@ class Story:
             self._measure(finding)
         elif finding.model != self._model:
             self.told.taken = finding.robot_time
-            self.tell(f"model {finding.model[:8]} is in force instead of {self._model[:8]}, in all services at one tick")
+            self.tell(
+                f"model {finding.model[:8]} is in force instead of {self._model[:8]}, in all services at one tick"
+            )
             self._beside(self._keep_model)
         else:
             self._search(finding)
@@ -208,7 +210,11 @@ class Story:
             self._lines.put(f"--yes: {effect} is accepted; it promises {100 * promised:.0f} % less error")
             self._wish = effect
         else:
-            why = f"cannot be told from {', '.join(group)} yet" if group else f"promises {100 * promised:.0f} % less error"
+            why = (
+                f"cannot be told from {', '.join(group)} yet"
+                if group
+                else f"promises {100 * promised:.0f} % less error"
+            )
             self._lines.put(f"{effect} {why}: one more search, with twice the data, is awaited")
 
     def _accept(self, effect: str) -> None:

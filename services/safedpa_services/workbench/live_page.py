@@ -12,6 +12,7 @@ from typing import Any
 from nicegui import events, ui
 
 from safedpa.bus import Answer, Request
+from safedpa_services.workbench.browser import answer_of, wishes_dark
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
 from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.help import show_keys
@@ -50,6 +51,7 @@ class LivePage:
         self._drawn: Any = None
         self._shown: Any = None
         self._asking = False
+        link.untold.add(self)  # from the first byte on: a drive may end while the page loads
         self._build()
 
     def _build(self) -> None:
@@ -110,9 +112,8 @@ class LivePage:
 
     async def begin(self) -> None:
         """Chooses dark or light as the browser wishes."""
-        self._link.untold.add(self)
         ui.run_javascript(_SAY_NO_CONNECTION)
-        self._set_dark(bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=5.0)))
+        self._set_dark(await wishes_dark())
         self.show()
 
     # showing
@@ -173,7 +174,7 @@ class LivePage:
         self._verdict.set_content(escaped(f"The drive has ended.{account} What is shown here is the last of it."))
         self._candidates.show_cards([], "", "The drive has ended: nothing can be changed any more.")
         self._back.set_visibility(False)
-        await ui.run_javascript("document.body.classList.add('ended'); return true", timeout=_END_SECONDS)
+        await answer_of("document.body.classList.add('ended'); return true", _END_SECONDS)
         self._link.untold.discard(self)
 
     def _trouble(self, sentence: str) -> None:
