@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -262,75 +258,6 @@ def test_a_recording_plays_at_the_pace_of_the_robots_clock(tmp_path, finished):
 def test_a_recording_without_messages_is_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         ReplayLink(tmp_path / "none.mcap")
-
-
-SERVER = """
-import json, sys, threading, time
-from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from live_messages import finding, model, state, REPORT
-from safedpa.bus.process import Stop
-from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
-from safedpa_services.workbench.bench import Bench
-from safedpa_services.workbench.recordings import Choice
-from safedpa_services.workbench.serving import Serving
-from safedpa_services.workbench.server import serve
-
-broker = MemoryBroker()
-bus, robot = Bus(MemoryTransport(broker), "fleet"), Bus(MemoryTransport(broker), "fleet")
-asked = []
-
-def answer(name, request):
-    if request.do == "status":
-        left = () if "accept" in asked else ("towed_load",)
-        return Answer(ok=True, sentence="the model is the one that the robot began with", candidates=left,
-                      foreseen=("the margin of obstacle goes from 0.03 to 0.1",), earlier=len(asked))
-    if request.model != "aaaa" or request.finding != 1:
-        return Answer(ok=False, sentence="refused: another model")
-    asked.append(request.do)
-    robot.publish(MODEL, "r1", model(tick[0], "take"))
-    return Answer(ok=True, sentence=f"change 1 is offered to {request.who}")
-
-tick = [0]
-def drive():
-    while True:
-        tick[0] += 1
-        robot.publish(STATE, "r1", state(tick[0]))
-        if tick[0] % 20 == 0:
-            done = "accept" in asked
-            message = finding(tick[0], "watching", 0.1) if done else finding(
-                tick[0], "candidates", 0.5, json.dumps(REPORT), 1)
-            robot.publish(FINDING, "r1", message)
-        time.sleep(0.01)
-
-robot.answer_requests(answer)
-threading.Thread(target=drive, daemon=True).start()
-serve(Bench(Choice(), Path(sys.argv[1])), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus, stop=Stop())
-"""
-
-
-@pytest.fixture
-def live(free_port, tmp_path):
-    """A live page beside a drive that is played: the server's process and its address."""
-    source = Path(__file__).read_text(encoding="utf-8")
-    start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
-    header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
-    (tmp_path / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
-    environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
-    command = [sys.executable, "-c", SERVER, str(tmp_path), str(free_port)]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-    try:
-        line = server.stdout.readline()
-        assert "/live" in line
-        yield server, line.split()[1]
-    finally:
-        server.send_signal(signal.SIGINT)
-        try:
-            server.wait(60)
-        finally:
-            server.kill()
-            server.wait()
-            server.stdout.close()
 
 
 @pytest.mark.browser

@@ -8,7 +8,7 @@ import json
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_services.supervisor.drivable import why_not_driven
+from safedpa.systems.driven import why_not_driven
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.recordings import Choice, Made
 from safedpa_services.workbench.session_file import (
@@ -79,8 +79,8 @@ def test_paths_are_kept_whole_and_names_that_ship_are_names(tmp_path, monkeypatc
 
 
 def test_what_up_refuses_is_said_with_what_it_is_and_what_was_wanted(plain):
-    assert "throttle, steer" in why_not_driven(plain, "car")
-    assert "wanted a car with target_speed, steer" in why_not_driven(plain, "car")
+    assert "throttle, steer" in why_not_driven(plain.system, "car")
+    assert "wanted a car with target_speed, steer" in why_not_driven(plain.system, "car")
 
 
 @pytest.mark.processes

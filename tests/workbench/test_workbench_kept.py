@@ -77,7 +77,7 @@ def test_nothing_is_lost(browser, bench, drives):
     model, runs = drives
     address = bench.start(model, runs[0])
     page = opened(browser, address, 1)
-    assert "cannot drive its simulated robot with this model: it is a car with throttle" in page.content()
+    assert "will refuse it: a car with throttle" in page.content()
     page.wait_for_selector(".candidate", timeout=PATIENCE)
     page.click(".candidate.open >> text=Add")
     page.wait_for_function(BARS.format(2), timeout=PATIENCE)

@@ -215,9 +215,9 @@ def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> N
     """Refuses the model of another robot, and settings of another one, before any process starts."""
     from safedpa.safety.scenes import scene_of
     from safedpa.safety.shipped import settings_named
-    from safedpa_services.supervisor.drivable import why_not_driven
+    from safedpa.systems.driven import why_not_driven
 
-    refusal = why_not_driven(model, robot)
+    refusal = why_not_driven(model.system, robot)
     if refusal:
         raise InputError(f"--model {name}: {refusal}")
     try:

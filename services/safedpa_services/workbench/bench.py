@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, SafedpaError
-from safedpa_services.supervisor.drivable import why_not_driven
+from safedpa.systems.driven import why_not_driven
 from safedpa_services.workbench import jobs
 from safedpa_services.workbench.recordings import Choice, loaded
 from safedpa_services.workbench.saving import STEPS, saved
@@ -254,8 +254,8 @@ class Bench:
         """What is to be known before Save: why ``safedpa up`` would refuse the model; empty where it would not."""
         if self.given is None or self.session is None:
             return ""
-        refusal = why_not_driven(self.given, self.given.system.name)
-        return f"'safedpa up' cannot drive its simulated robot with this model: it is {refusal}." if refusal else ""
+        refusal = why_not_driven(self.given.system, self.given.system.name)
+        return f"Save writes it, but 'safedpa up' will refuse it: {refusal}." if refusal else ""
 
     async def save(self) -> None:
         """Writes the present model, in a process of its own: a search goes on meanwhile."""

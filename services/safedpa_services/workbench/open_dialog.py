@@ -19,7 +19,7 @@ from safedpa.records.column_map_file import shipped_column_maps
 from safedpa_services.web.shelf import RECORDINGS, Shelf
 from safedpa_services.workbench.column_form import Line, guessed, lines_of, map_text
 from safedpa_services.workbench.columns_table import ColumnsTable
-from safedpa_services.workbench.elements import action, escaped, named, text
+from safedpa_services.workbench.elements import action, escaped, named, on_change_of, text
 from safedpa_services.workbench.file_preview import Checked, RawRows, checked, raw_rows
 from safedpa_services.workbench.recordings import Choice, Made
 
@@ -27,6 +27,15 @@ __all__ = ["OpenDialog"]
 
 _GUESSED = "guessed from the names"
 _NATIVE = "native names"
+_NAME_UPLOAD = """(node) => {
+  const input = node.el?.querySelector?.('input[type=file]');
+  if (!input) return;
+  input.setAttribute('aria-label', 'upload recordings');
+  input.setAttribute('tabindex', '0');
+  const sign = input.closest('a');
+  if (sign) { sign.removeAttribute('role'); sign.removeAttribute('tabindex'); sign.removeAttribute('href'); }
+}"""
+"""The framework draws a link around the control; the control itself is what the keyboard reaches."""
 
 
 class OpenDialog:
@@ -60,6 +69,7 @@ class OpenDialog:
             upload.props(f"max-file-size={limit('upload_bytes')} max-files={limit('uploads')}")
             upload.props('flat bordered accept=".csv,.parquet,.mcap" aria-label="upload recordings"')
             upload.style("width: 250px; max-height: 110px")
+            on_change_of(upload, _NAME_UPLOAD)
 
     def _columns(self) -> None:
         with ui.element("div").classes("row").style("width: 100%"):

@@ -23,6 +23,7 @@ from safedpa_services.web.quiet import keep_tracebacks_in
 from safedpa_services.web.shelf import Shelf
 from safedpa_services.web.showing import show
 from safedpa_services.workbench.bench import Bench
+from safedpa_services.workbench.elements import dressed
 from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_page import LivePage
 from safedpa_services.workbench.page import Page
@@ -66,7 +67,7 @@ def serve(
 
     @ui.page("/", title="safedpa workbench")
     async def recordings(client: Client) -> None:
-        ui.add_css(style)
+        dressed(style)
         page = Page(bench, door, shelf, live=link is not None)
         client.on_delete(page.close)
         await client.connected()
@@ -117,7 +118,7 @@ async def _told_when_it_answers(serving: Serving, where: str, *, browser: bool) 
 def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
     @ui.page("/live", title="safedpa workbench, live")
     async def live(client: Client) -> None:
-        ui.add_css(style)
+        dressed(style)
         page = LivePage(link)
         client.on_delete(page.close)
         await client.connected()

@@ -1,21 +1,20 @@
-"""Which models ``safedpa up`` can drive its simulated robots with."""
+"""What the robots that ``safedpa up`` drives take as their action, and which systems fit."""
 
 from __future__ import annotations
 
 from typing import Final
 
-from safedpa.dynamics import PhysicsModel
-from safedpa.systems import systems
+from safedpa.systems.registry import systems
+from safedpa.systems.system import System
 
 __all__ = ["DRIVEN", "why_not_driven"]
 
 DRIVEN: Final = {"car": ("target_speed", "steer"), "pendulum": ("torque",), "point": ("thrust", "turn")}
-"""What the simulated robots take as their action."""
+"""Actions by kind of robot."""
 
 
-def why_not_driven(model: PhysicsModel, robot: str) -> str:
-    """Why ``up`` refuses the model for a robot of this kind, in words: what it is and what was wanted; empty if not."""
-    system = model.system
+def why_not_driven(system: System, robot: str) -> str:
+    """Why ``up`` refuses a model of this system for a robot of this kind: what it is, what was wanted; empty if not."""
     states = systems()[robot].state_names if robot in DRIVEN else ()
     if robot in DRIVEN and (system.name, system.state_names, system.action_names) == (robot, states, DRIVEN[robot]):
         return ""
