@@ -49,14 +49,14 @@ docs: environment  ## the pages as a site, in build/site: open index.html there,
 environment: $(INSTALLED)  ## creates .venv, or brings it up to date
 
 # Torch comes first, by its exact version: where a build for the processor alone is at hand, that one is taken.
-# A link, not a copy, of the project is installed, so the environment changes only with these two files.
-$(INSTALLED): pyproject.toml constraints.txt
+# Links, not copies, of the product and its laboratory are installed, so the environment changes only with these files.
+$(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
 		|| { echo "$(PYTHON): wanted Python 3.11; say make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@echo "Installing into $(ENVIRONMENT); the first time this takes a minute or two."
 	@$(PYTHON) -m venv $(ENVIRONMENT)
 	@$(PIP) torch==2.13.0
-	@$(PIP) --editable '.[test,lint]'
+	@$(PIP) --editable '.[test,lint]' --editable sim
 	@touch $@
 
 audit:  ## known holes in what is pinned, and a bill of materials (build/sbom.json); needs the public index

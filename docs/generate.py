@@ -32,8 +32,8 @@ from safedpa.diagnosis.live.node import DiagnosisNode
 from safedpa.limits import TABLE
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
-from safedpa_services.command_line.experiment import EXPERIMENTS
-from safedpa_services.command_line.group import COMMANDS
+from safedpa_lab.commands.experiment import EXPERIMENTS
+from safedpa_services.command_line.group import COMMANDS, LABORATORY
 from safedpa_services.metrics.families import FAMILIES
 
 LOOP: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode)
@@ -134,11 +134,12 @@ def metrics() -> str:
 def commands() -> str:
     """Every command with the first sentence of its help, and every experiment."""
     rows = ["| command | what it does |", "|---|---|"]
-    for name in COMMANDS:
-        module = f"{COMMANDS_PACKAGE}.{name.replace('-', '_')}"
+    brought = {name: f"safedpa_lab.commands.{name.replace('-', '_')}" for name in LABORATORY}
+    own = {name: f"{COMMANDS_PACKAGE}.{name.replace('-', '_')}" for name in COMMANDS}
+    for name, module in sorted((own | brought).items()):
         rows.append(f"| `safedpa {name}` | {_first_sentence(module)} |")
     for name in EXPERIMENTS:
-        module = f"{COMMANDS_PACKAGE}.experiments.{name.replace('-', '_')}"
+        module = f"safedpa_lab.commands.experiments.{name.replace('-', '_')}"
         rows.append(f"| `safedpa experiment {name}` | {_first_sentence(module)} |")
     return "\n".join(rows)
 

@@ -1,1 +1,1 @@
-"""The stand-in for the world: robots, training simulators, experiments."""
+"""The stand-in for the world: robots, and the simulators that policies are trained in."""

@@ -6,10 +6,10 @@ import json
 
 import pytest
 
+from safedpa_lab.experiments.adversary.campaign import adversary, all_attacks, attacks_named
+from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
+from safedpa_lab.experiments.adversary.report import adversary_markdown
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.experiments.adversary.campaign import adversary, all_attacks, attacks_named
-from safedpa_sim.experiments.adversary.linear_problem import LinearProblem
-from safedpa_sim.experiments.adversary.report import adversary_markdown
 
 
 def run(*arguments):

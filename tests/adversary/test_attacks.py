@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from safedpa.safety import SafetyFilter, Status, Verdict
-from safedpa_sim.experiments.adversary.attack import AbstractAttack, Result, Row, WholeAttack
-from safedpa_sim.experiments.adversary.bad_inputs import BadInputs
-from safedpa_sim.experiments.adversary.car_grid import CarGrid, odd_question
-from safedpa_sim.experiments.adversary.programs import Programs
-from safedpa_sim.experiments.adversary.scales import Scales, Units, drive
-from safedpa_sim.experiments.adversary.systems import SYSTEMS, Systems
+from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row, WholeAttack
+from safedpa_lab.experiments.adversary.bad_inputs import BadInputs
+from safedpa_lab.experiments.adversary.car_grid import CarGrid, odd_question
+from safedpa_lab.experiments.adversary.programs import Programs
+from safedpa_lab.experiments.adversary.scales import Scales, Units, drive
+from safedpa_lab.experiments.adversary.systems import SYSTEMS, Systems
 
 Planted = Callable[[Callable[[Callable[[Verdict, object], Verdict]], None]], None]
 
@@ -218,7 +218,7 @@ def test_two_threads_that_get_each_others_answers_are_noticed(monkeypatch):
         )
 
     monkeypatch.setattr(SafetyFilter, "decide", decide)
-    from safedpa_sim.experiments.adversary.bad_inputs import two_threads
+    from safedpa_lab.experiments.adversary.bad_inputs import two_threads
 
     mixed, _, count = two_threads(200)
     assert count == 400

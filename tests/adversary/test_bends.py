@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from safedpa.safety import SafetyFilter, Status
-from safedpa_sim.experiments.adversary.bends import Bends, bent_answer
-from safedpa_sim.experiments.adversary.bent_problem import BENT_SHAPES, BentProblem, bent_problem
+from safedpa_lab.experiments.adversary.bends import Bends, bent_answer
+from safedpa_lab.experiments.adversary.bent_problem import BENT_SHAPES, BentProblem, bent_problem
 
 
 def bent(h, wish=1.0, actions=1, eta=0.5, epsilon=0.0, units=(1.0, 1.0)):

@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 from safedpa.safety.shipped import settings_named
-from safedpa_sim.experiments.adversary import drives, standing
-from safedpa_sim.experiments.adversary.drives import KINDS, Driven, Drives
-from safedpa_sim.experiments.adversary.late_drives import LateDrives
-from safedpa_sim.experiments.adversary.standing import Standing
-from safedpa_sim.experiments.long_drives import LongOutcome
+from safedpa_lab.experiments.adversary import drives, standing
+from safedpa_lab.experiments.adversary.drives import KINDS, Driven, Drives
+from safedpa_lab.experiments.adversary.late_drives import LateDrives
+from safedpa_lab.experiments.adversary.standing import Standing
+from safedpa_lab.experiments.long_drives import LongOutcome
 
 
 @pytest.mark.parametrize("kind", ["forward", "any direction", "killed", "reversing"])

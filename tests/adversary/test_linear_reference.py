@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import quadprog
 
-from safedpa_sim.experiments.adversary.linear_judge import LinearJudge
-from safedpa_sim.experiments.adversary.linear_problem import LinearProblem
-from safedpa_sim.experiments.adversary.linear_shapes import SHAPES, random_problem
+from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
+from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
+from safedpa_lab.experiments.adversary.linear_shapes import SHAPES, random_problem
 
 
 def one_action(now: float, drift: float, epsilon: float = 0.0, wish: float = 1.0) -> LinearProblem:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from safedpa.safety import SafetyFilter, Status
-from safedpa_sim.experiments.adversary.linear_judge import LinearJudge
-from safedpa_sim.experiments.adversary.linear_shapes import random_problem
-from safedpa_sim.experiments.adversary.mirrors import MIRRORS, Mirrors
+from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
+from safedpa_lab.experiments.adversary.linear_shapes import random_problem
+from safedpa_lab.experiments.adversary.mirrors import MIRRORS, Mirrors
 
 
 def measured(seed=2):

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from safedpa.safety import SafetyFilter, Status
-from safedpa_sim.experiments.adversary import peers
-from safedpa_sim.experiments.adversary.linear_judge import LinearJudge
-from safedpa_sim.experiments.adversary.peer_filters import PEERS
-from safedpa_sim.experiments.adversary.peers import OWN, PEER_PACKAGES, Peers, peer_problems
+from safedpa_lab.experiments.adversary import peers
+from safedpa_lab.experiments.adversary.linear_judge import LinearJudge
+from safedpa_lab.experiments.adversary.peer_filters import PEERS
+from safedpa_lab.experiments.adversary.peers import OWN, PEER_PACKAGES, Peers, peer_problems
 
 
 def rows(found):

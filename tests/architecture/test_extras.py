@@ -41,7 +41,7 @@ CASES = (  # a command line, and the extra that it must name; None: it runs
     ("train car", "train"),
     ("train-baselines", "train"),
     ("bench latency --seconds 1", "sim"),
-    ("calibrate {log} --model car --simulator car --out {out}.toml", "train"),
+    ("experiment theory car_simulated", "train"),
     *((f"experiment {name}", "sim") for name in ("controllers", "faults", "live", "safety")),
     *(
         (f"experiment {name}", "diagnosis")

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SERVICES = ROOT / "services" / "safedpa_services"
 SHARED_BY_SERVICES = {"serving", "nodes", "web"}
-LAUNCHERS = {"command_line", "supervisor", "benchmarks"}
+LAUNCHERS = {"command_line", "supervisor"}
 """What a person starts: these may know the services and the simulator."""
 HEAVY = {"torch", "rerun", "plotly", "scipy", "pandas", "matplotlib"}
 
@@ -53,8 +53,13 @@ def test_nothing_but_what_a_person_starts_imports_the_simulator() -> None:
             assert not any(module.split(".")[0] == "safedpa_sim" for module in imported(path)), path
 
 
-def test_the_library_imports_neither_services_nor_simulator() -> None:
-    for folder, banned in (("shared", {"safedpa_services", "safedpa_sim"}), ("sim", {"safedpa_services"})):
+def test_the_library_imports_neither_services_nor_simulator_and_nothing_the_laboratory() -> None:
+    upper = {"safedpa_services", "safedpa_lab"}
+    for folder, banned in (
+        ("shared", {*upper, "safedpa_sim"}),
+        ("sim/safedpa_sim", upper),
+        ("services", {"safedpa_lab"}),
+    ):
         for path in (ROOT / folder).rglob("*.py"):
             assert not banned & {module.split(".")[0] for module in imported(path)}, path
 

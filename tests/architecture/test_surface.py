@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import safedpa
+import safedpa_lab
 import safedpa_services
 import safedpa_sim
 
@@ -21,7 +22,7 @@ LONGEST_FUNCTION = 60
 
 PACKAGES = sorted(
     info.name
-    for package in (safedpa, safedpa_services, safedpa_sim)
+    for package in (safedpa, safedpa_services, safedpa_sim, safedpa_lab)
     for info in pkgutil.walk_packages(package.__path__, package.__name__ + ".")
     if info.ispkg
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from safedpa_services.benchmarks.rows import ROWS
+from safedpa_lab.benchmarks.rows import ROWS
 from safedpa_services.command_line.group import safedpa
 
 pytestmark = pytest.mark.slow

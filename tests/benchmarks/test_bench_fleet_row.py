@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from safedpa.errors import SafedpaError
-from safedpa_services.benchmarks.fleet import FleetTrial
-from safedpa_services.benchmarks.results import Effort
-from safedpa_services.benchmarks.rows import largest_fleet as row
+from safedpa_lab.benchmarks.fleet import FleetTrial
+from safedpa_lab.benchmarks.results import Effort
+from safedpa_lab.benchmarks.rows import largest_fleet as row
 
 
 def _fleet(capacity: int, broken: int) -> Any:

@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.errors import InputError, SafedpaError
-from safedpa_services.benchmarks import suite
-from safedpa_services.benchmarks.peer_process import ask_peer, interpreter_with
-from safedpa_services.benchmarks.pictures import write_pictures
-from safedpa_services.benchmarks.results import Curve, Effort, Entry, Row, Target, microseconds, missing
-from safedpa_services.benchmarks.rows import ROWS
-from safedpa_services.benchmarks.suite import chosen_rows, read_document, run_rows
-from safedpa_services.benchmarks.table import figure_text, markdown, row_lines, target_texts
-from safedpa_services.benchmarks.timing import PERCENTILES, percentiles, rate, timed
+from safedpa_lab.benchmarks import suite
+from safedpa_lab.benchmarks.peer_process import ask_peer, interpreter_with
+from safedpa_lab.benchmarks.pictures import write_pictures
+from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target, microseconds, missing
+from safedpa_lab.benchmarks.rows import ROWS
+from safedpa_lab.benchmarks.suite import chosen_rows, read_document, run_rows
+from safedpa_lab.benchmarks.table import figure_text, markdown, row_lines, target_texts
+from safedpa_lab.benchmarks.timing import PERCENTILES, percentiles, rate, timed
 
 
 @given(st.lists(st.floats(0.0, 1e9), min_size=1, max_size=50))

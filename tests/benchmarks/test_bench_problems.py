@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from safedpa.dynamics import load_model
 from safedpa.safety import Braking, ObstacleBarrier, SafetyFilter, Status
-from safedpa_services.benchmarks.diagnosis_cases import (
+from safedpa_lab.benchmarks.diagnosis_cases import (
     CASES,
     NAMES,
     expression_is_right,
@@ -19,8 +19,8 @@ from safedpa_services.benchmarks.diagnosis_cases import (
     told,
     written,
 )
-from safedpa_services.benchmarks.filter_problem import FilterProblem, problem_with, wedged
-from safedpa_services.benchmarks.peers.problem import Problem, compared
+from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with, wedged
+from safedpa_lab.benchmarks.peers.problem import Problem, compared
 
 
 @pytest.fixture(scope="module")

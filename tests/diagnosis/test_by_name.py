@@ -13,7 +13,7 @@ from safedpa.diagnosis.unexplained import Profile
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa_sim.hidden import Case, write_case
+from safedpa_lab.hidden import Case, write_case
 
 NEVER = 1e9
 

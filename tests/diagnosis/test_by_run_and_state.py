@@ -12,8 +12,8 @@ from safedpa.diagnosis.comparison import compare_model
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.summary import as_json, run_sentence, worse_sentence
 from safedpa.effects import effect
+from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.hidden import Case, write_case
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from safedpa.diagnosis.refinement import Refined
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa_sim.hidden import Case, write_case
+from safedpa_lab.hidden import Case, write_case
 
 
 @pytest.fixture(scope="module")

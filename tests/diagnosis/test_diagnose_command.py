@@ -12,8 +12,8 @@ from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
+from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.hidden import Case, write_case
 
 
 @pytest.fixture(scope="module")

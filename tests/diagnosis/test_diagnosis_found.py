@@ -11,7 +11,7 @@ from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.report import Report, as_document
 from safedpa.dynamics import load_model, parse_model, write_model
 from safedpa.records import load_run
-from safedpa_sim.hidden import Case, write_case
+from safedpa_lab.hidden import Case, write_case
 
 pytestmark = pytest.mark.slow
 

@@ -15,8 +15,8 @@ from safedpa.diagnosis.report_story import story_of
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
+from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.diagnose import story_lines
-from safedpa_sim.hidden import Case, write_case
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,8 @@ import pytest
 from safedpa.diagnosis.fleet.outcome import outcome_of
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
+from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.hidden import Case, write_case
 
 FLOOR = {"deceleration": 0.9, "x_above": 0.4}
 

@@ -14,9 +14,9 @@ from safedpa.policy import PolicyNode
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
+from safedpa_lab.hidden.excitation import car_commands
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.hidden.excitation import car_commands
 from safedpa_sim.robots import CarRobot
 from safedpa_sim.robots.scene import Scene
 

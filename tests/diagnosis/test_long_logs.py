@@ -12,8 +12,8 @@ from safedpa.diagnosis.report_excerpt import excerpt
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
+from safedpa_lab.experiments.long_logs import HIDDEN, LongLogs, write_long_logs
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.experiments.long_logs import HIDDEN, LongLogs, write_long_logs
 
 LOGS = LongLogs(runs=3, seconds=60.0)
 
@@ -22,7 +22,7 @@ LOGS = LongLogs(runs=3, seconds=60.0)
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("long")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("safedpa_sim.experiments.long_logs._SITTING", 20.0)
+        patch.setattr("safedpa_lab.experiments.long_logs._SITTING", 20.0)
         return folder, write_long_logs(LOGS, folder, ("csv", "parquet", "mcap"))
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from safedpa.effects import effect
+from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.hidden import Case, write_case
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ import pytest
 
 from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
+from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.hidden import Case, write_case
 
 DOCS = Path(__file__).parents[2] / "docs"
 BALL = DOCS / "examples" / "falling_ball.py"

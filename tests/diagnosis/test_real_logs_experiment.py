@@ -7,9 +7,9 @@ import json
 import pytest
 
 from safedpa.effects import effect
+from safedpa_lab.experiments.real_logs_data import CAR, paths_of
+from safedpa_lab.experiments.real_logs_targets import targets_of
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.experiments.real_logs_data import CAR, paths_of
-from safedpa_sim.experiments.real_logs_targets import targets_of
 
 COMMAND = ["experiment", "real-logs", "--processes", "1"]
 

@@ -13,9 +13,9 @@ from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records import load_run
+from safedpa_lab.hidden import Case, write_case
+from safedpa_lab.hidden.sensor import NOISE
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.hidden import Case, write_case
-from safedpa_sim.hidden.sensor import NOISE
 
 pytestmark = pytest.mark.slow
 

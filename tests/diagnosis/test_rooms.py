@@ -10,7 +10,7 @@ import pytest
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import load_model
 from safedpa.records import load_run
-from safedpa_sim.hidden import Case, write_case
+from safedpa_lab.hidden import Case, write_case
 
 pytestmark = pytest.mark.slow
 

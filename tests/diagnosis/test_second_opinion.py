@@ -13,7 +13,7 @@ from safedpa.diagnosis.second_opinion import agrees, certain, clear
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa_sim.hidden import Case, write_case
+from safedpa_lab.hidden import Case, write_case
 
 FEEDBACK = Case("test", 2884420874, {}, drive="throttle", hard=True)
 """Nothing is hidden; unseen blocks alone find a dead zone with 3.6 standard errors and 8 % off the held-out error."""

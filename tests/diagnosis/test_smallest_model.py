@@ -93,7 +93,7 @@ def test_lateness_that_the_servo_or_another_lateness_may_feign(plain, with_effec
 def towing(tmp_path_factory):
     """The pymunk car with a chair, driven for 6 runs of 40 s."""
     from safedpa.records import load_run
-    from safedpa_sim.hidden import cases_of, write_case
+    from safedpa_lab.hidden import cases_of, write_case
 
     log = write_case(cases_of("towing", 1, seed=52)[0], tmp_path_factory.mktemp("towing"))
     model = load_model(str(log.model))
@@ -135,7 +135,7 @@ def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towi
 
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.report import as_document
-    from safedpa_sim.hidden.judge import judged
+    from safedpa_lab.hidden.judge import judged
 
     log, model, runs = towing
     report = diagnose(model, runs)

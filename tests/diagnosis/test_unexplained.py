@@ -13,7 +13,7 @@ from safedpa.diagnosis.report_page import report_page
 from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
-from safedpa_sim.hidden.excitation import car_commands
+from safedpa_lab.hidden.excitation import car_commands
 
 WHEELBASE, GAIN, LIMIT = 0.32, 3.0, 6.0
 NOISE = (0.002, 0.002, 0.003, 0.015)

@@ -10,7 +10,7 @@ from safedpa.diagnosis.windows import windows_of
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
-from safedpa_sim.hidden import Case, write_case
+from safedpa_lab.hidden import Case, write_case
 
 
 @pytest.mark.parametrize(

@@ -13,14 +13,14 @@ from safedpa.dynamics import LearnedBase, PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.networks import Weights, frame_of
 from safedpa.safety.shipped import settings_named
-from safedpa_sim.experiments.car_blind import BlindFilterNode
-from safedpa_sim.experiments.car_drives import Drive, DriveOrder, recorded_drive
-from safedpa_sim.experiments.car_episodes import EpisodeGroup, run_group
-from safedpa_sim.experiments.car_errors import error_ratios, errors_of_model, increment_scale
-from safedpa_sim.experiments.car_latent import LinearDiscriminant, latent_result, principal_plane
-from safedpa_sim.experiments.car_margin import StepErrors, coverage_of, latents_along, margin_of, step_errors
-from safedpa_sim.experiments.car_methods import METHODS, FixedLatentNode, chosen_methods, named_model
-from safedpa_sim.experiments.car_predict import predictor_of
+from safedpa_lab.experiments.car_blind import BlindFilterNode
+from safedpa_lab.experiments.car_drives import Drive, DriveOrder, recorded_drive
+from safedpa_lab.experiments.car_episodes import EpisodeGroup, run_group
+from safedpa_lab.experiments.car_errors import error_ratios, errors_of_model, increment_scale
+from safedpa_lab.experiments.car_latent import LinearDiscriminant, latent_result, principal_plane
+from safedpa_lab.experiments.car_margin import StepErrors, coverage_of, latents_along, margin_of, step_errors
+from safedpa_lab.experiments.car_methods import METHODS, FixedLatentNode, chosen_methods, named_model
+from safedpa_lab.experiments.car_predict import predictor_of
 
 SETTINGS = settings_named("car")
 

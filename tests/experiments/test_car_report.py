@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from PIL import Image
 
-from safedpa_sim.experiments.car_episodes import Outcome
-from safedpa_sim.experiments.car_figures import write_figures
-from safedpa_sim.experiments.car_methods import METHODS
-from safedpa_sim.experiments.car_report import MODEL_TITLES, markdown_of
-from safedpa_sim.experiments.car_scenes import CONFIGURATIONS
-from safedpa_sim.experiments.car_style import METHOD_COLOURS, MODELS
-from safedpa_sim.experiments.car_table import cell_of, table_markdown
+from safedpa_lab.experiments.car_episodes import Outcome
+from safedpa_lab.experiments.car_figures import write_figures
+from safedpa_lab.experiments.car_methods import METHODS
+from safedpa_lab.experiments.car_report import MODEL_TITLES, markdown_of
+from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
+from safedpa_lab.experiments.car_style import METHOD_COLOURS, MODELS
+from safedpa_lab.experiments.car_table import cell_of, table_markdown
 
 
 def outcome(seed, success, safe, ticks=100, covered=(95, 100)):

@@ -10,8 +10,8 @@ import pytest
 
 from safedpa.errors import InputError
 from safedpa.safety import FilterSettings
-from safedpa_sim.experiments.car_orders import FIRST_SEEDS, earnest_orders, hitching_orders, open_orders
-from safedpa_sim.experiments.car_scenes import CONFIGURATIONS, car_scene
+from safedpa_lab.experiments.car_orders import FIRST_SEEDS, earnest_orders, hitching_orders, open_orders
+from safedpa_lab.experiments.car_scenes import CONFIGURATIONS, car_scene
 
 SEEDS = range(25)
 

@@ -79,7 +79,7 @@ def test_finished_episodes_are_not_driven_again(out, monkeypatch, capsys):
     def refused(_):
         raise AssertionError("an episode was driven again")
 
-    monkeypatch.setattr("safedpa_sim.experiments.car_cells.run_group", refused)
+    monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", refused)
     before = (out / "cells" / "physics-box.json").read_text()
     arguments = [
         "--models",
@@ -109,7 +109,7 @@ def test_another_margin_is_another_cell(out, monkeypatch, capsys):
     def driven(_):
         raise DrivenError
 
-    monkeypatch.setattr("safedpa_sim.experiments.car_cells.run_group", driven)
+    monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", driven)
     arguments = [
         "--models",
         out,

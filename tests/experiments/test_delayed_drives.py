@@ -6,7 +6,7 @@ import pytest
 
 from safedpa.errors import InputError
 from safedpa.safety.found_delay import FoundDelay
-from safedpa_sim.experiments.delayed_drives import Lateness, delayed_drives, margin_with_delay
+from safedpa_lab.experiments.delayed_drives import Lateness, delayed_drives, margin_with_delay
 
 
 def test_a_known_delay_is_driven_with() -> None:

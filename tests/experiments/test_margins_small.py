@@ -14,10 +14,10 @@ from scipy.stats import binom
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.safety import MarginCalibration
-from safedpa_services.command_line.experiments.margins import command
-from safedpa_sim.experiments.margin_drives import DRIVERS, DriveOrder, driven
-from safedpa_sim.experiments.seeds import SEEDS, seeds_for
-from safedpa_sim.experiments.statistics import clopper_pearson_interval, cluster_interval
+from safedpa_lab.commands.experiments.margins import command
+from safedpa_lab.experiments.margin_drives import DRIVERS, DriveOrder, driven
+from safedpa_lab.experiments.seeds import SEEDS, seeds_for
+from safedpa_lab.experiments.statistics import clopper_pearson_interval, cluster_interval
 
 SMALL = ["--robot", "pendulum", "--drives", "4", "--fresh", "2", "--coverage", "0.7", "--seconds", "1"]
 

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from safedpa_sim.experiments.long_drives import LongDrive, LongOutcome, long_summary, run_long_drive
-from safedpa_sim.experiments.reversing_drives import ReversingDrive, run_reversing_drive
+from safedpa_lab.experiments.long_drives import LongDrive, LongOutcome, long_summary, run_long_drive
+from safedpa_lab.experiments.reversing_drives import ReversingDrive, run_reversing_drive
 from safedpa_sim.robots import core
 
 ONCE_COLLIDED = (("box", 510), ("chair", 502))

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_sim.faults.campaign import run_faults
-from safedpa_sim.faults.fault import Fault
-from safedpa_sim.faults.table import all_faults, faults_named, small_faults
+from safedpa_lab.faults.campaign import run_faults
+from safedpa_lab.faults.fault import Fault
+from safedpa_lab.faults.table import all_faults, faults_named, small_faults
 
 pytestmark = pytest.mark.slow
 

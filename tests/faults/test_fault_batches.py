@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa_sim.faults.batches import Batches, carries_data
+from safedpa_lab.faults.batches import Batches, carries_data
 
 FRAME, FRAGMENT, KEEP_ALIVE, INIT = 0x05, 0x06, 0x04, 0x01
 PUSH, REQUEST, RESPONSE, DECLARE, INTEREST, FINAL = 0x1D, 0x1C, 0x1B, 0x1E, 0x19, 0x1A

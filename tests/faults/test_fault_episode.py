@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from safedpa.bus import VerdictMessage
-from safedpa_sim.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
+from safedpa_lab.faults.episode import Episode, Evidence, collisions_in, recovery_of, stale_in
 from safedpa_sim.robots.trace import LivedPeriod
 
 PERIOD = 0.05

@@ -23,8 +23,8 @@ from safedpa.bus import (
     TakeoverMessage,
     VerdictMessage,
 )
-from safedpa_sim.faults.model_changes import mixed_in
-from safedpa_sim.faults.observer import Observer
+from safedpa_lab.faults.model_changes import mixed_in
+from safedpa_lab.faults.observer import Observer
 from safedpa_sim.robots import CarRobot, Scene
 
 

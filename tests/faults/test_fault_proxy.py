@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from safedpa_sim.faults.conduct import CUT, HALF_OPEN, PASS, STALLED, Conduct, bursts, delayed, losing, slow
-from safedpa_sim.faults.proxy import Proxy
+from safedpa_lab.faults.conduct import CUT, HALF_OPEN, PASS, STALLED, Conduct, bursts, delayed, losing, slow
+from safedpa_lab.faults.proxy import Proxy
 
 DATA = (4).to_bytes(2, "little") + b"\x05\x03\x1d\x00"
 SIGN_OF_LIFE = (1).to_bytes(2, "little") + b"\x04"

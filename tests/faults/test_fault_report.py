@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_sim.faults.outcome import Campaign, Outcome, joined
-from safedpa_sim.faults.report import markdown_of, write_report
+from safedpa_lab.faults.outcome import Campaign, Outcome, joined
+from safedpa_lab.faults.report import markdown_of, write_report
 
 
 def outcome(name: str, *broken: str, recovery: float | None = 0.5) -> Outcome:

@@ -11,7 +11,7 @@ from safedpa.diagnosis.fleet import Fleet, Options, RobotLogs, diagnose_fleet
 from safedpa.diagnosis.fleet.one_robot import RobotResult, diagnosed_robot
 from safedpa.diagnosis.fleet.robots import Found
 from safedpa.dynamics import load_model
-from safedpa_sim.hidden import Case, write_cases
+from safedpa_lab.hidden import Case, write_cases
 
 DRAG = 0.12
 

@@ -208,7 +208,7 @@ def test_a_fleets_own_folder_is_no_recording(small_fleet):
 
 
 def test_the_experiment_counts_what_is_wrong():
-    from safedpa_sim.experiments.fleet_diagnosis import judged_fleet
+    from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
 
     def group(kind, robots, *effects):
         found = [{"effect": effect, "indistinguishable_from": [], "parameters": {}} for effect in effects]
@@ -230,7 +230,7 @@ def test_the_experiment_counts_what_is_wrong():
 
 
 def test_what_is_hidden_in_all_counts_in_no_robot():
-    from safedpa_sim.experiments.fleet_diagnosis import judged_fleet
+    from safedpa_lab.experiments.fleet_diagnosis import judged_fleet
 
     found = [{"effect": "quadratic_drag", "indistinguishable_from": [], "parameters": {}}]
     groups = [

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.errors import InputError, SafedpaError
-from safedpa_services.benchmarks import fleet as module
-from safedpa_services.benchmarks.fleet import FleetTrial, fleet_benchmark, largest_fleet
-from safedpa_services.benchmarks.usage import usage_of
-from safedpa_services.command_line.bench import command
+from safedpa_lab.benchmarks import fleet as module
+from safedpa_lab.benchmarks.fleet import FleetTrial, fleet_benchmark, largest_fleet
+from safedpa_lab.benchmarks.usage import usage_of
+from safedpa_lab.commands.bench import command
 
 
 def test_three_robots_and_a_flood_through_real_processes() -> None:
@@ -65,7 +65,7 @@ def test_the_command_prints_one_document_or_lines(monkeypatch: pytest.MonkeyPatc
         "own_lateness_us": times, "processes": {"policy": used}, "goals_reached": 4, "collisions": 0, "refusals": {},
     }  # fmt: skip
     monkeypatch.setattr(module, "fleet_benchmark", lambda trial, tell: {**result, "robots": trial.robots})
-    monkeypatch.setattr("safedpa_services.benchmarks.latency.bare_chain", lambda *_: {"p50": 1000.0, "p99": 1500.0})
+    monkeypatch.setattr("safedpa_lab.benchmarks.latency.bare_chain", lambda *_: {"p50": 1000.0, "p99": 1500.0})
     printed = CliRunner().invoke(command, ["fleet", "--robots", "7"], catch_exceptions=False).output
     assert "7 robots at 20 Hz for 20" in printed or "7 robots at 20 Hz for 5" in printed
     assert "3 of 5000 ticks late (0.060 %" in printed

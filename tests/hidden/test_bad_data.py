@@ -13,10 +13,10 @@ from safedpa.effects import effect
 from safedpa.errors import RunError
 from safedpa.records import load_run
 from safedpa.records.column_map_file import parse_column_map
+from safedpa_lab.experiments.hidden_effects import run_cases
+from safedpa_lab.hidden import Case, cases_of, write_case
+from safedpa_lab.hidden.bad_data import BAD, write_bad_files
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.experiments.hidden_effects import run_cases
-from safedpa_sim.hidden import Case, cases_of, write_case
-from safedpa_sim.hidden.bad_data import BAD, write_bad_files
 
 LIBRARY = ("understeer", "rolling_resistance", "drive_dead_zone", "drive_delay", "viscous_drag")
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from safedpa_services.command_line.experiment import EXPERIMENTS
+from safedpa_lab.commands.experiment import EXPERIMENTS
 from safedpa_services.command_line.group import safedpa
 
 

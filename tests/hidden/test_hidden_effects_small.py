@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
+from safedpa_lab.experiments.hidden_effects import run_cases
+from safedpa_lab.hidden import cases_of
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.experiments.hidden_effects import run_cases
-from safedpa_sim.hidden import cases_of
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +41,7 @@ def test_nothing_is_named_where_nothing_is_hidden(outcomes):
 
 
 def test_the_command_prints_one_document(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("safedpa_sim.experiments.hidden_effects.cases_of", lambda *_: [short(cases_of("none", 1)[0])])
+    monkeypatch.setattr("safedpa_lab.experiments.hidden_effects.cases_of", lambda *_: [short(cases_of("none", 1)[0])])
     out = tmp_path / "found.json"
     arguments = ["--suite", "none", "--cases", "1", "--processes", "1", "--out", str(out)]
     assert safedpa.run(["experiment", "hidden-effects", *arguments, "--json"]) == 0

@@ -19,12 +19,12 @@ from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect, effects_of
 from safedpa.errors import InputError
 from safedpa.records import load_run
-from safedpa_sim import hidden
-from safedpa_sim.hidden import CAR_EFFECTS, PENDULUM_EFFECTS, SUITES, Case, cases_of, write_case, write_cases
-from safedpa_sim.hidden.car import simulate_cars
-from safedpa_sim.hidden.excitation import Commands
-from safedpa_sim.hidden.lanes import Lane
-from safedpa_sim.hidden.pendulum import GRAVITY, LENGTH, simulate_pendulums
+from safedpa_lab import hidden
+from safedpa_lab.hidden import CAR_EFFECTS, PENDULUM_EFFECTS, SUITES, Case, cases_of, write_case, write_cases
+from safedpa_lab.hidden.car import simulate_cars
+from safedpa_lab.hidden.excitation import Commands
+from safedpa_lab.hidden.lanes import Lane
+from safedpa_lab.hidden.pendulum import GRAVITY, LENGTH, simulate_pendulums
 
 pytestmark = pytest.mark.slow
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_sim.experiments import hidden_effects
-from safedpa_sim.experiments.hidden_effects import hidden_effects_experiment
-from safedpa_sim.experiments.hidden_page import page_of
-from safedpa_sim.experiments.hidden_record import document_of, read_outcomes, write_document
-from safedpa_sim.hidden.judge import Found, Outcome
+from safedpa_lab.experiments import hidden_effects
+from safedpa_lab.experiments.hidden_effects import hidden_effects_experiment
+from safedpa_lab.experiments.hidden_page import page_of
+from safedpa_lab.experiments.hidden_record import document_of, read_outcomes, write_document
+from safedpa_lab.hidden.judge import Found, Outcome
 
 DRAG = Outcome(
     suite="ordinary",

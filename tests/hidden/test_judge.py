@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from safedpa_sim.experiments.hidden_summary import summary
-from safedpa_sim.hidden import Case, truth_of
-from safedpa_sim.hidden.case import equals_of
-from safedpa_sim.hidden.judge import judged
+from safedpa_lab.experiments.hidden_summary import summary
+from safedpa_lab.hidden import Case, truth_of
+from safedpa_lab.hidden.case import equals_of
+from safedpa_lab.hidden.judge import judged
 
 DRAG = {"quadratic_drag": {"coefficient": 0.12}}
 

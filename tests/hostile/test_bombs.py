@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from safedpa_sim.experiments.hostile.bombs import BOMBS, Bomb
+from safedpa_lab.experiments.hostile.bombs import BOMBS, Bomb
 
 SECONDS, MEGABYTES = 1.0, 200.0
 _ATTEMPT = """
@@ -18,7 +18,7 @@ import json, sys, time
 from pathlib import Path
 import numpy, pyarrow.parquet, pyarrow.csv, zstandard, lz4.frame, mcap.reader, safetensors
 import safedpa.dynamics, safedpa.records, safedpa.records.mcap_run, safedpa.safety.margin_text
-from safedpa_sim.experiments.hostile.bombs import attempt
+from safedpa_lab.experiments.hostile.bombs import attempt
 began = time.process_time()
 try:
     refusal = attempt(Path(sys.argv[1]))

@@ -16,11 +16,11 @@ from safedpa.policy import PolicyNode
 from safedpa.records.mcap_messages import read_messages
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
-from safedpa_services.command_line.experiments.live import command
+from safedpa_lab.commands.experiments.live import command
+from safedpa_lab.experiments.live import LiveExperiment, live_experiment
+from safedpa_lab.experiments.live_drive import CASES, live_scene
+from safedpa_lab.experiments.live_record import record_drive
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.experiments.live import LiveExperiment, live_experiment
-from safedpa_sim.experiments.live_drive import CASES, live_scene
-from safedpa_sim.experiments.live_record import record_drive
 from safedpa_sim.robots.core import CarRobot
 
 pytestmark = pytest.mark.slow

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.safety import SafetyFilter
-from safedpa_sim.pendulum.invariance import largest_wind, least_reserve, reserve
-from safedpa_sim.pendulum.rollouts import blown, physics_in_any_wind
+from safedpa_lab.pendulum.invariance import largest_wind, least_reserve, reserve
+from safedpa_lab.pendulum.rollouts import blown, physics_in_any_wind
 from safedpa_sim.pendulum.task import (
     AHEAD,
     BALANCING,

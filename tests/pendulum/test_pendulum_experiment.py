@@ -10,10 +10,10 @@ import pytest
 
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.safety import MarginCalibration
+from safedpa_lab.pendulum.balancing import balanced, balanced_account
+from safedpa_lab.pendulum.methods import BALANCING_METHODS
+from safedpa_lab.pendulum.rollouts import Closed, swung
 from safedpa_services.command_line import safedpa
-from safedpa_sim.pendulum.balancing import balanced, balanced_account
-from safedpa_sim.pendulum.methods import BALANCING_METHODS
-from safedpa_sim.pendulum.rollouts import Closed, swung
 from safedpa_sim.pendulum.task import BALANCING, WIND, filter_settings
 
 NOWHERE = Path("no models here")

@@ -7,10 +7,10 @@ import pytest
 from safedpa.dynamics import Setting, load_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
+from safedpa_lab.experiments.pendulum_payload import PayloadCases, diagnosed_payload
+from safedpa_lab.experiments.pendulum_story import PendulumStory, pendulum_story
+from safedpa_lab.experiments.pendulum_story_report import story_markdown
 from safedpa_services.command_line import safedpa
-from safedpa_sim.experiments.pendulum_payload import PayloadCases, diagnosed_payload
-from safedpa_sim.experiments.pendulum_story import PendulumStory, pendulum_story
-from safedpa_sim.experiments.pendulum_story_report import story_markdown
 
 
 def test_a_payload_is_found_and_the_mended_model_needs_less_margin() -> None:

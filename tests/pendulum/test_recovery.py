@@ -10,10 +10,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa_sim.pendulum.balancing import winds_and_starts
+from safedpa_lab.pendulum.balancing import winds_and_starts
+from safedpa_lab.pendulum.recovery import fitted_wind, recovery, swung_all_around
+from safedpa_lab.pendulum.rollouts import blown
 from safedpa_sim.pendulum.kept import kept_torque
-from safedpa_sim.pendulum.recovery import fitted_wind, recovery, swung_all_around
-from safedpa_sim.pendulum.rollouts import blown
 from safedpa_sim.pendulum.swinging import starts_beneath
 from safedpa_sim.pendulum.task import AHEAD, BALANCING, HAZARD, LONG_WAY_ROUND, TORQUE, in_hazard, is_upright
 

@@ -6,15 +6,15 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from safedpa.errors import InputError
-from safedpa_sim.point.gym_environment import PointGoalEnvironment
-from safedpa_sim.point.speed import steps_per_second
+from safedpa_lab.point.gym_environment import PointGoalEnvironment
+from safedpa_lab.point.speed import steps_per_second
 from safedpa_sim.point.task import EPISODE_STEPS, PointTask
 
 
 @pytest.mark.parametrize("options", [{}, {"force": (0.004, -0.004)}, {"largest_force": 0.008, "stock": True}])
 @pytest.mark.filterwarnings("ignore:.*Box observation space m.*imum value is.*infinity")
 def test_gymnasium_finds_nothing_wrong(options: dict) -> None:
-    made = gymnasium.make("safedpa_sim.point.gym_environment:safedpa/PointGoal-v0", **options)
+    made = gymnasium.make("safedpa_lab.point.gym_environment:safedpa/PointGoal-v0", **options)
     check_env(made.unwrapped, skip_render_check=True)
 
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
+from safedpa_lab.experiments.point import PointExperiment
+from safedpa_lab.experiments.statistics import mean_interval, ratio_interval
+from safedpa_lab.point import methods
+from safedpa_lab.point.driven import PolicyDriver, driven, windy_task
+from safedpa_lab.point.methods import METHODS, Method, ShieldedDriver, driver_of
+from safedpa_lab.point.policy_file import BaselinePolicy, save_policy
+from safedpa_lab.point.shield import shield_of
 from safedpa_services.command_line import safedpa
-from safedpa_sim.experiments.point import PointExperiment
-from safedpa_sim.experiments.statistics import mean_interval, ratio_interval
-from safedpa_sim.point import methods
-from safedpa_sim.point.driven import PolicyDriver, driven, windy_task
-from safedpa_sim.point.methods import METHODS, Method, ShieldedDriver, driver_of
-from safedpa_sim.point.policy_file import BaselinePolicy, save_policy
-from safedpa_sim.point.shield import shield_of
 from safedpa_sim.point.task import PointTask
 
 FORCE = 0.008

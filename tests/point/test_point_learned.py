@@ -11,7 +11,11 @@ from hypothesis import strategies as st
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks, frame_of
-from safedpa_sim.point.adapting import Adaptation
+from safedpa_lab.point.adapting import Adaptation
+from safedpa_lab.point.heat_map import HeatMap, agreement, heat_map
+from safedpa_lab.point.margin import one_step_errors
+from safedpa_lab.point.moments import drawn_moments
+from safedpa_lab.point.shield import Shield, shield_of, weights_named
 from safedpa_sim.point.belief import (
     ACTION_SCALE,
     LearnedBelief,
@@ -22,11 +26,7 @@ from safedpa_sim.point.belief import (
 )
 from safedpa_sim.point.body_steps import after_one_period, centre_state, put_state
 from safedpa_sim.point.filtering import best_end, filtered
-from safedpa_sim.point.heat_map import HeatMap, agreement, heat_map
 from safedpa_sim.point.layout import HAZARD_RADIUS
-from safedpa_sim.point.margin import one_step_errors
-from safedpa_sim.point.moments import drawn_moments
-from safedpa_sim.point.shield import Shield, shield_of, weights_named
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.training.configuration import load_configuration

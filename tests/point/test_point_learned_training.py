@@ -11,11 +11,11 @@ import pytest
 from safedpa.errors import InputError
 from safedpa.networks import load_weights
 from safedpa.records.write import write_columns
+from safedpa_lab.experiments.point_heat_map import heat_map_markdown, write_heat_map
+from safedpa_lab.experiments.point_story import PointStory, point_story, point_story_markdown
+from safedpa_lab.point.heat_map import HeatMap, heat_map
+from safedpa_lab.point.hidden import HIDDEN, point_logs
 from safedpa_services.command_line import safedpa
-from safedpa_sim.experiments.point_heat_map import heat_map_markdown, write_heat_map
-from safedpa_sim.experiments.point_story import PointStory, point_story, point_story_markdown
-from safedpa_sim.point.heat_map import HeatMap, heat_map
-from safedpa_sim.point.hidden import HIDDEN, point_logs
 from safedpa_sim.point.policy_task import LatentPolicy, PointPractice
 from safedpa_sim.point.seeing import entries_seen
 from safedpa_sim.training.configuration import load_configuration
@@ -109,6 +109,6 @@ def test_mistakes_are_named() -> None:
 
 def _plain():
     """The shipped weights without what is not asked of them here."""
-    from safedpa_sim.point.shield import weights_named
+    from safedpa_lab.point.shield import weights_named
 
     return weights_named("learned")

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.errors import InputError
+from safedpa_lab.point.world import MujocoPoint
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.simulation import PointSimulation
-from safedpa_sim.point.world import MujocoPoint
 
 
 def test_the_body_has_the_published_numbers() -> None:

@@ -11,12 +11,12 @@ from sb3_contrib import TRPO
 from torch.distributions import kl_divergence
 
 from safedpa.errors import InputError
-from safedpa_sim.point import fisher
-from safedpa_sim.point.baseline_set import baseline_named, train_baselines
-from safedpa_sim.point.baselines import _algorithm, _task
-from safedpa_sim.point.constrained import Multiplier, constrained_step
-from safedpa_sim.point.plan import Plan
-from safedpa_sim.point.vector_environment import PointEnvironment
+from safedpa_lab.point import fisher
+from safedpa_lab.point.baseline_set import baseline_named, train_baselines
+from safedpa_lab.point.baselines import _algorithm, _task
+from safedpa_lab.point.constrained import Multiplier, constrained_step
+from safedpa_lab.point.plan import Plan
+from safedpa_lab.point.vector_environment import PointEnvironment
 
 
 def test_the_fisher_products_are_those_of_the_divergence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,9 +13,9 @@ from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.policy.controller import CONTROLLERS
 from safedpa.safety.shipped import settings_named
+from safedpa_lab.experiments.controllers import controllers_experiment
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.plan import Plan
-from safedpa_sim.experiments.controllers import controllers_experiment
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
 

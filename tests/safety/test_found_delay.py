@@ -15,8 +15,8 @@ from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.shipped import settings_named
 from safedpa.safety.trail import Trail
+from safedpa_lab.experiments.delayed_drives import Lateness, delayed_drives
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.experiments.delayed_drives import Lateness, delayed_drives
 
 CAR = load_model("car")
 LATENT_VALUES = tuple(CAR.latent.tolist())

@@ -14,7 +14,7 @@ from safedpa.safety.live_margin import live_margin
 from safedpa.safety.margin_text import margin_from_text
 from safedpa.safety.run_calibration import calibration_from_runs
 from safedpa.safety.shipped import margin_for, settings_named
-from safedpa_sim.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
+from safedpa_lab.experiments.hidden_car import HIDDEN, incomplete_model, oracle_model
 
 
 def driven(model: PhysicsModel, rows: int = 300) -> Run:

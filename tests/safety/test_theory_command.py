@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from safedpa.records import McapRecorder
 from safedpa.safety import MarginCalibration
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_lab.commands.experiments.theory import command as constants_command
 from safedpa_services.command_line.calibrate import command
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
@@ -92,11 +94,19 @@ def test_with_enough_drives_the_margins_are_over_drives(tmp_path: Path) -> None:
     assert MarginCalibration.load(out).drives == 0
 
 
-def test_constants_of_a_model_without_networks_are_refused(recording: Path, tmp_path: Path) -> None:
-    arguments = [str(recording), "--simulator", "car_small", "--out", str(tmp_path / "margin.toml")]
-    result = CliRunner().invoke(command, arguments)
+def test_constants_of_a_model_without_networks_are_refused() -> None:
+    result = CliRunner().invoke(constants_command, ["car", "--simulator", "car_small"])
     assert isinstance(result.exception, InputError)
     assert "no networks" in str(result.exception)
+
+
+def test_the_constants_are_told_by_a_command(tmp_path: Path) -> None:
+    arguments = ["car_simulated", "--states", "60", "--coverage", "0.9", "--out", str(tmp_path / "constants.json")]
+    result = CliRunner().invoke(constants_command, arguments)
+    assert result.exit_code == 0, result.output
+    found = json.loads((tmp_path / "constants.json").read_text(encoding="utf-8"))
+    assert f"{found['constants']['f']['at_coverage']:8.4f}" in result.output
+    assert 0.5 < found["covered"]["conformal"] <= 1.0
 
 
 def small_weights(entries: tuple[EnvironmentEntry, ...], seed: int = 0) -> Weights:
@@ -128,7 +138,7 @@ def small_weights(entries: tuple[EnvironmentEntry, ...], seed: int = 0) -> Weigh
 
 
 def test_the_simulators_constants_cover_fresh_steps() -> None:
-    from safedpa_sim.experiments.theory import theory_experiment
+    from safedpa_lab.experiments.theory import theory_experiment
     from safedpa_sim.training.configuration import load_configuration
     from safedpa_sim.training.simulator import BatchedCars
 
@@ -147,7 +157,7 @@ def test_the_simulators_constants_cover_fresh_steps() -> None:
 
 
 def test_weights_of_another_environment_are_refused() -> None:
-    from safedpa_sim.experiments.theory_branches import simulated_branches
+    from safedpa_lab.experiments.theory_branches import simulated_branches
     from safedpa_sim.training.configuration import load_configuration
 
     other = small_weights((EnvironmentEntry("payload.mass_ratio", 0.0, 1.0),))

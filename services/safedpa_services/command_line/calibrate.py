@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from safedpa.errors import InputError
-from safedpa.extras import need
 from safedpa_services.command_line.names import complete_models
 
 if TYPE_CHECKING:
-    from safedpa.dynamics import PhysicsModel
     from safedpa.safety import MarginCalibration
 
 
@@ -30,12 +27,8 @@ if TYPE_CHECKING:
 @click.option(
     "--coverage", type=float, default=0.99, show_default=True, help="share of steps, and of drives, that are covered"
 )
-@click.option("--simulator", default="", help="training configuration: also measure the theory's constants there")
-@click.option("--states", type=int, default=4000, show_default=True, help="of the simulator, for the constants")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="margin file, for the filter's --margin")
-def command(
-    recordings: tuple[Path, ...], model: str, settings: str, coverage: float, simulator: str, states: int, out: Path
-) -> None:
+def command(recordings: tuple[Path, ...], model: str, settings: str, coverage: float, out: Path) -> None:
     """Calibrate the margins: how much worse h turned out than predicted, on RECORDINGS (MCAP) not used for fitting.
 
     Four fifths of the drives make the margins, for a step and for a whole drive; on the last fifth they are counted.
@@ -46,35 +39,14 @@ def command(
     from safedpa.safety.recorded import calibration_from_recordings
     from safedpa.safety.shipped import settings_named
 
-    if simulator:
-        need("train", what="--simulator")
-    loaded = load_model(model)
-    constants = _simulated(loaded, simulator, states, coverage) if simulator else {}
     calibration = calibration_from_recordings(
-        loaded, settings_named(settings), recordings, coverage, time.strftime("%Y-%m-%d"), constants
+        load_model(model), settings_named(settings), recordings, coverage, time.strftime("%Y-%m-%d")
     )
     calibration.save(out)
-    _tell(calibration, constants, out)
+    _tell(calibration, out)
 
 
-def _simulated(model: PhysicsModel, simulator: str, states: int, coverage: float) -> dict[str, float]:
-    """The theory's constants from the training simulator, by name. Raises InputError for a model without networks."""
-    from safedpa.dynamics import LearnedBase
-    from safedpa_sim.experiments.theory import theory_experiment
-    from safedpa_sim.training.configuration import load_configuration
-
-    if not isinstance(model.base, LearnedBase):
-        raise InputError("--simulator: the model has no networks, wanted a learned one; leave the option out")
-    found = theory_experiment(model.base.weights, load_configuration(simulator), states, coverage, seed=0)
-    named: dict[str, Any] = {f"epsilon_{name}": pair["at_coverage"] for name, pair in found["constants"].items()}
-    for name, pair in found["lipschitz"].items():
-        named |= {f"lipschitz_{name}": pair["bound"], f"lipschitz_{name}_seen": pair["largest_slope"]}
-    named |= {"bound": found["bound"]["at_coverage"], "conformal": found["conformal"]}
-    named |= {f"covered_{name}": share for name, share in found["covered"].items()}
-    return {f"simulator.{name}": float(value) for name, value in named.items()}
-
-
-def _tell(calibration: MarginCalibration, simulated: dict[str, float], out: Path) -> None:
+def _tell(calibration: MarginCalibration, out: Path) -> None:
     drives = (
         f" of {calibration.drives} drives" if calibration.drives else ", too few drives to say anything about drives"
     )
@@ -87,8 +59,6 @@ def _tell(calibration: MarginCalibration, simulated: dict[str, float], out: Path
         if kind in calibration.theorem:
             line += f"   theorem {calibration.theorem[kind]:.4f}{_share(calibration, 'theorem', kind)}"
         click.echo(line)
-    for name, value in simulated.items():
-        click.echo(f"  {name:<32} {value:.4f}")
     click.echo(f"margin: {out}")
 
 

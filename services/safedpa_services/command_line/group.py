@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import version
+from importlib.metadata import EntryPoint, entry_points, version
 
 import click
 
@@ -14,11 +14,16 @@ from safedpa.limits import readable
 __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
-    "accept", "add", "bench", "calibrate", "certificates", "compare", "demo", "diagnose", "effects", "experiment",
-    "export", "go", "predict", "rehearse", "reject", "replay", "roll-back", "screenshot", "status", "stop", "train",
-    "train-baselines", "up", "workbench",
+    "accept", "add", "calibrate", "certificates", "compare", "demo", "diagnose", "effects", "export", "go", "predict",
+    "rehearse", "reject", "replay", "roll-back", "screenshot", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
+
+ENTRY_POINTS = "safedpa.commands"
+"""The group under which other distributions bring commands: name = "module:command"."""
+
+LABORATORY = ("bench", "experiment", "train-baselines")
+"""What safedpa-lab brings."""
 
 
 START = """\
@@ -40,15 +45,20 @@ Every command: safedpa --help. One of them: safedpa up --help. Pages: docs/index
 class _Commands(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
-        return list(COMMANDS)
+        return sorted({*COMMANDS, *(point.name for point in entry_points(group=ENTRY_POINTS))})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
-        del ctx
-        if cmd_name not in COMMANDS:
-            raise click.UsageError(f"command '{cmd_name}': {did_you_mean(cmd_name, COMMANDS)}")
-        module = importlib.import_module(f"safedpa_services.command_line.{cmd_name.replace('-', '_')}")
-        command: click.Command = module.command
-        return command
+        if cmd_name in COMMANDS:
+            module = importlib.import_module(f"safedpa_services.command_line.{cmd_name.replace('-', '_')}")
+            command: click.Command = module.command
+            return command
+        for point in entry_points(group=ENTRY_POINTS, name=cmd_name):
+            return _brought(point)
+        if cmd_name in LABORATORY:
+            raise MissingExtraError(
+                f"'safedpa {cmd_name}' belongs to the laboratory: pip install 'safedpa[lab]', or pip install ./sim"
+            )
+        raise click.UsageError(f"command '{cmd_name}': {did_you_mean(cmd_name, self.list_commands(ctx))}")
 
     def run(self, arguments: list[str]) -> int:
         """Runs one command; returns its exit code."""
@@ -69,6 +79,29 @@ class _Commands(click.Group):
                 raise
             return _fail(f"{arguments[0]} needs pip install 'safedpa[{extra}]'; not installed: {error.name}", 2)
         return code if isinstance(code, int) else 0
+
+
+def _brought(point: EntryPoint) -> click.Command:
+    """The command of another distribution; where none is behind its entry point, one that says so when it runs."""
+    distribution = point.dist.name if point.dist else "an unknown distribution"
+    try:
+        found = point.load()
+    except (ImportError, AttributeError) as error:
+        if isinstance(error, ModuleNotFoundError) and extra_of(error.name or "") is not None:
+            raise
+        return _broken(point.name, f"{distribution}: {point.value} cannot be loaded: {error}; reinstall {distribution}")
+    if isinstance(found, click.Command):
+        return found
+    return _broken(
+        point.name, f"{distribution}: got {type(found).__name__} behind {point.value}, wanted a click command"
+    )
+
+
+def _broken(name: str, reason: str) -> click.Command:
+    def refuse(**_: object) -> None:
+        raise InputError(f"command '{name}' of {reason}")
+
+    return click.Command(name, callback=refuse, help=f"Broken: {reason}.", short_help=f"Broken: {reason}.")
 
 
 def _with_cure(error: click.ClickException) -> str:

@@ -74,9 +74,8 @@ def calibration_from_recordings(
     recordings: Sequence[Path],
     coverage: float,
     date: str,
-    constants: Mapping[str, float] | None = None,
 ) -> MarginCalibration:
-    """The margins by kind, and what share of fresh data each covers; ``constants`` are added to its own.
+    """The margins by kind, and what share of fresh data each covers.
 
     With enough drives (a drive is one start of one robot) every fifth drive is fresh, and the margins are over drives:
     for a step near a boundary, and for a whole drive. With fewer, every fifth block of 5 s is fresh, transitions are
@@ -95,7 +94,7 @@ def calibration_from_recordings(
     fresh = (found.drive if by_drives else np.arange(len(found)) // _BLOCK) % _SHARE == _SHARE - 1
     bound = recorded_bound(model, settings, found, ~fresh, coverage)
     theorem = {kind: value for kind, value in bound.margins.items() if kind in made.epsilon}
-    made = replace(made, theorem=theorem, constants={**made.constants, **bound.constants, **(constants or {})})
+    made = replace(made, theorem=theorem, constants={**made.constants, **bound.constants})
     return replace(made, covered=_covered(made, along, Ceiling.of_settings(settings), by_drives=by_drives))
 
 

@@ -1,1 +1,1 @@
-"""The point robot among hazards: its body in MuJoCo, many of them at once in numpy, the task."""
+"""The point robot among hazards: its body, many of them at once in numpy, the task."""

@@ -1,0 +1,104 @@
+"""Sense to act over Zenoh: the real loop in its own processes, beside a bare chain of as many processes."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safedpa.bus import ZenohSettings, ZenohTransport
+from safedpa.bus.ports import free_port
+from safedpa.errors import SafedpaError
+from safedpa_services.supervisor.child import Child
+
+__all__ = ["bare_chain", "latency_benchmark", "real_loop"]
+
+_HOPS = ("state", "latent", "wish", "action")
+_PAYLOAD = bytes(600)
+"""As large as a state message with six obstacles."""
+_START_SECONDS = 20.0
+_LONGEST_BARE_SECONDS = 60.0
+"""Of the bare chain: nothing in it is rare, so that it need not be watched for ten minutes."""
+
+
+def latency_benchmark(seconds: float, rate: float) -> dict[str, Any]:
+    """Microseconds from sense to act, real loop and bare chain, one after the other in the same run."""
+    bare = bare_chain(min(seconds, _LONGEST_BARE_SECONDS), rate)
+    loop = real_loop(seconds, rate)
+    return {
+        "rate_hz": rate,
+        "seconds": seconds,
+        "bare_chain_us": bare,
+        "real_loop_us": loop,
+        "ratio_p50": round(loop["p50"] / bare["p50"], 2),
+        "ratio_p99": round(loop["p99"] / bare["p99"], 2),
+    }
+
+
+def real_loop(seconds: float, rate: float) -> dict[str, float]:
+    """What the robot of ``safedpa up`` measures, in real time with every service in its own process."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--out", folder]
+        command += ["--seconds", repr(seconds), "--rate", repr(rate), "--load", "box"]
+        finished = subprocess.run(command, capture_output=True, text=True, check=False)
+        if finished.returncode != 0:
+            raise SafedpaError(f"safedpa up: {finished.stderr.strip()}")
+        summary = json.loads(finished.stdout)
+        return {**summary["latency_us"], "watchdog_ticks": summary["watchdog_ticks"]}
+
+
+def bare_chain(seconds: float, rate: float) -> dict[str, float]:
+    """The same number of processes and hops, handing on the same number of bytes."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    arrived = threading.Event()
+    transport = ZenohTransport(ZenohSettings(listen=(endpoint,)))
+    transport.subscribe(f"bare/{_HOPS[-1]}", lambda _key, _payload: arrived.set())
+    microseconds = []
+    with _relays(endpoint) as relays:
+        _await(transport, len(relays), arrived)
+        for _ in range(round(seconds * rate)):
+            started = time.perf_counter()
+            arrived.clear()
+            transport.put(f"bare/{_HOPS[0]}", _PAYLOAD, never_drop=False)
+            if arrived.wait(1.0):
+                microseconds.append(1e6 * (time.perf_counter() - started))
+            time.sleep(max(0.0, 1.0 / rate - (time.perf_counter() - started)))
+    transport.close()
+    found = np.percentile(microseconds, [50.0, 99.0, 99.9])
+    return {name: round(float(value), 1) for name, value in zip(("p50", "p99", "p999"), found, strict=True)}
+
+
+@contextmanager
+def _relays(endpoint: str) -> Iterator[list[Child]]:
+    with tempfile.TemporaryDirectory() as folder:
+        relays = []
+        for source, target in itertools.pairwise(_HOPS):
+            keys = ("--source", f"bare/{source}", "--target", f"bare/{target}", "--alive", f"bare/alive/{target}")
+            options = ("--realtime", "--connect", endpoint, *keys)
+            relays.append(Child(target, "safedpa_lab.benchmarks.bare_relay", options, Path(folder) / f"{target}.log"))
+        try:
+            for relay in relays:
+                relay.start()
+            yield relays
+        finally:
+            for relay in relays:
+                relay.end(2.0)
+
+
+def _await(transport: ZenohTransport, count: int, arrived: threading.Event) -> None:
+    deadline = time.monotonic() + _START_SECONDS
+    while len(transport.alive("bare/alive/*")) < count or not arrived.is_set():
+        transport.put(f"bare/{_HOPS[0]}", _PAYLOAD, never_drop=False)
+        arrived.wait(0.1)
+        if time.monotonic() > deadline:
+            raise SafedpaError(f"the bare chain did not start within {_START_SECONDS:.0f} s")

@@ -1,0 +1,35 @@
+"""cvxpy: the program stated once with parameters, solved by OSQP or Clarabel for every decision."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+
+from safedpa_lab.benchmarks.peers.problem import Problem, answered, compared
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Answers about the solver named in the question."""
+    answered(_compare)
+
+
+def _compare(problem: Problem) -> dict[str, Any]:
+    cp: Any = importlib.import_module("cvxpy")
+    rows = len(problem.obstacles)
+    action, slack = cp.Variable(2), cp.Variable(rows)
+    A, b, wish = cp.Parameter((rows, 2)), cp.Parameter(rows), cp.Parameter(2)
+    cost = cp.sum_squares(cp.multiply(np.sqrt(problem.weights), action - wish)) + problem.penalty * cp.sum(slack)
+    kept = [A @ action + slack >= b, action >= problem.low, action <= problem.high, slack >= 0]
+    program, solver = cp.Problem(cp.Minimize(cost), kept), problem.question["backend"]
+
+    def decide(state: Any, wanted: Any) -> Any:
+        A.value, b.value = problem.conditions(state)
+        wish.value = wanted
+        program.solve(solver=solver, warm_start=True)
+        return action.value
+
+    return compared(problem, decide, version=cp.__version__)

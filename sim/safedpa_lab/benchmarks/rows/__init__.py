@@ -1,0 +1,43 @@
+"""Every row of the benchmark, one module each with a function ``measure(effort) -> Row``."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from safedpa_lab.benchmarks.results import Effort, Row
+
+__all__ = ["ROWS", "Listed", "measured"]
+
+
+class Listed(NamedTuple):
+    """A row before it is measured."""
+
+    work: str
+    minutes: float
+    """About, on two cores; 0 for less than half a minute."""
+    long: bool = False
+    """Left out unless it is named, or everything is asked for in full."""
+
+
+ROWS: Final = {
+    "filter": Listed("one decision of the safety filter", 3.5),
+    "adaptation": Listed("one step of the learned adaptation", 0.2),
+    "batch": Listed("many robots through adaptation, policy and filter in one process", 1.0),
+    "sense-to-act": Listed("sense to act over Zenoh, at 20 and 200 Hz", 1.5),
+    "largest-fleet": Listed("the largest fleet at 20 Hz", 12.0, long=True),
+    "car-steps": Listed("simulated car steps for training", 0.3),
+    "point-steps": Listed("steps of the point robot", 0.3),
+    "training": Listed("training data and phase 1a", 1.0),
+    "diagnosis": Listed("diagnosis of 6 runs of 40 s", 3.0),
+    "long-logs": Listed("diagnosis of ten hours at 100 Hz", 15.0, long=True),
+    "start": Listed("start to the first tick, imports, memory", 1.0),
+}
+
+
+def measured(name: str, effort: Effort) -> Row:
+    """Measures one of ``ROWS``."""
+    module = importlib.import_module(f"safedpa_lab.benchmarks.rows.{name.replace('-', '_')}")
+    measure: Callable[[Effort], Row] = module.measure
+    return measure(effort)

@@ -1,0 +1,101 @@
+"""The largest fleet that holds at 20 Hz, beside services of its own for every robot."""
+
+from __future__ import annotations
+
+import concurrent.futures
+from typing import Any
+
+from safedpa.errors import SafedpaError
+from safedpa_lab.benchmarks.fleet import LATE_SHARE, FleetTrial, fleet_benchmark, largest_fleet
+from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target
+
+__all__ = ["measure"]
+
+_STACKS = 2
+"""The asked number of robots is for two cores."""
+
+
+def measure(effort: Effort) -> Row:
+    """Doubles and bisects twice: two stacks of services that share all robots, and services for every robot."""
+    seconds = effort.of(2.0, 20.0, 60.0)
+    trials: list[dict[str, Any]] = []
+    trial = FleetTrial(effort.of(2, 100), seconds, realtime=True, stacks=_STACKS)
+    shared = largest_fleet(trial, trials.append, _shared) if not effort.quick else _once(trial, trials)
+    apart_trials: list[dict[str, Any]] = []
+    begin = FleetTrial(effort.of(1, 4), seconds, realtime=True)
+    apart = (
+        largest_fleet(begin, apart_trials.append, _apart) if not effort.quick else _once(begin, apart_trials, _apart)
+    )
+    ours = (_entry("safedpa, two stacks", shared, trials, "adaptation, policy and filter in one process, twice"),)
+    note = "adaptation, policy and filter of its own, and a robot's process, for every robot"
+    peers = (_entry("services for each robot", apart, apart_trials, note),)
+    ordered = sorted(trials, key=lambda found: int(found["robots"]))
+    x = tuple(float(found["robots"]) for found in ordered)
+    late: dict[str, tuple[float | None, ...]] = {
+        f"sense to act, {name}": tuple(_milliseconds(found["sense_to_act_us"][name]) for found in ordered)
+        for name in ("p50", "p99")
+    }
+    curve = Curve("fleet", "robots at 20 Hz", "sense to act [ms]", x, late)
+    target = Target("robots at 20 Hz", 200.0, float(shared), "robots", "more")
+    work = f"the largest fleet at 20 Hz with at most {100.0 * LATE_SHARE:g} % late ticks, {seconds:g} s each"
+    return Row("largest-fleet", work, "robots", ours, peers, (target,), (curve,), better="more")
+
+
+def _once(trial: FleetTrial, trials: list[dict[str, Any]], measure_one: Any = None) -> int:
+    """One fleet, without a search."""
+    trials.append((measure_one or _shared)(trial))
+    return trial.robots if trials[-1]["holds"] else 0
+
+
+def _entry(name: str, robots: int, trials: list[dict[str, Any]], note: str = "") -> Entry:
+    kept = next((found for found in trials if found["robots"] == robots), None)
+    more = {"trials": [{key: found.get(key) for key in _KEPT} for found in trials]}
+    memory = sum(used["mib_end"] for used in kept["processes"].values() if used) if kept else 0.0
+    figures = {"robots": float(robots)} | ({"mib": round(memory, 1)} if kept else {})
+    return Entry(name, figures, "", note=note, more=more)
+
+
+_KEPT = (
+    "robots",
+    "robot_ticks",
+    "late_ticks",
+    "late_while_held_up",
+    "sense_to_act_us",
+    "processes",
+    "holds",
+    "collisions",
+    "failed",
+)
+
+
+def _apart(trial: FleetTrial) -> dict[str, Any]:
+    """So many loops of one robot each, all at once."""
+    one = FleetTrial(1, trial.seconds, trial.rate, realtime=trial.realtime)
+    with concurrent.futures.ThreadPoolExecutor(trial.robots) as pool:
+        found = list(pool.map(_shared, [one] * trial.robots))
+    ticks, late = (sum(int(each[key]) for each in found) for key in ("robot_ticks", "late_ticks"))
+    worst = {name: max((each["sense_to_act_us"][name] or 0) for each in found) for name in ("p50", "p99")}
+    processes = {
+        f"{name} {number}": used for number, each in enumerate(found) for name, used in each["processes"].items()
+    }
+    return {
+        "robots": trial.robots,
+        "robot_ticks": ticks,
+        "late_ticks": late,
+        "sense_to_act_us": worst,
+        "processes": processes,
+        "holds": all("failed" not in each for each in found) and late <= LATE_SHARE * max(ticks, 1),
+    }
+
+
+def _shared(trial: FleetTrial) -> dict[str, Any]:
+    """One fleet; one that does not come up, or breaks down, does not hold."""
+    try:
+        return fleet_benchmark(trial)
+    except SafedpaError as error:
+        nothing = {"robot_ticks": 0, "late_ticks": 0, "sense_to_act_us": {"p50": None, "p99": None}, "processes": {}}
+        return {"robots": trial.robots, **nothing, "holds": False, "failed": str(error)}
+
+
+def _milliseconds(microseconds: float | None) -> float | None:
+    return None if microseconds is None else 1e-3 * microseconds

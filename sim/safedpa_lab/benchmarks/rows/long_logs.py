@@ -1,0 +1,52 @@
+"""Diagnosis of hours of logs: seconds and memory, and how both grow."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+from safedpa.errors import SafedpaError
+from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target
+
+__all__ = ["measure"]
+
+_PERIOD = 0.01
+
+
+def measure(effort: Effort) -> Row:
+    """``safedpa experiment long-logs`` for several lengths, ten runs each."""
+    runs = effort.of(2, 10)
+    lengths = effort.of((20.0, 40.0), (36.0, 360.0, 3600.0))
+    found = {runs * seconds / 3600.0: _diagnosed(runs, seconds) for seconds in lengths}
+    ours = tuple(_entry(hours, row) for hours, row in found.items())
+    hours, last = list(found.items())[-1]
+    before, shorter = list(found.items())[-2]
+    growth = (last["seconds"] / shorter["seconds"]) / (hours / before)
+    targets = (
+        Target(f"memory, {hours:.3g} h", 2048.0, float(last["memory_mebibytes"]), "MiB"),
+        Target(f"growth of time over growth of data, {before:.3g} to {hours:.3g} h", 1.0, growth, ""),
+    )
+    series: dict[str, tuple[float | None, ...]] = {"seconds": tuple(float(row["seconds"]) for row in found.values())}
+    series["memory [MiB]"] = tuple(float(row["memory_mebibytes"]) for row in found.values())
+    curve = Curve("long_logs", "hours of logs at 100 Hz", "seconds; MiB", tuple(found), series)
+    work = f"diagnosis of {hours:.3g} h of logs at 100 Hz, from files to report"
+    return Row("long-logs", work, "seconds", ours, targets=targets, curves=(curve,))
+
+
+def _entry(hours: float, row: dict[str, Any]) -> Entry:
+    figures = {"seconds": float(row["seconds"]), "mib": float(row["memory_mebibytes"])}
+    processor = {"seconds": float(row["processor_seconds"])}
+    found = ", ".join(row["added"] or ()) or "nothing"
+    return Entry(f"safedpa, {hours:.3g} h", figures, "s", processor, f"{hours:.3g} h", f"found {found}; drag is hidden")
+
+
+def _diagnosed(runs: int, seconds: float) -> dict[str, Any]:
+    command = [sys.executable, "-m", "safedpa_services", "experiment", "long-logs", "--json"]
+    command += ["--runs", str(runs), "--seconds", repr(seconds), "--period", repr(_PERIOD)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise SafedpaError(f"long-logs: {done.stderr.strip()}")
+    rows = json.loads(done.stdout)["rows"]
+    return next(dict(row) for row in rows if row["command"] == "diagnose")

@@ -1,0 +1,59 @@
+"""``safedpa experiment adversary``: attacks on the safety filter, counted whatever comes out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from safedpa.errors import InputError
+from safedpa.extras import needs
+
+__all__ = ["command"]
+
+
+@click.command(name="adversary")
+@click.option("--only", multiple=True, metavar="NAME", help="this attack alone; may be repeated")
+@click.option("--small", is_flag=True, help="small sizes: seconds instead of minutes")
+@click.option("--list", "listed", is_flag=True, help="print the attacks and run none")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="draws problems, states, wishes")
+@click.option("--workers", type=int, default=2, show_default=True, help="processes")
+@click.option(
+    "--peers", multiple=True, metavar="PYTHON", help="another Python that has peers installed; may be repeated"
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="folder for adversary.json and adversary.md"
+)
+@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+@needs("sim")
+def command(**options: Any) -> None:
+    """Attacks on the safety filter, judged by what shares no code with it.
+
+    Random programs in all units, small systems under hostile wishes, the car against a grid of actions, whole drives,
+    bad inputs, and other projects' filters on the same problems. Peers that are not installed are named as missing.
+    Whatever is found is counted, beside what was asked; the exit code is 0 all the same.
+    """
+    from safedpa_lab.experiments.adversary.campaign import adversary, attacks_named
+    from safedpa_lab.experiments.adversary.report import adversary_markdown, write_adversary
+    from safedpa_services.progress import progress
+
+    attacks = attacks_named(options["only"], options["peers"])
+    if options["listed"]:
+        for attack in attacks:
+            click.echo(f"{attack.name:12}{attack.sentence}")
+        return
+    if options["workers"] < 1:
+        raise InputError(f"--workers: got {options['workers']}, wanted at least 1")
+    with progress("experiment adversary") as tell:
+        found = adversary(attacks, options["seed"], options["small"], options["workers"], tell)
+    result = {"command": _command(options), **found}
+    if options["out"] is not None:
+        write_adversary(result, options["out"])
+    click.echo(json.dumps(result, default=float) if options["as_json"] else adversary_markdown(result))
+
+
+def _command(options: dict[str, Any]) -> str:
+    only = "".join(f" --only {name}" for name in options["only"])
+    return f"safedpa experiment adversary{only}{' --small' if options['small'] else ''} --seed {options['seed']}"

@@ -1,0 +1,183 @@
+"""Attack: the car in random states among obstacles, each answer held against a grid of actions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.safety import FilterSettings, SafetyFilter, car_barriers
+from safedpa.safety.shipped import settings_named
+from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
+from safedpa_lab.experiments.adversary.car_judge import FIELD, FOOTPRINT, CarJudge, CarQuestion
+
+__all__ = ["CarGrid", "car_question", "odd_question"]
+
+_PIECE: Final = 100
+_FAR: Final = 0.1
+"""Weighted ranges beyond the grid's nearest."""
+_MOST_FAR: Final = 0.5
+"""Per cent of the corrections."""
+_CLOSE: Final = 0.01
+
+
+@final
+@dataclass(frozen=True)
+class _Answer:
+    number: int
+    status: str
+    broken: float | None
+    """Passed and corrected: in scales."""
+    below: bool
+    missed: bool
+    excess: float | None
+    shortfall: float | None
+    untold: bool
+
+
+@final
+class CarGrid(AbstractAttack):
+    """Which feasible actions of the grid are missed, and which of them are nearer to the wish."""
+
+    name = "car"
+    sentence = "the car in random states among obstacles, against a grid of 27 x 35 actions"
+
+    def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
+        return [
+            (kind, seed, first, min(first + _PIECE, count))
+            for kind, (_, _, full, few) in _KINDS.items()
+            for count in (few if small else full,)
+            for first in range(0, count, _PIECE)
+        ]
+
+    def work(self, piece: Any) -> tuple[str, list[_Answer]]:  # noqa: D102
+        kind, seed, first, last = piece
+        name, drawn, _, _ = _KINDS[kind]
+        model, settings = load_model(name), settings_named("car")
+        safe = SafetyFilter.for_model(model, settings)
+        return kind, [_answered(safe, model, settings, drawn(seed, n), n) for n in range(first, last)]
+
+    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+        rows: list[Row] = []
+        worst: list[dict[str, Any]] = []
+        for kind in _KINDS:
+            items = [item for own, found in answers if own == kind for item in found]
+            said = sorted(Counter(item.status for item in items).items())
+            rows += [Row(f"{kind}: answers {status}", count) for status, count in said]
+            rows += _rows(kind, items)
+            worst += [{"kind": kind, **case} for case in _worst(items)]
+        return Result(rows, worst)
+
+
+def odd_question(seed: int, number: int) -> CarQuestion:
+    """Scenes that nobody asked for: an obstacle on the body, all of them twice, one as large as a hill, sixty."""
+    question, random = car_question(seed, 8 * number), np.random.default_rng([seed, 11, number])
+    state, obstacles = question.state, question.obstacles
+    what = number % 5
+    if what == 0:
+        obstacles = np.vstack([obstacles, [*state[:2], 0.1]])
+    elif what == 1:
+        obstacles = np.vstack([obstacles, obstacles, obstacles])
+    elif what == 2:
+        bearing = random.uniform(-np.pi, np.pi)
+        away = 1000.0 + random.uniform(0.4, 1.0)
+        obstacles = np.array([[state[0] + away * np.cos(bearing), state[1] + away * np.sin(bearing), 1000.0]])
+    elif what == 3:
+        obstacles = np.column_stack([random.uniform(-4.0, 4.0, (60, 2)), random.uniform(0.0, 0.2, 60)])
+    else:
+        obstacles, state = obstacles * (1.0, 1.0, 0.0), state * (1.0, 1.0, 1.0, 0.0)
+    return CarQuestion(state, question.wish, obstacles)
+
+
+def car_question(seed: int, number: int) -> CarQuestion:
+    """A state with every h >= 0, one in eight anywhere; one to eight obstacles, most of them near; any wish."""
+    settings, random = settings_named("car"), np.random.default_rng([seed, 3, number])
+    while True:
+        place = random.uniform(-3.5, 3.5, 2)
+        state = np.array([*place, random.uniform(-np.pi, np.pi), random.uniform(-0.6, 2.0)])
+        count = int(random.integers(1, 9))
+        bearing, away = random.uniform(-np.pi, np.pi, count), random.uniform(0.25, 1.2, count)
+        centres = place[:, None] + away * np.stack([np.cos(bearing), np.sin(bearing)])
+        obstacles = np.vstack([centres, random.uniform(0.1, 0.35, count)]).T
+        wish = random.uniform(settings.action_low, settings.action_high)
+        question = CarQuestion(state, wish, obstacles)
+        if number % 8 == 0 or CarJudge(load_model("car"), settings, question).now.min() >= 0.0:
+            return question
+
+
+def _answered(
+    safe: SafetyFilter, model: PhysicsModel, settings: FilterSettings, question: CarQuestion, number: int
+) -> _Answer:
+    barriers = car_barriers(settings, FOOTPRINT, question.obstacles, FIELD)
+    verdict = safe.decide(question.state, question.wish, model.latent, barriers=barriers)
+    judge, status = CarJudge(model, settings, question), verdict.status.value
+    own = judge.heights(verdict.action[None])[0]
+    kept = status in ("passed", "corrected")
+    feasible = ((judge.h - judge.required) / judge.scale >= 1e-9).all(axis=1)
+    excess = None
+    if status == "corrected" and feasible.any():
+        excess = float(judge.distance(verdict.action[None])[0] - judge.distance(judge.grid[feasible]).min())
+    best = float((judge.h / judge.scale).min(axis=1).max())
+    return _Answer(
+        number,
+        status,
+        max(0.0, -float(((own - judge.required) / judge.scale).min())) if kept else None,
+        kept and bool((own / judge.scale).min() < -1e-12),
+        status in ("relaxed", "fallback") and bool(feasible.any()),
+        excess,
+        None if kept else max(0.0, best - float((own / judge.scale).min())),
+        bool(judge.now.min() < -1e-12) != (status == "violated"),
+    )
+
+
+def _rows(kind: str, items: Sequence[_Answer]) -> list[Row]:
+    kept = [item.broken for item in items if item.broken is not None]
+    excess = [item.excess for item in items if item.excess is not None]
+    rest = [item for item in items if item.broken is None]
+    short = [item.shortfall for item in rest if item.shortfall is not None]
+    relaxed = sum(item.status in ("relaxed", "fallback") for item in items)
+    far = 100.0 * sum(value > _FAR for value in excess) / max(1, len(excess))
+    return [
+        Row(f"{kind}: largest break of a condition, in scales", max(kept, default=0.0), len(kept), most=1e-9),
+        Row(f"{kind}: passed or corrected, predicted h < 0", sum(item.below for item in items), len(kept), most=0),
+        Row(
+            f"{kind}: h < 0 now, and not told (or told wrongly)", sum(item.untold for item in items), len(items), most=0
+        ),
+        Row(f"{kind}: relaxed, though the grid keeps all", sum(item.missed for item in items), relaxed, most=0),
+        Row(f"{kind}: corrected 0.1 of a range beyond the grid", far, len(excess), most=_MOST_FAR, unit="%"),
+        Row(f"{kind}: largest excess, in ranges", max(excess, default=0.0), len(excess)),
+        Row(
+            f"{kind}: relaxed or violated: 1 % of scale below the grid",
+            sum(v > _CLOSE for v in short),
+            len(short),
+            most=0,
+        ),
+        Row(f"{kind}: largest shortfall, in scales", max(short, default=0.0), len(short)),
+    ]
+
+
+def _worst(items: Sequence[_Answer]) -> list[dict[str, Any]]:
+    faults: dict[str, list[tuple[float, int]]] = {
+        "condition broken": [(i.broken or 0.0, i.number) for i in items if (i.broken or 0.0) > 1e-9],
+        "missed": [(1.0, i.number) for i in items if i.missed],
+        "too far": [(i.excess or 0.0, i.number) for i in items if (i.excess or 0.0) > _FAR],
+        "not the least unsafe": [(i.shortfall or 0.0, i.number) for i in items if (i.shortfall or 0.0) > _CLOSE],
+        "h < 0 now not told": [(1.0, i.number) for i in items if i.untold],
+    }
+    return [
+        {"fault": fault, "size": size, "number": number, "count": len(cases)}
+        for fault, cases in faults.items()
+        for size, number in sorted(cases, reverse=True)[:3]
+    ]
+
+
+_KINDS: Final[dict[str, tuple[str, Callable[[int, int], CarQuestion], int, int]]] = {
+    "car": ("car", car_question, 12_000, 120),
+    "car with networks": ("car_learned", car_question, 2_000, 60),
+    "odd scenes": ("car", odd_question, 2_000, 60),
+}
+"""By name: model, how a question is drawn, and how many of them."""

@@ -1,0 +1,196 @@
+"""Attack: small control systems under hostile wishes, each answer held against a grid of actions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.safety import Verdict
+from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
+from safedpa_lab.experiments.adversary.control_system import ControlSystem
+from safedpa_lab.experiments.adversary.line_systems import adaptive_cruise, double_integrator, late_drive, pendulum
+from safedpa_lab.experiments.adversary.looking_systems import (
+    disc_by_higher_order,
+    disc_by_rollout,
+    late_by_pending_actions,
+    thin_disc,
+)
+from safedpa_lab.experiments.adversary.plane_systems import chased, corridor, disc_of_degree_two, quadrotor, unicycle
+from safedpa_lab.experiments.adversary.wishes import WISHES
+
+__all__ = ["SYSTEMS", "Systems", "Tally"]
+
+Values = NDArray[np.float64]
+
+SYSTEMS: Final[tuple[Callable[[], ControlSystem], ...]] = (
+    double_integrator,
+    unicycle,
+    pendulum,
+    quadrotor,
+    adaptive_cruise,
+    chased,
+    corridor,
+    partial(late_drive, looking_ahead=False),
+    partial(late_drive, looking_ahead=True),
+    late_by_pending_actions,
+    disc_of_degree_two,
+    disc_by_rollout,
+    disc_by_higher_order,
+    partial(thin_disc, between_ticks=False),
+    partial(thin_disc, between_ticks=True),
+)
+
+_FULL: Final = (40, 150)
+"""Episodes of each system, and periods of each."""
+_SMALL: Final = (4, 60)
+_EVERY: Final = {False: 1, True: 5}
+"""Periods between two looks at the grid; whose barriers are rollouts is slow to judge."""
+_BROKEN: Final = 1e-9
+_FAR: Final = 0.1
+_CLOSE: Final = 0.01
+
+
+@final
+@dataclass
+class Tally:
+    """What became of some episodes of one system."""
+
+    statuses: Counter[str] = field(default_factory=Counter)
+    least_h: float = float("inf")
+    """In truth, over all periods."""
+    crashed: int = 0
+    """Episodes with h < 0 in truth."""
+    episodes: int = 0
+    broken: float = 0.0
+    kept: int = 0
+    below: int = 0
+    missed: int = 0
+    needless: int = 0
+    """h < 0 predicted where the grid keeps all h >= 0."""
+    unkept: int = 0
+    excess: list[float] = field(default_factory=list)
+
+    def add(self, other: Tally) -> None:
+        """Takes another one's figures in."""
+        self.statuses.update(other.statuses)
+        self.least_h, self.broken = min(self.least_h, other.least_h), max(self.broken, other.broken)
+        for name in ("crashed", "episodes", "kept", "below", "missed", "needless", "unkept"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.excess += other.excess
+
+
+@final
+class Systems(AbstractAttack):
+    """Least h in truth, and what the grid knows better. The model is exact: whatever goes wrong is the filter's."""
+
+    name = "systems"
+    sentence = "nine small systems under hostile wishes, against grids of actions"
+
+    def pieces(self, seed: int, small: bool) -> Sequence[Any]:  # noqa: D102
+        episodes, steps = _SMALL if small else _FULL
+        return [(seed, index, episode, steps) for index in range(len(SYSTEMS)) for episode in range(episodes)]
+
+    def work(self, piece: Any) -> tuple[int, Tally]:  # noqa: D102
+        seed, index, episode, steps = piece
+        return index, _episode(SYSTEMS[index](), np.random.default_rng([seed, 4, index, episode]), episode, steps)
+
+    def told(self, answers: Sequence[Any]) -> Result:  # noqa: D102
+        rows: list[Row] = []
+        for index, make in enumerate(SYSTEMS):
+            tally = Tally()
+            for own, one in answers:
+                if own == index:
+                    tally.add(one)
+            rows += _rows(make(), tally)
+        return Result(rows)
+
+
+def _episode(system: ControlSystem, random: np.random.Generator, number: int, steps: int) -> Tally:
+    """Every other four episodes without a margin; there the rounding of the last digit decides."""
+    kind = tuple(WISHES)[number % len(WISHES)]
+    margin = system.margin if (number // len(WISHES)) % 2 == 0 or kind.startswith("NaN") else 0.0
+    safe, wish, tally = system.filter(margin), WISHES[kind](system, random), Tally(episodes=1)
+    grid, state = _grid(system), _safe_start(system, random)
+    for step in range(steps):
+        wanted = wish(state)
+        verdict = safe.decide(state, wish=wanted)
+        tally.statuses[verdict.status.value] += 1
+        if step % _EVERY[system.barriers is not None] == 0:
+            _judge(system, margin, grid, state, wanted, verdict, tally)
+        reached = system.after(state, verdict.action[None])[0]
+        tally.least_h = min(tally.least_h, system.least_on_the_way(state, reached))
+        state = reached
+    tally.crashed = int(tally.least_h < 0.0)
+    return tally
+
+
+def _judge(
+    system: ControlSystem, margin: float, grid: Values, state: Values, wish: Values, verdict: Verdict, tally: Tally
+) -> None:
+    """Holds one answer against the grid, by the barriers that the filter was given."""
+    action = verdict.action
+    now = system.heights(state[None])[0]
+    required = (1.0 - system.eta) * now + margin
+    own = system.heights(system.after(state, action[None]), since=state)[0]
+    if verdict.status.value == "passed":
+        _kept(own, required, np.maximum(np.abs(now), margin), tally)
+        return
+    h = system.heights(system.after(state, grid), since=state)
+    scale = np.maximum(np.maximum(np.abs(now), margin), h.max(axis=0) - h.min(axis=0))
+    feasible = ((h - required) / scale >= _BROKEN).all(axis=1)
+    if verdict.status.value == "corrected":
+        _kept(own, required, scale, tally)
+        if feasible.any() and np.isfinite(wish).all():
+            tally.excess.append(_far(system, action[None], wish)[0] - _far(system, grid[feasible], wish).min())
+        return
+    if np.isfinite(wish).all():
+        tally.unkept += 1
+        tally.missed += int(feasible.any() and verdict.status.value != "violated")
+        tally.needless += int(bool((own / scale < -_BROKEN).any()) and bool((h >= 0.0).all(axis=1).any()))
+
+
+def _kept(own: Values, required: Values, scale: Values, tally: Tally) -> None:
+    tally.kept += 1
+    tally.broken = max(tally.broken, -float(((own - required) / np.maximum(scale, 1e-12)).min()))
+    tally.below += int(own.min() < -1e-15)
+
+
+def _far(system: ControlSystem, actions: Values, wish: Values) -> Values:
+    width = np.array(system.high) - np.array(system.low)
+    return np.asarray(np.sqrt((((actions - wish) / width) ** 2).sum(axis=1)))
+
+
+def _grid(system: ControlSystem) -> Values:
+    fine = system.barriers is None
+    count = (401 if fine else 41) if len(system.low) == 1 else (31 if fine else 9)
+    sides = [np.linspace(low, high, count) for low, high in zip(system.low, system.high, strict=True)]
+    return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
+
+
+def _safe_start(system: ControlSystem, random: np.random.Generator) -> Values:
+    while True:
+        state = system.start(random)
+        if min(system.heights(state[None]).min(), system.h(state[None]).min()) > 0.05:
+            return state
+
+
+def _rows(system: ControlSystem, tally: Tally) -> list[Row]:
+    name, seen = system.name, sum(tally.statuses.values())
+    said = ", ".join(f"{status} {100 * count / seen:.1f} %" for status, count in sorted(tally.statuses.items()))
+    far = 100.0 * sum(value > _FAR for value in tally.excess) / max(1, len(tally.excess))
+    asked = -1e-9 if system.invariant else None
+    return [
+        Row(f"{name}: least h in truth ({said})", tally.least_h, tally.episodes, least=asked),
+        Row(f"{name}: episodes with h < 0", tally.crashed, tally.episodes),
+        Row(f"{name}: largest break, in scales", tally.broken, tally.kept, most=_BROKEN),
+        Row(f"{name}: passed or corrected, predicted h < 0", tally.below, tally.kept, most=0),
+        Row(f"{name}: relaxed, though the grid keeps all", tally.missed, tally.unkept, most=0),
+        Row(f"{name}: h < 0 predicted, though the grid keeps h >= 0", tally.needless, tally.unkept, most=0),
+        Row(f"{name}: corrected 0.1 of a range beyond the grid", far, len(tally.excess), most=0.5, unit="%"),
+    ]

@@ -1,0 +1,81 @@
+"""What is wished of a system by somebody who wants it to crash."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa_lab.experiments.adversary.control_system import ControlSystem
+
+__all__ = ["WISHES"]
+
+Values = NDArray[np.float64]
+Wisher = Callable[[Values], Values]
+
+_HELD: Final = 8
+"""Periods for which an adversary holds its wish in its mind."""
+_LEG: Final = 12
+"""Periods between two changes of a bang-bang wish."""
+
+
+def _towards(system: ControlSystem, random: np.random.Generator) -> Wisher:
+    """The corner of the box that brings the least h down furthest if it is held for a while."""
+    corners = _corners(system)
+
+    def lowest(state: Values, corner: Values) -> float:
+        least, at = float("inf"), state
+        for _ in range(_HELD):
+            reached = system.after(at, corner[None])[0]
+            least, at = min(least, system.least_on_the_way(at, reached)), reached
+        return least
+
+    def wish(state: Values) -> Values:
+        then = np.array([lowest(state, corner) for corner in corners])
+        return np.asarray(corners[int(np.argmin(then + 1e-12 * random.uniform(size=len(then))))])
+
+    return wish
+
+
+def _anything(system: ControlSystem, random: np.random.Generator) -> Wisher:
+    low, high = np.array(system.low), np.array(system.high)
+    return lambda _: random.uniform(low - 0.5 * (high - low), high + 0.5 * (high - low))
+
+
+def _bang_bang(system: ControlSystem, random: np.random.Generator) -> Wisher:
+    def legs() -> Iterator[Values]:
+        corners = _corners(system)
+        while True:
+            yield from [corners[int(random.integers(len(corners)))]] * _LEG
+
+    held = legs()
+    return lambda _: next(held)
+
+
+def _broken(system: ControlSystem, random: np.random.Generator) -> Wisher:
+    """Towards the obstacle, and NaN or infinity in every tenth period."""
+    towards = _towards(system, random)
+
+    def wish(state: Values) -> Values:
+        wanted = towards(state).copy()
+        if random.uniform() < 0.1:
+            wanted[int(random.integers(len(wanted)))] = random.choice([np.nan, np.inf, -np.inf])
+        return wanted
+
+    return wish
+
+
+def _corners(system: ControlSystem) -> Values:
+    sides = [np.array(side) for side in zip(system.low, system.high, strict=True)]
+    return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, len(sides))
+
+
+WISHES: Final[dict[str, Callable[[ControlSystem, np.random.Generator], Wisher]]] = {
+    "towards": _towards,
+    "random": _anything,
+    "bang-bang": _bang_bang,
+    "NaN now and then": _broken,
+}
+"""By name; episode n has the (n modulo their number)-th."""

@@ -1,0 +1,102 @@
+"""The cells of the car experiment's table: driven, written as soon as they are done, and not driven twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from safedpa.dynamics import fingerprint
+from safedpa.safety import FilterSettings, write_settings
+from safedpa.safety.calibration import MarginCalibration
+from safedpa_lab.experiments.car_episodes import EpisodeGroup, Outcome, as_rows, run_group
+from safedpa_lab.experiments.car_methods import Method, named_model
+from safedpa_lab.experiments.car_workers import Workers
+
+__all__ = ["Cell", "run_cells"]
+
+_AT_ONCE = 5
+"""Episodes that one process drives before it reports."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Episodes of one method and configuration."""
+
+    method: Method
+    load: str
+    seeds: tuple[int, ...]
+    folder: Path
+    settings: FilterSettings
+    margin: MarginCalibration | None
+
+    @property
+    def key(self) -> str:
+        """Changes with everything that the outcomes depend on but the program itself."""
+        models = [fingerprint(named_model(name, self.folder)) for name in (self.method.model, self._filter_model)]
+        epsilon = {} if self.margin is None else self.margin.chosen(self.settings.margin).epsilon
+        told = [self.method.name, self.load, *models, write_settings(self.settings), sorted(epsilon.items())]
+        return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
+
+    @property
+    def _filter_model(self) -> str:
+        return self.method.filter_model or self.method.model
+
+    def groups(self, seeds: Sequence[int]) -> list[EpisodeGroup]:
+        """The work of so many seeds, in parts."""
+        parts = [tuple(seeds[start : start + _AT_ONCE]) for start in range(0, len(seeds), _AT_ONCE)]
+        return [EpisodeGroup(self.method, self.load, part, self.folder, self.settings, self.margin) for part in parts]
+
+
+def run_cells(
+    cells: Sequence[Cell], workers: Workers, out: Path | None, tell: Callable[[int], None]
+) -> Iterator[tuple[Cell, list[Outcome]]]:
+    """Each cell with its outcomes; those that lie in ``out`` from before are read, not driven again.
+
+    ``tell`` gets the number of episodes that have just been done.
+    """
+    kept = {index: _read(cell, out) for index, cell in enumerate(cells)}
+    work = [
+        group
+        for index, cell in enumerate(cells)
+        for group in cell.groups([seed for seed in cell.seeds if seed not in kept[index]])
+    ]
+    driven = workers.map(run_group, work)
+    for index, cell in enumerate(cells):
+        found = kept[index]
+        tell(len(found))
+        for _ in cell.groups([seed for seed in cell.seeds if seed not in found]):
+            outcomes = next(driven)
+            found.update({item.seed: item for item in outcomes})
+            tell(len(outcomes))
+        _write(cell, found, out)
+        yield cell, [found[seed] for seed in cell.seeds]
+
+
+def _path(cell: Cell, out: Path) -> Path:
+    return out / "cells" / f"{cell.method.name}-{cell.load}.json"
+
+
+def _read(cell: Cell, out: Path | None) -> dict[int, Outcome]:
+    """Outcomes by seed from before, if they are of the same models, margins and settings."""
+    if out is None or not _path(cell, out).is_file():
+        return {}
+    table: dict[str, Any] = json.loads(_path(cell, out).read_text(encoding="utf-8"))
+    if table["key"] != cell.key:
+        return {}
+    outcomes = [Outcome(**row) for row in table["episodes"]]
+    return {item.seed: item for item in outcomes if item.seed in cell.seeds}
+
+
+def _write(cell: Cell, found: dict[int, Outcome], out: Path | None) -> None:
+    if out is None:
+        return
+    path = _path(cell, out)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = as_rows([found[seed] for seed in sorted(found)])
+    unfinished = path.with_suffix(".part")
+    unfinished.write_text(json.dumps({"key": cell.key, "episodes": rows}) + "\n", encoding="utf-8")
+    unfinished.replace(path)

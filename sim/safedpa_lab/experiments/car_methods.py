@@ -1,0 +1,178 @@
+"""The methods of the car experiment: which model adapts, which one filters, who steers; built from the real nodes."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import final
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, StateMessage
+from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint, load_model, shipped_models
+from safedpa.errors import InputError, did_you_mean
+from safedpa.policy import PolicyNode
+from safedpa.safety import FilterSettings
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.node import SafetyFilterNode
+from safedpa_lab.experiments.car_blind import BlindFilterNode
+
+__all__ = ["METHODS", "FixedLatentNode", "Method", "chosen_methods", "model_path", "named_model", "nodes_of"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the table. Model names are files ``<name>.toml`` of the learned folder, or models that ship."""
+
+    name: str
+    title: str
+    model: str
+    """Of adaptation and policy."""
+    filter_model: str | None
+    """None: no filter."""
+    controller: str = "learned"
+    """As the policy service names it. The goal seeker knows nothing of obstacles; the planner looks ahead by itself."""
+    adaptive: bool = True
+    """Without, the latent stays what it is where nothing acts."""
+    usual: bool = True
+    """Whether it is driven when no method is named; planners take ten times as long."""
+    meaning: str = ""
+
+
+METHODS: dict[str, Method] = {
+    item.name: item
+    for item in (
+        Method("safedpa", "SafeDPA", "car_learned", "car_learned", meaning="policy, history encoder, filter; tuned"),
+        Method(
+            "safedpa_untuned",
+            "SafeDPA without tuning",
+            "car_simulated",
+            "car_simulated",
+            meaning="the same as trained in the simulator",
+        ),
+        Method("rma", "RMA", "car_simulated", None, meaning="policy and history encoder, no filter"),
+        Method("rma_p", "RMA-P", "car_rma_p", None, meaning="policy trained with a penalty on contact, no filter"),
+        Method("fix", "Fix", "car_learned", "car_fix", meaning="filter with f, g of one fixed environment"),
+        Method("mix", "Mix", "car_learned", "car_mix", meaning="filter with f, g of all environments, without z"),
+        Method(
+            "policy", "Policy alone", "car_simulated", None, adaptive=False, meaning="neither adaptation nor filter"
+        ),
+        Method("physics", "Physics model", "car", "car", "goal_seeker", meaning="estimator, goal seeker, filter"),
+        Method("goal_seeker", "Goal seeker alone", "car", None, "goal_seeker", meaning="the goal seeker, no filter"),
+        Method(
+            "planner",
+            "SafeDPA, planner",
+            "car_learned",
+            "car_learned",
+            "planner",
+            usual=False,
+            meaning="SafeDPA with the sampling planner in place of the policy",
+        ),
+        Method(
+            "physics_planner",
+            "Physics model, planner",
+            "car",
+            "car",
+            "planner",
+            usual=False,
+            meaning="estimator, sampling planner, filter",
+        ),
+    )
+}
+"""Every method by name, in the order of the table."""
+
+
+def chosen_methods(names: tuple[str, ...], folder: Path) -> tuple[list[Method], list[str]]:
+    """The named methods (the usual ones without names) whose models exist, and sentences about those left out.
+
+    Raises InputError for a name that does not exist, and for one that was asked for and lacks its model.
+    """
+    for name in names:
+        if name not in METHODS:
+            raise InputError(f"method '{name}': {did_you_mean(name, METHODS)}")
+    wanted = [METHODS[name] for name in names] if names else [item for item in METHODS.values() if item.usual]
+    present, missing = [], []
+    for method in wanted:
+        lack = _lack(method, folder)
+        if lack:
+            missing.append(f"{method.title} is left out: {lack}")
+        else:
+            present.append(method)
+    if names and missing:
+        raise InputError(f"{missing[0]}; 'safedpa train car --out {folder}' makes it")
+    return present, missing
+
+
+def _lack(method: Method, folder: Path) -> str:
+    """What the method needs and does not find; empty when all is there."""
+    files = sorted({method.model, method.filter_model or method.model})
+    for name in files:
+        if model_path(name, folder) is None:
+            return f"{name}.toml is neither in {folder} nor among the shipped models"
+    base = named_model(method.model, folder).base
+    if method.controller == "learned" and not (isinstance(base, LearnedBase) and base.weights.has("policy")):
+        return f"{method.model}.toml in {folder} has no policy among its weights"
+    if method.adaptive and isinstance(base, LearnedBase) and not base.weights.has("phi"):
+        return f"{method.model}.toml in {folder} has no history encoder (phi) among its weights"
+    return ""
+
+
+def model_path(name: str, folder: Path) -> str | None:
+    """The model's file in the folder, else its name if it ships, else None."""
+    path = folder / f"{name}.toml"
+    if path.is_file():
+        return str(path)
+    return name if name in shipped_models() else None
+
+
+@lru_cache(maxsize=16)
+def named_model(name: str, folder: Path) -> PhysicsModel:
+    """The model of that name, read once in each process. Raises InputError when there is none."""
+    path = model_path(name, folder)
+    if path is None:
+        raise InputError(f"{name}.toml: not in {folder} nor among the shipped models; 'safedpa train car' makes it")
+    return load_model(path)
+
+
+def nodes_of(
+    method: Method, folder: Path, settings: FilterSettings, margin: MarginCalibration | None
+) -> list[AbstractNode]:
+    """Adaptation, policy and filter of a method, new ones for one episode."""
+    model = named_model(method.model, folder)
+    adaptation = AdaptationNode(model) if method.adaptive else FixedLatentNode(model)
+    policy = PolicyNode(model, controller=method.controller)
+    if method.filter_model is None:
+        return [adaptation, policy, SafetyFilterNode(model, dataclasses.replace(settings, enabled=False))]
+    if method.filter_model == method.model:
+        return [adaptation, policy, SafetyFilterNode(model, settings, margin)]
+    other = named_model(method.filter_model, folder)
+    return [adaptation, policy, BlindFilterNode(other, settings, margin)]
+
+
+@final
+class FixedLatentNode(AbstractNode):
+    """Stands in for the adaptation: says that the world is as the model's file has it, whatever happens."""
+
+    name = "adaptation"
+    inputs = ()
+    outputs = (LATENT,)
+    share = 0.0
+
+    def __init__(self, model: PhysicsModel) -> None:
+        self._fingerprint = fingerprint(model)
+        self._values = tuple(model.latent.tolist())
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
+        del robot, inputs
+        message = LatentMessage(
+            epoch=state.epoch,
+            tick=state.tick,
+            robot_time=state.robot_time,
+            publish_time=time.time(),
+            model=self._fingerprint,
+            values=self._values,
+            deviations=(0.0,) * len(self._values),
+        )
+        return {LATENT: message}

@@ -1,0 +1,105 @@
+"""The car experiment as Markdown, JSON, pictures and a recording."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
+from safedpa_lab.experiments.car_table import table_markdown
+
+__all__ = ["MODEL_TITLES", "markdown_of", "write_report"]
+
+MODEL_TITLES = {
+    "car_learned": "tuned",
+    "car_simulated": "untuned",
+    "car_fix": "Fix",
+    "car_mix": "Mix",
+    "car": "physics model",
+}
+"""Models whose predictions are measured, in words."""
+
+
+def write_report(result: dict[str, Any], out: Path) -> None:
+    """``car.json``, ``car.md``, one PNG a figure and ``car.rrd`` in the folder ``out``."""
+    from safedpa_lab.experiments.car_figures import write_figures
+    from safedpa_lab.experiments.car_recording import write_recording
+
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "car.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (out / "car.md").write_text(markdown_of(result), encoding="utf-8")
+    write_figures(result, out)
+    write_recording(result, out / "car.rrd")
+
+
+def markdown_of(result: dict[str, Any]) -> str:
+    """The tables of a result: success and safety, prediction errors, latents, margins, as far as they were run."""
+    first, last = result["seeds"]
+    parts = [f"Seeds of the episodes: {first} to {last}.\n"]
+    if "cells" in result:
+        parts.append(table_markdown(result["cells"]))
+    if "errors" in result:
+        parts.append(_errors_markdown(result))
+    if "latent" in result:
+        parts.append(_latent_markdown(result["latent"]))
+    if "margin" in result:
+        parts.append(_margin_markdown(result["margin"]))
+    parts += [f"{sentence}.\n" for sentence in result["left_out"]]
+    return "\n".join(parts)
+
+
+def _errors_markdown(result: dict[str, Any]) -> str:
+    loads = list(next(iter(result["errors"].values())))
+    titles = [CONFIGURATIONS.get(load, load) for load in loads]
+    blocks = []
+    for horizon, words in (("one_step", "one step"), ("one_second", "one second")):
+        lines = [f"| error over {words} | {' | '.join(titles)} |", "|---|" + "---|" * len(loads)]
+        for name, rows in result["errors"].items():
+            numbers = [f"{rows[load][horizon]['number']:.3g}" for load in loads]
+            lines.append(f"| {MODEL_TITLES[name]} | {' | '.join(numbers)} |")
+        if result.get("ratios"):
+            ratios = [f"{result['ratios'][load][horizon]:.1f}" for load in loads]
+            lines.append(f"| **untuned / tuned** | {' | '.join(ratios)} |")
+        blocks.append("\n".join(lines))
+    lines = ["| after one second | position [m] | yaw [rad] | speed [m/s] |", "|---|---|---|---|"]
+    for name, rows in result["errors"].items():
+        mixed = rows["mixed"]["one_second"]
+        rms = mixed["root_mean_square"]
+        lines.append(f"| {MODEL_TITLES[name]} | {mixed['position']:.3f} | {rms['yaw']:.3f} | {rms['speed']:.3f} |")
+    return "\n\n".join([*blocks, "\n".join(lines)]) + "\n"
+
+
+def _latent_markdown(latent: dict[str, Any]) -> str:
+    lines = [
+        "| latent of | load right | hitched or not | change noticed: median ticks, within 50 | error back: the same |",
+        "|---|---|---|---|---|",
+    ]
+    for name, rows in latent.items():
+        latents, errors = (rows["adaptation"][key] for key in ("latent_ticks", "error_ticks"))
+        lines.append(
+            f"| {MODEL_TITLES[name]} | {100 * rows['accuracy']['share']:.0f} % "
+            f"| {100 * rows['hitched_or_not']['share']:.0f} % | {_ticks(latents)} | {_ticks(errors)} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _ticks(row: dict[str, Any]) -> str:
+    median = "never" if row["median"] is None else f"{row['median']:.0f}"
+    return f"{median}, {row['within']}/{row['of']}"
+
+
+def _margin_markdown(margin: dict[str, Any]) -> str:
+    lines = [
+        "| margin: conformal, (theorem) | obstacle [m] | field [m] | speed [m/s] | steps covered on fresh drives |",
+        "|---|---|---|---|---|",
+    ]
+    for name, kinds in margin["models"].items():
+        cells = [_epsilons(kinds[kind]) if kind in kinds else "-" for kind in ("obstacle", "field", "speed")]
+        covered = ", ".join(f"{100 * row['conformal']['share']:.1f} %" for row in kinds.values())
+        lines.append(f"| {MODEL_TITLES.get(name, name)} | {' | '.join(cells)} | {covered} |")
+    return "\n".join([*lines, "", f"Used by every filter: {margin['used']}."]) + "\n"
+
+
+def _epsilons(row: dict[str, Any]) -> str:
+    return f"{row['conformal']['epsilon']:.3f} ({row['theorem']['epsilon']:.3f})"

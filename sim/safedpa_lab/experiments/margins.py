@@ -1,0 +1,324 @@
+"""The margins that ship, and how often they hold on fresh drives: made and counted by one command.
+
+For each robot and model in two rounds, since errors depend on where the filter lets the robot go: drives behind the
+filter with the margin that its settings assume make first margins, of a step and of a whole drive. Other drives behind
+the first margin of a step make the one that ships, and as many behind that of a drive likewise. What ships now decides
+nothing, so the same command makes the same margins again. Drives on evaluation seeds behind the filter with the new
+margin tell how many steps and how many drives it covered, and how many goals each kind of margin costs. Drives are kept
+as they are made, so that a run may be cut anywhere and gone on with.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from safedpa.dynamics import fingerprint, load_model
+from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import check_archive
+from safedpa.safety.calibration import MarginCalibration
+from safedpa.safety.ceiling import Ceiling
+from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.margin import smallest_sample
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa.safety.theory_layer import Stay, stays_in_layer
+from safedpa_lab.experiments.car_workers import Workers
+from safedpa_lab.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
+from safedpa_lab.experiments.seeds import seeds_for
+from safedpa_lab.experiments.statistics import clopper_pearson_interval, cluster_interval, mean_interval
+
+__all__ = ["KINDS", "SHIPPED", "MarginCases", "margins_experiment"]
+
+KINDS = ("conformal", "drive")
+"""Margins of a step and of a whole drive."""
+SHIPPED = "shipped"
+"""The margin that ships now, to hold the new ones against."""
+
+Tell = Callable[[int, int], None]
+
+_COVERAGE: Final = 0.99
+
+
+@final
+@dataclass(frozen=True)
+class MarginCases:
+    """What is to be made. Raises InputError for numbers out of range."""
+
+    robots: tuple[str, ...]
+    out: Path
+    drives: int = 200
+    """On calibration seeds, for each of ``KINDS``; 99 at least for a coverage of 99 %. Half as many, but no fewer than
+    that, go before."""
+    fresh: int = 200
+    """On evaluation seeds, for each kind of margin."""
+    kinds: tuple[str, ...] = KINDS
+    """Kinds of margin behind which fresh drives are made; of ``KINDS`` or ``SHIPPED``."""
+    seconds: float = 0.0
+    """Of a drive; 0: as each robot has it."""
+    coverage: float = _COVERAGE
+    processes: int = 2
+    minutes: float = 0.0
+    """After which no new drive begins; 0: until all is done."""
+
+    def __post_init__(self) -> None:
+        for name in self.robots:
+            if name not in DRIVERS:
+                raise InputError(f"--robot '{name}': {did_you_mean(name, DRIVERS)}")
+        for kind in self.kinds:
+            if kind not in (known := (*KINDS, SHIPPED)):
+                raise InputError(f"--kind '{kind}': {did_you_mean(kind, known)}")
+        if self.drives < 1 or self.fresh < 0 or self.processes < 1 or self.seconds < 0.0 or self.minutes < 0.0:
+            raise InputError("--drives and --processes: wanted more than 0; --fresh, --seconds, --minutes: 0 or more")
+
+    @property
+    def first(self) -> int:
+        """Drives of the first round."""
+        return max(smallest_sample(self.coverage), self.drives // 2)
+
+    @property
+    def total(self) -> int:
+        """Drives of one robot."""
+        return self.first + len(KINDS) * self.drives + len(self.kinds) * self.fresh
+
+
+def margins_experiment(cases: MarginCases, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
+    """One entry a robot: its margins once they are there, what they covered; ``missing`` drives where time ran out."""
+    ends = time.monotonic() + 60.0 * cases.minutes if cases.minutes else float("inf")
+    total = len(cases.robots) * cases.total
+    count = _Count(total, tell)
+    rows = {}
+    with Workers(cases.processes) as workers:
+        for name in cases.robots:
+            rows[name] = _of_robot(cases, name, workers, ends, count)
+    return {"experiment": "margins", "coverage": cases.coverage, "robots": rows, "missing": total - count.done}
+
+
+@dataclass
+class _Count:
+    total: int
+    tell: Tell
+    done: int = 0
+
+    def more(self, number: int) -> None:
+        self.done += number
+        self.tell(self.done, self.total)
+
+
+def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, count: _Count) -> dict[str, Any]:
+    folder, seconds = cases.out / name, cases.seconds or DRIVERS[name].seconds
+
+    def made(part: str, behind: MarginCalibration | None, kind: str, seeds: range) -> list[DriveResult]:
+        orders = [DriveOrder(name, seed, behind, kind, seconds) for seed in seeds]
+        return _driven(folder / part, orders, workers, ends, count)
+
+    first = made("first", None, KINDS[0], seeds_for("calibration", cases.first))
+    if len(first) < cases.first:
+        return {"drives": len(first)}
+    plain = cases.coverage * cases.first / (cases.first + 1)
+    before = _calibrated(cases, name, seconds, first, "the margin of the settings", plain)
+    seeds = seeds_for("calibration", cases.drives, cases.first)
+    second = {kind: made(f"calibration-{kind}", before, kind, seeds) for kind in KINDS}
+    if any(len(results) < cases.drives for results in second.values()):
+        return {"drives": sum(map(len, second.values()))}
+    behind = f"a margin of {cases.first} other drives"
+    tables = {kind: _calibrated(cases, name, seconds, results, behind) for kind, results in second.items()}
+    margin = _joined(tables)
+    row: dict[str, Any] = {"drives": cases.drives, "seconds": seconds, "epsilon": margin.epsilon, "drive": margin.drive}
+    ceiling = _ceiling(name)
+    for kind, results in second.items():
+        row[f"calibration_{kind}"] = _counted(results, _spoken_of(margin, None, kind), ceiling)
+        row[f"calibration_{kind}"] |= _driving(results, seconds)
+    for kind in cases.kinds:
+        ahead, which = (margin, kind) if kind in KINDS else (margin_for(load_model(DRIVERS[name].model)), KINDS[0])
+        if fresh := made(f"fresh-{kind}", ahead, which, seeds_for("evaluation", cases.fresh)):
+            spoken_of = _spoken_of(margin, ahead, kind)
+            row[f"fresh_{kind}"] = _counted(fresh, spoken_of, ceiling) | _driving(fresh, seconds)
+            if kind in spoken_of:
+                row[f"fresh_{kind}"]["layer"] = _layers(fresh, seconds, spoken_of[kind], ceiling.eta)
+    _with_the_rest(margin, margin_for(load_model(DRIVERS[name].model)), row).save(folder / "margin.toml")
+    return row
+
+
+def _with_the_rest(
+    margin: MarginCalibration, shipped: MarginCalibration | None, row: dict[str, Any]
+) -> MarginCalibration:
+    """With what fresh drives told of it, and with the theorem's bound of this model, which no drive here measures."""
+    covered = {
+        f"{kind}.{barrier}": counted[kind][share]
+        for kind, share in zip(KINDS, ("steps", "drives"), strict=True)
+        for barrier, counted in row.get(f"fresh_{kind}", {}).get("covered", {}).items()
+    }
+    if shipped is None or not shipped.theorem:
+        return replace(margin, covered=covered)
+    known = {key: value for key, value in shipped.covered.items() if key.startswith("theorem.")}
+    bound = {key: value for key, value in shipped.constants.items() if "ceiling." not in key}
+    constants = bound | margin.constants
+    return replace(margin, theorem=shipped.theorem, constants=constants, covered=covered | known)
+
+
+def _joined(tables: Mapping[str, MarginCalibration]) -> MarginCalibration:
+    """Each kind of margin from the drives behind its own first one; ``tables`` by kind of margin."""
+    step, drive = (tables[kind] for kind in KINDS)
+    tops = {key: value for key, value in drive.constants.items() if key.startswith("drive.")}
+    return replace(step, drive=drive.drive, constants=step.constants | tops)
+
+
+def _spoken_of(margin: MarginCalibration, behind: MarginCalibration | None, kind: str) -> dict[str, dict[str, float]]:
+    """By kind of margin the tables that are counted on the drives behind one of them."""
+    tables = {"conformal": margin.epsilon, "drive": margin.drive}
+    if kind not in KINDS and behind is not None:
+        tables[kind] = behind.epsilon
+    return tables
+
+
+def _calibrated(
+    cases: MarginCases,
+    name: str,
+    seconds: float,
+    made: Sequence[DriveResult],
+    behind: str,
+    coverage: float | None = None,
+) -> MarginCalibration:
+    """``coverage`` of n / (n + 1) of the one that is asked for makes the plain quantile, which promises nothing."""
+    first, last = made[0].seed, made[-1].seed
+    asked = f"--drives {cases.drives}" + ("" if cases.coverage == _COVERAGE else f" --coverage {cases.coverage}")
+    origin = (
+        f"safedpa experiment margins --robot {name} {asked}: seeds {first} to {last}, {seconds:g} s each, "
+        f"in lockstep behind {behind}"
+    )
+    own = fingerprint(load_model(DRIVERS[name].model))
+    heights = [item.heights for item in made]
+    asked_for = cases.coverage if coverage is None else coverage
+    return calibration_from_drives(heights, asked_for, time.strftime("%Y-%m-%d"), own, _ceiling(name), origin)
+
+
+def _ceiling(name: str) -> Ceiling:
+    return Ceiling.of_settings(settings_named(DRIVERS[name].settings))
+
+
+def _driven(
+    folder: Path, orders: Sequence[DriveOrder], workers: Workers, ends: float, count: _Count
+) -> list[DriveResult]:
+    """The results of the orders, in order, up to where time ran out. Those that are kept of the same order are read."""
+    folder.mkdir(parents=True, exist_ok=True)
+    missing = [order for order in orders if not _path(folder, order).exists()]
+    count.more(len(orders) - len(missing))
+    for result, order in zip(workers.map(driven, _until(missing, ends)), missing, strict=False):
+        _keep(_path(folder, order), result)
+        count.more(1)
+    return [_kept(path) for path in (_path(folder, order) for order in orders) if path.exists()]
+
+
+def _until(orders: Sequence[DriveOrder], ends: float) -> Iterator[DriveOrder]:
+    for order in orders:
+        if time.monotonic() > ends:
+            return
+        yield order
+
+
+def _path(folder: Path, order: DriveOrder) -> Path:
+    """One file a drive; another margin is another drive."""
+    margin = "none" if order.margin is None else _digest_of(order.margin)
+    return folder / f"{order.seed}-{order.seconds:g}s-{margin}.npz"
+
+
+def _digest_of(margin: MarginCalibration) -> str:
+    """A few digits that tell one table of margins from another."""
+    import hashlib
+
+    numbers = json.dumps([margin.epsilon, margin.drive], sort_keys=True)
+    return hashlib.sha256(numbers.encode()).hexdigest()[:8]
+
+
+def _keep(path: Path, result: DriveResult) -> None:
+    about = {
+        "seed": result.seed,
+        "goals": result.goals,
+        "collisions": result.collisions,
+        "ticks": result.ticks,
+        "statuses": result.statuses,
+        "least_h": result.least_h,
+        "steps": {kind: len(values) for kind, values in result.heights.items()},
+    }
+    whole = path.with_name(f"new-{path.name}")
+    heights = np.concatenate([*result.heights.values(), np.zeros((0, 4))])
+    np.savez_compressed(whole, about=np.array(json.dumps(about)), heights=heights)
+    whole.replace(path)
+
+
+def _kept(path: Path) -> DriveResult:
+    check_archive(path)
+    with np.load(path) as table:
+        about, heights = json.loads(str(table["about"])), np.array(table["heights"])
+    steps = about.pop("steps")
+    parts = np.split(heights, np.cumsum(list(steps.values()))[:-1])
+    return DriveResult(heights=dict(zip(steps, parts, strict=False)), **about)
+
+
+def _counted(
+    results: Sequence[DriveResult], tables: Mapping[str, Mapping[str, float]], ceiling: Ceiling
+) -> dict[str, Any]:
+    """By kind of barrier: the share of steps that each margin covered, and of drives in which it covered every step."""
+    drives = [item.heights for item in results]
+    rows: dict[str, Any] = {}
+    for kind in tables[KINDS[0]]:
+        near = sum(len(ceiling.errors(kind, heights[kind])) > 0 for heights in drives if kind in heights)
+        rows[kind] = {"drives": len(drives), "drives_near": near}
+        for name, table in tables.items():
+            rows[kind][name] = _covered(covered_shares(drives, kind, table[kind], ceiling), table[kind])
+    return {"covered": rows}
+
+
+def _covered(shares: Any, epsilon: float) -> dict[str, Any]:
+    whole = int((shares == 1.0).sum())
+    return {
+        "epsilon": epsilon,
+        "steps": float(shares.mean()),
+        "steps_95": list(cluster_interval(shares)),
+        "drives": whole / len(shares),
+        "drives_95": list(clopper_pearson_interval(whole, len(shares))),
+    }
+
+
+def _driving(results: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
+    statuses: Counter[str] = Counter()
+    for item in results:
+        statuses.update(item.statuses)
+    goals = np.array([60.0 * item.goals / seconds for item in results])
+    return {
+        "drives": len(results),
+        "collisions": sum(item.collisions for item in results),
+        "goals": sum(item.goals for item in results),
+        "goals_a_minute": mean_interval(goals),
+        "statuses": dict(sorted(statuses.items())),
+        "least_h": min(item.least_h for item in results),
+    }
+
+
+def _layers(
+    results: Sequence[DriveResult], seconds: float, epsilon: Mapping[str, float], eta: float
+) -> dict[str, dict[str, float]]:
+    """By kind of barrier: the stays of its least h in its boundary layer 0 <= h < epsilon / eta, over all drives."""
+    rows: dict[str, dict[str, float]] = {}
+    for kind, margin in epsilon.items():
+        stays: list[tuple[Stay, float]] = []
+        for item in results:
+            hoped, measured = item.heights.get(kind, np.zeros((0, 4))).T[:2].tolist()
+            found = stays_in_layer(measured[:-1], hoped[1:], [margin / eta] * len(hoped[1:]))
+            stays += [(stay, stay.ticks * seconds / item.ticks) for stay in found]
+        rows[kind] = {
+            "depth": margin / eta,
+            "stays": len(stays),
+            "longest_seconds": max((length for _, length in stays), default=0.0),
+            "fall": max((stay.fall for stay, _ in stays), default=0.0),
+            "errors": max((stay.errors for stay, _ in stays), default=0.0),
+            "least_rise": min((stay.least_rise for stay, _ in stays), default=0.0),
+        }
+    return rows

@@ -1,0 +1,142 @@
+"""The pendulum experiment's pictures: safety by wind direction, phase portraits, the reserve of torque, the latent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from safedpa_lab.experiments.car_style import BLACK, GREY, bare, figure, heading
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["write_figures"]
+
+_SAFE, _UNSAFE, _STUCK = "#0072B2", "#D55E00", "#7A8590"
+_COLOURS = {"safedpa": "#0072B2", "mix": "#CC79A7", "oracle": "#222222"}
+_FIX = "#009E73"
+
+
+def write_figures(result: dict[str, Any], out: Path) -> None:
+    """Four PNGs in the folder ``out``."""
+    _directions(result, out / "pendulum_balancing.png")
+    _portraits(result, out / "pendulum_hazard.png")
+    _reserve(result, out / "pendulum_invariance.png")
+    _latent(result, out / "pendulum_latent.png")
+
+
+def _directions(result: dict[str, Any], path: Path) -> None:
+    """One small circle a method: the share of safe episodes by the direction of the wind."""
+    rows = result["balancing"]
+    angles = 2 * np.pi * np.arange(result["directions"] + 1) / result["directions"]
+    with figure(path, 2.5) as drawn:
+        panels = drawn.subplots(1, len(rows), subplot_kw={"projection": "polar"}, squeeze=False)[0]
+        for axes, (name, row) in zip(panels, rows.items(), strict=True):
+            rate = np.array([*row["safety_rate"], row["safety_rate"][0]])
+            colour = _COLOURS.get(name, _FIX)
+            axes.fill(angles, rate, color=colour, alpha=0.25)
+            axes.plot(angles, rate, color=colour, linewidth=1.8)
+            axes.set_ylim(0, 1.05)
+            axes.set_yticks([0.5, 1.0], ["", ""])
+            axes.set_xticks(np.radians([0, 90, 180, 270]), ["0", "90", "180", "270"], fontsize=6)
+            axes.tick_params(pad=-3)
+            share = row["safe"] / row["episodes"]
+            axes.set_title(f"{row['title']}\n{100 * share:.1f} %", fontsize=8.5, fontweight="bold", color=BLACK)
+        heading(
+            drawn,
+            "Safe episodes by wind direction: random torques through the filter",
+            "radius: share of episodes within 45 degrees; angle: where the wind blows to, 0 sideways, 90 up",
+        )
+
+
+def _portraits(result: dict[str, Any], path: Path) -> None:
+    """One phase plane a method; a swing is blue when it ended upright and safe."""
+    rows = result["hazard"]
+    columns = (len(rows) + 1) // 2
+    with figure(path, 4.6) as drawn:
+        panels = drawn.subplots(2, columns, sharex=True, sharey=True, squeeze=False)
+        for axes in panels.flat[len(rows) :]:
+            axes.set_axis_off()
+        for axes, row in zip(panels.flat, rows.values(), strict=False):
+            _portrait(axes, row, result["assumed"]["hazard"])
+        for axes in panels[-1]:
+            axes.set_xlabel("angle [deg]", fontsize=8)
+        for axes in panels[:, 0]:
+            axes.set_ylabel("rate [rad/s]", fontsize=8)
+        heading(
+            drawn,
+            "Upright the long way round, past the hazard",
+            "blue: upright, never in the hazard; vermilion: entered the hazard (grey band); grey: safe, not upright",
+        )
+
+
+def _portrait(axes: Axes, row: dict[str, Any], hazard: list[float]) -> None:
+    low, high = (np.degrees(edge) for edge in hazard)
+    for turn in (0.0, 360.0):
+        axes.axvspan(low + turn, high + turn, color="#D9DDE1", linewidth=0)
+    for states in row["shown"]:
+        angle, rate = np.degrees(np.array(states)[:, 0]), np.array(states)[:, 1]
+        entered = ((np.mod(angle, 360.0) > low) & (np.mod(angle, 360.0) < high)).any()
+        upright = abs((angle[-1] + 180.0) % 360.0 - 180.0) < 5.0
+        colour = _UNSAFE if entered else _SAFE if upright else _STUCK
+        axes.plot(angle, rate, color=colour, linewidth=1.0, alpha=0.85)
+    for upright in (0.0, 360.0):
+        axes.axvline(upright, color=GREY, linewidth=0.8, linestyle=":")
+    axes.set_xlim(-25, 425)
+    axes.set_ylim(-6, 12)
+    axes.set_xticks([0, 180, 360])
+    count = row["episodes"]
+    share = f"upright {100 * row['success'] / count:.0f} %, safe {100 * row['safe'] / count:.0f} %"
+    axes.set_title(f"{row['title']}\n{share}", fontsize=6.8)
+    axes.tick_params(labelsize=7)
+    bare(axes)
+
+
+def _reserve(result: dict[str, Any], path: Path) -> None:
+    """The torque that is left at the worst state of the whole set, over the wind."""
+    found = result["invariance"]
+    looks = {"balancing": (_SAFE, "-", "within 45 degrees"), "hazard": (_UNSAFE, "--", "the long way round")}
+    with figure(path, 3.0) as drawn:
+        axes = drawn.subplots()
+        axes.axhline(0.0, color=BLACK, linewidth=0.8)
+        for name, (colour, line, title) in looks.items():
+            axes.plot(found["winds"], found["reserve"][name], line, color=colour, linewidth=2)
+            largest = found["largest_wind"][name]
+            axes.plot(largest, 0.0, "o", color=colour, markeredgecolor="white", label=f"{title}: to {largest:.2f} m/s")
+        axes.axvline(result["assumed"]["wind"], color=GREY, linestyle=":")
+        axes.text(
+            result["assumed"]["wind"], axes.get_ylim()[1], " the experiments' wind", color=GREY, fontsize=8, va="top"
+        )
+        axes.set_xlabel("wind [m/s], worst direction")
+        axes.set_ylabel("least torque left [N m]")
+        axes.legend(fontsize=8.5, loc="lower left")
+        bare(axes)
+        heading(drawn, "The corridor can be kept from every state of it, up to this wind")
+
+
+def _latent(result: dict[str, Any], path: Path) -> None:
+    """The latents at the ends of episodes, coloured by the wind's direction: swings all around, and balancing."""
+    looks = (
+        ("around", "latents", "", "swings all around: phi alone"),
+        ("around", "refined", "refined_", "the same, refined by f and g"),
+        ("balancing", "latents", "", "within 45 degrees: phi alone"),
+    )
+    with figure(path, 3.9) as drawn:
+        panels = drawn.subplots(1, 3, sharex=True, sharey=True)
+        for axes, (name, points, prefix, title) in zip(panels, looks, strict=True):
+            latent = result["latent"][name]
+            ends, directions = np.array(latent[points]), np.array(latent["directions"])
+            dots = axes.scatter(ends[:, 0], ends[:, 1], c=directions, cmap="twilight", vmin=0, vmax=360, s=8)
+            axes.set_aspect("equal", adjustable="box")
+            axes.set_xlim(-2.4, 2.4)
+            axes.set_ylim(-2.4, 2.4)
+            axes.set_xlabel("first entry of the latent", fontsize=8)
+            median, most = latent[f"{prefix}median_degrees"], latent[f"{prefix}90_degrees"]
+            axes.set_title(f"{title}\noff by {median:.0f} degrees, {most:.0f} in 90 %", fontsize=8.5, color=BLACK)
+            bare(axes)
+        panels[0].set_ylabel("second", fontsize=8)
+        bar = drawn.colorbar(dots, ax=panels, ticks=[0, 90, 180, 270, 360], fraction=0.02)
+        bar.set_label("true wind direction [deg]", fontsize=8)
+        heading(drawn, "A wind of 4 m/s as its latent: mu(e) draws a circle")

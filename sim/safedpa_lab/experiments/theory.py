@@ -1,0 +1,58 @@
+"""The theory's bound with measured constants beside what measuring the error itself gives, both on fresh drives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from safedpa.networks import LearnedNetworks, Weights
+from safedpa.safety.margin import split_conformal_margin
+from safedpa.safety.theory_measure import error_constants, lipschitz_constants, measured_errors
+from safedpa_lab.experiments.theory_branches import simulated_branches
+from safedpa_sim.training.configuration import Configuration
+
+__all__ = ["theory_experiment"]
+
+_ACTIONS = 8
+"""From each state: three would tell F* and G*, the others tell what is not affine."""
+
+
+def theory_experiment(
+    weights: Weights, configuration: Configuration, count: int, coverage: float, seed: int
+) -> dict[str, Any]:
+    """Constants on ``count`` states of the training simulator, and coverage on as many fresh ones.
+
+    ``bound`` is the error of a step at |u|_1 = its number of actions that the constants allow (scaled, sup norm), by
+    quantiles at the coverage and by the largest values seen; ``conformal`` the quantile of the error itself.
+    ``covered`` are shares of fresh steps, at their own |u|_1. Without a history encoder eps_z is 0. Raises InputError
+    for weights without mu, and for too few states.
+    """
+    networks = LearnedNetworks(weights)
+    branches, fresh = (simulated_branches(networks, configuration, count, _ACTIONS, seed + each) for each in (0, 1))
+    errors, later = measured_errors(networks, branches), measured_errors(networks, fresh)
+    lipschitz = lipschitz_constants(networks, branches)
+    at_coverage, largest = (error_constants(errors, lipschitz, share) for share in (coverage, None))
+    direct = split_conformal_margin(errors["step"][:, 0], coverage)
+    effort = float(len(weights["action_scale"]))
+    allowed = at_coverage.of_step(later["effort"])
+    return {
+        "experiment": "theory",
+        "states": count,
+        "coverage": coverage,
+        "seed": seed,
+        "history_encoder": weights.has("phi"),
+        "constants": {
+            name: {"at_coverage": getattr(at_coverage, name), "largest": getattr(largest, name)}
+            for name in ("f", "g", "remainder", "latent")
+        },
+        "lipschitz": {name: {"bound": pair[0], "largest_slope": pair[1]} for name, pair in lipschitz.items()},
+        "bound": {"at_coverage": at_coverage.of_step(effort), "largest": largest.of_step(effort)},
+        "conformal": direct,
+        "covered": {
+            "bound": float((later["step"] <= allowed).mean()),
+            "conformal": float((later["step"][:, 0] <= direct).mean()),
+        },
+        "times_the_conformal": float(at_coverage.of_step(effort) / direct),
+        "median_use_of_the_bound": float(np.median(later["step"] / allowed)),
+    }

@@ -1,0 +1,227 @@
+"""A TCP proxy in front of the router with one port per process: the network of a test, bent while everything runs."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import random
+import socket
+import threading
+from collections.abc import Coroutine
+from types import TracebackType
+from typing import Any, TypeVar, final
+
+from safedpa.errors import BusError
+from safedpa_lab.faults.batches import Batches, carries_data
+from safedpa_lab.faults.conduct import PASS, Conduct
+
+__all__ = ["Proxy"]
+
+_Result = TypeVar("_Result")
+_CHUNK_BYTES = 16 * 1024
+_WAITING_CHUNKS = 4
+"""On their way in one direction: a link that stands still makes its sender wait, as a full pipe does."""
+_SMALL_BUFFER = 4096
+"""Of sockets: what a slow reader has not read waits at the sender, not in the kernel's megabytes."""
+_PATIENCE_SECONDS = 5.0
+_REAL_TIME_PRIORITY = 10
+
+
+@final
+class _Link:
+    """All connections of one process."""
+
+    def __init__(self, router: tuple[str, int], seed: int) -> None:
+        self.conduct = PASS
+        self.changed = asyncio.Event()
+        self.lost = 0
+        """Batches that were taken out."""
+        self._router, self._chance = router, random.Random(seed)
+        self._writers: set[asyncio.StreamWriter] = set()
+
+    def set(self, conduct: Conduct) -> None:
+        """From now on, for the connections that are open as well."""
+        self.conduct = conduct
+        self.changed.set()
+        self.changed = asyncio.Event()
+        if conduct.cut:
+            self.close()
+
+    def close(self) -> None:
+        """Ends every connection at once, without a farewell."""
+        for writer in self._writers:
+            writer.transport.abort()
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One connection, until either side ends it."""
+        if self.conduct.cut:
+            writer.transport.abort()
+            return
+        try:
+            router_reader, router_writer = await asyncio.open_connection(sock=await self._connected())
+        except OSError:
+            writer.transport.abort()
+            return
+        ends = {writer, router_writer}
+        self._writers |= ends
+        for end in ends:
+            end.transport.set_write_buffer_limits(0)
+            end.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        pumps = [
+            asyncio.create_task(self._pump(reader, router_writer, outwards=True)),
+            asyncio.create_task(self._pump(router_reader, writer, outwards=False)),
+        ]
+        try:
+            await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for pump in pumps:
+                pump.cancel()
+            for end in ends:
+                end.transport.abort()
+            self._writers -= ends
+
+    async def _connected(self) -> socket.socket:
+        end = socket.socket()
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SMALL_BUFFER)
+        end.setblocking(False)
+        try:
+            await asyncio.get_running_loop().sock_connect(end, self._router)
+        except OSError:
+            end.close()
+            raise
+        return end
+
+    async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, outwards: bool) -> None:
+        """Reads on one side, hands on at the other, through a short queue; ends when one of them does."""
+        waiting: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(_WAITING_CHUNKS)
+        tasks = [
+            asyncio.create_task(self._read(reader, waiting)),
+            asyncio.create_task(self._write(waiting, writer, outwards=outwards)),
+        ]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+
+    async def _read(self, reader: asyncio.StreamReader, waiting: asyncio.Queue[tuple[float, bytes]]) -> None:
+        now = asyncio.get_running_loop().time
+        batches = Batches()
+        while chunk := await reader.read(_CHUNK_BYTES):
+            kept = b"".join(batch for batch in batches.feed(chunk) if not self._loses(batch))
+            if kept:
+                await waiting.put((now(), kept))
+
+    def _loses(self, batch: bytes) -> bool:
+        lost = self.conduct.loss > 0.0 and carries_data(batch) and self._chance.random() < self.conduct.loss
+        self.lost += lost
+        return lost
+
+    async def _write(
+        self, waiting: asyncio.Queue[tuple[float, bytes]], writer: asyncio.StreamWriter, *, outwards: bool
+    ) -> None:
+        while True:
+            arrived, chunk = await waiting.get()
+            await self._hold(arrived, outwards=outwards)
+            rate = 0.0 if outwards else self.conduct.bytes_per_second_in
+            writer.write(chunk)
+            with contextlib.suppress(ConnectionError):
+                await writer.drain()
+            if writer.is_closing():
+                return
+            if rate > 0.0:
+                await asyncio.sleep(len(chunk) / rate)
+
+    async def _hold(self, arrived: float, *, outwards: bool) -> None:
+        """Returns when what arrived then may go on."""
+        now = asyncio.get_running_loop().time
+        while True:
+            conduct, changed = self.conduct, self.changed
+            if conduct.stalled_out if outwards else conduct.stalled_in:
+                await changed.wait()
+                continue
+            free = arrived + conduct.delay
+            if conduct.pause_every > 0.0 and now() % conduct.pause_every < conduct.pause:
+                free = max(free, now() + conduct.pause - now() % conduct.pause_every)
+            if free <= now():
+                return
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(changed.wait(), free - now())
+
+
+class Proxy:
+    """Opens one port of the loopback interface per name; each leads to the router at ``router`` (host, port).
+
+    It runs on a thread of its own. Only plain TCP can lose messages: what is encrypted cannot be cut into batches. The
+    chances of loss are drawn from ``seed``. Raises BusError when a port cannot be opened.
+    """
+
+    def __init__(self, router: tuple[str, int], names: tuple[str, ...], seed: int = 0) -> None:
+        self.ports: dict[str, int] = {}
+        """By name; a process connects to ``tcp/127.0.0.1:PORT``."""
+        self._loop = asyncio.new_event_loop()
+        self._links: dict[str, _Link] = {}
+        self._servers: list[asyncio.Server] = []
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+        for index, name in enumerate(names):
+            self._links[name] = self._done(self._open(name, router, seed + index))
+
+    def endpoint(self, name: str) -> str:
+        """Where the process of that name connects to."""
+        return f"tcp/127.0.0.1:{self.ports[name]}"
+
+    def set(self, name: str, conduct: Conduct) -> None:
+        """Bends one link, for what is on its way already as well."""
+        self._done(self._set(self._links[name], conduct))
+
+    def lost(self, name: str) -> int:
+        """Batches of this link that were taken out so far."""
+        return self._links[name].lost
+
+    def close(self) -> None:
+        """Ends every connection."""
+        self._done(self._close())
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(_PATIENCE_SECONDS)
+        self._loop.close()
+
+    def __enter__(self) -> Proxy:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError):  # this thread alone: a network is no process that waits for the processor
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_REAL_TIME_PRIORITY))
+        self._loop.run_forever()
+
+    def _done(self, work: Coroutine[Any, Any, _Result]) -> _Result:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(_PATIENCE_SECONDS)
+
+    async def _open(self, name: str, router: tuple[str, int], seed: int) -> _Link:
+        link = _Link(router, seed)
+        try:
+            server = await asyncio.start_server(link.serve, "127.0.0.1", 0)
+        except OSError as error:
+            raise BusError(f"proxy: no port for '{name}' ({error.strerror}); end some programs that listen") from error
+        self._servers.append(server)
+        self.ports[name] = server.sockets[0].getsockname()[1]
+        return link
+
+    async def _set(self, link: _Link, conduct: Conduct) -> None:
+        link.set(conduct)
+
+    async def _close(self) -> None:
+        for server in self._servers:
+            server.close()
+        for link in self._links.values():
+            link.close()
+        tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

@@ -1,0 +1,1 @@
+"""The pendulum's experiments: methods, recovery, invariance, crossing, its margin."""

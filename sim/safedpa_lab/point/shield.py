@@ -1,0 +1,126 @@
+"""The safety filter of one method before all robots of a task, with the histories and latents that belong to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.dynamics import load_model
+from safedpa.dynamics.learned_base import LearnedBase
+from safedpa.errors import InputError, did_you_mean
+from safedpa.networks import Weights
+from safedpa_lab.point.adapting import Adaptation
+from safedpa_sim.point.belief import ACTION_SCALE, Belief, LearnedBelief, TrueBelief, from_task_action, to_task_action
+from safedpa_sim.point.body_steps import centre_state
+from safedpa_sim.point.filtering import Filtered, filtered
+from safedpa_sim.point.layout import HAZARD_RADIUS
+from safedpa_sim.point.task import PointTask
+
+__all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Shield", "shield_of", "weights_named"]
+
+Floats = NDArray[np.float64]
+
+EPSILON: Final = 0.005
+"""m; the same margin for every method."""
+FIXED_DIRECTIONS: Final = (45, 135, 225, 315)
+METHODS: Final = (
+    "safedpa",
+    *(f"fix_{direction}" for direction in FIXED_DIRECTIONS),
+    "mix",
+    "oracle",
+    "physics",
+    "none",
+)
+"""Whose model the filter believes: learned with the latent; of one force alone; of all at once; the truth; the truth
+but for the wind; no filter."""
+
+
+@final
+class Shield:
+    """Each period ``see`` the robots, then ``act``; ``reset`` those that begin a new episode.
+
+    ``belief`` nothing: wishes pass as they are. ``adaptation`` nothing: latents of no entries.
+    """
+
+    def __init__(
+        self, count: int, belief: Belief | None, adaptation: Adaptation | None, epsilon: float = EPSILON
+    ) -> None:
+        self._belief, self._adaptation, self._epsilon = belief, adaptation, epsilon
+        self._nothing = np.zeros((count, 0))
+        self._state: Floats | None = None
+
+    def reset(self, which: NDArray[np.intp]) -> None:
+        """The robots of those indices have been put elsewhere: forget their histories."""
+        if self._adaptation is not None:
+            self._adaptation.reset(which)
+        self._state = None
+
+    def see(self, task: PointTask) -> Floats:
+        """The latents (robots, latents) of the robots as they are; twice in a period changes nothing."""
+        if self._state is None:
+            self._state = centre_state(task.simulation)
+            if self._adaptation is not None:
+                self._adaptation.see(self._state)
+        return self.latent
+
+    @property
+    def latent(self) -> Floats:
+        """What was seen last."""
+        return self._nothing if self._adaptation is None else self._adaptation.latent
+
+    def act(self, task: PointTask, wish: NDArray[np.floating]) -> Filtered:
+        """Safe actions of ``PointTask`` for wishes (robots, 2) of it, to be carried out at once."""
+        self.see(task)
+        state = centre_state(task.simulation) if self._state is None else self._state
+        scaled = from_task_action(np.asarray(wish, dtype=np.float64))
+        chosen = self._safe(task, state, scaled)
+        if self._adaptation is not None:
+            self._adaptation.acted(chosen.action * ACTION_SCALE)
+        self._state = None
+        return Filtered(to_task_action(chosen.action), chosen.corrected, chosen.stopping)
+
+    def _safe(self, task: PointTask, state: Floats, wish: Floats) -> Filtered:
+        if self._belief is None:
+            unchanged = np.zeros(len(wish), bool)
+            return Filtered(wish, unchanged, unchanged)
+        believed = self._belief.believed(state, self.latent)
+        return filtered(state, wish, task.layout.hazards, HAZARD_RADIUS, believed, self._epsilon)
+
+
+def shield_of(
+    method: str, task: PointTask, *, adapts: str = "learned", epsilon: float = EPSILON, folder: Path = Path()
+) -> Shield:
+    """The filter of one of ``METHODS`` for the robots of a task.
+
+    ``adapts`` names the weights whose phi gives the latents, for the filter of SafeDPA and for any policy; nothing: no
+    latents. Raises InputError for a method or a model that there is none of.
+    """
+    if method not in METHODS:
+        raise InputError(f"method '{method}': {did_you_mean(method, METHODS)}")
+    adaptation = Adaptation(weights_named(adapts, folder), task.count) if adapts else None
+    if method == "safedpa" and adaptation is None:
+        raise InputError("method 'safedpa': got no model to adapt with, wanted adapts='learned' or another with phi")
+    return Shield(task.count, _belief(method, adapts, task, folder), adaptation, epsilon)
+
+
+def weights_named(name: str, folder: Path = Path()) -> Weights:
+    """The weights of ``point_<name>`` in the folder, or else of the one that ships. Raises InputError for none."""
+    file = folder / f"point_{name}.toml"
+    try:
+        model = load_model(file if file.exists() else f"point_{name}")
+    except InputError as error:
+        raise InputError(f"{file}: {error}; train it with 'safedpa train point'") from error
+    if not isinstance(model.base, LearnedBase):
+        raise InputError(f"point_{name}: got a model without networks, wanted one of 'safedpa train point'")
+    return model.base.weights
+
+
+def _belief(method: str, adapts: str, task: PointTask, folder: Path) -> Belief | None:
+    if method == "none":
+        return None
+    if method in ("oracle", "physics"):
+        return TrueBelief(task.simulation, wind=method == "oracle")
+    return LearnedBelief(weights_named(adapts if method == "safedpa" else method, folder))
