@@ -33,7 +33,12 @@ class Kept:
 
 def read_session(path: Path) -> Kept:
     """Raises InputError for what is no session, naming the key."""
-    document = parse_json(text_of_file(path, "json_bytes"))
+    try:
+        document = parse_json(text_of_file(path, "json_bytes"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); wanted the {NAME} of a workbench") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}; wanted the {NAME} of a workbench") from error
     if not isinstance(document, dict) or document.get("format") != _FORMAT:
         raise InputError(f"{path}: wanted a session of the workbench with format = {_FORMAT}, as it writes {NAME}")
     try:
