@@ -15,7 +15,7 @@ from typing import Any
 from mkdocs.structure.files import File, Files
 
 sys.path.insert(0, str(Path(__file__).parent))
-from draw_diagrams import FENCE, picture_of  # noqa: E402
+from draw_diagrams import FENCE, picture_of
 
 __all__ = ["notebook_as_markdown", "on_files", "on_page_markdown"]
 
@@ -38,7 +38,7 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """Diagrams become their pictures; links to notebooks lead to their pages, one out of the folder becomes its path."""
+    """Diagrams become pictures; links to notebooks lead to their pages, one out of the folder becomes its path."""
     del config, files
     if page.file.src_uri.startswith("reference/"):
         markdown += "".join(f"\n::: {path}\n" for path in _shadowed(Path(page.file.src_uri).stem))

@@ -15,7 +15,8 @@ PATIENCE = 90_000
 AXE = "axe-core@4.10.3"
 SHA256 = "880970c081707360e64f34cea25ff91892f5bc95675b0776925b9709dd8a68bb"
 """Of axe.min.js in that package."""
-RUN = """(part) => axe.run(part, {resultTypes: ['violations']}).then((found) => found.violations
+RUN = """([part, off]) => axe.run(part, {resultTypes: ['violations'],
+  rules: Object.fromEntries(off.map((name) => [name, {enabled: false}]))}).then((found) => found.violations
   .filter((item) => ['serious', 'critical'].includes(item.impact))
   .map((item) => `${item.id}: ${item.nodes.map((node) => node.html.slice(0, 120)).join(' ')}`))"""
 WIDTHS = (390, 1280, 1400, 1920)
@@ -52,9 +53,9 @@ def checked(browser, axe, address, scheme, more=lambda _page: None):
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 900})
         page.wait_for_timeout(300)
-        found += [f"{scheme} {width}: {line}" for line in page.evaluate(RUN, "body")]
+        found += [f"{scheme} {width}: {line}" for line in page.evaluate(RUN, ["body", []])]
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-    found += page.evaluate(RUN, "html")
+    found += page.evaluate(RUN, ["html", []])
     found += more(page) or []
     context.close()
     return found
@@ -70,7 +71,8 @@ def test_the_workbench(browser, serve, drives, axe, scheme):
             page.keyboard.press(key)
             page.wait_for_selector(sign, timeout=PATIENCE)
             page.wait_for_timeout(500)
-            found += page.evaluate(RUN, ".q-dialog")
+            # its buttons are those of the page; axe takes what lies behind a dialog for their background
+            found += page.evaluate(RUN, [".q-dialog", ["color-contrast"]])
             page.keyboard.press("Escape")
             page.wait_for_selector(sign, state="hidden", timeout=PATIENCE)
         return found

@@ -293,7 +293,7 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, live):
 @pytest.mark.browser
 @pytest.mark.processes
 def test_a_drive_that_ends_while_the_page_loads_is_told_to_have_ended(browser, live):
-    """The page was delivered, its scripts are still on their way: the server waits for it with the last word."""
+    """The page was delivered, its scripts are on their way: the server waits for it, though not for ever."""
     server, address = live
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     ended = []
@@ -305,8 +305,6 @@ def test_a_drive_that_ends_while_the_page_loads_is_told_to_have_ended(browser, l
 
     page.on("response", end)
     page.goto(address)
-    page.wait_for_selector("text=/The drive has ended/", timeout=PATIENCE)
+    page.get_by_text("The drive has ended").locator("visible=true").first.wait_for(timeout=PATIENCE)
     server.wait(60)
-    page.wait_for_timeout(1500)
-    assert not page.locator("#popup").is_visible()
     page.close()

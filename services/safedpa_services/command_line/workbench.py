@@ -9,6 +9,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_services.command_line.answering import answers_json, finish, tell
 from safedpa_services.command_line.listening import bus_of
 from safedpa_services.command_line.names import complete_models
 
@@ -77,6 +78,7 @@ __all__ = ["command"]
     help="Take pictures of the page by a headless Chromium, write them there and end.",
 )
 @click.option("--no-browser", is_flag=True, help="Open no browser.")
+@answers_json
 @needs("workbench")
 def command(**options: Any) -> None:
     """Compare MODEL with recorded RUNs on a web page, see where it fails, add what it lacks, watch the error fall.
@@ -110,13 +112,18 @@ def _serve(options: dict[str, Any]) -> None:
         options["token_only"],
     )
     if not options["fleet"] and not options["connect"]:
-        serve(bench, serving, browser=browser, bus=options["replay"])
+        serve(bench, serving, browser=browser, bus=options["replay"], announce=_announce)
         return
     import os
 
     with bus_of({**options, "fleet": options["fleet"] or "fleet"}, "workbench") as bus:
         os.nice(10)  # the loop that it looks at comes first; the bus keeps its links up, and so is not put behind it
-        serve(bench, serving, browser=browser, bus=bus)
+        serve(bench, serving, browser=browser, bus=bus, announce=_announce)
+
+
+def _announce(where: str) -> None:
+    tell(f"Workbench: {where}  (Ctrl-C ends it)", facts={"address": where})
+    finish()
 
 
 def _bench(options: dict[str, Any]) -> Bench:
@@ -133,7 +140,7 @@ def _bench(options: dict[str, Any]) -> Bench:
     if file is None:
         return Bench(named, out)
     kept = read_session(file)
-    click.echo(f"Workbench: goes on with {file} ({len(kept.decisions)} decisions)", err=True)
+    tell(f"Workbench: goes on with {file} ({len(kept.decisions)} decisions)", err=True, facts={"session": str(file)})
     return Bench(kept.choice, out, kept.decisions, file.parent)
 
 
@@ -147,4 +154,4 @@ def _take_pictures(options: dict[str, Any]) -> None:
         arguments += [f"--{name}", str(options[name])] if options[name] is not None else []
     arguments += [item for endpoint in options["connect"] for item in ("--connect", endpoint)]
     for path in take_pictures(arguments, options["pictures"], live=live):
-        click.echo(str(path))
+        tell(str(path), facts={"written": [str(path)]})

@@ -45,12 +45,11 @@ def escaped(content: str) -> str:
 
 def named(element: _Element, title: str) -> _Element:
     """The control with a name for screen readers, on the part of it that takes the focus."""
-    part = "input, textarea"
+    part = "input, textarea, .q-slider__track-container"
     handler = f"(node) => node.el?.querySelector?.('{part}')?.setAttribute('aria-label', {json.dumps(title)})"
     if isinstance(element, ui.input | ui.slider):  # hand it on by themselves
         element.props(f'aria-label="{escaped(title)}"')
-    else:
-        on_change_of(element, handler)
+    on_change_of(element, handler)  # and to the part of it that takes the focus
     return element
 
 

@@ -7,6 +7,7 @@ import contextlib
 import socket
 import threading
 import time
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
@@ -53,6 +54,7 @@ def serve(
     browser: bool,
     bus: Bus | Path | None = None,
     stop: Stop | None = None,
+    announce: Callable[[str], None] = lambda where: click.echo(f"Workbench: {where}  (Ctrl-C ends it)"),
 ) -> None:
     """Serves the page until it is interrupted or ``stop``; with a bus, or a recording of one, the live page as well.
 
@@ -79,7 +81,7 @@ def serve(
     where = serving.address("/" if link is None else "/live")
     if not is_loopback(serving.host):
         click.echo(f"Workbench: {_OPEN.format(host=serving.host)}", err=True)
-    app.on_startup(lambda: _told_when_it_answers(serving, where, browser=browser))
+    app.on_startup(lambda: _told_when_it_answers(serving, where, announce, browser=browser))
     if stop is not None:
         app.on_startup(lambda: stop.listen_to_signals(app.shutdown))  # the web server's own way out leaves no last word
         threading.Thread(target=_end_with, args=(stop, link), daemon=True).start()
@@ -99,7 +101,9 @@ def serve(
         )
 
 
-async def _told_when_it_answers(serving: Serving, where: str, *, browser: bool) -> None:
+async def _told_when_it_answers(
+    serving: Serving, where: str, announce: Callable[[str], None], *, browser: bool
+) -> None:
     """The web server listens a moment after it has started up; an address that is told earlier is refused."""
     host = "127.0.0.1" if serving.host in ("0.0.0.0", "", "::") else serving.host
     for _ in range(_MOST_LOOKS):
@@ -110,7 +114,7 @@ async def _told_when_it_answers(serving: Serving, where: str, *, browser: bool) 
             continue
         writer.close()
         break
-    click.echo(f"Workbench: {where}  (Ctrl-C ends it)")
+    announce(where)
     if browser:
         show(where)
 
