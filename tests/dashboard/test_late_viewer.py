@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -12,10 +13,12 @@ import pytest
 
 from safedpa.bus import FINDING, FindingMessage, Received
 from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.painter import SERVER_MEMORY
 from safedpa_services.dashboard.ports import choose_port
 
 pytestmark = [pytest.mark.processes, pytest.mark.filterwarnings("ignore:RRD file has no footer")]
 
+_LONG = pytest.mark.skipif("SAFEDPA_LONG_TESTS" not in os.environ, reason="minutes; say SAFEDPA_LONG_TESTS=1")
 _FIRST_CHUNKS = 200
 _TICKS_OF_A_BATCH = 8
 """The painter sends what it drew every 0.4 s; here by the robot's clock, since the drive is drawn faster than that."""
@@ -124,6 +127,7 @@ def view_of(tmp_path):
         pytest.param(("r1",), 1500, "256MB", id="after 75 s"),
         pytest.param(("r1", "r2"), 600, "256MB", id="two robots"),
         pytest.param(("r1", "r2"), 600, "2MB", id="two robots, memory full"),
+        pytest.param(("r1",), 54_000, SERVER_MEMORY, id="after 45 minutes, as shipped", marks=_LONG),
     ],
 )
 def test_who_joins_late_has_the_present_among_the_first_chunks(

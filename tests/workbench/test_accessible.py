@@ -19,6 +19,7 @@ RUN = """([part, off]) => axe.run(part, {resultTypes: ['violations'],
   rules: Object.fromEntries(off.map((name) => [name, {enabled: false}]))}).then((found) => found.violations
   .filter((item) => ['serious', 'critical'].includes(item.impact))
   .map((item) => `${item.id}: ${item.nodes.map((node) => node.html.slice(0, 120)).join(' ')}`))"""
+SCHEMES = ("light", "dark")
 WIDTHS = (390, 1280, 1400, 1920)
 
 
@@ -53,7 +54,8 @@ def checked(browser, axe, address, scheme, more=lambda _page: None):
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 900})
         page.wait_for_timeout(300)
-        found += [f"{scheme} {width}: {line}" for line in page.evaluate(RUN, ["body", []])]
+        if width in (WIDTHS[0], WIDTHS[-1]):
+            found += [f"{scheme} {width}: {line}" for line in page.evaluate(RUN, ["body", []])]
         assert page.evaluate("document.documentElement.scrollWidth") <= width
     found += page.evaluate(RUN, ["html", []])
     found += more(page) or []
@@ -61,8 +63,7 @@ def checked(browser, axe, address, scheme, more=lambda _page: None):
     return found
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_workbench(browser, serve, drives, axe, scheme):
+def test_the_workbench(browser, serve, drives, axe):
     model, runs = drives
 
     def dialogs(page):
@@ -77,10 +78,10 @@ def test_the_workbench(browser, serve, drives, axe, scheme):
             page.wait_for_selector(sign, state="hidden", timeout=PATIENCE)
         return found
 
-    assert checked(browser, axe, serve(model, runs[0]), scheme, dialogs) == []
+    address = serve(model, runs[0])
+    assert [line for scheme in SCHEMES for line in checked(browser, axe, address, scheme, dialogs)] == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_live_page(browser, live, axe, scheme):
+def test_the_live_page(browser, live, axe):
     _, address = live
-    assert checked(browser, axe, address, scheme) == []
+    assert [line for scheme in SCHEMES for line in checked(browser, axe, address, scheme)] == []

@@ -76,7 +76,14 @@ def errors(page):
 def test_nothing_is_lost(browser, bench, drives):
     model, runs = drives
     address = bench.start(model, runs[0])
+    for _ in range(3):  # tabs that go while they load: what is asked of them is never answered
+        page = browser.new_page()
+        page.goto(address, wait_until="commit")
+        page.close()
     page = opened(browser, address, 1)
+    page.keyboard.press("r")  # the viewer's recording is written while the tab is loaded anew
+    page.reload(wait_until="commit")
+    page.wait_for_function(BARS.format(1), timeout=PATIENCE)
     assert "will refuse it: a car with throttle" in page.content()
     page.wait_for_selector(".candidate", timeout=PATIENCE)
     page.click(".candidate.open >> text=Add")
@@ -108,27 +115,6 @@ def test_nothing_is_lost(browser, bench, drives):
     bench.end()
     page = opened(browser, bench.start("--session", bench.folder / "out" / "session.json"), 2)
     assert errors(page) == kept
-    page.close()
-    bench.end()
-    assert "Traceback" not in bench.said
-    assert "page goes on after an error" not in bench.said
-
-
-def test_a_tab_that_goes_while_it_loads_says_nothing_on_the_terminal(browser, bench, drives):
-    model, runs = drives
-    address = bench.start(model, runs[0])
-    for _ in range(3):
-        page = browser.new_page()
-        page.goto(address, wait_until="commit")
-        page.close()
-    page = opened(browser, address, 1)
-    for _ in range(3):
-        page.reload(wait_until="commit")
-    page.wait_for_function(BARS.format(1), timeout=PATIENCE)
-    page.keyboard.press("r")
-    page.close()
-    page = opened(browser, address, 1)
-    page.wait_for_timeout(7000)  # longer than anybody waits for an answer of a browser
     page.close()
     bench.end()
     assert "Traceback" not in bench.said
