@@ -72,15 +72,15 @@ class Viewer:
             [str(program), address, "--save", str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
 
-    def chunks(self, enough):
+    def chunks(self, enough, patience=_PATIENCE_SECONDS):
         """What has come once ``enough`` of it is there."""
-        until = time.monotonic() + _PATIENCE_SECONDS
+        until = time.monotonic() + patience
         while not enough(found := self._read()):
             assert time.monotonic() < until, f"it got {len(found)} chunks"
             time.sleep(0.3)
         return found
 
-    def all_chunks(self):
+    def all_chunks(self, patience=_PATIENCE_SECONDS):
         """What there is once nothing more comes."""
         counts = [0, 0]
 
@@ -88,7 +88,7 @@ class Viewer:
             counts.append(len(found))
             return counts[-1] >= _FIRST_CHUNKS and counts[-1] == counts[-2] == counts[-3]
 
-        return self.chunks(settled)
+        return self.chunks(settled, patience)
 
     def _read(self):
         from rerun.chunk import RrdReader
@@ -136,7 +136,7 @@ def test_who_joins_late_has_the_present_among_the_first_chunks(
     drive = Drive(look, tick_of, choose_port(None, free_port, "--grpc-port", "127.0.0.1"), robots, memory)
     try:
         drive.go(ticks)
-        chunks = view_of(drive.address).all_chunks()
+        chunks = view_of(drive.address).all_chunks(_PATIENCE_SECONDS + 0.01 * ticks)
     finally:
         drive.painter.close()
     assert (memory == "256MB") == any(_begin(chunk) == 0.0 for chunk in chunks), "was the memory limit reached?"

@@ -40,6 +40,7 @@ class Drive:
 
     accepts: bool = True
     model: str = "aaaaaaaa"
+    sentence: str = "so be it"
     asked: list[str] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
 
@@ -55,7 +56,7 @@ class Drive:
         if request.do == "accept":
             self.model = "bbbbbbbb"
         return Answer(
-            ok=True, sentence="so be it", fingerprint=self.model, document=f"model {self.model}", finding=1,
+            ok=True, sentence=self.sentence, fingerprint=self.model, document=f"model {self.model}", finding=1,
             candidates=("steering_offset",),
         )  # fmt: skip
 
@@ -114,6 +115,11 @@ def test_without_yes_the_person_is_told_and_nothing_is_accepted():
     found(drive, report())
     drive.wait(lambda: any("your turn: accept steering_offset" in line for line in drive.lines))
     assert "accept" not in drive.asked
+    drive.sentence = "change 1: dropped, the filter did not answer"
+    drive.tell(60.0, "candidates", 0.3)
+    drive.wait(
+        lambda: any("dropped, the filter did not answer; click Accept once more" in line for line in drive.lines)
+    )
     assert not drive.story.done
 
 

@@ -96,6 +96,8 @@ class Story:
     _wish: str = ""
     """Effect that is to be accepted."""
     _next: float = 0.0
+    _told_person: str = ""
+    """What the diagnosis answered last, where a person accepts."""
     _asking: threading.Thread | None = None
     _lines: SimpleQueue[str] = field(default_factory=SimpleQueue)
 
@@ -122,6 +124,9 @@ class Story:
         if self._wish and self.told.taken is None and self._now >= self._next:
             self._next, effect = self._now + _AGAIN, self._wish
             self._beside(lambda: self._accept(effect))
+        elif not self.accepts and self._told_person and self.told.taken is None and self._now >= self._next:
+            self._next = self._now + _AGAIN
+            self._beside(self._tell_answer)
         while not self._lines.empty():
             self.tell(self._lines.get())
 
@@ -205,6 +210,7 @@ class Story:
         if self.told.candidates is None:
             self.told.candidates = finding.robot_time
         if not self.accepts:
+            self._told_person = seen.sentence
             self._lines.put(f"your turn: accept {effect} on the page, or another one; it drives on meanwhile")
         elif promised >= WANTED_FALL and (not group or self._searches >= _SEARCHES):
             self._lines.put(f"--yes: {effect} is accepted; it promises {100 * promised:.0f} % less error")
@@ -216,6 +222,13 @@ class Story:
                 else f"promises {100 * promised:.0f} % less error"
             )
             self._lines.put(f"{effect} {why}: one more search, with twice the data, is awaited")
+
+    def _tell_answer(self) -> None:
+        """What came of the person's click, also where a change was dropped and wants another click."""
+        seen = self._asked(Request(do="status"))
+        if not seen.pending and seen.sentence != self._told_person and seen.fingerprint == self._model:
+            self._told_person = seen.sentence
+            self._lines.put(f"{seen.sentence}; click Accept once more")
 
     def _accept(self, effect: str) -> None:
         seen = self._asked(Request(do="status"))
