@@ -139,7 +139,8 @@ def test_who_joins_late_has_the_present_among_the_first_chunks(
         chunks = view_of(drive.address).all_chunks(_PATIENCE_SECONDS + 0.01 * ticks)
     finally:
         drive.painter.close()
-    assert (memory == "256MB") == any(_begin(chunk) == 0.0 for chunk in chunks), "was the memory limit reached?"
+    full = memory == "2MB" or ticks == 54_000
+    assert full != any(_begin(chunk) == 0.0 for chunk in chunks), "was the memory limit reached?"
     first = [chunk for chunk in chunks[:_FIRST_CHUNKS] if not chunk.is_static]
     missing = {f"/robots/{robot}/{path}" for robot in robots for path in _NEEDED} - {c.entity_path for c in first}
     assert not missing
