@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,15 +19,19 @@ from safedpa_services.terminal import say
 if TYPE_CHECKING:
     from safedpa.bus.process import Stop
     from safedpa.dynamics import PhysicsModel
+    from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
     from safedpa_services.supervisor.securing import Wallet
+    from safedpa_services.supervisor.watch import Watch
+
+    ShownBy = Callable[[Watch, Sequence[Child], Child], AbstractContextManager[Callable[[], None]]]
+
+__all__ = ["command", "driven", "planned"]
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
 RATES = {"car": 20.0, "pendulum": 100.0, "point": 50.0}
 """Kinds of robots, with their ticks per second."""
-_DRIVEN = {"car": ("target_speed", "steer"), "pendulum": ("torque",), "point": ("thrust", "turn")}
-"""What the simulated ones take as their action."""
 _MODELS = {"point": "point_wind"}
 """Where the robot's model does not bear its name."""
 _OWN = {
@@ -110,14 +114,20 @@ def command(**options: Any) -> None:
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     stop = Stop()
-    with _certificates(options) as wallet, _meeting_place(options) as endpoint:
-        plan = _plan({**options, "wallet": wallet, "endpoint": endpoint})
+    with planned(options) as plan:
         stop.listen_to_signals()
-        summary = _drive(plan, stop, quiet=options["as_json"])
+        summary = driven(plan, stop, _screen_of(plan, quiet=options["as_json"]))
     if options["as_json"]:
         click.echo(json.dumps(summary))
     else:
         _tell(summary)
+
+
+@contextmanager
+def planned(options: dict[str, Any]) -> Iterator[Plan]:
+    """The plan that the options ask for, with the place where its processes meet. Raises InputError for bad ones."""
+    with _certificates(options) as wallet, _meeting_place(options) as endpoint:
+        yield _plan({**options, "wallet": wallet, "endpoint": endpoint})
 
 
 def _certificates(options: dict[str, Any]) -> AbstractContextManager[Wallet | None]:
@@ -206,16 +216,11 @@ def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> N
     """Refuses the model of another robot, and settings of another one, before any process starts."""
     from safedpa.safety.scenes import scene_of
     from safedpa.safety.shipped import settings_named
-    from safedpa.systems import systems
+    from safedpa.systems.driven import why_not_driven
 
-    system = model.system
-    states = systems()[robot].state_names
-    if (system.name, system.state_names, system.action_names) != (robot, states, _DRIVEN[robot]):
-        raise InputError(
-            f"--model {name}: a {system.name} with {', '.join(system.action_names)} (states "
-            f"{', '.join(system.state_names)}), wanted a {robot} with {', '.join(_DRIVEN[robot])} (states "
-            f"{', '.join(states)})"
-        )
+    refusal = why_not_driven(model.system, robot)
+    if refusal:
+        raise InputError(f"--model {name}: {refusal}")
     try:
         scene_of(model, settings_named(settings))
     except InputError as error:
@@ -287,7 +292,8 @@ def _check_rate(model: PhysicsModel, rate: float) -> None:
         )
 
 
-def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
+def driven(plan: Plan, stop: Stop, shown_by: ShownBy) -> dict[str, Any]:
+    """Drives until the end or ``stop`` and returns the summary. Raises SafedpaError where the robot failed."""
     from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
     from safedpa_services.supervisor.summary import summary_of
@@ -301,7 +307,7 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
         watch = Watch(bus, plan.names[0])
         others = [(plan.robot_process(k + 1), Watch(bus, name)) for k, name in enumerate(plan.names[1:])]
         shown = [*(child for child, _ in others), *services]
-        with _screen(plan, watch, shown, robot, quiet=quiet) as on_turn:
+        with shown_by(watch, shown, robot) as on_turn:
             code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
     if code != 0:
         raise SafedpaError(f"robot: {robot.last_words()}")
@@ -315,7 +321,7 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     return summary_of(plan.summary, watch.verdicts, [robot, *shown], health, plan.recording, stands, accounts)
 
 
-def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -> Any:
+def _screen_of(plan: Plan, *, quiet: bool) -> ShownBy:
     from safedpa_services.supervisor.screen import screen
 
     where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
@@ -324,7 +330,9 @@ def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -
     hints.append(f"how it is: safedpa status --watch {where}")
     if plan.diagnosis:
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
-    return screen(watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address)
+    return lambda watch, services, robot: screen(
+        watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address
+    )
 
 
 def _tell(summary: dict[str, Any]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safedpa.bus import ZenohSettings
@@ -139,6 +139,10 @@ class Plan:
         """The live page, with the token that opens it; empty without one."""
         port = self.workbench_port
         return f"http://127.0.0.1:{port}/live?token={self.page_token}" if port else ""
+
+    def with_page_alone(self) -> Plan:
+        """The same without the dashboard; the live page stays."""
+        return replace(self, dashboard=False)
 
     def own_session(self) -> ZenohSettings:
         """How the supervisor itself joins: in plain text it is what the others connect to, else an operator."""
