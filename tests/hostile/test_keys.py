@@ -22,11 +22,13 @@ from safedpa_services.router.router import Revoked, Twins
 from safedpa_services.supervisor.private_folder import private_folder
 
 _HOLDS = """
-import sys, time
+import signal, sys, time
 from safedpa_services.supervisor.securing import throw_away_certificates
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background ignores it from birth
 with throw_away_certificates("f", "r1") as folder:
     print(folder, flush=True)
     time.sleep(60)
+sys.exit("nothing ended it")
 """
 
 
@@ -49,7 +51,7 @@ def test_the_keys_are_gone_whichever_way_the_run_ends(number: int) -> None:
         assert len(list(folder.glob("*.key.pem"))) > 5
         assert folder.stat().st_mode & 0o077 == 0
         running.send_signal(number)
-        running.wait()
+        assert running.wait(30.0) != 0
         assert until(lambda: not folder.exists())
 
 
