@@ -18,8 +18,9 @@ run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends
 	@echo "Starting robot, services and dashboard; the address of the live view stands below. Ctrl-C ends everything."
 	@$(BIN)/safedpa up --robot car --load chair --seed 4
 
+# Bytecode is kept, whatever the environment says: hundreds of processes would each compile all that they import.
 test: environment  ## runs all tests
-	@$(BIN)/pytest --numprocesses 2 --dist loadfile
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses 2 --dist loadfile
 
 test-fleet: environment  ## a fleet of containers: faults, intruders; installs docker on Debian
 	@deploy/test-fleet
