@@ -20,9 +20,7 @@ from safedpa_sim.point.seeing import entries_seen
 from safedpa_sim.training.configuration import load_configuration
 
 
-def test_every_phase_in_small(
-    tmp_path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_phase_in_small(tmp_path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(policy_task, "_EVALUATION_TICKS", 60)  # what it does, no figure, is looked at here
     assert safedpa.run(["train", "point", "--small", "--out", str(tmp_path), "--json"]) == 0
     records = json.loads(capsys.readouterr().out)
