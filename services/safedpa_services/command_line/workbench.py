@@ -27,7 +27,14 @@ __all__ = ["command"]
     metavar="DIR",
     help="Folder into which Save writes model.toml and margin.toml.",
 )
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
+@click.option(
+    "--effects",
+    "--robot-file",
+    "effects",
+    type=click.Path(path_type=Path),
+    metavar="FILE.py",
+    help="Effects, systems and robots of your own.",
+)
 @click.option(
     "--host",
     default="127.0.0.1",
