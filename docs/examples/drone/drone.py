@@ -90,10 +90,10 @@ class Drone(AbstractRobot):
         return {Hover.kind: Hover}
 
     def settings(self):
-        """Bounds of the actions, and a margin of 5 cm."""
+        """Bounds of the actions, and a margin of 2 mm a step."""
         bound = (STRONGEST, STRONGEST)
         low = (-STRONGEST, -STRONGEST)
-        return FilterSettings(system="drone", action_low=low, action_high=bound, eta=0.2, epsilon={"tree": 0.01})
+        return FilterSettings(system="drone", action_low=low, action_high=bound, eta=0.2, epsilon={"tree": 0.002})
 
     def barriers(self, state, model, latent, settings):
         """h = distance to the tree - both radii - clearance - the way that it needs to stop towards it."""

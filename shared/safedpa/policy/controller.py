@@ -38,7 +38,7 @@ def controller_for(model: PhysicsModel, name: str | None = None) -> Callable[[],
     """
     robot, base = robot_like(model.system), model.base
     own = {} if robot is None else robot.controllers(model)
-    if not name:
+    if name is None:
         taught = isinstance(base, LearnedBase) and base.weights.has("policy")
         name = "learned" if taught else _default(robot, own)
     if name == "learned":

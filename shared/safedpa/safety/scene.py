@@ -15,20 +15,14 @@ from safedpa.robot import AbstractRobot
 from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
 from safedpa.safety.decision import Backup
 from safedpa.safety.settings import FilterSettings
-from safedpa.systems import System
 
-__all__ = ["MOST_OBSTACLES", "AbstractScene", "DeclaredScene", "is_of"]
+__all__ = ["MOST_OBSTACLES", "AbstractScene", "DeclaredScene"]
 
 Values = NDArray[np.float64]
 
 MOST_OBSTACLES: Final = 64
 """A decision about so many takes 5 ms at the worst; a thousand, all of them at hand, take three seconds, in
 which the other robots of the fleet would get no action."""
-
-
-def is_of(system: System, known: System) -> bool:
-    """Whether a system has the states and actions of a known one, whatever its name: then barriers fit both."""
-    return (system.state_names, system.action_names) == (known.state_names, known.action_names)
 
 
 class AbstractScene(ABC):
