@@ -6,17 +6,21 @@ BIN := $(ENVIRONMENT)/bin
 INSTALLED := $(ENVIRONMENT)/.installed
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help run test test-compiled test-fleet lint types contracts check audit docs environment constraints clean
+.PHONY: help demo run test test-compiled test-fleet lint types contracts check audit docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
+
+demo: environment  ## two minutes: a steering is bent while the car drives, found, and mended by your click
+	@$(BIN)/safedpa demo
 
 run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends it
 	@echo "Starting robot, services and dashboard; the address of the live view stands below. Ctrl-C ends everything."
 	@$(BIN)/safedpa up --robot car --load chair --seed 4
 
+# Bytecode is kept, whatever the environment says: hundreds of processes would each compile all that they import.
 test: environment  ## runs all tests
-	@$(BIN)/pytest --numprocesses 2 --dist loadfile
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses 2 --dist loadfile
 
 test-fleet: environment  ## a fleet of containers: faults, intruders; installs docker on Debian
 	@deploy/test-fleet

@@ -8,10 +8,14 @@ from __future__ import annotations
 import ast
 import json
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
+
+sys.path.insert(0, str(Path(__file__).parent))
+from draw_diagrams import FENCE, picture_of
 
 __all__ = ["notebook_as_markdown", "on_files", "on_page_markdown"]
 
@@ -34,12 +38,13 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """Links to notebooks lead to their pages; one out of the folder becomes the path that it names."""
+    """Diagrams become pictures; links to notebooks lead to their pages, one out of the folder becomes its path."""
     del config, files
     if page.file.src_uri.startswith("reference/"):
         markdown += "".join(f"\n::: {path}\n" for path in _shadowed(Path(page.file.src_uri).stem))
     depth = page.file.src_uri.count("/")
     out = "../" * (depth + 1)
+    markdown = FENCE.sub(lambda found: f"![diagram]({'../' * depth}pictures/{picture_of(found[1])})\n", markdown)
     markdown = markdown.replace(".ipynb)", ".md)")
     for name in BESIDE:
         markdown = markdown.replace(f"]({out}{name})", f"]({'../' * depth}{name})")

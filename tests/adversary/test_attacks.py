@@ -25,6 +25,12 @@ def measured(attack: AbstractAttack, seed: int = 1) -> dict[str, Row]:
     return {row.what: row for row in found.rows}
 
 
+@pytest.fixture(scope="module")
+def clean() -> dict[str, Row]:
+    """What the programs count where nothing is planted."""
+    return measured(Programs())
+
+
 @pytest.fixture
 def plant(monkeypatch):
     """Changes every verdict on its way out: ``plant(lambda verdict, wish: ...)``."""
@@ -59,8 +65,8 @@ def a_little_less(verdict, wish):
     return replace(verdict, action=frozen(moved))
 
 
-def test_the_programs_notice_a_filter_that_goes_not_all_the_way(plant):
-    before = measured(Programs())["passed or corrected, condition broken"].measured
+def test_the_programs_notice_a_filter_that_goes_not_all_the_way(clean, plant):
+    before = clean["passed or corrected, condition broken"].measured
     plant(a_little_less)
     after = measured(Programs())["passed or corrected, condition broken"].measured
     assert after > before + 50
@@ -75,13 +81,13 @@ def test_the_programs_notice_actions_that_are_swapped_for_the_wish(plant):
     assert found["action out of bounds"].measured > 100
 
 
-def test_the_programs_notice_corrections_that_go_too_far(plant):
+def test_the_programs_notice_corrections_that_go_too_far(clean, plant):
     def middle(verdict, wish):
         if verdict.status is not Status.passed:
             return verdict
         return replace(verdict, status=Status.corrected, action=frozen(0.999 * verdict.action))
 
-    before = measured(Programs())["corrected further than needed"].measured
+    before = clean["corrected further than needed"].measured
     plant(middle)
     assert measured(Programs())["corrected further than needed"].measured > before + 5
 

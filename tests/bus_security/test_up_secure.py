@@ -42,11 +42,12 @@ def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> N
 
 
 def test_the_certificates_are_gone_afterwards_and_nobody_can_make_more() -> None:
-    with throw_away_certificates("f", "r1") as folder:
-        assert (folder / "robot.r1.key.pem").exists()
-        assert not (folder / "authority.key.pem").exists()
-        assert folder.stat().st_mode & 0o077 == 0
-    assert not folder.exists()
+    with throw_away_certificates("f", "r1") as wallet:
+        keys = [path.name for path in wallet.folder.glob("*.key.pem")]
+        assert keys == ["operator.key.pem"], "those of processes are handed to them and lie nowhere"
+        assert b"PRIVATE KEY" in wallet.cards["robot.r1"].key
+        assert wallet.folder.stat().st_mode & 0o077 == 0
+    assert not wallet.folder.exists()
     with pytest.raises(InputError), throw_away_certificates("f", "*"):
         pass
 

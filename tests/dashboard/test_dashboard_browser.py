@@ -85,6 +85,7 @@ import rerun as rr
 from safedpa.bus import Received, STATE, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
+from safedpa_services.dashboard.data_door import DataDoor, own_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import look_of
 from safedpa_services.dashboard.painter import Painter
@@ -92,7 +93,9 @@ from safedpa_services.dashboard.ports import Door, choose_port
 
 look = look_of(load_model("car"), FilterSettings())
 grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")
-painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=grpc)
+behind = (own_loopback(), grpc)
+painter = Painter(look, "fleet", save=None, bind=behind[0], grpc_port=grpc)
+DataDoor("127.0.0.1", grpc, behind)
 web = choose_port(None, grpc + 1, "--web-port", "127.0.0.1")
 Door("127.0.0.1", web, grpc)
 print(f"http://127.0.0.1:{web}", flush=True)

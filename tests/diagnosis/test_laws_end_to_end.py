@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from safedpa.diagnosis.conditions import of_patch
 from safedpa.diagnosis.fleet.outcome import outcome_of
+from safedpa.diagnosis.heldout import heldout_of
+from safedpa.diagnosis.places import Strip
+from safedpa.diagnosis.search import begun
+from safedpa.diagnosis.shooting import shooting_of
 from safedpa.dynamics import load_model
+from safedpa.effects import effects_of
+from safedpa.records import load_run
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
@@ -45,6 +53,19 @@ def test_add_fits_number_and_border(log, tmp_path, capsys):
     filtered = SafetyFilter.for_model(load_model(out), settings, [FunctionBarrier(lambda x: 1.0 - x[3])])
     before, behind = (filtered.decide(np.array([x, 0.0, 0.0, 0.95]), (3.0, 0.0)) for x in (-2.0, 3.0))
     assert behind.action[0] - before.action[0] == pytest.approx(0.9 / 3.0, rel=0.05)  # deceleration over the gain
+
+
+def test_a_strip_open_to_one_side_is_all_beyond_a_line(log):
+    """Nobody drives beyond its far border, so unseen blocks cannot tell the two; the line has two numbers less."""
+    model = load_model(log.model)
+    runs = [load_run(path, model.system) for path in log.runs]
+    search = begun(model, shooting_of(runs, 1.0), heldout_of(runs, 1.0))
+    strip = {"angle": 0.0, "offset": 5.4, "half_width": 5.0, "deceleration": 0.9}
+    patch = SimpleNamespace(place=Strip(), values=strip, gain=5.0)
+    found = of_patch(patch, search, effects_of("car").values())
+    law = next(item for item in found.fit.model.effects if item.name == "rolling_resistance").law
+    assert (law.shape, law.variable) == ("above", "x")
+    assert found.fit.model.settings["rolling_resistance.x_above"].value == pytest.approx(0.4, abs=0.05)
 
 
 def test_a_number_that_varies_is_added_by_name(log, tmp_path, capsys):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from safedpa.effects import effect
+from safedpa_lab.experiments.real_logs_cover import uncovered
 from safedpa_lab.experiments.real_logs_data import CAR, paths_of
 from safedpa_lab.experiments.real_logs_targets import targets_of
 from safedpa_services.command_line.group import safedpa
@@ -39,6 +42,22 @@ def test_a_log_that_was_left_out_judges_what_the_others_taught(data, tmp_path, c
         assert set(row["added"]) <= set(names)
         assert row["unseen_change"] == pytest.approx(row["unseen_after"] / row["unseen_before"] - 1.0, abs=1e-3)
         assert row["added"] or row["unseen_change"] == 0.0
+        assert row["unseen_outside"] > 0.5  # one drives slowly, the other fast
+
+
+def driven(*throttles):
+    """A log at 20 Hz that stays for 5 s at each throttle, at a speed of its own."""
+    throttle = np.repeat(throttles, 100)
+    system = SimpleNamespace(state_names=("x", "speed"), action_names=("throttle",))
+    part = np.arange(len(throttle)) * 0.05, np.column_stack([throttle, 4.0 * throttle]), throttle[:, None]
+    return SimpleNamespace(system=system, period=0.05, parts=lambda: [part])
+
+
+def test_rows_about_which_others_hold_no_second_of_driving_are_outside():
+    assert uncovered([driven(0.2, 0.4)], driven(0.2, 0.4)) == 0.0
+    assert uncovered([driven(0.2, 0.4)], driven(0.3, 0.5)) == 1.0
+    assert uncovered([driven(0.2, 0.4)], driven(0.4, 0.6)) == 0.5
+    assert uncovered([driven(0.2), driven(0.6)], driven(0.4, 0.6)) == 0.5
 
 
 def test_targets_say_what_was_asked_and_what_was_measured():

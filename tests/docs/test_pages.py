@@ -43,6 +43,21 @@ def _commands() -> Iterator[tuple[str, str]]:
             yield name, found
 
 
+LONGEST = 1500
+"""Words of running text on a page; tables, code and what is generated are looked up, not read."""
+
+
+def _running_text(text: str) -> str:
+    for kind in (r"^```.*?^```", r"^<!-- generated.*?<!-- end -->"):
+        text = re.sub(kind, " ", text, flags=re.DOTALL | re.MULTILINE)
+    return "\n".join(line for line in text.split("\n") if not line.lstrip().startswith("|") and line[:4] != "    ")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent.name == "docs"], ids=lambda page: page.stem)
+def test_a_page_can_be_read_in_one_go(page: Path) -> None:
+    assert len(_running_text(page.read_text(encoding="utf-8")).split()) < LONGEST
+
+
 FOUND = sorted(set(_commands()))
 
 

@@ -120,3 +120,21 @@ def test_the_reference_holds_every_public_name(site: Path, repository: Path) -> 
         public = getattr(importlib.import_module(f"safedpa.{page.stem}"), "__all__", [])
         assert set(public) - lazily <= shown, page
     assert "compare_model" in (site / "reference" / "diagnosis.html").read_text(encoding="utf-8")
+
+
+def test_diagrams_are_painted_without_a_script(site: Path, repository: Path) -> None:
+    texts = [page.read_text(encoding="utf-8") for page in (repository / "docs").rglob("*.md")]
+    drawn = sum(text.count("```mermaid") for text in texts)
+    shown = [
+        (page, name)
+        for page in site.rglob("*.html")
+        for name in re.findall(r'src="([^"]*diagram-[0-9a-f]+\.svg)"', page.read_text(encoding="utf-8"))
+    ]
+    assert len(shown) == drawn > 1
+    for page, name in shown:
+        picture = (page.parent / name).resolve()
+        assert picture.exists(), f"{name}: run python docs/draw_diagrams.py"
+        svg = picture.read_text(encoding="utf-8")
+        assert svg.count("<text") > 5
+        assert "foreignObject" not in svg, "a picture of its own shows no part of a page"
+    assert not any("language-mermaid" in page.read_text(encoding="utf-8") for page in site.rglob("*.html"))

@@ -47,7 +47,7 @@ def test_intervals_over_drives() -> None:
 
 
 def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_path: Path) -> None:
-    asked = [*SMALL, "--processes", "1", "--out", str(tmp_path), "--json"]
+    asked = [*SMALL, "--skip", "5", "--processes", "1", "--out", str(tmp_path), "--json"]
     cut = CliRunner().invoke(command, [*asked, "--minutes", "1e-9"])
     assert cut.exit_code == 0, cut.output
     assert json.loads(cut.output)["missing"] == 15
@@ -69,7 +69,9 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
         assert 0.0 <= counted["steps"] <= 1.0
         assert margin.covered[f"{kind}.corridor"] == counted["drives" if kind == "drive" else "steps"]
     page = (tmp_path / "margins.md").read_text()
-    assert "safedpa experiment margins --robot pendulum --drives 4 --fresh 2" in page
+    assert "safedpa experiment margins --robot pendulum --drives 4 --fresh 2 --skip 5 --kind" in page
+    seeds = {path.name.partition("-")[0] for path in tmp_path.glob("pendulum/fresh-*/*.npz")}
+    assert seeds == {"2000005", "2000006"}, "of the evaluation seeds the first five are left out"
     assert f"| pendulum | corridor | drive | {margin.drive['corridor']:.4f} |" in page
     assert page.count("| pendulum |") == 6, "both margins in three tables"
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}

@@ -14,19 +14,25 @@ from hypothesis import strategies as st
 from safedpa.errors import InputError, SafedpaError
 from safedpa_lab.benchmarks import fleet as module
 from safedpa_lab.benchmarks.fleet import FleetTrial, fleet_benchmark, largest_fleet
+from safedpa_lab.benchmarks.hostile.offering import FREEZES
 from safedpa_lab.benchmarks.usage import usage_of
 from safedpa_lab.commands.bench import command
 
 
-def test_three_robots_and_a_flood_through_real_processes() -> None:
-    result = fleet_benchmark(FleetTrial(robots=3, seconds=2.0, loads="none,box", flood=True))
+def test_three_robots_a_flood_and_hostile_offers_through_real_processes() -> None:
+    result = fleet_benchmark(FleetTrial(robots=3, seconds=2.0, loads="none,box", flood=True, offers=0.5))
     assert result["robots"] == 3
     assert result["robot_ticks"] > 60, "it stood most of the time"
     assert result["late_ticks"] < result["robot_ticks"], "not one action came in time"
-    assert set(result["processes"]) == {"robots", "adaptation", "policy", "safety_filter", "flood"}
+    assert set(result["processes"]) == {"robots", "adaptation", "policy", "safety_filter", "flood", "offers"}
     for used in result["processes"].values():
         assert used["us_per_robot_tick"] > 0.0
         assert used["mib_end"] > 10.0
+    froze = result["offers"]["answers"][FREEZES]
+    assert froze["refused"] == froze["answers"] > 0
+    assert "at most 65536" in froze["reason"]
+    assert froze["after_state_ms"]["p50"] < 50.0, "it is refused in the tick in which it is heard"
+    assert result["offers"]["under_attack"]["robot_ticks"] > 20
     json.dumps(result)
 
 

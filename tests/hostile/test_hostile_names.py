@@ -143,3 +143,20 @@ def test_a_column_s_name_comes_back_as_text(column: str, tmp_path: Path, capsys:
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert not CONTROL.search(said[:-1])
+
+
+def test_a_cell_of_many_lines_costs_one_line(tmp_path: Path) -> None:
+    """A quote that does not end makes one cell of the rest of the file."""
+    from safedpa.records import load_run
+    from safedpa.robots.car.system import CAR
+
+    rows = "".join(f"{0.05 * k:.2f},0,0,0,1,1,0\n" for k in range(40))
+    file = tmp_path / "run.csv"
+    text = f't,x,y,yaw,speed,target_speed,steer\n{rows}9.0,0,0,0,1,1,"0\n{rows}"\n{rows}'
+    for content in (text, text.replace('"0', '"\x1b[2J')):
+        file.write_text(content, encoding="utf-8")
+        with pytest.raises(InputError) as refusal:
+            load_run(file, CAR)
+        assert "\n" not in str(refusal.value)
+        assert "\x1b" not in str(refusal.value)
+        assert len(str(refusal.value)) < 600

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import fcntl
 import os
 import shutil
 import signal
@@ -16,16 +18,19 @@ import pytest
 from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.access import access_control, roles_of
 from safedpa.bus.authority import HOSTS, Authority
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.certificates import Card, Certificates
+from safedpa.bus.process import add_bus_options, identity_from
+from safedpa.errors import BusError
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.router.router import Revoked, Twins
 from safedpa_services.supervisor.private_folder import private_folder
+from safedpa_services.supervisor.securing import throw_away_certificates
 
 _HOLDS = """
 import sys, time
 from safedpa_services.supervisor.securing import throw_away_certificates
-with throw_away_certificates("f", "r1") as folder:
-    print(folder, flush=True)
+with throw_away_certificates("f", "r1") as wallet:
+    print(wallet.folder, flush=True)
     time.sleep(60)
 """
 
@@ -46,7 +51,7 @@ def test_the_keys_are_gone_whichever_way_the_run_ends(number: int) -> None:
     ) as running:
         assert running.stdout is not None
         folder = Path(running.stdout.readline().strip())
-        assert len(list(folder.glob("*.key.pem"))) > 5
+        assert [path.name for path in folder.glob("*.key.pem")] == ["operator.key.pem"]
         assert folder.stat().st_mode & 0o077 == 0
         running.send_signal(number)
         running.wait()
@@ -83,6 +88,68 @@ def test_no_argument_of_any_process_tells_a_key_or_a_token(tmp_path: Path) -> No
     assert any(plan.page_token in child.environment.values() for child in children)
     assert not any(plan.page_token in argument for child in children for argument in child.arguments)
     assert plan.page_token not in repr(plan)
+
+
+def test_a_process_reads_its_card_once_and_nothing_that_is_told_holds_it() -> None:
+    with throw_away_certificates("f", "r1") as wallet:
+        card = wallet.cards["workbench"]
+    parser = argparse.ArgumentParser()
+    add_bus_options(parser)
+    descriptor = card.pipe()
+    options = parser.parse_args(["--role", "workbench", "--card", str(descriptor)])
+    assert identity_from(options) == card
+    assert "PRIVATE" not in repr(card) + repr(wallet) + repr(options)
+    assert options.card is None, "options are told on the bus and handed on"
+    with pytest.raises(BusError, match="got no --certificates"):
+        identity_from(options)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)
+
+
+@pytest.mark.parametrize("said", [b"", b"-----BEGIN ", b"x" * 100_000, b"-----BEGIN \0-----BEGIN \0x"])
+def test_a_card_that_is_none_is_refused(said: bytes) -> None:
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 1 << 18)
+    os.write(writing, said)
+    os.close(writing)
+    with pytest.raises(BusError, match="no authority, certificate and key"):
+        Card.from_descriptor(reading, "policy")
+    with pytest.raises(BusError, match="Bad file descriptor"):
+        Card.from_descriptor(reading, "policy")
+
+
+_PRIVATE = """
+import ctypes, os, sys, time
+from safedpa.bus.certificates import close_memory
+if os.getuid() == 0:  # who may read everything
+    os.setuid(65534)
+    ctypes.CDLL(None).prctl(4, 1, 0, 0, 0)  # as every process begins
+print(close_memory() if sys.argv[1] == "closed" else True, flush=True)
+time.sleep(60)
+"""
+_PRIES = """
+import os, sys
+if os.getuid() == 0:
+    os.setuid(65534)
+for name in ("mem", "environ", "maps"):
+    try:
+        open(f"/proc/{sys.argv[1]}/{name}", "rb").close()
+        print(name)
+    except PermissionError:
+        pass
+"""
+
+
+@pytest.mark.parametrize(("memory", "seen"), [("closed", []), ("open", ["mem", "environ", "maps"])])
+def test_a_process_with_a_key_is_not_read_by_others_of_the_same_user(memory: str, seen: list[str]) -> None:
+    command = [sys.executable, "-c", _PRIVATE, memory]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as private:
+        assert private.stdout is not None
+        assert private.stdout.readline() == b"True\n"
+        pries = [sys.executable, "-I", "-S", "-c", _PRIES, str(private.pid)]
+        found = subprocess.run(pries, capture_output=True, check=True, text=True).stdout
+        private.kill()
+    assert found.split() == seen
 
 
 @pytest.fixture
@@ -155,7 +222,7 @@ def test_a_router_that_starts_gives_a_revoked_name_no_right(tmp_path: Path) -> N
     (tmp_path / REVOKED).write_text("robot.r1\n", encoding="utf-8")
     options = argparse.Namespace(
         fleet="fleet", listen=["tls/127.0.0.1:7447"], connect=[], certificates=tmp_path, role="router", robot=["r1"],
-        link=[], plain=False,
+        link=[], plain=False, card=None,
     )  # fmt: skip
     settings = _settings(options)
     assert settings.access is not None

@@ -320,6 +320,8 @@ def test_everything_else_is_refused_with_the_same_words(shelf: Shelf, tmp_path: 
         "../../etc/hosts",
         "/dev/zero",
         "file:///etc/passwd",
+        "~nobody-of-that-name/run.csv",
+        "~\ufffd\u2028'(",
         "/**/*.csv",
     ],
 )

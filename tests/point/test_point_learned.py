@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +14,7 @@ from hypothesis import strategies as st
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks, frame_of
+from safedpa_lab.experiments.point_heat_map import heat_map_markdown, write_heat_map
 from safedpa_lab.point.adapting import Adaptation
 from safedpa_lab.point.heat_map import HeatMap, agreement, heat_map
 from safedpa_lab.point.margin import one_step_errors
@@ -175,14 +179,26 @@ def test_safedpa_keeps_out_of_hazards_in_a_wind_that_fix_runs_into() -> None:
     assert unsafe["fix_315"] >= 5 + unsafe["safedpa"]
 
 
-def test_the_heat_map_of_safedpa_is_that_of_the_simulator() -> None:
-    result = heat_map(HeatMap(points=7, moments=16, shown=2))
+@pytest.fixture(scope="module")
+def small_map() -> dict[str, Any]:
+    return heat_map(HeatMap(points=7, moments=16, shown=2))
+
+
+def test_the_heat_map_of_safedpa_is_that_of_the_simulator(small_map: dict[str, Any]) -> None:
+    result = small_map
     found = {name: row["rank_correlation"] for name, row in result["agreement"].items()}
     assert found["safedpa"] > 0.95
     assert all(found["safedpa"] > found[f"fix_{direction}"] for direction in (45, 225, 315))
     assert np.shape(result["shown"]["reference"]) == (2, 7, 7)
     same = agreement(np.arange(12.0).reshape(3, 4), np.arange(12.0).reshape(3, 4))
     assert (same["correlation"], same["rank_correlation"], same["error"]) == pytest.approx((1.0, 1.0, 0.0))
+
+
+def test_a_heat_map_is_drawn(small_map: dict[str, Any], tmp_path: Path) -> None:
+    result = {"date": "today", **small_map}
+    write_heat_map(result, tmp_path)
+    assert (tmp_path / "point_heat_map.png").stat().st_size > 10_000
+    assert heat_map_markdown(result).count("\n| ") == 7
 
 
 def test_most_one_step_errors_of_h_are_below_the_margin() -> None:

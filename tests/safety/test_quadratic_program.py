@@ -55,7 +55,7 @@ def objective(program: QuadraticProgram, A: np.ndarray, action: np.ndarray, slac
 
 def test_agrees_with_quadprog_on_thousands_of_random_problems() -> None:
     random, relaxed = np.random.default_rng(0), 0
-    for _ in range(3000):
+    for _ in range(1500):
         program, A, b, wish = problem(random)
         solution = solved(program, A, b, wish)
         assert solution.solved
@@ -66,7 +66,7 @@ def test_agrees_with_quadprog_on_thousands_of_random_problems() -> None:
         best = objective(program, A, expected[:actions], shares * reach, wish)
         assert objective(program, A, solution.action, solution.slack, wish) == pytest.approx(best, rel=1e-6, abs=1e-6)
         relaxed += shares.max() > 1e-6
-    assert 300 < relaxed < 2700  # both kinds of problems were there
+    assert 150 < relaxed < 1350  # both kinds of problems were there
 
 
 def test_optimality_conditions_hold() -> None:

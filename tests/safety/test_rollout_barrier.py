@@ -70,9 +70,9 @@ def drive(barrier: AbstractBarrier, seed: int, ticks: int) -> tuple[float, set[S
 
 
 def test_with_relative_degree_two_nothing_is_hit_and_nothing_relaxed() -> None:
-    plain = [drive(FunctionBarrier(room, names=NAMES), seed, 150)[0] for seed in range(20)]
-    assert sum(least < 0.0 for least in plain) >= 8, "the plain distance is no barrier of such a robot"
-    for seed in range(8):
+    plain = [drive(FunctionBarrier(room, names=NAMES), seed, 150)[0] for seed in range(10)]
+    assert sum(least < 0.0 for least in plain) >= 4, "the plain distance is no barrier of such a robot"
+    for seed in range(5):
         least, said = drive(rollout(), seed, 120)
         assert least >= 0.0
         assert said <= {Status.passed, Status.corrected}
@@ -81,7 +81,7 @@ def test_with_relative_degree_two_nothing_is_hit_and_nothing_relaxed() -> None:
 def test_the_backup_keeps_every_condition_wherever_it_is_promised() -> None:
     random, barrier, tried = np.random.default_rng(3), rollout(), 0
     safe = SafetyFilter(affine, [barrier], SETTINGS, backup=barrier.backup)
-    while tried < 150:
+    while tried < 100:
         x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.2, 1.2, 2)]
         if barrier.values(x).min() < SETTINGS.epsilon["default"] / SETTINGS.eta:
             continue
@@ -91,7 +91,7 @@ def test_the_backup_keeps_every_condition_wherever_it_is_promised() -> None:
 
 def test_it_is_the_least_value_of_the_dense_path() -> None:
     random, barrier = np.random.default_rng(5), rollout()
-    for _ in range(40):
+    for _ in range(20):
         x = np.r_[random.uniform((0.0, -1.5), (3.0, 2.0)), random.uniform(-1.5, 1.5, 2)]
         path = np.array(barrier.path(x))
         chords = [path[:-1] + share * np.diff(path, axis=0) for share in np.linspace(0.0, 1.0, 101)]
@@ -128,7 +128,7 @@ def test_a_planar_quadrotor_is_kept_off_by_its_tilt() -> None:
     limits = FilterSettings(action_low=(-4.0, -30.0), action_high=(6.0, 30.0), eta=0.2, epsilon=0.004)
     hits = {True: 0, False: 0}
     for filtered in (False, True):
-        for seed in range(3):
+        for seed in range(2):
             random, x = np.random.default_rng(seed), np.zeros(6)
             safe = SafetyFilter(quadrotor, [barrier], limits, backup=barrier.backup)
             least = np.inf
@@ -142,7 +142,7 @@ def test_a_planar_quadrotor_is_kept_off_by_its_tilt() -> None:
                 least = min(least, float(pillar(x).min()))
                 assert verdict is None or verdict.status in (Status.passed, Status.corrected)
             hits[filtered] += least < 0.0
-    assert hits == {True: 0, False: 3}
+    assert hits == {True: 0, False: 2}
 
 
 THIN = np.array([1.0, 0.0])
@@ -153,8 +153,9 @@ def jumping(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(x), np.eye(2)
 
 
-def past_thin(x: np.ndarray) -> float:
-    return float(np.hypot(*(x - THIN)) - 0.1)
+def past_thin(x: np.ndarray) -> np.ndarray:
+    """A place, or many of them (..., 2)."""
+    return np.hypot(*(x - THIN).T) - 0.1
 
 
 def least_between_ticks(barrier: AbstractBarrier, seed: int) -> float:
@@ -167,7 +168,7 @@ def least_between_ticks(barrier: AbstractBarrier, seed: int) -> float:
         verdict = safe.decide(x, wish)
         assert verdict.status in (Status.passed, Status.corrected)
         way = x + np.linspace(0.0, 1.0, 101)[:, np.newaxis] * verdict.action
-        least = min(least, *(past_thin(state) for state in way))
+        least = min(least, float(past_thin(way).min()))
         x = x + verdict.action
     return least
 
@@ -175,7 +176,7 @@ def least_between_ticks(barrier: AbstractBarrier, seed: int) -> float:
 def test_what_is_thinner_than_a_tick_is_not_jumped_over() -> None:
     plain = [least_between_ticks(FunctionBarrier(past_thin), seed) for seed in range(20)]
     assert sum(least < 0.0 for least in plain) >= 10, "h at the ticks alone does not see it"
-    looked = [least_between_ticks(RolloutBarrier(jumping, (0.0, 0.0), past_thin, 1), seed) for seed in range(200)]
+    looked = [least_between_ticks(RolloutBarrier(jumping, (0.0, 0.0), past_thin, 1), seed) for seed in range(80)]
     assert sum(least < 0.0 for least in looked) == 0
 
 

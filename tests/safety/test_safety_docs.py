@@ -8,7 +8,8 @@ import pytest
 
 from safedpa.safety import parse_settings
 
-PAGE = (Path(__file__).parents[2] / "docs" / "safety.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("safety.md", "margins.md"))
 
 
 def test_every_example_runs_in_order(capsys: pytest.CaptureFixture[str]) -> None:

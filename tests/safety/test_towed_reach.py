@@ -69,7 +69,7 @@ def test_both_roads_to_h_agree_and_slopes_are_those_of_finite_differences() -> N
 
 def test_braking_straight_lowers_no_h_of_an_obstacle_while_it_reverses() -> None:
     draw, period = np.random.default_rng(4), 0.05
-    for _ in range(300):
+    for _ in range(100):
         state, _, parts = scene(draw)
         state[3] = -abs(state[3]) / 3.0
         before = Barriers(parts).values(state)[:5]

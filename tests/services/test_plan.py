@@ -30,7 +30,7 @@ def planned(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *options: str) -> P
         seen.append(plan)
         return summary
 
-    monkeypatch.setattr(up, "_drive", drive)
+    monkeypatch.setattr(up, "driven", drive)
     result = CliRunner().invoke(up.command, ["--json", "--out", str(tmp_path), *options])
     assert result.exception is None, result.output
     return seen[0]

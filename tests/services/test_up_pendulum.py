@@ -66,7 +66,7 @@ def planned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> P
         seen.append(plan)
         return {}
 
-    monkeypatch.setattr(up, "_drive", drive)
+    monkeypatch.setattr(up, "driven", drive)
     result = CliRunner().invoke(up.command, ["--json", "--headless", "--out", str(tmp_path), *options])
     if result.exception is not None:
         raise result.exception

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import csv
+import os
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -103,3 +107,100 @@ def browser() -> Iterator[Any]:
 def pytest_configure(config: pytest.Config) -> None:
     """The marker of tests that need Chromium."""
     config.addinivalue_line("markers", "browser: opens the page in a headless browser")
+
+
+@pytest.fixture
+def serve(free_port: int, tmp_path: Path) -> Iterator[Callable[..., str]]:
+    """Starts ``safedpa workbench`` with arguments; returns its address."""
+    started = []
+
+    def start(*arguments: object) -> str:
+        program = [sys.executable, "-m", "safedpa_services", "workbench", *map(str, arguments)]
+        options = ["--no-browser", "--port", str(free_port), "--out", str(tmp_path / "out")]
+        # the framework behaves differently where it takes itself to be under test
+        environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+        environment["OMP_NUM_THREADS"] = "1"
+        server = subprocess.Popen([*program, *options], stdout=subprocess.PIPE, text=True, env=environment)
+        started.append(server)
+        line = server.stdout.readline()
+        assert f":{free_port}" in line, line
+        return line.split()[1]
+
+    yield start
+    for server in started:
+        server.send_signal(signal.SIGINT)
+        try:
+            assert server.wait(60) == 0
+        finally:
+            server.kill()
+            server.wait()
+            server.stdout.close()
+
+
+SERVER = """
+import json, sys, threading, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from live_messages import finding, model, state, REPORT
+from safedpa.bus.process import Stop
+from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
+from safedpa_services.workbench.bench import Bench
+from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.serving import Serving
+from safedpa_services.workbench.server import serve
+
+broker = MemoryBroker()
+bus, robot = Bus(MemoryTransport(broker), "fleet"), Bus(MemoryTransport(broker), "fleet")
+asked = []
+
+def answer(name, request):
+    if request.do == "status":
+        left = () if "accept" in asked else ("towed_load",)
+        return Answer(ok=True, sentence="the model is the one that the robot began with", candidates=left,
+                      foreseen=("the margin of obstacle goes from 0.03 to 0.1",), earlier=len(asked))
+    if request.model != "aaaa" or request.finding != 1:
+        return Answer(ok=False, sentence="refused: another model")
+    asked.append(request.do)
+    robot.publish(MODEL, "r1", model(tick[0], "take"))
+    return Answer(ok=True, sentence=f"change 1 is offered to {request.who}")
+
+tick = [0]
+def drive():
+    while True:
+        tick[0] += 1
+        robot.publish(STATE, "r1", state(tick[0]))
+        if tick[0] % 20 == 0:
+            done = "accept" in asked
+            message = finding(tick[0], "watching", 0.1) if done else finding(
+                tick[0], "candidates", 0.5, json.dumps(REPORT), 1)
+            robot.publish(FINDING, "r1", message)
+        time.sleep(0.01)
+
+robot.answer_requests(answer)
+threading.Thread(target=drive, daemon=True).start()
+serve(Bench(Choice(), Path(sys.argv[1])), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus, stop=Stop())
+"""
+
+
+@pytest.fixture
+def live(free_port: int, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A live page beside a drive that is played: the server's process and its address."""
+    source = (Path(__file__).parent / "test_live.py").read_text(encoding="utf-8")
+    start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
+    header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
+    (tmp_path / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
+    environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+    command = [sys.executable, "-c", SERVER, str(tmp_path), str(free_port)]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    try:
+        line = server.stdout.readline()
+        assert "/live" in line
+        yield server, line.split()[1]
+    finally:
+        server.send_signal(signal.SIGINT)
+        try:
+            server.wait(60)
+        finally:
+            server.kill()
+            server.wait()
+            server.stdout.close()

@@ -13,8 +13,9 @@ from safedpa.records import load_column_map
 from safedpa.records.column_map import native_map
 from safedpa.records.column_map_file import parse_column_map, shipped_column_maps
 from safedpa.systems import systems
-from safedpa_services.workbench.column_form import DERIVED, Line, guessed, lines_of, map_of, map_text, units_for
+from safedpa_services.workbench.column_form import DERIVED, Line, guessed, lines_of, map_text, units_for
 from safedpa_services.workbench.file_preview import checked, raw_rows
+from safedpa_services.workbench.recordings import Made
 
 NUMBERS = st.floats(-1e6, 1e6).filter(bool)
 
@@ -31,7 +32,9 @@ def test_names_with_units_are_guessed(plain):
 
 def test_native_names_are_guessed_as_they_are(plain):
     header = ["t", "x", "y", "yaw", "speed", "throttle", "steer"]
-    assert map_of("m", plain.system, guessed(plain.system, header)).columns == native_map(plain.system).columns
+    assert (
+        Made(map_text(plain.system, guessed(plain.system, header))).columns.columns == native_map(plain.system).columns
+    )
 
 
 def test_a_speed_that_the_log_lacks_is_derived(plain):
@@ -50,7 +53,7 @@ def test_no_column_is_guessed_twice():
 def test_a_map_that_ships_comes_back_from_the_form(name, plain):
     columns = load_column_map(name)
     system = plain.system if columns.robot == "car" else systems()[columns.robot]
-    assert map_of(columns.name, system, lines_of(system, columns), columns) == columns
+    assert Made(map_text(system, lines_of(system, columns)), name).columns == columns
 
 
 @settings(max_examples=40)
@@ -71,8 +74,9 @@ def test_what_is_written_is_read_again(source, scale, offset, flip, unit):
 
 def test_one_column_for_two_quantities_is_refused(plain):
     lines = [Line("x", "m", "a"), Line("y", "m", "a")]
+    made = Made(map_text(plain.system, lines))
     with pytest.raises(ColumnMapError, match="already the source"):
-        map_of("m", plain.system, lines)
+        assert made.columns
 
 
 def test_the_preview_is_in_si_units_and_names_what_is_wrong(plain, drives, tmp_path):
@@ -83,7 +87,7 @@ def test_the_preview_is_in_si_units_and_names_what_is_wrong(plain, drives, tmp_p
     header = "time;x;y;yaw deg;speed;throttle;steer\n"
     rows = [f"{0.05 * k};{0.05 * k};0;{90 + 0.01 * k};1;0.1;0\n" for k in range(100)]
     foreign.write_text(header + "".join(rows), encoding="utf-8")
-    columns = map_of("m", plain.system, guessed(plain.system, raw_rows(foreign).names))
+    columns = Made(map_text(plain.system, guessed(plain.system, raw_rows(foreign).names))).columns
     found = checked(foreign, plain.system, columns)
     assert found.problem == ""
     assert "100 rows in 1 stretch" in found.sentence

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -264,92 +260,51 @@ def test_a_recording_without_messages_is_refused(tmp_path):
         ReplayLink(tmp_path / "none.mcap")
 
 
-SERVER = """
-import json, sys, threading, time
-from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from live_messages import finding, model, state, REPORT
-from safedpa.bus.process import Stop
-from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
-from safedpa_services.workbench.recordings import Choice
-from safedpa_services.workbench.serving import Serving
-from safedpa_services.workbench.server import serve
-
-broker = MemoryBroker()
-bus, robot = Bus(MemoryTransport(broker), "fleet"), Bus(MemoryTransport(broker), "fleet")
-asked = []
-
-def answer(name, request):
-    if request.do == "status":
-        left = () if "accept" in asked else ("towed_load",)
-        return Answer(ok=True, sentence="the model is the one that the robot began with", candidates=left,
-                      foreseen=("the margin of obstacle goes from 0.03 to 0.1",), earlier=len(asked))
-    if request.model != "aaaa" or request.finding != 1:
-        return Answer(ok=False, sentence="refused: another model")
-    asked.append(request.do)
-    robot.publish(MODEL, "r1", model(tick[0], "take"))
-    return Answer(ok=True, sentence=f"change 1 is offered to {request.who}")
-
-tick = [0]
-def drive():
-    while True:
-        tick[0] += 1
-        robot.publish(STATE, "r1", state(tick[0]))
-        if tick[0] % 20 == 0:
-            done = "accept" in asked
-            message = finding(tick[0], "watching", 0.1) if done else finding(
-                tick[0], "candidates", 0.5, json.dumps(REPORT), 1)
-            robot.publish(FINDING, "r1", message)
-        time.sleep(0.01)
-
-robot.answer_requests(answer)
-threading.Thread(target=drive, daemon=True).start()
-serve(Choice(), Path(sys.argv[1]), Serving("127.0.0.1", int(sys.argv[2])), browser=False, bus=bus, stop=Stop())
-"""
+@pytest.mark.browser
+@pytest.mark.processes
+def test_a_candidate_is_accepted_on_the_live_page(browser, live):
+    server, address = live
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    hosts, complaints = set(), []
+    page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
+    page.on("console", lambda message: complaints.append(message.text))
+    page.goto(address)
+    page.wait_for_selector(".candidate.open >> text=Accept", timeout=PATIENCE)
+    assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
+    page.wait_for_selector("text=/If you accept: the margin of obstacle goes from 0.03 to 0.1/", timeout=PATIENCE)
+    assert not page.get_by_label("back to the model before").is_visible()
+    page.keyboard.press("a")
+    page.wait_for_selector("text=/change 1 is offered to/", timeout=PATIENCE)
+    page.wait_for_selector("text=−80 % since the change", timeout=PATIENCE)
+    assert page.locator(".candidate").count() == 0
+    page.get_by_label("back to the model before").wait_for(timeout=PATIENCE)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    server.send_signal(signal.SIGTERM)
+    page.wait_for_selector("text=/The drive has ended. r1 drove for/", timeout=PATIENCE)
+    server.wait(60)
+    page.wait_for_timeout(2000)
+    assert not page.locator("#popup").is_visible(), "an end is no lost connection"
+    complaints = [line for line in complaints if "ERR_CONNECTION_REFUSED" not in line and "WebSocket" not in line]
+    page.close()
+    assert hosts == {address.split("/")[2]}
+    assert complaints == []
 
 
 @pytest.mark.browser
 @pytest.mark.processes
-def test_a_candidate_is_accepted_on_the_live_page(browser, free_port, tmp_path):
-    source = Path(__file__).read_text(encoding="utf-8")
-    start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
-    header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
-    (tmp_path / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
-    environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
-    command = [sys.executable, "-c", SERVER, str(tmp_path), str(free_port)]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-    try:
-        line = server.stdout.readline()
-        assert "/live" in line
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        hosts, complaints = set(), []
-        page.on("request", lambda request: hosts.add(request.url.split("/")[2]))
-        page.on("console", lambda message: complaints.append(message.text))
-        page.goto(line.split()[1])
-        page.wait_for_selector(".candidate.open >> text=Accept", timeout=PATIENCE)
-        assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
-        page.wait_for_selector("text=/If you accept: the margin of obstacle goes from 0.03 to 0.1/", timeout=PATIENCE)
-        assert not page.get_by_label("back to the model before").is_visible()
-        page.keyboard.press("a")
-        page.wait_for_selector("text=/change 1 is offered to/", timeout=PATIENCE)
-        page.wait_for_selector("text=−80 % since the change", timeout=PATIENCE)
-        assert page.locator(".candidate").count() == 0
-        page.get_by_label("back to the model before").wait_for(timeout=PATIENCE)
-        assert page.evaluate("document.documentElement.scrollWidth") <= 1280
-        server.send_signal(signal.SIGTERM)
-        page.wait_for_selector("text=/The drive has ended. r1 drove for/", timeout=PATIENCE)
-        server.wait(60)
-        page.wait_for_timeout(2000)
-        assert not page.locator("#popup").is_visible(), "an end is no lost connection"
-        complaints = [line for line in complaints if "ERR_CONNECTION_REFUSED" not in line and "WebSocket" not in line]
-        page.close()
-        assert hosts == {f"127.0.0.1:{free_port}"}
-        assert complaints == []
-    finally:
-        server.send_signal(signal.SIGINT)
-        try:
-            server.wait(60)
-        finally:
-            server.kill()
-            server.wait()
-            server.stdout.close()
+def test_a_drive_that_ends_while_the_page_loads_is_told_to_have_ended(browser, live):
+    """The page was delivered, its scripts are on their way: the server waits for it, though not for ever."""
+    server, address = live
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    ended = []
+
+    def end(response):
+        if response.request.resource_type == "document" and not ended:
+            ended.append(response.url)
+            server.send_signal(signal.SIGTERM)
+
+    page.on("response", end)
+    page.goto(address)
+    page.get_by_text("The drive has ended").locator("visible=true").first.wait_for(timeout=PATIENCE)
+    server.wait(60)
+    page.close()

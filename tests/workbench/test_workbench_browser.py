@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,34 +12,6 @@ pytestmark = pytest.mark.slow
 PATIENCE = 90_000
 """ms; a search takes seconds, on a busy machine more."""
 MAP = ".panel:nth-of-type(2) .js-plotly-plot >> nth=0"
-
-
-@pytest.fixture
-def serve(free_port, tmp_path):
-    """Starts ``safedpa workbench`` with arguments; returns its address."""
-    started = []
-
-    def start(*arguments):
-        program = [sys.executable, "-m", "safedpa_services", "workbench", *map(str, arguments)]
-        options = ["--no-browser", "--port", str(free_port), "--out", str(tmp_path / "out")]
-        # the framework behaves differently where it takes itself to be under test
-        environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
-        environment["OMP_NUM_THREADS"] = "1"
-        server = subprocess.Popen([*program, *options], stdout=subprocess.PIPE, text=True, env=environment)
-        started.append(server)
-        line = server.stdout.readline()
-        assert f":{free_port}" in line, line
-        return line.split()[1]
-
-    yield start
-    for server in started:
-        server.send_signal(signal.SIGINT)
-        try:
-            assert server.wait(60) == 0
-        finally:
-            server.kill()
-            server.wait()
-            server.stdout.close()
 
 
 class Watched:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from safedpa_services.command_line.answering import answers_json, tell
 from safedpa_services.command_line.names import complete_models
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     "--coverage", type=float, default=0.99, show_default=True, help="share of steps, and of drives, that are covered"
 )
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="margin file, for the filter's --margin")
+@answers_json
 def command(recordings: tuple[Path, ...], model: str, settings: str, coverage: float, out: Path) -> None:
     """Calibrate the margins: how much worse h turned out than predicted, on RECORDINGS (MCAP) not used for fitting.
 
@@ -50,16 +52,18 @@ def _tell(calibration: MarginCalibration, out: Path) -> None:
     drives = (
         f" of {calibration.drives} drives" if calibration.drives else ", too few drives to say anything about drives"
     )
-    click.echo(f"{calibration.transitions} transitions{drives}")
-    click.echo(f"coverage {calibration.coverage:g}; epsilon, and share of what is fresh")
+    tell(f"{calibration.transitions} transitions{drives}")
+    tell(f"coverage {calibration.coverage:g}; epsilon, and share of what is fresh")
     for kind, epsilon in calibration.epsilon.items():
         line = f"  {kind:<10} conformal {epsilon:.4f}{_share(calibration, 'conformal', kind)}"
         if kind in calibration.drive:
             line += f"   drive {calibration.drive[kind]:.4f}{_share(calibration, 'drive', kind)}"
         if kind in calibration.theorem:
             line += f"   theorem {calibration.theorem[kind]:.4f}{_share(calibration, 'theorem', kind)}"
-        click.echo(line)
-    click.echo(f"margin: {out}")
+        tell(line)
+    told = {name: dict(getattr(calibration, name)) for name in ("epsilon", "drive", "theorem", "covered")}
+    told |= {name: getattr(calibration, name) for name in ("transitions", "drives", "coverage")}
+    tell(f"margin: {out}", facts={"margin": str(out), **told})
 
 
 def _share(calibration: MarginCalibration, name: str, kind: str) -> str:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from safedpa_services.command_line.answering import answers_json, tell
+
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
@@ -15,6 +17,7 @@ import click
 @click.option("--router", "routers", multiple=True, metavar="NAME", help="one more router, as router.NAME; repeatable")
 @click.option("--days", type=float, default=90.0, show_default=True, help="how long the certificates are good")
 @click.option("--renew", is_flag=True, help="make those anew that are there already")
+@answers_json
 def command(
     folder: Path,
     fleet: str,
@@ -34,13 +37,17 @@ def command(
 
     check_names(fleet, robots)
     authority = Authority(folder, fleet)
-    click.echo(f"{folder / 'authority.pem'}: {'made' if authority.is_new else 'there already'}, for fleet '{fleet}'")
+    made = "made" if authority.is_new else "there already"
+    tell(
+        f"{folder / 'authority.pem'}: {made}, for fleet '{fleet}'",
+        facts={"folder": str(folder), "fleet": fleet, "made": [], "kept": []},
+    )
     further = tuple(f"{ROUTER}.{name}" for name in routers)
     for role in (*roles_of(robots), *further):
         if (folder / f"{role}.pem").exists() and not renew:
-            click.echo(f"{role}: there already")
+            tell(f"{role}: there already", facts={"kept": [role]})
             continue
         names = (*HOSTS, *hosts) if role.split(".")[0] == ROUTER and role != role_of_robot(ROUTER) else ()
         authority.issue(role, days, names)
         where = f", accepts connections as {', '.join(dict.fromkeys(names))}" if names else ""
-        click.echo(f"{role}: made, good for {days:g} days{where}")
+        tell(f"{role}: made, good for {days:g} days{where}", facts={"made": [role], "days": days})

@@ -8,6 +8,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import need
+from safedpa_services.command_line.answering import answers_json, tell
 from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
@@ -30,6 +31,7 @@ __all__ = ["command"]
     metavar="DIR",
     help="Write the networks of a weights file there: mu, f, g, phi and policy, one .onnx each.",
 )
+@answers_json
 def command(source: Path, kind: str | None, out: Path | None, robot: str | None, folder: Path | None) -> None:
     """Write one robot's drive from a recording as CSV or Parquet, or learned networks as ONNX.
 
@@ -48,8 +50,9 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
 
     exported = export_recording(source, out, kind, robot)
     for finding in exported.findings:
-        click.echo(f"{finding.kind}: {finding.message}", err=True)
-    click.echo(f"{out}: {exported.rows} rows of robot '{exported.robot}'")
+        tell(f"{finding.kind}: {finding.message}", err=True, facts={"findings": [f"{finding.kind}: {finding.message}"]})
+    told = {"written": [str(out)], "rows": exported.rows, "robot": exported.robot}
+    tell(f"{out}: {exported.rows} rows of robot '{exported.robot}'", facts=told)
 
 
 def _export_networks(source: Path, folder: Path) -> None:
@@ -58,4 +61,4 @@ def _export_networks(source: Path, folder: Path) -> None:
     from safedpa_sim.training.onnx_export import export_onnx
 
     for path in export_onnx(load_weights(source), folder):
-        click.echo(f"{path}: {path.stat().st_size} bytes")
+        tell(f"{path}: {path.stat().st_size} bytes", facts={"written": [str(path)]})

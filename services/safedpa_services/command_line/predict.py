@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from safedpa.extras import needs
+from safedpa_services.command_line.answering import answers_json, tell
 from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     columns_option,
@@ -28,6 +29,7 @@ __all__ = ["command"]
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="FILE.csv", help="Where to write.")
 @effects_option
 @force_option
+@answers_json
 @needs("diagnosis")
 def command(
     model: str, run: str, columns: str | None, horizon: float, out: Path, effects: Path | None, force: bool
@@ -49,4 +51,5 @@ def command(
     table = predict_run(loaded, recorded, horizon)
     write_columns(table, out, "csv")
     starts = len(set(table["start_t"].tolist()))
-    click.echo(f"{out}: {len(table['t'])} predictions from {starts} starts over {horizon:g} s", err=True)
+    told = {"written": str(out), "predictions": len(table["t"]), "starts": starts, "horizon": horizon}
+    tell(f"{out}: {len(table['t'])} predictions from {starts} starts over {horizon:g} s", err=True, facts=told)

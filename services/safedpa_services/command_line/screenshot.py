@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
+from safedpa_services.command_line.answering import answers_json, tell
 
 if TYPE_CHECKING:
     import subprocess
@@ -24,6 +25,7 @@ _PAINT_SECONDS = 1.0
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="PNG file")
 @click.option("--size", default="1400x800", show_default=True, help="WIDTHxHEIGHT in pixels")
 @click.option("--at", type=float, default=None, help="moment on the time line in s; default: the end")
+@answers_json
 @needs("view")
 def command(recording: Path, out: Path, size: str, at: float | None) -> None:
     """Make a picture of a dashboard RECORDING (.rrd)."""
@@ -34,7 +36,7 @@ def command(recording: Path, out: Path, size: str, at: float | None) -> None:
     if not out.parent.is_dir():
         raise InputError(f"--out {out}: folder {out.parent} does not exist; create it")
     _render(recording, out, size, at)
-    click.echo(str(out))
+    tell(str(out), facts={"written": str(out)})
 
 
 def _render(recording: Path, out: Path, size: str, at: float | None) -> None:

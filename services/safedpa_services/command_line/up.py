@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,14 @@ from safedpa_services.terminal import say
 if TYPE_CHECKING:
     from safedpa.bus.process import Stop
     from safedpa.dynamics import PhysicsModel
+    from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
+    from safedpa_services.supervisor.securing import Wallet
+    from safedpa_services.supervisor.watch import Watch
+
+    ShownBy = Callable[[Watch, Sequence[Child], Child], AbstractContextManager[Callable[[], None]]]
+
+__all__ = ["command", "driven", "planned"]
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
@@ -107,10 +114,9 @@ def command(**options: Any) -> None:
         load_own_everywhere(options["effects"])
     options = {**options, "robot": _robot_of(options)}
     stop = Stop()
-    with _certificates(options) as folder, _meeting_place(options) as endpoint:
-        plan = _plan({**options, "certificates": folder, "endpoint": endpoint})
+    with planned(options) as plan:
         stop.listen_to_signals()
-        summary = _drive(plan, stop, quiet=options["as_json"])
+        summary = driven(plan, stop, _screen_of(plan, quiet=options["as_json"]))
     if options["as_json"]:
         click.echo(json.dumps(summary))
     else:
@@ -135,8 +141,15 @@ def _robot_of(options: dict[str, Any]) -> str:
     return str(options["robot"] or found[0])
 
 
-def _certificates(options: dict[str, Any]) -> AbstractContextManager[Path | None]:
-    """The folder of throw-away certificates, if the person wants them."""
+@contextmanager
+def planned(options: dict[str, Any]) -> Iterator[Plan]:
+    """The plan that the options ask for, with the place where its processes meet. Raises InputError for bad ones."""
+    with _certificates(options) as wallet, _meeting_place(options) as endpoint:
+        yield _plan({**options, "wallet": wallet, "endpoint": endpoint})
+
+
+def _certificates(options: dict[str, Any]) -> AbstractContextManager[Wallet | None]:
+    """Throw-away certificates, if the person wants them."""
     from safedpa_services.supervisor.securing import throw_away_certificates
 
     if not options["secure"]:
@@ -213,24 +226,20 @@ def _plan(options: dict[str, Any]) -> Plan:
         controller=_controller(model, options["controller"]),
         fleet=options["fleet"],
         endpoint=options["endpoint"],
-        certificates=options["certificates"],
+        wallet=options["wallet"],
         folder=Plan.new_folder(options["out"], options["name"]),
     )
 
 
 def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> None:
     """Refuses the model of another robot, and settings of another one, before any process starts."""
-    from safedpa.robot import robot_named
     from safedpa.safety.scenes import scene_of
     from safedpa.safety.shipped import settings_named
+    from safedpa.systems.driven import why_not_driven
 
-    system, wanted = model.system, robot_named(robot).system
-    if system != wanted:
-        raise InputError(
-            f"--model {name}: a {system.name} with {', '.join(system.action_names)} (states "
-            f"{', '.join(system.state_names)}), wanted a {robot} with {', '.join(wanted.action_names)} (states "
-            f"{', '.join(wanted.state_names)})"
-        )
+    refusal = why_not_driven(model.system, robot)
+    if refusal:
+        raise InputError(f"--model {name}: {refusal}")
     try:
         scene_of(model, settings_named(settings))
     except InputError as error:
@@ -303,7 +312,8 @@ def _check_rate(model: PhysicsModel, rate: float) -> None:
         )
 
 
-def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
+def driven(plan: Plan, stop: Stop, shown_by: ShownBy) -> dict[str, Any]:
+    """Drives until the end or ``stop`` and returns the summary. Raises SafedpaError where the robot failed."""
     from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
     from safedpa_services.supervisor.summary import summary_of
@@ -311,13 +321,13 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     from safedpa_services.supervisor.watch import Watch
 
     services, robot = plan.services(), plan.robot_process()
-    if plan.certificates is not None:
+    if plan.wallet is not None:
         services[0].start()  # the router, through which the supervisor itself hears
     with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
         watch = Watch(bus, plan.names[0])
         others = [(plan.robot_process(k + 1), Watch(bus, name)) for k, name in enumerate(plan.names[1:])]
         shown = [*(child for child, _ in others), *services]
-        with _screen(plan, watch, shown, robot, quiet=quiet) as on_turn:
+        with shown_by(watch, shown, robot) as on_turn:
             code = Supervisor(services, robot, watch, stop, on_turn, lambda: stop.hurried, others).run()
     if code != 0:
         raise SafedpaError(f"robot: {robot.last_words()}")
@@ -331,16 +341,18 @@ def _drive(plan: Plan, stop: Stop, *, quiet: bool) -> dict[str, Any]:
     return summary_of(plan.summary, watch.verdicts, [robot, *shown], health, plan.recording, stands, accounts)
 
 
-def _screen(plan: Plan, watch: Any, services: Any, robot: Any, *, quiet: bool) -> Any:
+def _screen_of(plan: Plan, *, quiet: bool) -> ShownBy:
     from safedpa_services.supervisor.screen import screen
 
     where = f"--connect {plan.endpoint} --fleet {plan.fleet}"
-    where += f" --certificates {plan.certificates}" if plan.certificates is not None else ""
+    where += f" --certificates {plan.wallet.folder}" if plan.wallet is not None else ""
     hints = [f"recording {plan.recording}", f"others join with {where}"]
     hints.append(f"how it is: safedpa status --watch {where}")
     if plan.diagnosis:
         hints.append(f"add what the diagnosis proposes: safedpa accept {plan.name} EFFECT {where}")
-    return screen(watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address)
+    return lambda watch, services, robot: screen(
+        watch, services, robot, hints, plan.folder, quiet=quiet, page=plan.workbench_address
+    )
 
 
 def _tell(summary: dict[str, Any]) -> None:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_services.command_line.answering import answers_json, finish, tell
 from safedpa_services.command_line.listening import bus_of
 from safedpa_services.command_line.names import complete_models
+
+if TYPE_CHECKING:
+    from safedpa_services.workbench.bench import Bench
 
 __all__ = ["command"]
 
@@ -25,7 +30,13 @@ __all__ = ["command"]
     default=Path("workbench"),
     show_default=True,
     metavar="DIR",
-    help="Folder into which Save writes model.toml and margin.toml.",
+    help="Folder of the session, and of what Save writes; DIR-2 where DIR holds that of other recordings.",
+)
+@click.option(
+    "--session",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Go on with a session.json: opens what it names and decides again what was decided.",
 )
 @click.option(
     "--effects",
@@ -74,12 +85,14 @@ __all__ = ["command"]
     help="Take pictures of the page by a headless Chromium, write them there and end.",
 )
 @click.option("--no-browser", is_flag=True, help="Open no browser.")
+@answers_json
 @needs("workbench")
 def command(**options: Any) -> None:
     """Compare MODEL with recorded RUNs on a web page, see where it fails, add what it lacks, watch the error fall.
 
-    Without arguments the page asks for model and recordings; with --fleet or --connect it watches driving robots as
-    well, at /live. Everything is served from this machine.
+    What is decided is kept in session.json below --out: the same command once more goes on with it; without arguments
+    the last session goes on, and where there is none the page asks for model and recordings. With --fleet or --connect
+    it watches driving robots as well, at /live. Everything is served from this machine.
     """
     from safedpa.dynamics import load_own_everywhere
 
@@ -92,12 +105,10 @@ def command(**options: Any) -> None:
 
 
 def _serve(options: dict[str, Any]) -> None:
-    from safedpa_services.workbench.recordings import Choice
     from safedpa_services.workbench.server import chosen_port, serve
     from safedpa_services.workbench.serving import Serving
 
-    choice = Choice(options["model"], options["runs"], options["columns"], options["horizon"])
-    out, browser = options["out"], not options["no_browser"]
+    bench, browser = _bench(options), not options["no_browser"]
     serving = Serving(
         options["host"],
         chosen_port(options["host"], options["port"]),
@@ -108,13 +119,36 @@ def _serve(options: dict[str, Any]) -> None:
         options["token_only"],
     )
     if not options["fleet"] and not options["connect"]:
-        serve(choice, out, serving, browser=browser, bus=options["replay"])
+        serve(bench, serving, browser=browser, bus=options["replay"], announce=_announce)
         return
     import os
 
     with bus_of({**options, "fleet": options["fleet"] or "fleet"}, "workbench") as bus:
         os.nice(10)  # the loop that it looks at comes first; the bus keeps its links up, and so is not put behind it
-        serve(choice, out, serving, browser=browser, bus=bus)
+        serve(bench, serving, browser=browser, bus=bus, announce=_announce)
+
+
+def _announce(where: str) -> None:
+    tell(f"Workbench: {where}  (Ctrl-C ends it)", facts={"address": where})
+    finish()
+
+
+def _bench(options: dict[str, Any]) -> Bench:
+    """What the page begins with: a session that goes on, or what was named."""
+    from safedpa_services.workbench.bench import Bench
+    from safedpa_services.workbench.recordings import Choice
+    from safedpa_services.workbench.session_file import newest_in, read_session
+
+    out, named = options["out"], Choice(options["model"], options["runs"], options["columns"], options["horizon"])
+    if options["session"] is not None and named.model:
+        raise InputError(f"MODEL {named.model}: got it with --session, which names its own; leave one of them out")
+    live = options["fleet"] or options["connect"] or options["replay"]
+    file = options["session"] or (None if named.model or live else newest_in(out))
+    if file is None:
+        return Bench(named, out)
+    kept = read_session(file)
+    tell(f"Workbench: goes on with {file} ({len(kept.decisions)} decisions)", err=True, facts={"session": str(file)})
+    return Bench(kept.choice, out, kept.decisions, file.parent)
 
 
 def _take_pictures(options: dict[str, Any]) -> None:
@@ -123,8 +157,8 @@ def _take_pictures(options: dict[str, Any]) -> None:
 
     live = bool(options["fleet"] or options["connect"] or options["replay"])
     arguments = [options["model"], *options["runs"]] if options["model"] else []
-    for name in ("columns", "horizon", "out", "effects", "fleet", "replay", "certificates"):
+    for name in ("columns", "horizon", "out", "session", "effects", "fleet", "replay", "certificates"):
         arguments += [f"--{name}", str(options[name])] if options[name] is not None else []
     arguments += [item for endpoint in options["connect"] for item in ("--connect", endpoint)]
     for path in take_pictures(arguments, options["pictures"], live=live):
-        click.echo(str(path))
+        tell(str(path), facts={"written": [str(path)]})

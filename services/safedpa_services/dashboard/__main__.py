@@ -15,6 +15,7 @@ from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa.safety.shipped import settings_named
 from safedpa_services.dashboard.dashboard import Dashboard
+from safedpa_services.dashboard.data_door import FIRST_OF_ITS_OWN, DataDoor, own_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import look_of
 from safedpa_services.dashboard.ports import Door, choose_port
@@ -37,7 +38,11 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 
     grpc_port = choose_port(options.grpc_port, 9876, "--grpc-port", options.bind) if options.viewer else None
     save = Path(options.save) if options.save else None
-    painter = Painter(look, options.fleet, save=save, bind=options.bind, grpc_port=grpc_port)
+    behind = own_loopback()
+    data_port = choose_port(None, FIRST_OF_ITS_OWN, "--grpc-port", behind) if options.viewer else None
+    painter = Painter(look, options.fleet, save=save, bind=behind, grpc_port=data_port)
+    if grpc_port is not None and data_port is not None:
+        DataDoor(options.bind, grpc_port, (behind, data_port), options.name)
     address = "" if grpc_port is None else _open_door(options, grpc_port)
     sys.stdout.write(f"dashboard: {address or 'no viewer'}{f', recording {save}' if save else ''}\n")
     sys.stdout.flush()

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport
 from safedpa.bus.access import ROUTER, access_control, rate_limits, size_limits
-from safedpa.bus.certificates import Certificates
 from safedpa.bus.log import log_event
-from safedpa.bus.process import Stop, Urgency, run_process
+from safedpa.bus.process import Stop, Urgency, add_card_option, identity_from, run_process
 from safedpa.errors import InputError
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals
 from safedpa_services.router.router import Router, revoked_in
@@ -47,14 +46,14 @@ def _settings(options: argparse.Namespace) -> ZenohSettings:
     limits = tuple(size_limits(options.fleet))
     rates = tuple(rate_limits(options.fleet, options.robot))
     if options.plain:
-        if options.certificates is not None:
+        if options.certificates is not None or options.card is not None:
             raise InputError("--plain: got it together with --certificates, wanted one of them")
         return ZenohSettings("router", listen, connect, limits=limits, rates=rates)
-    if options.certificates is None:
+    if options.certificates is None and options.card is None:
         raise InputError("--certificates: got none, wanted the folder of 'safedpa certificates' (or --plain)")
-    certificates = Certificates(options.certificates, options.role)
+    certificates = identity_from(options)
     access = access_control(options.fleet, options.robot, dict(map(_link, options.link)))
-    revoked = revoked_in(options.certificates / REVOKED)
+    revoked = frozenset[str]() if options.certificates is None else revoked_in(options.certificates / REVOKED)
     access["policies"] = [policy for policy in access["policies"] if not revoked & {*policy["subjects"]}]
     return ZenohSettings("router", listen, connect, certificates, access, limits, rates)
 
@@ -74,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--certificates", type=Path, metavar="DIR", help="of 'safedpa certificates'")
     parser.add_argument("--role", default=ROUTER, help="whose certificate to show; default: router")
+    add_card_option(parser)
     parser.add_argument(
         "--robot", action="append", default=[], metavar="NAME", help="a robot that may join; repeatable"
     )

@@ -8,9 +8,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from safedpa.bus.certificates import Card
 
 __all__ = ["Child"]
 
@@ -43,6 +45,8 @@ class Child:
     restarts: int = 0
     environment: Mapping[str, str] = field(default_factory=dict)
     """What it is told and other users of the machine must not read, as they can its arguments."""
+    card: Card | None = None
+    """Its certificate and key, which no other process shall see: handed to it by a pipe, at each start."""
 
     def __post_init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -64,9 +68,11 @@ class Child:
     def start(self) -> None:
         """Starts the process; a later call starts it anew."""
         command = [sys.executable, "-m", self.module, *self.arguments, "--supervised"]
-        with self.log.open("ab") as log:
+        with self.log.open("ab") as log, _handed(self.card) as descriptors:
+            command += [word for descriptor in descriptors for word in ("--card", str(descriptor))]
             self._process = subprocess.Popen(
                 command,
+                pass_fds=descriptors,
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
@@ -133,3 +139,16 @@ class Child:
             self._process.wait()
         if self._process.stdin is not None:
             self._process.stdin.close()
+
+
+@contextlib.contextmanager
+def _handed(card: Card | None) -> Iterator[tuple[int, ...]]:
+    """The descriptor at which a process finds its card; this process closes its own when the other one has it."""
+    if card is None:
+        yield ()
+        return
+    descriptor = card.pipe()
+    try:
+        yield (descriptor,)
+    finally:
+        os.close(descriptor)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import secrets
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safedpa.bus import ZenohSettings
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.access import ROUTER, role_of_robot
 from safedpa.errors import InputError
 from safedpa_services.supervisor.child import Child
+from safedpa_services.supervisor.securing import OPERATOR, Wallet
 
 __all__ = ["Plan"]
 
@@ -54,8 +55,8 @@ class Plan:
 
     robots: int = 1
     """How many drive side by side, each in a scene of its own, all served by the same services."""
-    certificates: Path | None = None
-    """Folder of a certificate for every role: everything goes through a router over mutual TLS; None: plain text."""
+    wallet: Wallet | None = None
+    """A certificate and key for every role: everything goes through a router over mutual TLS; None: plain text."""
 
     @property
     def recording(self) -> Path:
@@ -117,13 +118,14 @@ class Plan:
             )
         if self.workbench_port:
             children.append(self._workbench())
-        return children if self.certificates is None else [self._router(self.certificates), *children]
+        return children if self.wallet is None else [self._router(self.wallet), *children]
 
-    def _router(self, certificates: Path) -> Child:
+    def _router(self, wallet: Wallet) -> Child:
         """Starts first and ends last."""
-        bus = ("--fleet", self.fleet, "--listen", self.endpoint, "--certificates", str(certificates))
+        bus = ("--fleet", self.fleet, "--listen", self.endpoint)
         options = (*bus, "--robot", self.name, *self._scheduling)
-        return Child("router", "safedpa_services.router", options, self.folder / "router.log")
+        log = self.folder / "router.log"
+        return Child("router", "safedpa_services.router", options, log, card=wallet.cards[ROUTER])
 
     def _workbench(self) -> Child:
         page = ("--model", self.model, "--out", str(self.folder / "workbench"), "--port", str(self.workbench_port))
@@ -138,11 +140,15 @@ class Plan:
         port = self.workbench_port
         return f"http://127.0.0.1:{port}/live?token={self.page_token}" if port else ""
 
+    def with_page_alone(self) -> Plan:
+        """The same without the dashboard; the live page stays."""
+        return replace(self, dashboard=False)
+
     def own_session(self) -> ZenohSettings:
         """How the supervisor itself joins: in plain text it is what the others connect to, else an operator."""
-        if self.certificates is None:
+        if self.wallet is None:
             return ZenohSettings(listen=(self.endpoint,))
-        return ZenohSettings("client", (), (self.endpoint,), Certificates(self.certificates, "operator"))
+        return ZenohSettings("client", (), (self.endpoint,), self.wallet.cards[OPERATOR])
 
     def robot_process(self, index: int = 0) -> Child:
         """The robot, or another one beside it, whose scene has the next seed."""
@@ -157,12 +163,12 @@ class Plan:
 
     def _child(self, name: str, module: str, *arguments: str, essential: bool = True, heartbeat: bool = True) -> Child:
         bus = ["--fleet", self.fleet, "--connect", self.endpoint]
-        if self.certificates is not None:
-            role = f"robot.{self.name}" if name == "robot" else name
-            bus += ["--certificates", str(self.certificates), "--role", role]
-        return Child(
-            name, module, (*arguments, *bus), self.folder / f"{name.replace(' ', '-')}.log", essential, heartbeat
-        )
+        card = None
+        if self.wallet is not None:
+            role = role_of_robot(self.name) if name == "robot" else name
+            bus, card = [*bus, "--role", role], self.wallet.cards[role]
+        log = self.folder / f"{name.replace(' ', '-')}.log"
+        return Child(name, module, (*arguments, *bus), log, essential, heartbeat, card=card)
 
     @staticmethod
     def new_folder(parent: Path, name: str) -> Path:

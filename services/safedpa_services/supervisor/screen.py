@@ -18,7 +18,7 @@ from safedpa_services.supervisor.warnings import Warnings
 from safedpa_services.supervisor.watch import Watch
 from safedpa_services.terminal import Shown, terminal
 
-__all__ = ["screen"]
+__all__ = ["answers", "screen"]
 
 _REDRAW_SECONDS = 0.25
 _PROBE_SECONDS = 0.05
@@ -98,11 +98,12 @@ class _Page:
             return []
         if not self._answers and time.monotonic() >= self._next_look:
             self._next_look = time.monotonic() + _REDRAW_SECONDS
-            self._answers = _answers(self._address)
+            self._answers = answers(self._address)
         return [f"workbench {self._address}"] if self._answers else []
 
 
-def _answers(address: str) -> bool:
+def answers(address: str) -> bool:
+    """Whether somebody serves a page there, on this machine."""
     parts = urlsplit(address)
     try:
         socket.create_connection((parts.hostname or "127.0.0.1", parts.port or 80), _PROBE_SECONDS).close()

@@ -97,7 +97,10 @@ class Shelf:
         text = line.strip()
         if "\0" in text or len(text) > 4096:
             return "\1"  # a name that no file has
-        return str(Path(text).expanduser()) if text else ""
+        try:
+            return str(Path(text).expanduser()) if text else ""
+        except RuntimeError:  # the home of nobody
+            return "\1"
 
     def _refusal(self, path: str, wanted: str) -> InputError:
         return RunError(f"{readable(path)}: cannot be opened from here; wanted {wanted} below {self.words}")

@@ -15,6 +15,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     """Serves until ``stop``; returns exit code 0."""
     os.nice(10)  # the loop comes first
     need("workbench", what="the workbench", alone=True)  # its container writes no reports
+    from safedpa_services.workbench.bench import Bench
     from safedpa_services.workbench.recordings import Choice
     from safedpa_services.workbench.server import chosen_port, serve
     from safedpa_services.workbench.serving import Serving
@@ -29,7 +30,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
         options.token_only,
     )
     with bus_from(options) as bus:
-        serve(Choice(options.model), Path(options.out), serving, browser=False, bus=bus, stop=stop)
+        serve(Bench(Choice(options.model), Path(options.out)), serving, browser=False, bus=bus, stop=stop)
     return 0
 
 

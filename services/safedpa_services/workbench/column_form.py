@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from safedpa.records.column_map import DERIVATIONS, ColumnMap, DerivedColumn, SourceColumn
-from safedpa.records.column_map_file import parse_column_map
 from safedpa.records.units import UNITS
 from safedpa.systems import System
 
-__all__ = ["DERIVED", "Line", "guessed", "lines_of", "map_of", "map_text", "units_for"]
+__all__ = ["DERIVED", "Line", "guessed", "lines_of", "map_text", "units_for"]
 
 DERIVED = "(slope of another column)"
 """Stands for the source of a state that the log lacks."""
@@ -97,19 +96,8 @@ def guessed(system: System, names: Sequence[str]) -> list[Line]:
     return lines
 
 
-def map_of(name: str, system: System, lines: Sequence[Line], beside: ColumnMap | None = None) -> ColumnMap:
-    """The column map that a form describes; rows to skip and the like are those of the map ``beside``.
-
-    Raises ColumnMapError as ``parse_column_map`` does, naming the key.
-    """
-    made = parse_column_map(map_text(system, lines), name)
-    if beside is None:
-        return made
-    return replace(beside, name=name, columns=made.columns)
-
-
 def map_text(system: System, lines: Sequence[Line]) -> str:
-    """The same as TOML."""
+    """The column map that a form describes, as TOML."""
     rows = ["format = 1", f"robot = {_quoted(system.name)}", "", "[columns]"]
     return "\n".join([*rows, *(_row(line) for line in lines if line.source)]) + "\n"
 

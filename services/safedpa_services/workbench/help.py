@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from nicegui import ui
 
+from safedpa_services.workbench.elements import action
+
 __all__ = ["KEYS", "show_keys"]
 
 KEYS = {
@@ -28,7 +30,7 @@ KEYS = {
 
 def show_keys() -> None:
     """Opens the list."""
-    with ui.dialog(value=True) as dialog, ui.card():
+    with ui.dialog(value=True).props("aria-label=Keys") as dialog, ui.card():
         rows = "".join(f"<dt>{key}</dt><dd>{what}</dd>" for key, what in KEYS.items())
         ui.html(f'<h2 style="margin:0 0 8px;font-size:16px">Keys</h2><dl class="keys">{rows}</dl>', sanitize=False)
-        ui.button("Close", on_click=dialog.close).props("dense no-caps autofocus")
+        action("Close", dialog.close, main=True).props("autofocus")

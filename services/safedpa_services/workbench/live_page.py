@@ -12,6 +12,7 @@ from typing import Any
 from nicegui import events, ui
 
 from safedpa.bus import Answer, Request
+from safedpa_services.workbench.browser import answer_of, wishes_dark
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
 from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.help import show_keys
@@ -28,11 +29,22 @@ __all__ = ["LivePage"]
 _PICTURE_SECONDS = 0.4
 _STATUS_SECONDS = 1.5
 _END_SECONDS = 10.0
-_SAY_NO_CONNECTION = """document.querySelectorAll('#popup span').forEach((span, index) => {
-  span.textContent = ['No connection to the live page.',
-    'The drive has ended, or this machine is too busy; what is shown is the last of it.'][index] || '';
-})"""
-"""In place of the framework's own words, should the last word not reach the browser in time."""
+_GONE = """<script>
+  const words = ['No connection to the live page.',
+    'The drive has ended, or this machine is too busy; what is shown is the last of it.'];
+  const name = () => document.querySelectorAll('#popup span').forEach((span, at) => {
+    span.textContent = words[at] || '';
+  });
+  const say = () => {
+    if (document.querySelector('main.bench') || document.getElementById('gone')) return;
+    document.body.prepend(Object.assign(document.createElement('p'), {id: 'gone', textContent: words.join(' ')}));
+  };
+  addEventListener('load', name);
+  addEventListener('error', (event) => { if (event.target.tagName) say(); }, true);
+  setTimeout(say, 10000);
+</script>"""
+"""Whatever of the page reached the browser says so when the rest does not: the server goes with the drive, and may go
+while its scripts are on their way. Else the words would be the framework's own, or none on a white page."""
 
 
 class LivePage:
@@ -50,6 +62,8 @@ class LivePage:
         self._drawn: Any = None
         self._shown: Any = None
         self._asking = False
+        ui.add_head_html(_GONE)
+        link.untold.add(self)  # from the first byte on: a drive may end while the page loads
         self._build()
 
     def _build(self) -> None:
@@ -110,9 +124,7 @@ class LivePage:
 
     async def begin(self) -> None:
         """Chooses dark or light as the browser wishes."""
-        self._link.untold.add(self)
-        ui.run_javascript(_SAY_NO_CONNECTION)
-        self._set_dark(bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=5.0)))
+        self._set_dark(await wishes_dark())
         self.show()
 
     # showing
@@ -173,7 +185,7 @@ class LivePage:
         self._verdict.set_content(escaped(f"The drive has ended.{account} What is shown here is the last of it."))
         self._candidates.show_cards([], "", "The drive has ended: nothing can be changed any more.")
         self._back.set_visibility(False)
-        await ui.run_javascript("document.body.classList.add('ended'); return true", timeout=_END_SECONDS)
+        await answer_of("document.body.classList.add('ended'); return true", _END_SECONDS)
         self._link.untold.discard(self)
 
     def _trouble(self, sentence: str) -> None:

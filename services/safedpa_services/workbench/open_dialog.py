@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,16 +17,25 @@ from safedpa.records import ColumnMap, load_column_map
 from safedpa.records.column_map import native_map
 from safedpa.records.column_map_file import shipped_column_maps
 from safedpa_services.web.shelf import RECORDINGS, Shelf
-from safedpa_services.workbench.column_form import Line, guessed, lines_of, map_of, map_text
+from safedpa_services.workbench.column_form import Line, guessed, lines_of, map_text
 from safedpa_services.workbench.columns_table import ColumnsTable
-from safedpa_services.workbench.elements import action, escaped, named, text
+from safedpa_services.workbench.elements import action, escaped, named, on_change_of, text
 from safedpa_services.workbench.file_preview import Checked, RawRows, checked, raw_rows
-from safedpa_services.workbench.recordings import Choice
+from safedpa_services.workbench.recordings import Choice, Made
 
 __all__ = ["OpenDialog"]
 
 _GUESSED = "guessed from the names"
 _NATIVE = "native names"
+_NAME_UPLOAD = """(node) => {
+  const input = node.el?.querySelector?.('input[type=file]');
+  if (!input) return;
+  input.setAttribute('aria-label', 'upload recordings');
+  input.setAttribute('tabindex', '0');
+  const sign = input.closest('a');
+  if (sign) { sign.removeAttribute('role'); sign.removeAttribute('tabindex'); sign.removeAttribute('href'); }
+}"""
+"""The framework draws a link around the control; the control itself is what the keyboard reaches."""
 
 
 class OpenDialog:
@@ -35,10 +43,9 @@ class OpenDialog:
 
     def __init__(self, on_open: Callable[[Choice], Awaitable[None]], out: Path, shelf: Shelf) -> None:
         self._on_open, self._out, self._shelf = on_open, out, shelf
-        self._uploaded_files = 0
         self._choice = Choice()
         self._raw = RawRows((), ())
-        self._uploads: tempfile.TemporaryDirectory[str] | None = None
+        self._uploads = out / "uploads"
         with ui.dialog().props("aria-label=Open") as self._dialog, ui.card().classes("wide"):
             with ui.element("div").classes("row dialog-title"):
                 text("Open a model and recordings", tag="h2")
@@ -58,10 +65,11 @@ class OpenDialog:
         with ui.element("div").classes("row").style("width: 100%; align-items: flex-start"):
             self._paths = ui.textarea("Recordings on this machine, one path or pattern a line (.csv .parquet .mcap)")
             self._paths.props("dense outlined autogrow").style("flex: 1").on("blur", self._refresh)
-            upload = ui.upload(label="or upload them", multiple=True, auto_upload=True, on_upload=self._uploaded)
+            upload = ui.upload(label="or drag them here", multiple=True, auto_upload=True, on_upload=self._uploaded)
             upload.props(f"max-file-size={limit('upload_bytes')} max-files={limit('uploads')}")
             upload.props('flat bordered accept=".csv,.parquet,.mcap" aria-label="upload recordings"')
             upload.style("width: 250px; max-height: 110px")
+            on_change_of(upload, _NAME_UPLOAD)
 
     def _columns(self) -> None:
         with ui.element("div").classes("row").style("width: 100%"):
@@ -90,22 +98,26 @@ class OpenDialog:
         self._dialog.open()
         self._refresh()
 
-    def close(self) -> None:
-        """Deletes what was uploaded."""
-        if self._uploads is not None:
-            self._uploads.cleanup()
-
     async def _uploaded(self, event: events.UploadEventArguments) -> None:
-        if self._uploads is None:
-            self._uploads = tempfile.TemporaryDirectory(prefix="safedpa-workbench-")
-            self._shelf = self._shelf.with_folder(Path(self._uploads.name))
+        """Keeps the file in the folder of sessions: a session that goes on later needs its recordings."""
         ending = Path(event.file.name).suffix.lower()
-        if self._uploaded_files >= limit("uploads") or ending not in RECORDINGS:
-            self._say(f"not taken: wanted a recording ({' '.join(RECORDINGS)}), at most {limit('uploads')} of them")
+        there = len(list(self._uploads.glob("*"))) if self._uploads.is_dir() else 0
+        if there >= limit("uploads") or ending not in RECORDINGS:
+            self._say(
+                f"{event.file.name}: not taken; wanted a recording ({' '.join(RECORDINGS)}), and at most "
+                f"{limit('uploads')} files in {self._uploads}"
+            )
             return
-        self._uploaded_files += 1
-        path = Path(self._uploads.name) / f"{self._uploaded_files:03d}_{_plain(event.file.name)}{ending}"
-        await event.file.save(path)
+        path = self._uploads / f"{there + 1:03d}_{_plain(event.file.name)}{ending}"
+        try:
+            self._uploads.mkdir(mode=0o700, parents=True, exist_ok=True)
+            await event.file.save(path)
+        except OSError as error:
+            self._say(
+                f"{event.file.name}: cannot be kept in {self._uploads} ({error.strerror}); make room or choose --out"
+            )
+            return
+        self._shelf = self._shelf.with_folder(self._uploads)
         self._paths.value = "\n".join([*str(self._paths.value or "").splitlines(), str(path)])
         self._refresh()
 
@@ -176,12 +188,14 @@ class OpenDialog:
             self._say(str(error))
             return None
 
-    def _made(self, model: PhysicsModel) -> ColumnMap | None:
+    def _made(self, model: PhysicsModel) -> Made | None:
         """The map as the table stands; None for a recording of the bus. Raises ColumnMapError."""
         if not self._raw.names:
             return None
-        name = Path(str(self._map.value)).stem if self._beside() is not None else "columns"
-        return map_of(name, model.system, self._table.lines, self._beside())
+        beside = str(self._map.value) if self._beside() is not None else ""
+        made = Made(map_text(model.system, self._table.lines), beside)
+        made.columns  # noqa: B018  raises where the table describes none
+        return made
 
     def _check_now(self) -> None:
         """Reads the first recording as the diagnosis would."""
@@ -189,10 +203,11 @@ class OpenDialog:
         if model is None or not paths:
             return
         try:
-            columns = self._made(model)
+            made = self._made(model)
         except SafedpaError as error:
             self._say(str(error))
             return
+        columns = None if made is None else made.columns
         self._show_check(Path(paths[0]).name, len(paths), checked(paths[0], model.system, columns), model)
 
     def _say(self, problem: str) -> None:

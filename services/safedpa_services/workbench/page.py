@@ -1,18 +1,17 @@
-"""The page: four columns over one session, its keys, and the background process behind it."""
+"""The page: four columns over one session, and its keys."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from nicegui import background_tasks, events, ui
+from nicegui import events, ui
 
-from safedpa.dynamics import PhysicsModel
 from safedpa.errors import SafedpaError
 from safedpa_services.web.shelf import Shelf
-from safedpa_services.workbench import jobs
+from safedpa_services.workbench.bench import Bench, News
+from safedpa_services.workbench.browser import answer_of, wishes_dark
 from safedpa_services.workbench.brush import Brush
 from safedpa_services.workbench.elements import action, escaped, text
 from safedpa_services.workbench.figures_where import window_near
@@ -23,24 +22,20 @@ from safedpa_services.workbench.panel_candidates import CandidatesPanel
 from safedpa_services.workbench.panel_fall import FallPanel
 from safedpa_services.workbench.panel_path import PathPanel
 from safedpa_services.workbench.panel_where import WherePanel
-from safedpa_services.workbench.recordings import Choice, loaded
 from safedpa_services.workbench.rerun_view import RerunDoor
-from safedpa_services.workbench.saving import saved
 from safedpa_services.workbench.session import Session
-from safedpa_services.workbench.worker import StoppedError, Worker
+from safedpa_services.workbench.session_file import NAME as SESSION_FILE
 
 __all__ = ["Page"]
 
 
 class Page:
-    """What one browser tab shows; its process ends with it."""
+    """What one browser tab shows of the bench: its own eye on a session that all tabs share."""
 
-    def __init__(self, choice: Choice, out: Path, door: RerunDoor, shelf: Shelf, *, live: bool = False) -> None:
-        self._choice, self._out, self._door, self._live = choice, out, door, live
-        self._shelf = shelf
+    def __init__(self, bench: Bench, door: RerunDoor, shelf: Shelf, *, live: bool = False) -> None:
+        self._bench, self._door, self._live, self._shelf = bench, door, live, shelf
         self._session: Session | None = None
-        self._given: PhysicsModel | None = None
-        self._worker = Worker()
+        """This tab's view."""
         self._look = LIGHT
         self._build()
 
@@ -67,165 +62,130 @@ class Page:
                 self._where = WherePanel(self._axes, self._select, self._moment, self._cell)
                 self._candidates = CandidatesPanel(self._add, self._reject, self._cancel)
                 self._fall = FallPanel(self._look_at, self._undo, self._save)
-        self._dialog = OpenDialog(self._opened, self._out, self._shelf)
+        self._dialog = OpenDialog(self._bench.open, self._bench.out, self._shelf)
         self._columns.set_visibility(False)
-        self._busy("", 0.0)
+        self._show_busy()
 
     def close(self) -> None:
-        """Ends the background process."""
-        self._worker.stop()
-        self._dialog.close()
-
-    # opening
+        """The tab is gone; the bench works on."""
+        self._bench.leave(self)
 
     async def begin(self) -> None:
-        """Opens what the command line named, or asks."""
-        if await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=5.0):
-            self._set_dark(True)
-        else:
-            self._set_dark(False)
-        if self._choice.complete:
-            await self._open(self._choice)
+        """Shows what the bench holds, has it open what the command line named, or asks."""
+        self._set_dark(await wishes_dark())
+        self._bench.listen(self, self._heard)
+        if self._bench.session is not None:
+            self._heard("opened")
+        elif self._bench.choice.complete:
+            await self._bench.begin()
         else:
             self._verdict.set_content("Choose a model and recordings of the same robot.")
             self._ask()
 
     def _ask(self) -> None:
-        self._dialog.show(self._choice)
+        self._dialog.show(self._bench.choice)
 
-    async def _opened(self, choice: Choice) -> None:
-        self._worker.stop()
-        await self._open(choice)
+    # what the bench tells
 
-    async def _open(self, choice: Choice) -> None:
-        self._choice = choice
+    def _heard(self, news: News) -> None:
+        with self._columns:
+            {
+                "opening": self._opening,
+                "opened": self._opened,
+                "versions": self._versions,
+                "candidates": self._show_candidates,
+                "busy": self._show_busy,
+                "saving": self._show_saving,
+                "trouble": self._trouble,
+            }[news]()
+
+    def _opening(self) -> None:
+        self._session = None
         self._columns.set_visibility(False)
-        self._busy("reading the recordings", 0.05)
-        try:
-            model, runs = await asyncio.to_thread(loaded, choice)
-            versions = await self._ask_worker("comparing", jobs.opened, model, runs, choice.horizon)
-        except SafedpaError as error:
-            self._busy("", 0.0)
-            self._verdict.set_content(escaped(str(error)))
-            self._dialog.show(choice)
+
+    def _opened(self) -> None:
+        session = self._bench.session
+        if session is None:
             return
-        self._given = model
-        self._session = Session(Path(choice.model).stem, runs, choice.horizon, versions)
-        seconds = sum(item.duration for item in runs)
-        recordings = "1 recording" if len(runs) == 1 else f"{len(runs)} recordings"
-        self._what.set_content(escaped(f"{self._session.title} · {recordings}, {seconds:.0f} s"))
+        self._session = session.view()
+        seconds = sum(item.duration for item in session.runs)
+        recordings = "1 recording" if len(session.runs) == 1 else f"{len(session.runs)} recordings"
+        kept = f"kept in {self._bench.folder / SESSION_FILE}"
+        self._what.set_content(escaped(f"{session.title} · {recordings}, {seconds:.0f} s · {kept}"))
         self._columns.set_visibility(True)
         self._show()
-        self._look_for_more()
+        self._show_busy()
+        self._show_saving()
 
-    # the background process
+    def _versions(self) -> None:
+        if self._session is not None:
+            self._session.shown = None
+            self._show()
+            self._show_saving()
 
-    async def _ask_worker(self, title: str, job: Callable[..., Any], *arguments: Any) -> Any:
-        self._busy(title, 0.05)
-        try:
-            return await self._worker.ask(job, *arguments, tell=lambda share: self._busy(title, share))
-        finally:
-            self._busy("", 0.0)
-
-    def _busy(self, title: str, share: float) -> None:
+    def _show_busy(self) -> None:
+        title, share = self._bench.title, self._bench.share
         self._progress.set_value(share)
         self._progress.set_visibility(bool(title))
         self._candidates.busy(f"{title}: {100 * share:.0f} %" if title else "")
 
-    def _failed(self, error: SafedpaError) -> None:
-        if not isinstance(error, StoppedError):
-            self._verdict.set_content(escaped(str(error)))
-            ui.notify(str(error), type="negative", timeout=8000, multi_line=True)
+    def _show_saving(self) -> None:
+        self._fall.say(self._bench.warning, self._bench.saving, self._bench.said)
 
-    def _look_for_more(self) -> None:
-        """Searches after the present version, unless that was done."""
-        if self._session is not None and self._session.proposed is None:
-            background_tasks.create(self._search(self._session, self._session.number))
-
-    async def _search(self, session: Session, number: int) -> None:
-        version = session.versions[number]
-        with self._columns:
-            try:
-                found = await self._ask_worker("searching", jobs.search, version.step, session.runs, session.horizon)
-            except SafedpaError as error:
-                self._failed(error)
-                return
-            if session is self._session and session.present is version:
-                session.propose(number, found)
-                self._show_candidates()
-
-    def _cancel(self) -> None:
-        self._worker.stop()
-        self._busy("", 0.0)
-        if self._session is not None:
-            self._verdict.set_content(escaped(self._session.verdict) + " The search was cancelled; press f to go on.")
+    def _trouble(self) -> None:
+        trouble = self._bench.trouble
+        self._verdict.set_content(escaped(trouble))
+        if self._bench.session is None:
+            self._dialog.show(self._bench.choice)
+        else:
+            ui.notify(trouble, type="negative", timeout=8000, multi_line=True)
 
     # decisions
 
     async def _add(self, effect: str = "") -> None:
-        session, effect = self._session, effect or self._candidates.effect
-        if session is None or session.proposed is None or not effect:
-            return
-        before, version = session.present, session.settled(effect)
-        if version is None:
-            arguments = session.present.step, session.proposed.proposal, effect, session.runs, session.horizon
-            try:
-                version = await self._ask_worker(f"fitting {effect}", jobs.taken, *arguments)
-            except SafedpaError as error:
-                self._failed(error)
-                return
-        if session.present is not before or session is not self._session:
-            return  # another decision was quicker
-        session.add(version)
-        self._show()
-        self._look_for_more()
+        await self._bench.add(effect or self._candidates.effect)
 
     def _reject(self, effect: str = "") -> None:
-        effect = effect or self._candidates.effect
-        if self._session is not None and effect:
-            self._session.reject(effect)
-            self._show_candidates()
+        self._bench.reject(effect or self._candidates.effect)
 
     def _undo(self) -> None:
-        if self._session is None or not self._session.decided:
-            return
-        self._worker.stop()
-        said = self._session.undo()
-        self._show()
-        ui.notify(said)
-        self._look_for_more()
+        said = self._bench.undo()
+        if said:
+            ui.notify(said)
 
     async def _save(self) -> None:
-        if self._session is None or self._given is None:
-            return
-        self._worker.stop()  # a search that is under way begins anew afterwards
-        try:
-            said = await self._ask_worker(
-                "final numbers", saved, self._session.present.step, self._session.runs, self._given, self._out
-            )
-        except SafedpaError as error:
-            self._failed(error)
-            return
-        ui.notify(said, type="positive", timeout=12000, multi_line=True, close_button="Close")
-        self._look_for_more()
+        await self._bench.save()
+
+    def _cancel(self) -> None:
+        self._bench.cancel()
+        if self._session is not None:
+            self._verdict.set_content(escaped(self._session.verdict) + " The search was cancelled; press f to go on.")
 
     async def _rerun(self) -> None:
         if self._session is None:
             return
         try:
-            origin = await ui.run_javascript("window.location.origin", timeout=5.0)
+            origin = await answer_of("window.location.origin")
+            if not origin:
+                return  # the tab is gone
             address = await self._door.open(self._session, str(origin))
-        except (SafedpaError, TimeoutError) as error:
+        except SafedpaError as error:
             ui.notify(str(error), type="negative", multi_line=True)
             return
         ui.navigate.to(address, new_tab=True)
 
     # looking
 
+    def _remember(self) -> None:
+        """The next tab, or this one after F5, begins with what is looked at here."""
+        if self._session is not None and self._bench.session is not None:
+            self._bench.session.take_eye(self._session)
+
     def _start_at(self, window: int) -> None:
         if self._session is not None:
             last = len(self._session.comparison.windows) - 1
             self._session.start = max(0, min(last, window))
+            self._remember()
             self._path.show(self._session, self._look)
             self._where.show_time(self._session, self._look)
 
@@ -244,17 +204,20 @@ class Page:
     def _axes(self, x: str, y: str) -> None:
         if self._session is not None and (x, y) != self._session.axes:
             self._session.axes = (x, y)
+            self._remember()
             self._where.show(self._session, self._look)
 
     def _select(self, brush: Brush | None) -> None:
         if self._session is not None:
             self._session.select(brush)
+            self._remember()
             self._where.show(self._session, self._look)
             self._path.show(self._session, self._look)
 
     def _look_at(self, number: int) -> None:
         if self._session is not None:
             self._session.look_at(number)
+            self._remember()
             self._show(candidates=False)
 
     def _show(self, *, candidates: bool = True) -> None:
@@ -309,7 +272,7 @@ class Page:
             "w": self._worst,
             "c": lambda: self._select(None),
             "Escape": lambda: self._select(None),
-            "f": self._look_for_more,
+            "f": self._bench.look_for_more,
             "o": self._ask,
             "r": self._rerun,
             "d": self._toggle_dark,

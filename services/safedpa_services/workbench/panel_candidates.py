@@ -81,6 +81,7 @@ class CandidatesPanel:
         self._foreseen = foreseen
         if self._consequence is not None:
             self._consequence.set_content(escaped(self._foreseen.get(self.effect, "")))
+            self._consequence.set_visibility(self.effect in self._foreseen)
 
     def move(self, by: int) -> None:
         """Opens the next or the previous card."""
@@ -135,6 +136,7 @@ class CandidatesPanel:
         if card.signature:
             text(f"Without it: {card.signature}.", "quiet", "div")
         self._consequence = text(self._foreseen.get(card.effect, ""), "consequence", "div")
+        self._consequence.set_visibility(card.effect in self._foreseen)
         with ui.element("div").classes("row"):
             yes, no = self._words
             action(yes, lambda: self._on_add(card.effect), "a", hint=f"{yes.lower()} {card.effect}", main=True)

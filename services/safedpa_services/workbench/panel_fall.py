@@ -26,9 +26,18 @@ class FallPanel:
                 self._numbers = ui.html(sanitize=False)
                 self._states = ui.html(sanitize=False)
                 self._said = text("", "quiet").props("aria-live=polite")
+                self._warning = text("", "problem", "div")
+                self._saved = text("", "note", "div").props("role=status aria-live=polite")
                 with ui.element("div").classes("row"):
                     self._undo = action("Undo", on_undo, "u", hint="take the last decision back")
-                    action("Save", on_save, "s", hint="write the model and its margin", main=True)
+                    self._save = action("Save", on_save, "s", hint="write the model and its margin", main=True)
+
+    def say(self, warning: str, saving: str, said: str) -> None:
+        """What is to be known before Save, what Save does now, and what came of it."""
+        for element, words in ((self._warning, warning), (self._saved, saving or said)):
+            element.set_visibility(bool(words))
+            element.set_content(escaped(words))
+        self._save.set_enabled(not saving)
 
     def show(self, session: Session) -> None:
         """Draws the bars anew."""

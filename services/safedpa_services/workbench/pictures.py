@@ -15,7 +15,7 @@ from typing import Any
 from safedpa.bus.ports import free_port
 from safedpa.errors import SafedpaError
 
-__all__ = ["take_pictures"]
+__all__ = ["browser_at_hand", "photograph", "take_pictures"]
 
 _PATIENCE = 300_000
 """ms; a search of a long recording takes a while."""
@@ -34,7 +34,7 @@ def take_pictures(arguments: Sequence[str], folder: Path, *, live: bool) -> Iter
     robots workbench_live.png, once candidates are there; of a replay workbench_changed.png as well. Raises SafedpaError
     where there is no browser to take them with, or the page does not come so far.
     """
-    browser = _browser()
+    browser = browser_at_hand()
     steps = (_REPLAYED if "--replay" in arguments else _LIVE) if live else _RECORDED
     from playwright.sync_api import Error, sync_playwright
 
@@ -55,13 +55,32 @@ def take_pictures(arguments: Sequence[str], folder: Path, *, live: bool) -> Iter
         raise SafedpaError(f"pictures: the page did not come so far ({str(error).splitlines()[0]})") from error
 
 
-def _browser() -> str:
+def browser_at_hand() -> str:
+    """The program of the browser; raises SafedpaError where there is none that pictures can be taken with."""
     found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if found is None:
         raise SafedpaError("pictures: no Chromium; install it (Debian: apt-get install chromium)")
     if importlib.util.find_spec("playwright") is None:
         raise SafedpaError("pictures: playwright is not installed; say: pip install playwright")
     return found
+
+
+def photograph(address: str, path: Path) -> None:
+    """A picture of the page at an address as it is now, 1400 x 900; raises SafedpaError where none can be made."""
+    browser = browser_at_hand()
+    from playwright.sync_api import Error, sync_playwright
+
+    try:
+        with sync_playwright() as play:
+            started = play.chromium.launch(executable_path=browser, args=list(_HOLD_BACK))
+            page = started.new_page(viewport={"width": 1400, "height": 900})
+            page.goto(address)
+            page.wait_for_selector(".stages .value")
+            page.wait_for_timeout(_MOMENT)
+            page.screenshot(path=path)
+            started.close()
+    except Error as error:
+        raise SafedpaError(f"{path}: no picture could be made ({str(error).splitlines()[0]})") from error
 
 
 @contextmanager

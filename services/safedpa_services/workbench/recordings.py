@@ -8,9 +8,26 @@ from dataclasses import dataclass, replace
 from safedpa.diagnosis.comparison import with_distinct_names
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.records import ColumnMap, load_column_map, load_run
+from safedpa.records.column_map_file import parse_column_map
 from safedpa.records.run import Run
 
-__all__ = ["Choice", "loaded"]
+__all__ = ["Choice", "Made", "loaded"]
+
+
+@dataclass(frozen=True)
+class Made:
+    """A column map that was made in the page."""
+
+    text: str
+    """As a file would have it."""
+    beside: str = ""
+    """The map (a file, or a name that ships) whose rows to skip and the like are kept; empty: none."""
+
+    @property
+    def columns(self) -> ColumnMap:
+        """The map. Raises ColumnMapError."""
+        made = parse_column_map(self.text, "columns")
+        return replace(load_column_map(self.beside), columns=made.columns) if self.beside else made
 
 
 @dataclass(frozen=True)
@@ -19,7 +36,7 @@ class Choice:
 
     model: str = ""
     runs: tuple[str, ...] = ()
-    columns: str | ColumnMap | None = None
+    columns: str | Made | None = None
     horizon: float = 1.0
 
     @property
@@ -38,6 +55,7 @@ def loaded(choice: Choice) -> tuple[PhysicsModel, list[Run]]:
     Raises InputError and its like for what cannot be read.
     """
     model = load_model(choice.model)
-    columns = load_column_map(choice.columns) if isinstance(choice.columns, str) else choice.columns
+    columns = choice.columns.columns if isinstance(choice.columns, Made) else choice.columns
+    columns = load_column_map(columns) if isinstance(columns, str) else columns
     runs = [load_run(path, model.system, columns) for path in choice.runs]
     return model, with_distinct_names(runs, choice.runs)

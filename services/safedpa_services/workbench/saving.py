@@ -15,8 +15,14 @@ from safedpa.records.run import Run
 from safedpa.safety.run_calibration import calibration_from_runs
 from safedpa.safety.shipped import settings_named
 
-__all__ = ["saved"]
+__all__ = ["STEPS", "saved"]
 
+STEPS = (
+    (0.0, "Saving: fits the final numbers along whole recordings"),
+    (0.7, "Saving: writes model.toml"),
+    (0.8, "Saving: calibrates the filter's margin on the recordings"),
+)
+"""From which share on what is done."""
 _COVERAGE = 0.99
 """Share of steps that the margin covers."""
 
@@ -34,6 +40,7 @@ def saved(step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, t
     try:
         folder.mkdir(parents=True, exist_ok=True)
         save_model(model, folder / "model.toml")
+        tell(0.8)
         margin = _margin(model, runs, folder / "margin.toml")
     except OSError as error:
         raise InputError(

@@ -1,11 +1,13 @@
-"""The web server of the workbench: one page for each browser tab, everything served from this machine."""
+"""The web server of the workbench: one bench for all browser tabs, everything served from this machine."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import socket
 import threading
 import time
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
@@ -18,12 +20,14 @@ from safedpa.errors import InputError
 from safedpa.limits import limit
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
+from safedpa_services.web.quiet import keep_tracebacks_in
 from safedpa_services.web.shelf import Shelf
 from safedpa_services.web.showing import show
+from safedpa_services.workbench.bench import Bench
+from safedpa_services.workbench.elements import dressed
 from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_page import LivePage
 from safedpa_services.workbench.page import Page
-from safedpa_services.workbench.recordings import Choice
 from safedpa_services.workbench.replay_link import ReplayLink
 from safedpa_services.workbench.rerun_view import RerunDoor
 from safedpa_services.workbench.serving import Serving
@@ -36,6 +40,7 @@ _OPEN = (
     "serves on {host}: every machine that reaches this one can ask for the page; who has the way in may change models"
 )
 _LISTEN_SECONDS = 0.1
+_LOOK_SECONDS, _MOST_LOOKS = 0.02, 500
 _LAST_WORD_SECONDS = 4.0
 """For the browsers to say that they show the end of the drive."""
 _RECONNECT_SECONDS = 10.0
@@ -43,13 +48,13 @@ _RECONNECT_SECONDS = 10.0
 
 
 def serve(
-    choice: Choice,
-    out: Path,
+    bench: Bench,
     serving: Serving,
     *,
     browser: bool,
     bus: Bus | Path | None = None,
     stop: Stop | None = None,
+    announce: Callable[[str], None] = lambda where: click.echo(f"Workbench: {where}  (Ctrl-C ends it)"),
 ) -> None:
     """Serves the page until it is interrupted or ``stop``; with a bus, or a recording of one, the live page as well.
 
@@ -57,26 +62,26 @@ def serve(
     """
     style = (files("safedpa_services.workbench") / "page.css").read_text(encoding="utf-8")
     link = None if bus is None else (ReplayLink(bus) if isinstance(bus, Path) else LiveLink(bus))
-    door = RerunDoor()
+    door, choice = RerunDoor(), bench.choice
+    keep_tracebacks_in(bench.out / "workbench.log")
     shelf = Shelf.of((*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders)
     app.add_middleware(Guard, door=serving.door)
 
     @ui.page("/", title="safedpa workbench")
     async def recordings(client: Client) -> None:
-        ui.add_css(style)
-        page = Page(choice, out, door, shelf, live=link is not None)
+        dressed(style)
+        page = Page(bench, door, shelf, live=link is not None)
         client.on_delete(page.close)
         await client.connected()
         await page.begin()
 
+    app.on_shutdown(bench.close)
     if link is not None:
         _serve_live(link, style)
     where = serving.address("/" if link is None else "/live")
-    app.on_startup(lambda: click.echo(f"Workbench: {where}  (Ctrl-C ends it)"))
     if not is_loopback(serving.host):
         click.echo(f"Workbench: {_OPEN.format(host=serving.host)}", err=True)
-    if browser:
-        app.on_startup(lambda: show(where))
+    app.on_startup(lambda: _told_when_it_answers(serving, where, announce, browser=browser))
     if stop is not None:
         app.on_startup(lambda: stop.listen_to_signals(app.shutdown))  # the web server's own way out leaves no last word
         threading.Thread(target=_end_with, args=(stop, link), daemon=True).start()
@@ -96,10 +101,28 @@ def serve(
         )
 
 
+async def _told_when_it_answers(
+    serving: Serving, where: str, announce: Callable[[str], None], *, browser: bool
+) -> None:
+    """The web server listens a moment after it has started up; an address that is told earlier is refused."""
+    host = "127.0.0.1" if serving.host in ("0.0.0.0", "", "::") else serving.host
+    for _ in range(_MOST_LOOKS):
+        try:
+            _, writer = await asyncio.open_connection(host, serving.port)
+        except OSError:
+            await asyncio.sleep(_LOOK_SECONDS)
+            continue
+        writer.close()
+        break
+    announce(where)
+    if browser:
+        show(where)
+
+
 def _serve_live(link: LiveLink | ReplayLink, style: str) -> None:
     @ui.page("/live", title="safedpa workbench, live")
     async def live(client: Client) -> None:
-        ui.add_css(style)
+        dressed(style)
         page = LivePage(link)
         client.on_delete(page.close)
         await client.connected()

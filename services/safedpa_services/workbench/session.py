@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -48,6 +49,14 @@ class Session:
         self.axes = default_axes(self.present.comparison)
         self.start = self.worst_start()
 
+    def view(self) -> Session:
+        """The same session, looked at in another way: versions, candidates and decisions are shared, the eye is not."""
+        return copy.copy(self)
+
+    def take_eye(self, other: Session) -> None:
+        """Looks at what another view looks at."""
+        self.brush, self.start, self.shown, self.axes = other.brush, other.start, other.shown, other.axes
+
     @property
     def number(self) -> int:
         """Number of the present version."""
@@ -61,7 +70,7 @@ class Session:
     @property
     def looked_at(self) -> Version:
         """The version whose errors are shown."""
-        return self.versions[self.number if self.shown is None else self.shown]
+        return self.versions[self.number if self.shown is None else min(self.shown, self.number)]
 
     @property
     def comparison(self) -> Comparison:

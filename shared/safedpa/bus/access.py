@@ -51,6 +51,8 @@ ROUTER = "router"
 _MOST_RATE = 4000.0
 """Hz under one key. Robots tick at 500 at most, in lockstep as fast as they are answered; and what follows within a
 quarter of a millisecond is passed over, so that two that were held up together still both arrive."""
+_MOST_BEATS = 100.0
+"""Hz of heartbeats under one key, of which there are four a second, and another when a state changes."""
 _IN, _OUT = "ingress", "egress"
 _CARRIED = ("put", "query", "reply", "liveliness_token")
 _WANTED = ("declare_subscriber", "declare_queryable", "liveliness_query", "declare_liveliness_subscriber")
@@ -252,12 +254,18 @@ def _rights_of_a_router(fleet: str, robots: tuple[str, ...]) -> list[_Right]:
 def rate_limits(fleet: str, robots: Iterable[str]) -> list[dict[str, Any]]:
     """Zenoh's ``downsampling``: how often each member may put under one key; what comes faster goes no further.
 
-    Of every tick's topics, of each robot and of bundles. Each member is counted for itself.
+    Of every tick's topics, of each robot and of bundles, and of heartbeats. Each member is counted for itself.
     """
     names = tuple(robots)
     ticking = [topic for topic in TOPICS.values() if topic.delivery == "latest" and not topic.per_service]
     rules = [{"key_expr": key_of(fleet, robot, topic), "freq": _MOST_RATE} for topic in ticking for robot in names]
     rules += [{"key_expr": key_of(fleet, BUNDLE, topic), "freq": _MOST_RATE} for topic in ticking if topic.bundles]
+    lives = [role.name for role in ROLES.values() if role.lives] + [ROUTER]
+    rules += [
+        {"key_expr": key_of(fleet, robot, HEALTH, service), "freq": _MOST_BEATS}
+        for robot in (*names, NOBODY, BUNDLE)
+        for service in lives
+    ]
     return [{"id": "rates", "flows": [_IN], "messages": ["put"], "rules": rules}] if names else []
 
 

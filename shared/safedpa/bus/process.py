@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 
 from safedpa.bus.bus import Bus
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.certificates import Card, Certificates, close_memory
 from safedpa.bus.doorkeeper import as_many_descriptors_as_allowed
 from safedpa.bus.log import log_event
 from safedpa.bus.version import software_version
@@ -28,7 +28,10 @@ from safedpa.bus.zenoh_transport import Mode, ZenohSettings, ZenohTransport
 from safedpa.errors import BusError, JoinError, SafedpaError
 from safedpa.limits import readable
 
-__all__ = ["Stop", "Urgency", "add_bus_options", "bus_from", "lifetime", "run_process", "settings_from"]
+__all__ = [
+    "Stop", "Urgency", "add_bus_options", "add_card_option", "bus_from", "identity_from", "lifetime", "run_process",
+    "settings_from",
+]  # fmt: skip
 
 EXIT_CRASHED = 70
 EXIT_BAD_INPUT = 2
@@ -103,11 +106,32 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
         "--certificates", type=Path, metavar="DIR", help="prove by the certificates there who this is; see --role"
     )
     parser.add_argument("--role", default="", help="whose certificate to show, such as robot.r1 or safety_filter")
+    add_card_option(parser)
+
+
+def add_card_option(parser: argparse.ArgumentParser) -> None:
+    """The option by which a supervisor hands a process its certificate and key."""
+    parser.add_argument("--card", type=int, metavar="DESCRIPTOR", help="read the certificate and key of --role there")
 
 
 def bus_from(options: argparse.Namespace) -> Bus:
     """The bus that the options describe. Raises BusError when it cannot be opened."""
     return Bus(ZenohTransport(settings_from(options)), options.fleet)
+
+
+def identity_from(options: argparse.Namespace) -> Card | Certificates | None:
+    """Who the options say that this process is; None: nobody, in plain text.
+
+    A card is read once and not kept here, since options are told and handed on; from before that on no other process
+    of this user looks into this one. Raises BusError.
+    """
+    if options.card is not None:
+        close_memory()
+        descriptor, options.card = options.card, None
+        return Card.from_descriptor(descriptor, options.role)
+    if options.certificates is None and options.role:
+        raise BusError(f"--role {options.role}: got no --certificates, wanted the folder of that role's certificate")
+    return None if options.certificates is None else Certificates(options.certificates, options.role)
 
 
 @contextlib.contextmanager
@@ -124,9 +148,7 @@ def settings_from(options: argparse.Namespace) -> ZenohSettings:
 
     Raises BusError when the certificates are not there, or do not fit the rest.
     """
-    if options.certificates is None and options.role:
-        raise BusError(f"--role {options.role}: got no --certificates, wanted the folder of that role's certificate")
-    certificates = None if options.certificates is None else Certificates(options.certificates, options.role)
+    certificates = identity_from(options)
     mode: Mode = options.mode or ("peer" if certificates is None else "client")
     return ZenohSettings(mode, tuple(options.listen), tuple(options.connect), certificates)
 

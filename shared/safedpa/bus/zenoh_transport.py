@@ -19,7 +19,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.certificates import Card, Certificates
 from safedpa.bus.doorkeeper import Doorkeeper, cut_off, defer_accept
 from safedpa.bus.log import log_event
 from safedpa.bus.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
@@ -64,7 +64,7 @@ class ZenohSettings:
     mode: Mode = "peer"
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
-    certificates: Certificates | None = None
+    certificates: Certificates | Card | None = None
     access: Mapping[str, Any] | None = None
     limits: tuple[Mapping[str, Any], ...] = ()
     rates: tuple[Mapping[str, Any], ...] = ()
@@ -124,18 +124,13 @@ class ZenohSettings:
         }
 
 
-def _tls(certificates: Certificates) -> dict[str, Any]:
+def _tls(certificates: Certificates | Card) -> dict[str, Any]:
     """Mutual TLS and nothing else; a connection ends when one of its certificates does."""
-    certificate, key = str(certificates.certificate), str(certificates.key)
     return {
         "transport/link/protocols": ["tls"],
         "transport/link/tls": {
-            "root_ca_certificate": str(certificates.authority),
+            **certificates.tls(),
             "enable_mtls": True,
-            "listen_private_key": key,
-            "listen_certificate": certificate,
-            "connect_private_key": key,
-            "connect_certificate": certificate,
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
         },

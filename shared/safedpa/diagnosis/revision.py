@@ -115,11 +115,13 @@ def smallest(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     """The smallest model within one standard error of the best over whole runs, blocks where there is one run.
 
     Accepted effects without which the held-out error stays within _ONE standard error of the best are taken out, the
-    least needed first; so is lateness that may be feigned. ``search.without`` holds what is left without each that
-    stays.
+    least needed first, as long as all that went takes less than CLEAR_FALL off the error together: runs that differ
+    make the standard error large, and say nothing about what helps in each of them. So is lateness that may be
+    feigned. ``search.without`` holds what is left without each that stays.
     """
     by_name = known_effects(search, library)
-    most = search.error.value + _ONE * search.error.standard_error
+    best = search.error.value
+    most = min(best + _ONE * search.error.standard_error, best / (1.0 - CLEAR_FALL))
     while len(search.added) > 1:
         search.without = {}
         for name in search.added:

@@ -61,7 +61,7 @@ TABLE: dict[str, Limit] = {
         Limit("archive_bytes", 512 * _MEBI, "bytes of an archive when opened", "kept drives have some MB"),
         Limit("message_entries", 256, "fields of one message", "the largest kind has 26"),
         Limit("upload_bytes", 512 * _MEBI, "bytes of one upload", "a day at 20 Hz has 0.4 GB as text"),
-        Limit("uploads", 32, "uploads of one page", "each waits on the disk until the page is closed"),
+        Limit("uploads", 32, "uploads kept below one --out", "each stays on the disk for its session"),
         Limit("page_bytes", 64 * 1024, "bytes of one request to a page but for uploads", "a click has 1 KB"),
         Limit("socket_bytes", _MEBI, "bytes of one message to a page's socket", "a column map typed by hand has 4 KB"),
         Limit("name_letters", 200, "letters of a name or sentence that is shown", "longer ones are cut, and say so"),

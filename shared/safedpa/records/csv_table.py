@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import RunError
-from safedpa.limits import limit, too_much
+from safedpa.limits import limit, readable, too_much
 from safedpa.records.run import Finding
 from safedpa.records.table import Table, require_columns, require_file
 
@@ -220,7 +220,7 @@ def _numbers_of_texts(
     line = _line_of(row, malformed) + layout.before
     if row < rows - 1 or _ends_with_newline(path):
         raise RunError(
-            f"{path}: line {line}, column '{name}': got '{cells[name][row]}', wanted a number; "
+            f"{path}: line {line}, column '{name}': got '{readable(str(cells[name][row]))}', wanted a number; "
             "correct or remove the line"
         )
     malformed.append((line, -1))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any, NamedTuple
@@ -27,6 +28,7 @@ from safedpa.safety.standstill import Standstill, places_of
 from safedpa.safety.trail import LONGEST_AGE, Trail
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
+from safedpa.safety.way_out import Here, WayOut
 
 __all__ = ["NO_BARRIERS", "Decided", "FilteredRobot", "too_late"]
 
@@ -121,9 +123,11 @@ class FilteredRobot:
     """s from the newest state until its action acts: what the robot tells, or what was found where that is longer."""
     standing: Standstill = field(init=False)
     """How long it has stood, and whether an action failed to move it."""
+    way_out: WayOut = field(init=False)
 
     def __post_init__(self) -> None:
         self.standing = Standstill(places_of(self.model.system))
+        self.way_out = WayOut(self.filter.settings, self.filter.tools.program)
         ranges = (self.filter.settings.high - self.filter.settings.low).tolist()
         self.delay = FoundDelay(self.filter.tools.prediction, ranges, self.model.period)
 
@@ -296,34 +300,30 @@ class FilteredRobot:
         return replace(resting, status=Status.corrected, wish=verdict.wish, active=verdict.active, reason=said)
 
     def out_of_the_layer(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Verdict:
-        """Where no action keeps every condition: the wish, if it raises every h that is short, and keeps the others'.
+        """Where no action keeps every condition: what leads out of the margin's layer (``WayOut``), if anything does.
 
-        Between 0 and epsilon / eta no single step may reach what the condition asks for, above all from rest; whoever
-        takes the safest action of each tick then stands there for ever. In the lower half of that layer it is left.
-        So it is where the action begins to act later: what the next tick brings says nothing of the wish then.
+        Nothing where the action begins to act later: what the next ticks bring says nothing of it then.
         """
-        barriers = self.barriers
-        if verdict.status is not Status.relaxed or verdict.wish is None or isinstance(barriers, str):
+        barriers, known = self.barriers, None if latent is None else tuple(latent.tolist())
+        prediction, values = self.filter.tools.prediction, tuple(state.values)
+        wanted = verdict.wish is not None and self.way_out.wanted(verdict.status)
+        if isinstance(barriers, str) or not wanted or prediction.begin(values, known, self.pending) is not None:
+            self.way_out.forget()
             return verdict
-        known = None if latent is None else tuple(latent.tolist())
-        if self.filter.tools.prediction.begin(tuple(state.values), known, self.pending) is not None:
-            return verdict
-        settings = self.filter.settings
-        action = np.clip(verdict.wish, settings.low, settings.high)
-        predicted = self._next(state, action, latent)
-        if not predicted:
-            return verdict
-        now, then, eta = barriers.heights(state.values), barriers.heights(predicted[0]), settings.eta
+
+        def ahead(action: Sequence[float]) -> Iterator[Sequence[float]]:
+            reached: Sequence[float] = values
+            with suppress(InputError, ValueError, ArithmeticError):  # the model refuses a number: nothing is known then
+                while isfinite(sum(reached := prediction.following(tuple(reached), action, known, self.memory))):
+                    yield barriers.heights(reached)
+
+        def fails(action: Sequence[float]) -> bool:
+            predicted = self._next(state, np.array(action), latent)
+            return not predicted or self.standing.would_fail(self.standing.way(values, predicted[0]))
+
         margins = barriers.of_each(self.margin.epsilon, 0.0)
-        slack = 0.0
-        for here, there, epsilon in zip(now, then, margins, strict=True):
-            missing = (1.0 - eta) * here + epsilon - there
-            if missing > 0.0 and not there > here >= 0.5 * epsilon / eta:
-                return verdict
-            slack = max(slack, missing)
-        action.flags.writeable = False
-        said = "The wish is taken: it raises every h that is short of its margin, and keeps the other conditions."
-        return replace(verdict, action=action, reason=said, slack=slack, h_next=min(then))
+        here = Here(state.tick, state.period, barriers.heights(values), margins, ahead, fails)
+        return self.way_out.instead_of(verdict, here, self.standing.seconds if self.scene.quick else 0.0)
 
     def _next(self, state: StateMessage, action: Values, latent: Values | None) -> Rows:
         """One predicted state under an action; empty where there is none."""

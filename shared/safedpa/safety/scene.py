@@ -30,6 +30,8 @@ class AbstractScene(ABC):
 
     stands: bool = True
     """Whether the backup action brings the robot to rest."""
+    quick: bool = False
+    """Whether its h is cheap enough to be asked at hundreds of states in a tick."""
     backup: Backup | None = None
     """The backup action at a state; None: the resting action of the settings."""
 

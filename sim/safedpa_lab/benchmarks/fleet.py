@@ -13,6 +13,7 @@ from typing import Any, final
 
 from safedpa.bus.ports import free_port
 from safedpa.errors import SafedpaError
+from safedpa_lab.benchmarks.hostile.offers import account_of_offers
 from safedpa_lab.benchmarks.usage import Usage, load_average, usage_of
 from safedpa_services.supervisor.child import Child
 
@@ -25,6 +26,7 @@ _SERVICES = ("adaptation", "policy", "safety_filter")
 _PATIENCE_SECONDS = 60.0
 """Beyond what a run takes, until it is given up."""
 _LOOK_SECONDS = 0.1
+_OFFERS = "offers.json"
 _SMALLEST_STEP = 1.06
 """Ratio of two fleet sizes that are not told apart any more."""
 
@@ -47,6 +49,8 @@ class FleetTrial:
     """So many processes that hold all three services each and share the robots; 0: one process of each service."""
     flood: bool = False
     """One more robot floods the bus with a thousand messages a second; it is not counted."""
+    offers: float = 0.0
+    """Somebody with a diagnosis' key offers models that take long to read, in every other stretch of so many s."""
 
 
 def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda _done, _all: None) -> dict[str, Any]:
@@ -71,6 +75,10 @@ def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda
             )
             after = _usages(children)
             account = json.loads(summary.read_text(encoding="utf-8"))
+        moments = account.pop("moments")
+        if trial.offers:
+            fleet_rate = trial.rate * trial.robots
+            account["offers"] = account_of_offers(Path(folder) / _OFFERS, moments, fleet_rate)
     ticks = max(account["robot_ticks"], 1)
     return {
         "rate_hz": trial.rate,
@@ -129,6 +137,11 @@ def _children(trial: FleetTrial, folder: Path, begun: Path, summary: Path) -> li
     if trial.flood:
         module = "safedpa_lab.benchmarks.flood"
         children.append(Child("flood", module, ("--connect", endpoint), folder / "flood.log"))
+    if trial.offers:
+        module = "safedpa_lab.benchmarks.hostile.offering"
+        account = ("--account", str(folder / _OFFERS), "--stretch", repr(trial.offers))
+        attack = ("--connect", endpoint, "--robots", str(trial.robots), *account, *scheduling)
+        children.append(Child("offers", module, attack, folder / "offers.log"))
     return children
 
 

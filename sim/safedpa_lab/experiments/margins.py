@@ -58,6 +58,8 @@ class MarginCases:
     that, go before."""
     fresh: int = 200
     """On evaluation seeds, for each kind of margin."""
+    skip: int = 0
+    """Evaluation seeds that are left out, since something was chosen on them."""
     kinds: tuple[str, ...] = KINDS
     """Kinds of margin behind which fresh drives are made; of ``KINDS`` or ``SHIPPED``."""
     seconds: float = 0.0
@@ -74,8 +76,10 @@ class MarginCases:
         for kind in self.kinds:
             if kind not in (known := (*KINDS, SHIPPED)):
                 raise InputError(f"--kind '{kind}': {did_you_mean(kind, known)}")
-        if self.drives < 1 or self.fresh < 0 or self.processes < 1 or self.seconds < 0.0 or self.minutes < 0.0:
-            raise InputError("--drives and --processes: wanted more than 0; --fresh, --seconds, --minutes: 0 or more")
+        if self.drives < 1 or self.processes < 1:
+            raise InputError("--drives and --processes: wanted more than 0")
+        if min(self.fresh, self.skip, self.seconds, self.minutes) < 0:
+            raise InputError("--fresh, --skip, --seconds, --minutes: wanted 0 or more")
 
     @property
     def first(self) -> int:
@@ -137,7 +141,7 @@ def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, coun
         row[f"calibration_{kind}"] |= _driving(results, seconds)
     for kind in cases.kinds:
         ahead, which = (margin, kind) if kind in KINDS else (margin_for(load_model(DRIVERS[name].model)), KINDS[0])
-        if fresh := made(f"fresh-{kind}", ahead, which, seeds_for("evaluation", cases.fresh)):
+        if fresh := made(f"fresh-{kind}", ahead, which, seeds_for("evaluation", cases.fresh, cases.skip)):
             spoken_of = _spoken_of(margin, ahead, kind)
             row[f"fresh_{kind}"] = _counted(fresh, spoken_of, ceiling) | _driving(fresh, seconds)
             if kind in spoken_of:

@@ -28,6 +28,7 @@ from safedpa.diagnosis.windows import windows_of
 from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
 from safedpa.records.run import Run
+from safedpa_lab.experiments.real_logs_cover import uncovered
 from safedpa_lab.experiments.real_logs_data import BALLS, CAR, OTHER_DAY, PENDULUM, ball_runs, mapped_runs, paths_of
 from safedpa_lab.experiments.real_logs_targets import folds_target, targets_of
 
@@ -123,9 +124,13 @@ def _car(job: _Job) -> dict[str, Any]:
     unseen = [run for path, run in zip(paths, runs, strict=True) if path.name == job.name]
     report = diagnose(model, own, _HORIZON["car"])
     if unseen:
-        return {**_summary(report), **_unseen(report, unseen[0])}
+        outside = {"unseen_outside": round(uncovered(own, unseen[0]), 4)}
+        return {**_summary(report), **_unseen(report, unseen[0]), **outside}
     others = mapped_runs(paths_of(job.folder, OTHER_DAY), model, "dart_car_columns")
-    return {**_summary(report), "other_days": [{"name": run.name, **_unseen(report, run)} for run in others]}
+    days = [
+        {"name": run.name, **_unseen(report, run), "unseen_outside": round(uncovered(own, run), 4)} for run in others
+    ]
+    return {**_summary(report), "other_days": days}
 
 
 def _unseen(report: Report, run: Run) -> dict[str, Any]:

@@ -52,6 +52,7 @@ class CarRobot(SimulatedRobot):
         self.changed_at: int | None = None
         """Tick in which the planned change was made."""
         self._change, self._late = change, late
+        self._changes = change is not None
         self._take(scene.load)
         self._goals = scene.goals()
         self.goal = next(self._goals)
@@ -65,8 +66,11 @@ class CarRobot(SimulatedRobot):
 
     @property
     def about(self) -> dict[str, Any]:
-        """What was asked for."""
-        return {"seed": self.scene.seed, "load": self.scene.load.name if self.scene.load else "none"}
+        """What was asked for, and when it changed [s] where something was to change."""
+        about = {"seed": self.scene.seed, "load": self.scene.load.name if self.scene.load else "none"}
+        if self._changes:
+            about["changed"] = None if self.changed_at is None else round(self.changed_at * self.period, 9)
+        return about
 
     @property
     def at_rest(self) -> bool:

@@ -39,6 +39,8 @@ _LARGEST_AGE_PERIODS = 2.0
 _HEARTBEAT_SECONDS = 0.25
 _LONGEST_WAIT_SECONDS = 0.1
 _REMEMBERED_TICKS = 10
+_REMEMBERED_MOMENTS = 10_000
+"""Of the newest late ticks, and of the newest actions with how long they took; by the machine's monotonic clock, s."""
 
 
 @dataclass
@@ -97,6 +99,9 @@ class FleetLoop:
         self.latency, self.lateness = Durations(), Durations()
         self.ticks = self.late = self.late_held_up = self.held_up = self.overruns = 0
         self.late_of: Counter[str] = Counter()
+        self.late_at: deque[float] = deque(maxlen=_REMEMBERED_MOMENTS)
+        self.acted: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED_MOMENTS)
+        self._counting_since = self._clock()
         self.collisions: list[dict[str, Any]] = []
 
     def run(self, stopped: Callable[[], bool], seconds: float) -> None:
@@ -161,6 +166,7 @@ class FleetLoop:
                 turning.robot.guard.refuse("malformed")
             elif turning.robot.receive(item.message) is None:
                 self.latency.add(item.at - turning.published)
+                self.acted.append((item.at, item.at - turning.published))
                 self._ready.append((item.robot, turning.robot.tick))
 
     def _move(self, name: str, turning: _Turning) -> None:
@@ -180,6 +186,7 @@ class FleetLoop:
             self.late += 1
             self.late_held_up += turning.held_up
             self.late_of[name] += 1
+            self.late_at.append(self._clock())
         turning.due += robot.period
         if turning.due < self._clock():  # periods that were slept through are not made up in a hurry
             self.overruns += 1
@@ -211,6 +218,11 @@ class FleetLoop:
             "late_ticks": self.late,
             "late_while_held_up": self.late_held_up,
             "robots_with_late_ticks": len(self.late_of),
+            "moments": {
+                "counted": [self._counting_since, self._clock()],
+                "late_at": list(self.late_at),
+                "acted": list(self.acted),
+            },
             "sense_to_act_us": self.latency.summary(),
             "own_lateness_us": self.lateness.summary(),
             "held_up_ticks": self.held_up,

@@ -24,6 +24,8 @@ class CarScene(AbstractScene):
     backwards.
     """
 
+    quick = True
+
     def __init__(self, settings: FilterSettings) -> None:
         self._settings, self.way = settings, ReversedWay()
         self._scene: tuple[object, ...] = ()

@@ -19,6 +19,7 @@ class PendulumScene(AbstractScene):
     """Keeps the corridor's barrier while the corridor stays; the resting torque brings no pendulum to rest."""
 
     stands = False
+    quick = True
 
     def __init__(self, settings: FilterSettings) -> None:
         self._settings = settings

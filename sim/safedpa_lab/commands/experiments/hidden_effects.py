@@ -16,7 +16,7 @@ __all__ = ["command"]
 
 _SUITES = (
     "ordinary", "fifth", "two", "three", "hard", "none", "none_hard", "pendulum", "towing", "patches", "sags",
-    "speed_gains", "all",
+    "speed_gains", "bad", "all",
 )  # fmt: skip
 
 
@@ -40,7 +40,8 @@ def command(**options: Any) -> None:
     ordinary, fifth: each car effect in turn, at ordinary strength and at a fifth of it. two, three: so many at once.
     hard: coloured disturbance, three times the noise, lost rows, tracking glitches, servo gain 10 % off. none,
     none_hard: nothing hidden. pendulum: each of its effects. towing: the pymunk car with a chair hitched. patches,
-    sags, speed_gains: an effect acts in a place only, its number falls with the time, or with the speed.
+    sags, speed_gains: an effect acts in a place only, its number falls with the time, or with the speed. bad: nothing
+    hidden, but one of three runs spoiled in one of twenty ways.
 
     An interrupted experiment goes on with the same --out; other suites and seeds may be added to it.
     """

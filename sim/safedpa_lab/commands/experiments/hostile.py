@@ -1,45 +1,134 @@
-"""``safedpa experiment hostile``: mutated input against everything that reads what others sent."""
+"""``safedpa experiment hostile``: input and company that nobody wants, against readers and whole drives."""
 
 from __future__ import annotations
 
 import json
+import os
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
+from safedpa.extras import needs
 from safedpa_services.command_line.options import as_json_option
 
 __all__ = ["command"]
 
+_SECONDS = {"mutations": 60.0, "offers": 60.0, "silent": 20.0, "flood": 5.0}
+Tell = Callable[[int, int], None]
+
 
 @click.command(name="hostile")
-@click.option("--seconds", type=click.FloatRange(0.1), default=60.0, show_default=True, help="For so long.")
-@click.option("--seed", type=int, default=1000, show_default=True, help="The same one gives the same inputs.")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Keep what opened a hole there.")
+@click.option(
+    "--attack",
+    type=click.Choice(list(_SECONDS)),
+    default="mutations",
+    show_default=True,
+    help="Mutated input; models offered to a fleet; silent connections to a drive; floods with stolen keys.",
+)
+@click.option("--seconds", type=click.FloatRange(0.1, 1e6), help="For so long; default: 60, silent 20, each flood 5.")
+@click.option("--seed", type=int, default=1000, show_default=True, help="The same one gives the same mutations.")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Keep mutations that opened a hole there.")
+@click.option("--page", type=click.Path(path_type=Path), metavar="DIR", help="Folder for hostile.json and hostile.md.")
 @as_json_option
-def command(seconds: float, seed: int, out: Path | None, as_json: bool) -> None:
-    """Attack codec, loaders, pages' handlers and a loop that drives with mutated input.
+@needs("sim")
+def command(attack: str, seconds: float | None, seed: int, out: Path | None, page: Path | None, as_json: bool) -> None:
+    """Attack codec, loaders, pages' handlers and a loop that drives with mutated input, or whole drives in real time.
 
-    Each input is taken or refused in one line; anything else, or more time than the table of limits gives, is a hole,
-    and the exit code is 1.
+    Mutated input is taken or refused in one line; anything else, or more time than the table of limits gives, is a
+    hole. Drives go on: no tick late because of offers, people join within a second beside a thousand who are silent,
+    and a flood brakes no robot for longer than it lasts. Exit code 1 where that did not hold.
     """
     from safedpa.errors import SafedpaError
-    from safedpa_lab.commands.experiments.hostile_pages import page_targets
-    from safedpa_lab.experiments.hostile.fuzz import fuzz
     from safedpa_services.progress import progress
 
-    with progress("attacking") as tell, page_targets() as pages:
-        tallies = fuzz(seconds, seed, out, lambda share: tell(round(100.0 * share), 100), pages)
+    wanted = _SECONDS[attack] if seconds is None else seconds
+    with progress(f"attacking: {attack}") as tell:
+        result = _measured(attack, wanted, seed, out, tell)
+    if page is not None:
+        from safedpa_lab.benchmarks.hostile.page import write_page
+
+        write_page(page, attack, result)
     if as_json:
-        click.echo(
-            json.dumps({"format": 1, "seconds": seconds, "seed": seed, "targets": [t.as_row() for t in tallies]})
-        )
+        click.echo(json.dumps(result))
     else:
-        for tally in tallies:
-            holes = f"; HOLES: {'; '.join(tally.holes)}" if tally.holes else ""
+        _tell(attack, result)
+    if not result["held"]:
+        holes = [hole for target in result.get("targets", ()) for hole in target["holes"]]
+        raise SafedpaError(f"hostile: {attack}: {f'{len(holes)} holes' if holes else 'it did not hold'}; see above")
+
+
+def _measured(attack: str, seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[str, Any]:
+    about = {
+        "format": 1,
+        "command": f"safedpa experiment hostile --attack {attack} --seconds {seconds:g}"
+        + (f" --seed {seed}" if attack == "mutations" else ""),
+        "date": time.strftime("%Y-%m-%d %H:%M"),
+        "cores": os.cpu_count(),
+    }
+    return {**about, **_attacked(attack, seconds, seed, out, tell)}
+
+
+def _attacked(attack: str, seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[str, Any]:
+    if attack == "offers":
+        from safedpa_lab.benchmarks.hostile.offered import offers_benchmark
+
+        return offers_benchmark(seconds, tell)
+    if attack == "silent":
+        from safedpa_lab.benchmarks.hostile.silent import silent_benchmark
+
+        return silent_benchmark(seconds, tell=tell)
+    if attack == "flood":
+        from safedpa_lab.benchmarks.hostile.floods import floods_benchmark
+
+        return floods_benchmark(seconds, tell=tell)
+    return _mutated(seconds, seed, out, tell)
+
+
+def _mutated(seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[str, Any]:
+    from safedpa_lab.benchmarks.usage import load_average
+    from safedpa_lab.commands.experiments.hostile_pages import page_targets
+    from safedpa_lab.experiments.hostile.fuzz import fuzz
+
+    load = load_average()
+    with page_targets() as pages:
+        tallies = fuzz(seconds, seed, out, lambda share: tell(round(100.0 * share), 100), pages)
+    return {
+        "seconds": seconds,
+        "seed": seed,
+        "held": not any(tally.holes for tally in tallies),
+        "targets": [tally.as_row() for tally in tallies],
+        "load_average": [load, load_average()],
+    }
+
+
+def _tell(attack: str, result: dict[str, Any]) -> None:
+    if attack == "mutations":
+        for row in result["targets"]:
+            holes = f"; HOLES: {'; '.join(row['holes'])}" if row["holes"] else ""
             click.echo(
-                f"{tally.name:<22} {tally.inputs:>9} inputs, {tally.refused:>9} refused, "
-                f"slowest {1e3 * tally.worst_seconds:8.2f} ms{holes}"
+                f"{row['target']:<22} {row['inputs']:>9} inputs, {row['refused']:>9} refused, "
+                f"slowest {row['worst_ms']:8.2f} ms{holes}"
             )
-    if any(tally.holes for tally in tallies):
-        raise SafedpaError(f"hostile: {sum(len(tally.holes) for tally in tallies)} holes; see above")
+    elif attack == "offers":
+        for name, key in (("in peace", "in_peace"), ("under attack", "under_attack")):
+            row = result["offers"][key]
+            delays = ", ".join(f"{share} {value} ms" for share, value in row["sense_to_act_ms"].items())
+            click.echo(f"{name:<13} {row['late_ticks']} of {row['robot_ticks']} ticks late; sense to act {delays}")
+        for name, row in result["offers"]["answers"].items():
+            waits = ", ".join(f"{share} {value} ms" for share, value in row["after_state_ms"].items())
+            click.echo(f"{name:<32} {row['refused']} of {row['answers']} answers refuse it; after the state: {waits}")
+    elif attack == "silent":
+        for name, row in (("in peace", result["in_peace"]), ("under attack", result["under_attack"])):
+            click.echo(
+                f"{name:<13} exit code {row['exit_code']}, {row['ticks']} ticks, {row['watchdog_ticks']} braked, "
+                f"{row['restarts']} restarts; slowest of {row['joins']} joins: {row['slowest_join_seconds']} s"
+            )
+    else:
+        for row in result["rows"]:
+            click.echo(
+                f"{row['flood']:<44} {row['messages_a_second']:>6} a second for {row['flood_seconds']} s: braked "
+                f"{row['braked_seconds']} s, at a stretch {row['longest_seconds']} s, after it {row['after_seconds']} s"
+            )

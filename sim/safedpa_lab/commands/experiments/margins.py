@@ -18,6 +18,7 @@ __all__ = ["command"]
 @click.option("--robot", "robots", multiple=True, help="name of a margin that ships; default: all of them")
 @click.option("--drives", type=int, default=200, show_default=True, help="to calibrate each kind of margin on")
 @click.option("--fresh", type=int, default=200, show_default=True, help="to count on, for each kind of margin")
+@click.option("--skip", type=int, default=0, show_default=True, help="evaluation seeds to leave out before those")
 @click.option(
     "--kind",
     "kinds",
@@ -60,5 +61,6 @@ def _asked(options: dict[str, Any]) -> str:
     """The command that makes the same again."""
     chosen = [f"--robot {name}" for name in options["robots"]]
     chosen += [f"--drives {options['drives']}", f"--fresh {options['fresh']}"]
+    chosen += [f"--skip {options['skip']}"] if options["skip"] else []
     chosen += [f"--kind {kind}" for kind in options["kinds"]]
     return f"safedpa experiment margins {' '.join(chosen)} --out FOLDER"

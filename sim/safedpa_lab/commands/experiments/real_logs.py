@@ -43,7 +43,8 @@ def command(**options: Any) -> None:
 
     A 1:10 car (four drives), a torque-limited pendulum (six logs), and balls dropped from a bridge. The car is also
     diagnosed on every three of its logs, and judged by the fourth, which neither the search nor the fit saw, and the
-    model of all four by drives of another day, where they are in the folder.
+    model of all four by drives of another day, where they are in the folder. ``outside`` is the share of the judging
+    log's rows about which the other logs hold less than a second of driving at such a speed and throttle.
     """
     from safedpa_lab.experiments.real_logs import PARTS, RealLogs, real_logs_experiment
     from safedpa_services.progress import progress
@@ -79,7 +80,9 @@ def _tell(result: dict[str, Any]) -> None:
     for row in result["rows"]:
         for other in row.get("other_days", ()):
             before, after = other["unseen_before"], other["unseen_after"]
-            console.print(f"Another day, {other['name']}: {before:.3f} to {after:.3f}, {after / before - 1.0:+.0%}")
+            outside = f"{other['unseen_outside']:.0%} of its rows outside of what the fit saw"
+            change = f"{before:.3f} to {after:.3f}, {after / before - 1.0:+.0%}"
+            console.print(f"Another day, {other['name']}: {change}; {outside}")
     if result["stable_names"]:
         folds = sum(1 for row in result["rows"] if "unseen_change" in row)
         names = ", ".join(f"{name} {count}/{folds}" for name, count in result["stable_names"].items())
@@ -92,16 +95,17 @@ def _rows(rows: list[dict[str, Any]]) -> Any:
     table = Table(box=None, padding=(0, 1, 0, 0))
     for name in ("recordings", "added, in order"):
         table.add_column(name, overflow="fold")
-    for name in ("error", "after", "change", "unseen", "s"):
+    for name in ("error", "after", "change", "unseen", "outside", "s"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         every = "car, all logs" if row["part"] == "car" else row["part"]
         left_out = f"car, without {row['name'].removesuffix('.csv')[-8:]}"
         name = (left_out if row["part"] == "car" else row["name"]) if row["name"] else every
         unseen = f"{100 * row['unseen_change']:+.0f} %" if "unseen_change" in row else ""
+        outside = f"{100 * row['unseen_outside']:.0f} %" if "unseen_outside" in row else ""
         added = ", ".join(row["added"]) or row["verdict"].replace("_", " ")
         numbers = (f"{row['errors'][0]:.3f}", f"{row['errors'][-1]:.3f}", f"{100 * row['change']:+.0f} %")
-        table.add_row(name, added, *numbers, unseen, f"{row['seconds']:.0f}")
+        table.add_row(name, added, *numbers, unseen, outside, f"{row['seconds']:.0f}")
     return table
 
 

@@ -1,0 +1,20 @@
+"""Which systems ``safedpa up`` drives as which robot."""
+
+from __future__ import annotations
+
+from safedpa.robot import robots
+from safedpa.systems.system import System
+
+__all__ = ["why_not_driven"]
+
+
+def why_not_driven(system: System, robot: str) -> str:
+    """Why ``up`` refuses a model of this system for a robot of this kind: what it is, what was wanted; empty if not."""
+    known = robots()
+    is_ = f"a {system.name} with {', '.join(system.action_names)} (states {', '.join(system.state_names)})"
+    if robot not in known:
+        return f"{is_}, wanted one of {', '.join(known)}"
+    wanted = known[robot].system
+    if (system.name, system.state_names, system.action_names) == (robot, wanted.state_names, wanted.action_names):
+        return ""
+    return f"{is_}, wanted a {robot} with {', '.join(wanted.action_names)} (states {', '.join(wanted.state_names)})"

@@ -1,0 +1,32 @@
+"""The fleet under hostile offers, as one result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from safedpa_lab.benchmarks.fleet import LATE_SHARE, FleetTrial, fleet_benchmark
+from safedpa_lab.benchmarks.hostile.offering import FREEZES
+from safedpa_lab.benchmarks.hostile.offers import MOST_REFUSAL_SECONDS
+
+__all__ = ["offers_benchmark"]
+
+_ROBOTS = 8
+_STRETCH_SECONDS = 5.0
+
+
+def offers_benchmark(
+    seconds: float = 60.0, tell: Callable[[int, int], None] = lambda _done, _all: None, robots: int = _ROBOTS
+) -> dict[str, Any]:
+    """It holds when the offer that froze a machine is refused within 10 ms, beside what half of all ticks take from
+    state to action in peace, and no more ticks are late than in peace, or than a fleet may have.
+
+    Raises SafedpaError as the fleet does.
+    """
+    result = fleet_benchmark(FleetTrial(robots, seconds, realtime=True, offers=_STRETCH_SECONDS), tell)
+    found = result["offers"]
+    attack, peace, first = found["under_attack"], found["in_peace"], found["answers"].get(FREEZES, {})
+    slowest, usual = (first.get("after_state_ms") or {}).get("most"), peace["sense_to_act_ms"]["p50"]
+    allowed = max(peace["late_ticks"], LATE_SHARE * attack["robot_ticks"])
+    held = attack["late_ticks"] <= allowed and slowest is not None and slowest - usual <= 1e3 * MOST_REFUSAL_SECONDS
+    return {**result, "held": held and first["refused"] == first["answers"] > 0 and result["collisions"] == 0}

@@ -1,0 +1,38 @@
+"""How much of a log lies where other logs hold hardly any data: what a model says there is not held against any."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.records.run import Run
+
+__all__ = ["VARIABLES", "uncovered"]
+
+VARIABLES = ("speed", "throttle")
+"""What drives: laws of drive and drag that agree at some pairs of these differ at others."""
+_NEAR = 0.05
+"""Of each variable's range over all rows (2 to 98 %): rows closer than that, in every variable, are alike."""
+_LEAST = 1.0
+"""s of driving without which a row counts as not covered."""
+
+
+def uncovered(seen: Sequence[Run], unseen: Run) -> float:
+    """Share of the rows of ``unseen`` about which the logs in ``seen`` hold less than a second of driving."""
+    from scipy.spatial import cKDTree
+
+    own, others = _rows(unseen), np.concatenate([_rows(run) for run in seen])
+    low, high = np.quantile(np.concatenate([own, others]), (0.02, 0.98), axis=0)
+    near = np.maximum(_NEAR * (high - low), 1e-9)
+    found = cKDTree(others / near).query_ball_point(own / near, 1.0, p=np.inf, return_length=True)
+    period = float(np.median([run.period for run in seen]))
+    return float((found * period < _LEAST).mean())
+
+
+def _rows(run: Run) -> NDArray[np.float64]:
+    """(rows, variables)"""
+    names = (*run.system.state_names, *run.system.action_names)
+    table = np.concatenate([np.column_stack([states, actions]) for _, states, actions in run.parts()])
+    return np.asarray(table[:, [names.index(name) for name in VARIABLES]], dtype=np.float64)

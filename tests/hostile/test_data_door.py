@@ -1,0 +1,137 @@
+"""The viewer's data are given under the names of this machine, to pages of this machine, one request a connection."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from safedpa_services.dashboard.data_door import DataDoor, own_loopback
+
+OWN = b"GET /proxy HTTP/1.1\r\nHost: 127.0.0.1:9876\r\n\r\n"
+
+
+@pytest.fixture(scope="module")
+def behind() -> Iterator[tuple[tuple[str, int], list[bytes]]]:
+    """A server that says ``data`` to whatever it is asked, and what it heard."""
+    heard: list[bytes] = []
+    server = socket.create_server((own_loopback(), 0))
+
+    def answer(link: socket.socket) -> None:
+        with link:
+            heard.append(link.recv(65_536))
+            link.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 4\r\nConnection: close\r\n\r\ndata")
+
+    def serve() -> None:
+        while True:
+            try:
+                link, _ = server.accept()
+            except OSError:
+                return
+            threading.Thread(target=answer, args=(link,), daemon=True).start()
+
+    threading.Thread(target=serve, daemon=True).start()
+    yield server.getsockname(), heard
+    server.shutdown(socket.SHUT_RDWR)
+    server.close()
+
+
+@pytest.fixture(scope="module")
+def door(behind: tuple[tuple[str, int], list[bytes]]) -> Iterator[tuple[DataDoor, int]]:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    found = DataDoor("127.0.0.1", port, behind[0], ("robots.example",))
+    yield found, port
+    found.close()
+
+
+def said(port: int, head: bytes) -> bytes:
+    with socket.create_connection(("127.0.0.1", port), timeout=5.0) as link:
+        link.sendall(head)
+        answer = b""
+        while piece := link.recv(65_536):
+            answer += piece
+    return answer
+
+
+def test_the_data_are_given_under_our_names(door: tuple[DataDoor, int]) -> None:
+    page = OWN.replace(b"\r\n\r\n", b"\r\nOrigin: http://127.0.0.1:9090\r\n\r\n")
+    for head in (OWN, page, OWN.replace(b"127.0.0.1", b"localhost"), OWN.replace(b"127.0.0.1", b"robots.example")):
+        assert said(door[1], head).endswith(b"data")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        OWN.replace(b"127.0.0.1", b"evil.example"),
+        OWN.replace(b"127.0.0.1", b"127.0.0.1.evil.example"),
+        OWN.replace(b"Host: 127.0.0.1:9876\r\n", b""),
+        OWN.replace(b"\r\n\r\n", b"\r\nHost: evil.example\r\n\r\n"),
+        OWN.replace(b"Host:", b"Host :"),
+        OWN.replace(b"Host:", b" Host:"),
+        OWN.replace(b"\r\n\r\n", b"\r\nOrigin: http://evil.example\r\n\r\n"),
+        OWN.replace(b"\r\n\r\n", b"\r\nOrigin: null\r\n\r\n"),
+        OWN.replace(b"\r\n\r\n", b"\r\nOrigin: http://127.0.0.1:9090\r\norigin: http://evil.example\r\n\r\n"),
+        OWN.replace(b"\r\n\r\n", b"\r\nX: a\n\tb\r\n\r\n"),
+        OWN.replace(b"/proxy", b"http://evil.example/proxy"),
+        b"CONNECT 127.0.0.1:22 HTTP/1.1\r\nHost: 127.0.0.1:9876\r\n\r\n",
+        OWN.replace(b"HTTP/1.1", b"HTTP/2.0"),
+    ],
+)
+def test_everything_else_is_refused_before_it_is_heard(
+    door: tuple[DataDoor, int], behind: tuple[tuple[str, int], list[bytes]], head: bytes
+) -> None:
+    heard = len(behind[1])
+    assert said(door[1], head).startswith(b"HTTP/1.1 403")
+    assert len(behind[1]) == heard
+
+
+def test_what_follows_the_first_request_is_on_its_own(
+    door: tuple[DataDoor, int], behind: tuple[tuple[str, int], list[bytes]]
+) -> None:
+    """Rerun's server closes after the answer, and is not asked for another protocol."""
+    upgrade = OWN.replace(
+        b"\r\n\r\n", b"\r\nConnection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\nHTTP2-Settings: AAMA\r\n\r\n"
+    )
+    said(door[1], upgrade)
+    heard = behind[1][-1].lower()
+    assert b"upgrade" not in heard
+    assert b"http2" not in heard
+    assert heard.count(b"connection: close") == 1
+
+
+def test_a_viewer_that_is_installed_speaks_another_protocol(door: tuple[DataDoor, int]) -> None:
+    assert said(door[1], b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").endswith(b"data")
+
+
+def test_silent_ones_beyond_a_number_are_sent_away(door: tuple[DataDoor, int]) -> None:
+    links = [socket.create_connection(("127.0.0.1", door[1]), timeout=5.0) for _ in range(70)]
+    try:
+        links[-1].settimeout(5.0)
+        assert links[-1].recv(1) == b""
+    finally:
+        for link in links:
+            link.close()
+
+
+@given(st.binary(max_size=300))
+def test_no_head_passes_under_a_foreign_name(found: bytes) -> None:
+    door = object.__new__(DataDoor)
+    from safedpa_services.web.hosts import Hosts
+
+    door._hosts = Hosts("127.0.0.1")
+    for head in (found + b"\r\n\r\n", b"GET / HTTP/1.1\r\nHost: evil.example\r\n" + found + b"\r\n\r\n"):
+        passed = door.request(head)
+        assert passed is None or b"127.0.0.1" in passed or b"localhost" in passed or b"::1" in passed
+
+
+def test_rerun_s_own_server_stands_where_no_page_looks(tmp_path: Path) -> None:
+    addresses = {own_loopback() for _ in range(20)}
+    assert len(addresses) > 15
+    assert all(ipaddress.ip_address(address).is_loopback for address in addresses)

@@ -1,0 +1,44 @@
+"""The router's log never makes the router wait, however little of it is read."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from safedpa_services.router.zenoh_log import LogFile
+
+
+def test_lines_come_whole_and_in_order() -> None:
+    file = LogFile()
+    os.write(file.descriptor, b"one\ntw")
+    assert file.lines() == ["one"]
+    os.write(file.descriptor, b"o\nthree\n")
+    assert file.lines() == ["two", "three"]
+    assert file.lines() == []
+    assert file.passed_over == 0
+    os.close(file.descriptor)
+
+
+def test_a_flood_that_nobody_reads_is_never_waited_for_and_given_back() -> None:
+    file, line = LogFile(most_unread=1 << 20), b"x" * 1023 + b"\n"
+    began = time.thread_time()
+    for _ in range(20_000):
+        assert os.write(file.descriptor, line) == len(line), "no error, of which the logger would tell, waiting"
+    assert time.thread_time() - began < 5.0
+    assert file.lines() == []
+    assert file.passed_over == 20_000 * len(line)
+    os.write(file.descriptor, b"after it\n")
+    assert file.lines() == ["after it"]
+    assert os.fstat(file.descriptor).st_blocks * 512 < 1 << 20
+    os.close(file.descriptor)
+
+
+def test_a_line_without_an_end_is_kept_only_so_far() -> None:
+    file = LogFile()
+    for _ in range(3):
+        os.write(file.descriptor, b"x" * 60_000)
+        assert file.lines() == []
+    os.write(file.descriptor, b"\n")
+    (line,) = file.lines()
+    assert len(line) == 1 << 16
+    os.close(file.descriptor)

@@ -1,0 +1,38 @@
+"""``--json``: every command that does one thing has it, and what it prints then is one document."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+
+import click
+import pytest
+
+from safedpa_services.command_line.group import COMMANDS, safedpa
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_json(name: str) -> None:
+    command = importlib.import_module(f"safedpa_services.command_line.{name.replace('-', '_')}").command
+    if not isinstance(command, click.Group):
+        assert "--json" in {option for item in command.params for option in item.opts}
+
+
+def test_lines_become_one_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "keys"
+    assert safedpa.run(["certificates", str(folder), "--robot", "r1", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert "robot.r1" in first["made"]
+    assert first["kept"] == []
+    assert safedpa.run(["certificates", str(folder), "--robot", "r1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["kept"] == first["made"]
+    assert safedpa.run(["certificates", str(folder), "--robot", "r1"]) == 0
+    assert "robot.r1: there already" in capsys.readouterr().out
+
+
+def test_an_error_is_a_line_and_no_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert safedpa.run(["screenshot", "nothing.rrd", "--out", str(tmp_path / "p.png"), "--json"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1

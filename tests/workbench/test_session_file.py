@@ -1,0 +1,116 @@
+"""What is decided is kept as a file, and comes back from it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+import pytest
+
+from safedpa.errors import InputError
+from safedpa.systems.driven import why_not_driven
+from safedpa_services.workbench.bench import Bench
+from safedpa_services.workbench.recordings import Choice, Made
+from safedpa_services.workbench.session_file import (
+    NAME,
+    Kept,
+    absolute,
+    newest_in,
+    place_for,
+    read_session,
+    write_session,
+)
+
+KEPT = Kept(
+    Choice("car", ("/a/one.csv", "/a/two.csv"), Made('format = 1\nrobot = "car"\n', "dart_car_columns"), 0.8),
+    (("rejected", "payload"), ("added", "quadratic_drag")),
+)
+
+
+@pytest.mark.parametrize("columns", [None, "dart_car_columns", KEPT.choice.columns])
+def test_what_is_written_is_read(tmp_path, columns):
+    kept = Kept(Choice("car", KEPT.choice.runs, columns, 0.8), KEPT.decisions)
+    write_session(kept, tmp_path)
+    assert read_session(tmp_path / NAME) == kept
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"format": 7}, "format = 1"),
+        ({"runs": 3}, "TypeError"),
+        ({"decisions": [{"do": "forgot", "effect": "x"}]}, "wanted added or rejected"),
+        ({"horizon": "soon"}, "ValueError"),
+        ({"columns": {"text": "x"}}, "KeyError"),
+    ],
+)
+def test_what_is_no_session_is_refused_in_a_line(tmp_path, change, words):
+    write_session(KEPT, tmp_path)
+    document = json.loads((tmp_path / NAME).read_text(encoding="utf-8")) | change
+    (tmp_path / NAME).write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        read_session(tmp_path / NAME)
+
+
+def test_another_choice_gets_a_folder_of_its_own_and_the_same_one_goes_on(tmp_path):
+    base = tmp_path / "workbench"
+    assert place_for(base, KEPT.choice) == (base, ())
+    assert newest_in(base) is None
+    write_session(KEPT, base)
+    assert place_for(base, KEPT.choice) == (base, KEPT.decisions)
+    other = Choice("pendulum", ("/a/three.csv",))
+    assert place_for(base, other) == (tmp_path / "workbench-2", ())
+    write_session(Kept(other), tmp_path / "workbench-2")
+    assert place_for(base, other) == (tmp_path / "workbench-2", ())
+    assert newest_in(base) == tmp_path / "workbench-2" / NAME
+
+
+def test_a_model_that_no_session_tells_of_is_not_replaced(tmp_path):
+    base = tmp_path / "workbench"
+    base.mkdir()
+    (base / "model.toml").write_text("kept", encoding="utf-8")
+    assert place_for(base, KEPT.choice) == (tmp_path / "workbench-2", ())
+
+
+def test_paths_are_kept_whole_and_names_that_ship_are_names(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.csv").touch()
+    assert absolute(Choice("car", ("one.csv",))) == Choice("car", (str(tmp_path / "one.csv"),))
+
+
+def test_what_up_refuses_is_said_with_what_it_is_and_what_was_wanted(plain):
+    assert "throttle, steer" in why_not_driven(plain.system, "car")
+    assert "wanted a car with target_speed, steer" in why_not_driven(plain.system, "car")
+
+
+@pytest.mark.processes
+def test_decisions_are_done_again_after_the_server_died(tmp_path, drives, finished):
+    model, runs = drives
+    choice = Choice(str(model), (str(runs[0]),))
+    news = []
+
+    async def worked(bench, until):
+        bench.listen(bench, news.append)
+        await bench.begin()
+        while not until(bench):
+            await asyncio.sleep(0.05)
+
+    async def first():
+        bench = Bench(choice, tmp_path / "out")
+        await worked(bench, lambda b: b.session is not None and b.session.proposed is not None)
+        bench.reject("viscous_drag")
+        await bench.add("quadratic_drag")
+        bench.close()  # in the middle of the next search
+        return [version.error for version in bench.session.versions]
+
+    async def second():
+        bench = Bench(choice, tmp_path / "out")
+        await worked(bench, lambda b: b.session is not None and b.session.number > b.session.base - 1)
+        bench.close()
+        return [version.error for version in bench.session.versions], bench.session.decided
+
+    before = finished(first())
+    after, decided = finished(second())
+    assert after == before
+    assert [(do, effect) for do, effect, _ in decided] == [("rejected", "viscous_drag"), ("added", "quadratic_drag")]
+    assert {"opening", "opened", "busy", "candidates", "versions"} <= set(news)

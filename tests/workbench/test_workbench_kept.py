@@ -1,0 +1,121 @@
+"""Nothing is lost: F5, a closed tab, two tabs, Save during a search, a killed server. And nothing on the terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
+
+PATIENCE = 90_000
+"""ms; a search takes seconds, on a busy machine more."""
+BARS = "document.querySelectorAll('.stages .value').length === {}"
+
+
+class Bench:
+    """``safedpa workbench`` as a person starts it."""
+
+    def __init__(self, folder: Path, port: int):
+        self.folder, self.port = folder, port
+        self.server: subprocess.Popen[str] | None = None
+        self.terminal = (folder / "terminal.txt").open("a+", encoding="utf-8")
+
+    def start(self, *arguments: object) -> str:
+        program = [sys.executable, "-m", "safedpa_services", "workbench", *map(str, arguments)]
+        options = ["--no-browser", "--port", str(self.port), "--out", str(self.folder / "out")]
+        environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+        environment["OMP_NUM_THREADS"] = "1"
+        self.server = subprocess.Popen(
+            [*program, *options], stdout=subprocess.PIPE, stderr=self.terminal, text=True, env=environment
+        )
+        return self.server.stdout.readline().split()[1]
+
+    def end(self, number: int = signal.SIGINT) -> None:
+        if self.server is not None:
+            self.server.send_signal(number)
+            self.server.wait(60)
+            self.server.stdout.close()
+            self.server = None
+
+    @property
+    def said(self) -> str:
+        self.terminal.seek(0)
+        return self.terminal.read()
+
+    @property
+    def decisions(self) -> list[tuple[str, str]]:
+        kept = json.loads((self.folder / "out" / "session.json").read_text(encoding="utf-8"))
+        return [(item["do"], item["effect"]) for item in kept["decisions"]]
+
+
+@pytest.fixture
+def bench(free_port, tmp_path):
+    made = Bench(tmp_path, free_port)
+    yield made
+    made.end()
+    made.terminal.close()
+
+
+def opened(browser, address, bars):
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.goto(address)
+    page.wait_for_function(BARS.format(bars), timeout=PATIENCE)
+    return page
+
+
+def errors(page):
+    return page.locator(".stages .value").all_inner_texts()
+
+
+def test_nothing_is_lost(browser, bench, drives):
+    model, runs = drives
+    address = bench.start(model, runs[0])
+    for _ in range(3):  # tabs that go while they load: what is asked of them is never answered
+        page = browser.new_page()
+        page.goto(address, wait_until="commit")
+        page.close()
+    page = opened(browser, address, 1)
+    page.keyboard.press("r")  # the viewer's recording is written while the tab is loaded anew
+    page.reload(wait_until="commit")
+    page.wait_for_function(BARS.format(1), timeout=PATIENCE)
+    assert "will refuse it: a car with throttle" in page.content()
+    page.wait_for_selector(".candidate", timeout=PATIENCE)
+    page.click(".candidate.open >> text=Add")
+    page.wait_for_function(BARS.format(2), timeout=PATIENCE)
+    kept = errors(page)
+    assert bench.decisions == [("added", "quadratic_drag")]
+
+    page.keyboard.press("s")  # while the next search goes on
+    page.wait_for_selector("text=/Saving: /", timeout=PATIENCE)
+    page.wait_for_selector("text=/Written: .*model.toml/", timeout=PATIENCE)
+    page.reload()  # F5
+    page.wait_for_function(BARS.format(2), timeout=PATIENCE)
+    assert errors(page) == kept
+    assert page.locator("text=/Written: .*model.toml/").is_visible()
+
+    other = opened(browser, address.replace("127.0.0.1", "localhost"), 2)  # a second tab
+    page.click("text=Undo")
+    other.wait_for_function(BARS.format(1), timeout=PATIENCE)
+    other.wait_for_selector(".candidate", timeout=PATIENCE)
+    other.click(".candidate.open >> text=Add")
+    page.wait_for_function(BARS.format(2), timeout=PATIENCE)
+    page.close()
+    other.close()  # both tabs are gone
+    bench.end(signal.SIGKILL)
+
+    page = opened(browser, bench.start(), 2)  # without arguments the last session goes on
+    assert errors(page) == kept
+    page.close()
+    bench.end()
+    page = opened(browser, bench.start("--session", bench.folder / "out" / "session.json"), 2)
+    assert errors(page) == kept
+    page.close()
+    bench.end()
+    assert "Traceback" not in bench.said
+    assert "page goes on after an error" not in bench.said
