@@ -17,6 +17,7 @@ from safedpa.bus import AbstractNode, Answer, Bus, Request, SetupMessage
 from safedpa.bus.log import log_event
 from safedpa.bus.requests import ORDER
 from safedpa.bus.setup import setup_message
+from safedpa.robot import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from safedpa.safety.orders import Orders
@@ -51,9 +52,7 @@ def adaptation(options: argparse.Namespace) -> Made:
 
 def add_policy_options(parser: argparse.ArgumentParser) -> None:
     """What the policy alone takes."""
-    from safedpa.policy.controller import CONTROLLERS
-
-    parser.add_argument("--controller", default="", choices=("", *CONTROLLERS), help="default: as the model allows")
+    parser.add_argument("--controller", default="", help="one of the robot's; default: as the model allows")
 
 
 def policy(options: argparse.Namespace) -> Made:
@@ -70,7 +69,9 @@ def policy(options: argparse.Namespace) -> Made:
 
 def add_filter_options(parser: argparse.ArgumentParser) -> None:
     """What the safety filter alone takes."""
-    parser.add_argument("--settings", default="car", metavar="FILE.toml", help="settings: a file or a shipped name")
+    parser.add_argument(
+        "--settings", default=DEFAULT_ROBOT, metavar="FILE.toml", help="settings: a file or the name of a robot"
+    )
     parser.add_argument("--margin", default="", metavar="FILE.toml", help="from 'safedpa calibrate'")
     parser.add_argument("--orders", default="", metavar="FILE", help="keeps orders to stop over a restart")
     parser.add_argument("--off", action="store_true", help="hand wishes on unchecked; every verdict says so")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from safedpa.bus import STATE, VERDICT, Received
-from safedpa.systems import CAR
+from safedpa.robots.car.system import CAR
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.residuals import ResidualBook
 from safedpa_services.dashboard.shapes import Note

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting
+from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 Drive = Callable[..., Run]
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from safedpa.diagnosis.windows import windows_of
 from safedpa.errors import InputError, RunError
 from safedpa.records.run import Stretch
-from safedpa.systems import PENDULUM
+from safedpa.robots.pendulum.system import PENDULUM
 
 
 def test_every_tenth_used_row_starts_a_window_up_to_half_a_period_past_the_horizon(plain, drive):

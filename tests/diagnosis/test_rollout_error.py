@@ -10,7 +10,8 @@ from safedpa.diagnosis.rollout_error import change_scale, error_of, rollout_erro
 from safedpa.diagnosis.windows import windows_of
 from safedpa.dynamics import load_model
 from safedpa.records.run import Run, Stretch
-from safedpa.systems import CAR_THROTTLE, PENDULUM
+from safedpa.robots.car.system import CAR_THROTTLE
+from safedpa.robots.pendulum.system import PENDULUM
 
 
 def _pendulum_run(angle, rate, period=0.1):

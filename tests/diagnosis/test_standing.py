@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting
+from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 SERVO = {"base.wheelbase": 0.32, "base.speed_gain": 5.0, "base.acceleration_limit": 5.0}
 HELD = {
@@ -59,7 +60,7 @@ def test_copies_of_a_model_that_holds_hold():
 
 
 def test_a_pendulum_under_less_torque_than_its_friction_stands():
-    from safedpa.dynamics import RigidPendulum
+    from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
     base = {"base.length": 0.5, "base.mass": 1.0, "base.gravity": 9.81}
     made = PhysicsModel(RigidPendulum(), (), {path: Setting(value) for path, value in base.items()}, 0.02, holds=True)

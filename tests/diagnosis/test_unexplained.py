@@ -10,9 +10,10 @@ import pytest
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.report import as_document
 from safedpa.diagnosis.report_page import report_page
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting
+from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 from safedpa_lab.hidden.excitation import car_commands
 
 WHEELBASE, GAIN, LIMIT = 0.32, 3.0, 6.0

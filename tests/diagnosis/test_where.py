@@ -13,7 +13,7 @@ from safedpa.diagnosis.summary import decisive, state_sentence, where_sentence, 
 from safedpa.diagnosis.where import factors, window_squares
 from safedpa.diagnosis.windows import windows_of
 from safedpa.records.run import Run, Stretch
-from safedpa.systems import CAR_THROTTLE
+from safedpa.robots.car.system import CAR_THROTTLE
 
 
 def _compared(plain, drive, truth, seconds=120.0):

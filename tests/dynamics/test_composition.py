@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, RigidPendulum, Setting, load_model
+from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import Context, Parameter, RateEffect, Stage, effect
 from safedpa.errors import ModelFileError
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
 
 def pendulum(period: float) -> PhysicsModel:

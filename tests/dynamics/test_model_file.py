@@ -8,20 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import (
-    KinematicBicycle,
-    PhysicsModel,
-    RigidPendulum,
-    Setting,
-    load_model,
-    parse_model,
-    save_model,
-    shipped_models,
-    write_model,
-)
+from safedpa.dynamics import PhysicsModel, Setting, load_model, parse_model, save_model, shipped_models, write_model
 from safedpa.effects import effects_of
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
 CAR = """
 format = 1
@@ -172,7 +164,7 @@ def test_effect_for_another_drive_is_refused() -> None:
 
 
 def test_pendulum_with_a_drive_is_refused() -> None:
-    with pytest.raises(ModelFileError, match=r"base.drive: got 'throttle', a pendulum has none; remove the key"):
+    with pytest.raises(ModelFileError, match=r"base.drive: unknown key"):
         parse_model(PENDULUM + 'drive = "throttle"\n')
 
 

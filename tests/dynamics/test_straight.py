@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting, load_model
+from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.dynamics.straight import StraightSteps
 from safedpa.effects import Context, Parameter, RateEffect, Stage
 from safedpa.effects.library import effects_of
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 MODELS = ("car", "car_measured", "dart_car", "pendulum", "dfki_pendulum", "point", "car_learned", "pendulum_learned")
 

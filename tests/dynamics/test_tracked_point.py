@@ -9,15 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.dynamics import (
-    KinematicBicycle,
-    PhysicsModel,
-    Setting,
-    fingerprint,
-    load_model,
-    parse_model,
-    write_model,
-)
+from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model, parse_model, write_model
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 WHEELBASE, SPEED_GAIN = 0.31, 4.0
 

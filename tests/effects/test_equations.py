@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, RigidPendulum, Setting
+from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.effects.memory import delayed, follow, settled
 from safedpa.operations import FLOATS, NUMPY
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
 SOME = settings(max_examples=100, deadline=None)
 

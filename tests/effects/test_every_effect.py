@@ -10,8 +10,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from safedpa.dynamics import AbstractBase, KinematicBicycle, PhysicsModel, PointMass, RigidPendulum, Setting
+from safedpa.dynamics import AbstractBase, PhysicsModel, Setting
 from safedpa.effects import AbstractEffect, effects_of
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
+from safedpa.robots.point.point_mass import PointMass
 
 ALL = [*effects_of("car").values(), *effects_of("pendulum").values(), *effects_of("point").values()]
 EVERY = pytest.mark.parametrize("item", ALL, ids=lambda item: f"{item.robot}-{item.name}")

@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, RigidPendulum, Setting
+from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
 INSTANT = 1e-6  # s
 

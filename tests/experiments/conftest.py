@@ -10,7 +10,7 @@ import pytest
 
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, save_model, shipped_models
 from safedpa.networks import Description, Weights
-from safedpa.policy.observation import observation_length
+from safedpa.robots.car.observation import observation_length
 
 PERIOD, GAIN, WHEELBASE = 0.05, 5.0, 0.32
 MIDDLE, SCALE = np.array([0.7, 0.0]), np.array([1.3, 0.34])

@@ -14,7 +14,7 @@ from safedpa.diagnosis.fleet.robots import robots_in_folder, robots_of_files
 from safedpa.diagnosis.fleet.splitting import robots_in, split_recording
 from safedpa.errors import InputError
 from safedpa.records import McapRecorder, read_run_from_mcap
-from safedpa.systems import CAR
+from safedpa.robots.car.system import CAR
 
 
 def record(path: Path, robots: tuple[str, ...], ticks: int = 60) -> Path:

@@ -37,7 +37,7 @@ def test_a_table_that_contradicts_itself_does_not_end_the_process(tmp_path: Path
         "from pathlib import Path\n"
         "from safedpa.errors import InputError\n"
         "from safedpa.records import load_run\n"
-        "from safedpa.systems import CAR\n"
+        "from safedpa.robots.car.system import CAR\n"
         "from safedpa_lab.experiments.hostile.mutations import mutated\n"
         "path, seed = Path(sys.argv[1]), Path(sys.argv[2]).read_bytes()\n"
         "chance = random.Random(2)\n"

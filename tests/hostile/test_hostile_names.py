@@ -148,7 +148,7 @@ def test_a_column_s_name_comes_back_as_text(column: str, tmp_path: Path, capsys:
 def test_a_cell_of_many_lines_costs_one_line(tmp_path: Path) -> None:
     """A quote that does not end makes one cell of the rest of the file."""
     from safedpa.records import load_run
-    from safedpa.systems import CAR
+    from safedpa.robots.car.system import CAR
 
     rows = "".join(f"{0.05 * k:.2f},0,0,0,1,1,0\n" for k in range(40))
     file = tmp_path / "run.csv"

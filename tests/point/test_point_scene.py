@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.policy.controller import controller_for
+from safedpa.robots.point.point_scene import PointScene, motion_of
 from safedpa.safety import SafetyFilter
-from safedpa.safety.point_scene import PointScene, motion_of
 from safedpa.safety.shipped import settings_named
 from safedpa.safety.stopping_barrier import ENDS, Motion, stopping_path, stopping_room
 from safedpa.safety.stopping_walk import least_rooms

@@ -12,9 +12,10 @@ from safedpa.bus import LATENT, WISH, LatentMessage, Stale, StateMessage, WishMe
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, fingerprint, load_model
 from safedpa.errors import InputError, MessageError
 from safedpa.networks import Description, EnvironmentEntry, Weights
-from safedpa.policy import CONTROLLERS, LearnedPolicy, PolicyNode
+from safedpa.policy import LearnedPolicy, PolicyNode
 from safedpa.policy.controller import controller_for
-from safedpa.policy.observation import OBSTACLES, RAYS, clearances, observation_length, observe, padded
+from safedpa.robot import robot_named
+from safedpa.robots.car.observation import OBSTACLES, RAYS, clearances, observation_length, observe, padded
 
 LATENTS = 2
 STATE = StateMessage(
@@ -263,4 +264,4 @@ def test_controllers_that_do_not_exist_or_cannot_work_are_refused() -> None:
         controller_for(load_model("car"), "learned")
     with pytest.raises(InputError, match="no policy"):
         controller_for(learned_model(without_policy(weights())), "learned")
-    assert set(CONTROLLERS) == {"goal_seeker", "learned", "planner", "random"}
+    assert set(robot_named("car").controllers(load_model("car"))) == {"goal_seeker", "planner"}

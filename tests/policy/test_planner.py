@@ -13,9 +13,9 @@ from hypothesis import strategies as some
 from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError, MessageError
-from safedpa.policy.planner import Planner, PlannerSettings
-from safedpa.policy.planner_field import Grid, disc_ways
-from safedpa.policy.planner_time import TimeToGo, clearance
+from safedpa.robots.car.planner import Planner, PlannerSettings
+from safedpa.robots.car.planner_field import Grid, disc_ways
+from safedpa.robots.car.planner_time import TimeToGo, clearance
 
 MODEL = load_model("car")
 FIELD = (-4.0, 4.0, -4.0, 4.0)

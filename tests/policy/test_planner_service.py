@@ -11,7 +11,6 @@ from click.testing import CliRunner
 from safedpa.bus import LATENT, WISH, Stale, WishMessage
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
-from safedpa.policy.controller import CONTROLLERS
 from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments.controllers import controllers_experiment
 from safedpa_services.command_line import up
@@ -46,10 +45,6 @@ def test_the_policy_service_is_told_which_controller() -> None:
     at = policy.arguments.index("--controller")
     assert policy.arguments[at + 1] == "planner"
     assert all("--controller" not in child.arguments for child in plan("").services())
-
-
-def test_the_command_offers_what_the_policy_knows() -> None:
-    assert set(up.CONTROLLERS) == set(CONTROLLERS)
 
 
 def test_a_controller_that_the_model_cannot_have_is_refused_before_anything_starts(tmp_path: Path) -> None:

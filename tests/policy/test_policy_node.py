@@ -10,7 +10,8 @@ import pytest
 from safedpa.bus import LATENT, WISH, LatentMessage, Stale, StateMessage, WishMessage
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import MessageError
-from safedpa.policy import GoalSeekerSettings, PolicyNode
+from safedpa.policy import PolicyNode
+from safedpa.robots.car.goal_seeker import GoalSeekerSettings
 
 MODEL = load_model("car")
 LIMITS = GoalSeekerSettings()

@@ -70,7 +70,7 @@ def test_a_pendulum_wishes_at_random_until_its_model_has_a_policy() -> None:
     assert isinstance(controller_for(learned)(), NetworkLatent), "backing off is what a car does"
     assert isinstance(controller_for(learned, "random")(), RandomWishes)
     for name in ("goal_seeker", "planner"):
-        with pytest.raises(InputError, match="wanted a car"):
+        with pytest.raises(InputError, match="known: learned, random"):
             controller_for(physics, name)
     with pytest.raises(InputError, match="no networks"):
         controller_for(physics, "learned")

@@ -16,7 +16,8 @@ from safedpa.records.column_map_file import parse_column_map, shipped_column_map
 from safedpa.records.derive import slope
 from safedpa.records.run import Stretch
 from safedpa.records.units import UNITS, factor_to_si
-from safedpa.systems import CAR, CAR_THROTTLE, PENDULUM
+from safedpa.robots.car.system import CAR, CAR_THROTTLE
+from safedpa.robots.pendulum.system import PENDULUM
 
 GOOD = """
 format = 1

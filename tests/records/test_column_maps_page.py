@@ -11,7 +11,7 @@ import pytest
 
 from safedpa.records import load_column_map, load_run
 from safedpa.records.units import UNITS
-from safedpa.systems import CAR_THROTTLE
+from safedpa.robots.car.system import CAR_THROTTLE
 from safedpa_services.command_line.group import safedpa
 
 PAGE = (Path(__file__).parents[2] / "docs" / "column-maps.md").read_text(encoding="utf-8")

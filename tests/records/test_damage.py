@@ -14,7 +14,7 @@ from safedpa.bus.messages import StateMessage
 from safedpa.bus.topics import STATE, key_of
 from safedpa.errors import RunError
 from safedpa.records import McapRecorder, Run, load_run
-from safedpa.systems import CAR
+from safedpa.robots.car.system import CAR
 
 ODD_CELLS = st.sampled_from(
     ["", "nan", "inf", "-inf", "1e400", "1e-400", "abc", '"', "1,2", "\n", "\r", "0", "-0", "é"]

@@ -12,7 +12,7 @@ from safedpa.bus.codec import encode
 from safedpa.bus.messages import StateMessage, VerdictMessage
 from safedpa.bus.topics import STATE, VERDICT, key_of
 from safedpa.records import McapRecorder, load_run, read_run_from_mcap
-from safedpa.systems import CAR
+from safedpa.robots.car.system import CAR
 from safedpa_services.command_line.group import safedpa
 
 STAMP = {"epoch": 3, "publish_time": 0.0}

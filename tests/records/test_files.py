@@ -14,7 +14,8 @@ from pyarrow import parquet
 
 from safedpa.errors import ColumnMapError, RunError
 from safedpa.records import load_column_map, load_run
-from safedpa.systems import CAR, PENDULUM
+from safedpa.robots.car.system import CAR
+from safedpa.robots.pendulum.system import PENDULUM
 
 HEADER = "t,x,y,yaw,speed,target_speed,steer"
 

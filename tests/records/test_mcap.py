@@ -17,7 +17,8 @@ from safedpa.bus.messages import StateMessage, VerdictMessage
 from safedpa.bus.topics import STATE, VERDICT, key_of
 from safedpa.errors import InputError, RecordingError, RunError
 from safedpa.records import Finding, McapRecorder, load_run, read_messages, read_run_from_mcap, write_csv, write_parquet
-from safedpa.systems import CAR, PENDULUM
+from safedpa.robots.car.system import CAR
+from safedpa.robots.pendulum.system import PENDULUM
 
 PERIOD = 0.05
 ZSTANDARD = b"\x28\xb5\x2f\xfd"

@@ -17,7 +17,9 @@ from safedpa.records import Run
 from safedpa.records.apply_map import Rows
 from safedpa.records.column_map import native_map
 from safedpa.records.run_of_rows import run_of_rows
-from safedpa.systems import CAR, PENDULUM, System
+from safedpa.robots.car.system import CAR
+from safedpa.robots.pendulum.system import PENDULUM
+from safedpa.systems import System
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ import pytest
 
 from safedpa.records import Run, load_column_map, load_run
 from safedpa.records.derive import slope
-from safedpa.systems import CAR_THROTTLE, PENDULUM
+from safedpa.robots.car.system import CAR_THROTTLE
+from safedpa.robots.pendulum.system import PENDULUM
 
 DATA = Path(os.environ.get("SAFEDPA_DATA", Path(__file__).parents[3] / "shared" / "data"))
 CAR_LOGS = sorted(DATA.glob("dart_rc_car/*/*.csv"))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from safedpa.bus import ActionMessage
+from safedpa.robots.car.system import CAR
 from safedpa.safety.reversed_way import ReversedWay
 from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.shipped import settings_named
-from safedpa.systems import CAR
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS
 from safedpa_sim.robots.scene import Scene

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, car_barriers
 
 FOOTPRINT = (0.08, 0.40, 0.12)

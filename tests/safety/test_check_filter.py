@@ -15,6 +15,7 @@ import pytest
 from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.robots.point.point_scene import PointScene
 from safedpa.safety import (
     AbstractBarrier,
     CorridorBarrier,
@@ -28,7 +29,6 @@ from safedpa.safety import (
     car_barriers,
     check_filter,
 )
-from safedpa.safety.point_scene import PointScene
 from safedpa.safety.shipped import settings_named
 
 DOCS = Path(__file__).parents[2] / "docs"

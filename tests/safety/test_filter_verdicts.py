@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 from safedpa.safety import (
     AbstractBarrier,
     FilterSettings,

@@ -9,11 +9,11 @@ import pytest
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
+from safedpa.robots.car.car_scene import CarScene
+from safedpa.robots.pendulum.pendulum_scene import PendulumScene
 from safedpa.safety import CorridorBarrier, FilterSettings
-from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.settings import parse_settings, write_settings
 from safedpa.safety.shipped import settings_named
-from safedpa.systems import CAR, PENDULUM
 
 SETTINGS = settings_named("pendulum")
 
@@ -36,7 +36,7 @@ def state(**other: Any) -> StateMessage:
 
 
 def test_a_corridor_is_the_only_barrier_of_a_robot_that_does_not_drive() -> None:
-    barriers = SceneBarriers(SETTINGS, PENDULUM).of(state())
+    barriers = PendulumScene(SETTINGS).of(state())
     assert not isinstance(barriers, str)
     (barrier,) = barriers
     assert isinstance(barrier, CorridorBarrier)
@@ -44,7 +44,7 @@ def test_a_corridor_is_the_only_barrier_of_a_robot_that_does_not_drive() -> None
 
 
 def test_it_is_kept_while_the_scene_stays_and_built_anew_when_it_changes() -> None:
-    scene = SceneBarriers(SETTINGS, PENDULUM)
+    scene = PendulumScene(SETTINGS)
     first = scene.of(state())
     assert scene.of(state()) is first
     other = scene.of(state(corridor=(-0.5, 0.8)))
@@ -65,7 +65,7 @@ def test_it_is_kept_while_the_scene_stays_and_built_anew_when_it_changes() -> No
     ],
 )
 def test_what_is_no_scene_is_told_in_words_every_time(other: dict[str, Any], message: str) -> None:
-    scene = SceneBarriers(SETTINGS, PENDULUM)
+    scene = PendulumScene(SETTINGS)
     scene.of(state())
     for _ in range(2):
         answer = scene.of(state(**other))
@@ -74,7 +74,7 @@ def test_what_is_no_scene_is_told_in_words_every_time(other: dict[str, Any], mes
 
 
 def test_a_car_cannot_name_a_corridor_in_place_of_its_obstacles() -> None:
-    answer = SceneBarriers(FilterSettings(), CAR).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
+    answer = CarScene(FilterSettings()).of(replace(state(), values=(0.1, 0.2, 0.0, 1.0)))
     assert isinstance(answer, str)
     assert "a robot that drives between obstacles" in answer
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import pytest
 
 from safedpa.bus import VerdictMessage
+from safedpa.robots.car.system import CAR
+from safedpa.robots.pendulum.system import PENDULUM
+from safedpa.robots.point.system import POINT
 from safedpa.safety.standstill import Stand, Standstill, note_standstill, places_of
-from safedpa.systems import CAR, PENDULUM, POINT, System, Variable
+from safedpa.systems import System, Variable
 
 PERIOD = 0.05
 

@@ -15,6 +15,9 @@ import pytest
 from safedpa.dynamics import PhysicsModel, load_model, parse_model
 from safedpa.dynamics.own import load_own
 from safedpa.errors import InputError
+from safedpa.robots.car.system import CAR
+from safedpa.robots.pendulum.system import PENDULUM
+from safedpa.robots.point.system import POINT
 from safedpa.safety import (
     AbstractBarrier,
     CorridorBarrier,
@@ -38,7 +41,7 @@ from safedpa.safety.recorded import calibration_from_recordings
 from safedpa.safety.run_calibration import calibration_from_runs
 from safedpa.safety.shipped import settings_named
 from safedpa.safety.stopping_barrier import Motion, StoppingBarrier
-from safedpa.systems import CAR, PENDULUM, POINT, System, Variable
+from safedpa.systems import System, Variable
 from safedpa_services.command_line.group import safedpa
 
 OWN = Path(__file__).parent / "strangers.py"

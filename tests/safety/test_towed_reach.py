@@ -10,14 +10,13 @@ import pytest
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError
+from safedpa.robots.car.car_scene import CarScene
 from safedpa.safety import Barriers, FilterSettings, car_barriers
 from safedpa.safety.braking import Braking
 from safedpa.safety.car_stack import CarStack, stacked
 from safedpa.safety.reversed_way import ReversedWay
-from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.shipped import settings_named
 from safedpa.safety.towed_reach import TowedReach
-from safedpa.systems import CAR
 
 SETTINGS = settings_named("car")
 BRAKING = SETTINGS.braking
@@ -135,7 +134,7 @@ def test_who_was_not_watched_may_have_been_reversed(later: StateMessage) -> None
 
 def test_the_barriers_of_a_robot_that_tows_follow_its_way() -> None:
     room = []
-    tells = SceneBarriers(SETTINGS, CAR)
+    tells = CarScene(SETTINGS)
     places = [*np.arange(0.0, 1.0, 0.1), *np.arange(0.9, 0.2, -0.1)]
     for tick, x in enumerate(places):
         found = tells.of(message(tick, float(x), obstacles=((x - 0.08, 1.0, 0.2),)))
@@ -147,7 +146,7 @@ def test_the_barriers_of_a_robot_that_tows_follow_its_way() -> None:
 
 @pytest.mark.parametrize("wrong", [(0.1, 0.5), (0.5, 0.1, 0.4), (-0.1, 0.5, 0.4), (0.1, 1.5, 0.4)])
 def test_lengths_that_are_none_are_no_scene(wrong: tuple[float, ...]) -> None:
-    found = SceneBarriers(FilterSettings(), CAR).of(message(0, 0.0, towed=wrong))
+    found = CarScene(FilterSettings()).of(message(0, 0.0, towed=wrong))
     assert isinstance(found, str)
     assert "towed" in found
     with pytest.raises(InputError, match="towed"):

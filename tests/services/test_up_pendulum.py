@@ -93,7 +93,7 @@ def test_model_settings_and_rate_are_the_robots_own(tmp_path: Path, monkeypatch:
         (("--robot", "pendulum", "--wind", "-1"), "--wind: got -1.0"),
         (("--robot", "pendulum", "--wind-direction", "999"), "--wind-direction: got 999.0"),
         (("--robot", "pendulum", "--model", "car"), "wanted a pendulum with torque"),
-        (("--robot", "pendulum", "--controller", "planner"), "wanted a car"),
+        (("--robot", "pendulum", "--controller", "planner"), "known: learned, random"),
         (("--robot", "pendulum", "--rate", "0"), "--rate"),
     ],
 )

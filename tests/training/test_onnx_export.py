@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from safedpa.errors import InputError
 from safedpa.networks import Description, EnvironmentEntry, HistoryEncoder, LearnedNetworks, Weights, save_weights
 from safedpa.policy.learned import LearnedPolicy
-from safedpa.policy.observation import observation_length
+from safedpa.robots.car.observation import observation_length
 from safedpa_services.command_line.export import command
 from safedpa_sim.training.networks import Dense, HistoryNetwork, affine_networks, history_network
 from safedpa_sim.training.onnx_export import NETWORKS, export_onnx

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from safedpa.dynamics import KinematicBicycle, PhysicsModel, Setting, save_model
+from safedpa.dynamics import PhysicsModel, Setting, save_model
 from safedpa.effects import effect
 from safedpa.records import load_run
 from safedpa.records.run import Run
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 COLUMNS = ("t", "x", "y", "yaw", "speed", "throttle", "steer")
 NOISE = np.array([0.002, 0.002, 0.003, 0.015])

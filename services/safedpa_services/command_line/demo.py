@@ -13,6 +13,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import missing, need
+from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.command_line.up import driven, planned
 from safedpa_services.terminal import say
 
@@ -53,7 +54,8 @@ def command(**options: Any) -> None:
     _check(options)
     stop = Stop()
     own = {
-        "robot": "car", "name": "r1", "robots": 1, "load": "none", "change": _CHANGE, "change_after": _AFTER,
+        "robot": DEFAULT_ROBOT, "robot_file": None, "world": (),
+        "name": "r1", "robots": 1, "load": "none", "change": _CHANGE, "change_after": _AFTER,
         "seconds": 0.0, "seed": options["seed"], "rate": None, "lockstep": False, "unfiltered": False,
         "headless": options["headless"], "diagnosis": True, "model": _MODEL, "settings": None, "margin": "",
         "controller": None, "fleet": "fleet", "listen": "", "secure": False, "out": options["out"],

@@ -14,7 +14,8 @@ from safedpa.limits import readable
 __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
-    "accept", "add", "calibrate", "certificates", "compare", "demo", "diagnose", "effects", "export", "go", "predict",
+    "accept", "add", "calibrate", "certificates", "check", "compare", "demo", "diagnose", "effects", "export", "go",
+    "predict",
     "rehearse", "reject", "replay", "roll-back", "screenshot", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""

@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 
 from safedpa.errors import did_you_mean
 
-__all__ = ["Choice", "complete_effects", "complete_models"]
+__all__ = ["Choice", "complete_effects", "complete_models", "complete_robots"]
 
 
 class Choice(click.Choice[Any]):
@@ -42,6 +42,14 @@ def complete_effects(context: click.Context, item: click.Parameter, begun: str) 
     with contextlib.suppress(KeyError, TypeError, InputError):
         known = (load_model(context.params["model"]).system.name,)
     return _matching({name for robot in known for name in effects_of(robot)}, begun)
+
+
+def complete_robots(context: click.Context, item: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Names of robots that ship."""
+    del context, item
+    from safedpa.robot import robots
+
+    return _matching(robots(), begun)
 
 
 def _matching(names: Iterable[str], begun: str) -> list[CompletionItem]:

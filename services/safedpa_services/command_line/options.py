@@ -24,7 +24,12 @@ columns_option = click.option(
     "--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say."
 )
 effects_option = click.option(
-    "--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own."
+    "--effects",
+    "--robot-file",
+    "effects",
+    type=click.Path(path_type=Path),
+    metavar="FILE.py",
+    help="Effects, systems and robots of your own.",
 )
 force_option = click.option("--force", is_flag=True, help="Write even over a file that was read.")
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")

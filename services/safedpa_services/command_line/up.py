@@ -12,8 +12,9 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
+from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.command_line.grouped import Grouped
-from safedpa_services.command_line.names import Choice, complete_models
+from safedpa_services.command_line.names import Choice, complete_models, complete_robots
 from safedpa_services.terminal import say
 
 if TYPE_CHECKING:
@@ -30,42 +31,39 @@ __all__ = ["command", "driven", "planned"]
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
-RATES = {"car": 20.0, "pendulum": 100.0, "point": 50.0}
-"""Kinds of robots, with their ticks per second."""
-_MODELS = {"point": "point_wind"}
-"""Where the robot's model does not bear its name."""
-_OWN = {
-    "car": ("change",),
-    "pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
-    "point": ("force", "wind_direction"),
-}
-"""Options that only some robots have."""
+_OF_SOME = ("load", "change", "task", "wind", "wind_direction", "payload", "dry_friction", "force", "world")
+"""Options that only some robots have, as these declare."""
 _MOST_ROBOTS = 8
 """The dashboard has a tab for so many."""
 _MOST_FORCE = 0.0149
 """N; a stronger wind pushes harder than the point robot can."""
 CHANGES = ("hitch", "headwind", "steering_offset")
+_PLANNED = ("load", "change")
+"""Of these, what the plan itself knows."""
 _ENDED_AT_ONCE = 130
 GROUPS = {
-    "Which robot": ("robot", "name", "robots", "seed"),
+    "Which robot": ("robot", "robot_file", "name", "robots", "seed"),
     "The car": ("load", "change", "change_after"),
     "The pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
     "The point robot": ("force", "wind_direction"),
+    "A robot of your own": ("world",),
     "How it drives": ("seconds", "rate", "lockstep", "unfiltered", "controller"),
     "What it knows": ("model", "effects", "settings", "margin", "diagnosis"),
     "Where it is seen and heard": ("headless", "fleet", "listen", "secure", "out", "as_json"),
 }
 """Options as ``--help`` groups them."""
-CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 
 
 @click.command(cls=Grouped, groups=GROUPS)
-@click.option("--robot", type=Choice(list(RATES)), default="car", show_default=True, help="kind of robot")
+@click.option(
+    "--robot", shell_complete=complete_robots, help=f"kind of robot; default: {DEFAULT_ROBOT}, or that of --robot-file"
+)
+@click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
 @click.option("--name", default="r1", show_default=True, help="name of the robot on the bus")
 @click.option(
     "--robots", type=int, default=1, show_default=True, help="how many, each in a scene of its own: r1, r2 ..."
 )
-@click.option("--load", type=Choice(LOADS), default="none", show_default=True, help="what the car tows")
+@click.option("--load", type=Choice(LOADS), help="what the car tows; default: none")
 @click.option("--change", type=Choice(CHANGES), help="what changes about the car while it drives")
 @click.option("--change-after", type=float, default=30.0, show_default=True, help="seconds until then, by its clock")
 @click.option("--task", type=Choice(TASKS), help="what the pendulum has to do; default: balance")
@@ -74,11 +72,12 @@ CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 @click.option("--force", type=float, metavar="NEWTON", help="of the wind on the point robot; default: 0")
 @click.option("--payload", type=float, metavar="KG", help="hung on the pendulum, and no model is told; default: 0")
 @click.option("--dry-friction", type=float, metavar="TORQUE", help="N m in the pendulum's hinge; default: 0")
+@click.option(
+    "--world", multiple=True, metavar="NAME=NUMBER", help="of the stand-in of a robot of your own; may be given again"
+)
 @click.option("--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: until Ctrl-C")
 @click.option("--seed", type=int, default=0, show_default=True, help="scene: obstacles, start, goals")
-@click.option(
-    "--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum, 50 of the point"
-)
+@click.option("--rate", type=float, help="ticks per second; default: the robot's own (car 20, pendulum 100, point 50)")
 @click.option("--lockstep", is_flag=True, help="the robot waits for each action: repeats bit for bit")
 @click.option("--no-filter", "unfiltered", is_flag=True, help="hand the policy's wishes on unchecked, to see why not")
 @click.option("--headless", is_flag=True, help="no dashboard and no workbench")
@@ -95,8 +94,8 @@ CONTROLLERS = ("goal_seeker", "learned", "planner", "random")
 @click.option("--margin", default="", help="margin file; default: the shipped one of the model, if there is one")
 @click.option(
     "--controller",
-    type=Choice(CONTROLLERS),
-    help="who wishes for actions; default: learned where the model's weights hold a policy, else goal_seeker or random",
+    help="who wishes for actions, such as goal_seeker, learned, planner, random; default: learned where the model's "
+    "weights hold a policy, else the robot's own",
 )
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
 @click.option("--listen", default="", help="endpoint for others to join, such as tcp/0.0.0.0:7447")
@@ -113,6 +112,7 @@ def command(**options: Any) -> None:
         need("view", what="the dashboard", instead="leave it out with --headless")
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
+    options = {**options, "robot": _robot_of(options)}
     stop = Stop()
     with planned(options) as plan:
         stop.listen_to_signals()
@@ -121,6 +121,24 @@ def command(**options: Any) -> None:
         click.echo(json.dumps(summary))
     else:
         _tell(summary)
+
+
+def _robot_of(options: dict[str, Any]) -> str:
+    """The robot's name: as asked, that of the file, or the usual one. Loads the file, for every process."""
+    from safedpa.dynamics import load_own_everywhere
+    from safedpa.robot import robot_named, robots
+
+    path = options["robot_file"]
+    if path is None:
+        return robot_named(options["robot"] or DEFAULT_ROBOT).name
+    found = [name for name in load_own_everywhere(path) if name in robots()]
+    if not found:
+        raise InputError(f"--robot-file {path}: got no robot, wanted a class derived from AbstractRobot")
+    if options["robot"] is not None and options["robot"] not in found:
+        raise InputError(
+            f"--robot: got '{options['robot']}', {path} declares {', '.join(found)}; leave one of them out"
+        )
+    return str(options["robot"] or found[0])
 
 
 @contextmanager
@@ -161,6 +179,7 @@ def _meeting_place(options: dict[str, Any]) -> Iterator[str]:
 def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.bus import STATE, key_of
     from safedpa.dynamics import load_model
+    from safedpa.robot import robot_named
     from safedpa.safety.shipped import margin_for
     from safedpa_services.supervisor.plan import Plan
 
@@ -172,13 +191,13 @@ def _plan(options: dict[str, Any]) -> Plan:
         raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
     if not 1 <= options["robots"] <= _MOST_ROBOTS:
         raise InputError(f"--robots: got {options['robots']}, wanted 1 to {_MOST_ROBOTS}")
-    robot = options["robot"]
+    robot, declared = options["robot"], robot_named(options["robot"])
     options = {
         **options,
-        "model": options["model"] or _MODELS.get(robot, robot),
+        "model": options["model"] or str(declared.model),
         "settings": options["settings"] or robot,
+        "rate": declared.rate if options["rate"] is None else options["rate"],
     }
-    options["rate"] = RATES[robot] if options["rate"] is None else options["rate"]
     if not 1.0 <= options["rate"] <= 500.0:
         raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
     model = load_model(options["model"])
@@ -189,7 +208,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         robot=robot,
         name=options["name"],
         robots=options["robots"],
-        load=options["load"],
+        load=options["load"] or "none",
         seconds=options["seconds"],
         seed=options["seed"],
         rate=options["rate"],
@@ -229,12 +248,10 @@ def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> N
 
 def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
     """Options of the robot's process that only this kind has; refuses those of the others."""
-    robot = options["robot"]
-    own = _OWN[robot]
-    others = [name for names in _OWN.values() for name in names if name not in own]
-    foreign = [name for name in others if options[name] is not None]
-    if robot != "car" and options["load"] != "none":
-        foreign.append("load")
+    from safedpa.robot import robot_named
+
+    own = robot_named(options["robot"]).options
+    foreign = [name for name in _OF_SOME if name not in own and options[name] not in (None, (), "none")]
     if foreign:
         raise InputError(
             f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none; "
@@ -249,13 +266,16 @@ def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
     for name, most, unit in (("payload", 10.0, "kg"), ("dry_friction", 10.0, "N m")):
         if options[name] is not None and not 0.0 <= options[name] <= most:
             raise InputError(f"--{name.replace('_', '-')}: got {options[name]}, wanted 0 to {most:g} {unit}")
-    given = [(name, options[name]) for name in own if name != "change" and options[name] is not None]
-    return tuple(f"--{name.replace('_', '-')}={value}" for name, value in given)
+    given = [(name, options[name]) for name in own if name not in _PLANNED and options[name] is not None]
+    each = [(name, value) for name, found in given for value in (found if isinstance(found, tuple) else (found,))]
+    return tuple(f"--{name.replace('_', '-')}={value}" for name, value in each)
 
 
 def _owners(option: str) -> str:
     """The robots that have an option of their own."""
-    return ", ".join(robot for robot, names in _OWN.items() if option in (*names, "load" * (robot == "car")))
+    from safedpa.robot import robots
+
+    return ", ".join(name for name, robot in robots().items() if option in robot.options) or "one of your own"
 
 
 def _is_diagnosed(options: dict[str, Any]) -> bool:

@@ -38,7 +38,14 @@ __all__ = ["command"]
     metavar="FILE",
     help="Go on with a session.json: opens what it names and decides again what was decided.",
 )
-@click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="Effects and systems of your own.")
+@click.option(
+    "--effects",
+    "--robot-file",
+    "effects",
+    type=click.Path(path_type=Path),
+    metavar="FILE.py",
+    help="Effects, systems and robots of your own.",
+)
 @click.option(
     "--host",
     default="127.0.0.1",

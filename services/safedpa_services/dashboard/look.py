@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from safedpa.bus import StateMessage
+from safedpa.drawing import Shape
 from safedpa.dynamics import PhysicsModel
+from safedpa.robot import AbstractRobot, robot_like
 from safedpa.safety.braking import Braking
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems import System
@@ -36,15 +39,18 @@ class Look:
     wind: Callable[[Sequence[float]], Wind | None]
     """The wind that a latent stands for."""
 
+    drawn: Callable[[StateMessage], Mapping[str, Shape]] | None = None
+    """What a robot of one's own looks like; None: as this dashboard draws those that ship."""
+
     @property
-    def is_car(self) -> bool:
-        """Whether the state is a pose on the plane."""
-        return self.system.state_names[:3] == ("x", "y", "yaw")
+    def is_planar(self) -> bool:
+        """Whether the state begins with a position on the plane."""
+        return self.system.state_names[:2] == ("x", "y")
 
     @property
     def h_unit(self) -> str:
         """Unit of the least barrier value, with a space before it; empty where it is the barriers' own choice."""
-        return f" {self.system.state[0].unit}" if self.is_car or self.is_pendulum else ""
+        return f" {self.system.state[0].unit}" if self.is_planar or self.is_pendulum else ""
 
     @property
     def is_point(self) -> bool:
@@ -73,4 +79,21 @@ def look_of(model: PhysicsModel, settings: FilterSettings) -> Look:
         wheelbase=wheelbase.value if wheelbase else 0.0,
         corridor_seconds=settings.corridor_seconds,
         wind=wind_reader(model),
+        drawn=_drawn(model),
     )
+
+
+def _drawn(model: PhysicsModel) -> Callable[[StateMessage], Mapping[str, Shape]] | None:
+    """The robot's own drawing, in which nothing that it raises ends the dashboard; None where it declares none."""
+    robot = robot_like(model.system)
+    if robot is None or type(robot).draw is AbstractRobot.draw:
+        return None
+    own = robot.draw
+
+    def drawn(state: StateMessage) -> Mapping[str, Shape]:
+        try:
+            return own(state)
+        except Exception:  # noqa: BLE001 - a user's own picture; without it the curves go on
+            return {}
+
+    return drawn

@@ -129,7 +129,7 @@ class RobotView:
 
     def _trail(self, state: StateMessage) -> list[Entry]:
         before = self._drawn
-        if before is None or not (self._look.is_car or self._look.is_pendulum):
+        if before is None or not (self._look.is_planar or self._look.is_pendulum):
             return []
         known = self._verdict is not None and state.tick - self._verdict.tick <= _LONGEST_GAP_TICKS
         status = self._verdict.status if self._verdict and known else ""
@@ -151,7 +151,7 @@ class RobotView:
             entries.append(residual_entry(residual[1]))
         if len(verdict.predicted) == 1:  # the next state alone: the path that was told last stays
             pass
-        elif self._look.is_car:
+        elif self._look.is_planar:
             entries.append(prediction_entry(verdict, self._position()))
         elif self._look.is_pendulum:
             entries.append(phase_prediction(verdict, self._look))

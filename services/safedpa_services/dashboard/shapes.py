@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from safedpa.drawing import Discs, Lines, Point, Rings
+
 __all__ = [
     "Bands",
     "Curves",
@@ -13,44 +15,12 @@ __all__ = [
     "Lines",
     "Note",
     "Page",
+    "Point",
     "Rings",
     "Shape",
     "StateSet",
     "States",
 ]
-
-Point = tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Discs:
-    """Filled circles at centres [m] with radii [m]."""
-
-    centres: tuple[Point, ...]
-    radii: tuple[float, ...]
-    colour: int
-
-
-@dataclass(frozen=True, slots=True)
-class Rings:
-    """Circles, outline only."""
-
-    centres: tuple[Point, ...]
-    radii: tuple[float, ...]
-    colour: int
-    width: float
-    """m."""
-
-
-@dataclass(frozen=True, slots=True)
-class Lines:
-    """Lines through points [m]."""
-
-    strips: tuple[tuple[Point, ...], ...]
-    colours: tuple[int, ...]
-    """One for all, or one for each."""
-    width: float
-    """m."""
 
 
 @dataclass(frozen=True, slots=True)

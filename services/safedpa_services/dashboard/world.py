@@ -69,9 +69,13 @@ def _goal(state: StateMessage) -> Rings:
 
 def body_entries(state: StateMessage, look: Look) -> list[Entry]:
     """The robot itself: outline and wheels, load and hitch, the capsule that the filter keeps free."""
-    if not look.is_car:
+    if look.is_pendulum:
         return _pendulum(state)
-    if len(state.values) < 3 or not drawable(*state.values[:2]):
+    if len(state.values) < 2 or not drawable(*state.values[:2]):
+        return []
+    if look.drawn is not None:
+        return [Entry(("world", name), shape) for name, shape in look.drawn(state).items()]
+    if len(state.values) < 3:
         return []
     pose = Pose(state.values[0], state.values[1], state.values[2])
     if look.is_point:

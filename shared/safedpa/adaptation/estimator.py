@@ -27,6 +27,7 @@ from safedpa.adaptation.abstract import AbstractEstimator, check_transition
 from safedpa.adaptation.belief import Belief
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
+from safedpa.robot import robots
 
 __all__ = ["EstimatorSettings", "LatentEstimator"]
 
@@ -55,11 +56,12 @@ class EstimatorSettings:
             raise InputError(f"estimator settings: got {self}, wanted positive numbers")
 
 
-_SETTINGS = {
-    "pendulum": EstimatorSettings(measurement_deviation=(0.001, 0.02)),
-    "point": EstimatorSettings(measurement_deviation=(0.0005, 0.0005, 0.005, 0.005, 0.005), smallest_motion=0.1),
-}
-"""Of robots whose state is not the car's; rad and rad/s, and m, rad, m/s."""
+def _settings_of(model: PhysicsModel) -> EstimatorSettings:
+    """With what the robot declares of its measurements; of a system that nobody declared a robot for, the default's."""
+    robot = robots().get(model.system.name)
+    if robot is None:
+        return EstimatorSettings()
+    return EstimatorSettings(measurement_deviation=robot.measurement_deviation, smallest_motion=robot.smallest_motion)
 
 
 @final
@@ -69,7 +71,7 @@ class LatentEstimator(AbstractEstimator):
     quick = False
 
     def __init__(self, model: PhysicsModel, settings: EstimatorSettings | None = None) -> None:
-        settings = settings or _SETTINGS.get(model.system.name, EstimatorSettings())
+        settings = settings or _settings_of(model)
         if len(settings.measurement_deviation) != len(model.system.state):
             raise InputError(
                 f"measurement_deviation: got {len(settings.measurement_deviation)} entries, "

@@ -15,7 +15,6 @@ import numpy as np
 from safedpa.diagnosis.windows import Floats, Rows, Windows
 from safedpa.effects import AbstractEffect, CommandEffect
 from safedpa.effects.general_commands import ChannelDelay, ChannelLag
-from safedpa.effects.pendulum.backlash import Backlash
 from safedpa.operations import FLOATS
 
 __all__ = ["felt_at_once", "late_commands"]
@@ -26,6 +25,7 @@ _DELAYED = {
     "actuator_delay": ("throttle", "target_speed", "steer", "thrust", "turn"),
     "torque_delay": ("torque",),
 }
+_PLAY = {"backlash": "torque"}
 _PERIOD = 0.05
 """s, over which a step is looked at."""
 _LAGGED = {"steering_lag": ("steer",), "drive_lag": ("throttle", "target_speed"), "torque_lag": ("torque",)}
@@ -49,10 +49,11 @@ def felt_at_once(
     command: CommandEffect, columns: dict[str, Floats], own: dict[str, float], windows: Windows
 ) -> dict[str, Floats] | None:
     """The felt columns of one of the library's own lags and delays, or of its play; None for every other effect."""
-    if not type(command).__module__.startswith("safedpa.effects."):
+    if not type(command).__module__.startswith(("safedpa.effects.", "safedpa.robots.")):
         return None
-    if isinstance(command, Backlash):
-        return {**columns, "torque": _with_play(columns["torque"], own["width"], windows)}
+    if command.name in _PLAY:
+        name = _PLAY[command.name]
+        return {**columns, name: _with_play(columns[name], own["width"], windows)}
     if isinstance(command, (ChannelDelay, ChannelLag)):
         follow = _delayed if isinstance(command, ChannelDelay) else _lagged
         (value,) = own.values()

@@ -3,22 +3,16 @@
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.dynamics import AbstractDynamics
 from safedpa.dynamics.fingerprint import fingerprint
-from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.model_file import load_model, parse_model, save_model, shipped_models, write_model
 from safedpa.dynamics.own import load_own, load_own_everywhere
 from safedpa.dynamics.physics import PhysicsModel, Setting
-from safedpa.dynamics.point_mass import PointMass
-from safedpa.dynamics.rigid_pendulum import RigidPendulum
 
 __all__ = [
     "AbstractBase",
     "AbstractDynamics",
-    "KinematicBicycle",
     "LearnedBase",
     "PhysicsModel",
-    "PointMass",
-    "RigidPendulum",
     "Setting",
     "fingerprint",
     "load_model",

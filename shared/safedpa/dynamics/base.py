@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import ClassVar
 
 from safedpa.dynamics.runge_kutta import Derivative, runge_kutta
@@ -22,6 +23,9 @@ class AbstractBase(ABC):
     source: ClassVar[str]
     system: System
     parameters: tuple[Parameter, ...]
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """Keys of a model file's base table that choose among variants, each with what it may be; arguments by these names
+    of whatever makes the base."""
     straight: ClassVar[bool] = True
     """Whether the equations are the same arithmetic on named scalars whatever their values."""
 

@@ -5,31 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from safedpa.dynamics.base import AbstractBase
-from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
-from safedpa.dynamics.point_mass import PointMass
-from safedpa.dynamics.rigid_pendulum import RigidPendulum
 from safedpa.errors import InputError
+from safedpa.robot import robots
 
 __all__ = ["add_base", "bases_of", "robots_with_bases"]
 
-Maker = Callable[[], AbstractBase]
+Maker = Callable[..., AbstractBase]
 
-_SHIPPED: dict[str, dict[str, Maker]] = {
-    "car": {KinematicBicycle.kind: KinematicBicycle},
-    "pendulum": {RigidPendulum.kind: RigidPendulum},
-    "point": {PointMass.kind: PointMass},
-}
 _own: dict[str, dict[str, Maker]] = {}
 
 
 def bases_of(robot: str) -> dict[str, Maker]:
     """What makes the base models of one robot, by kind; empty for an unknown robot."""
-    return {**_SHIPPED.get(robot, {}), **_own.get(robot, {})}
+    known = robots()
+    declared = known[robot].bases() if robot in known else {}
+    return {**declared, **_own.get(robot, {})}
 
 
 def robots_with_bases() -> tuple[str, ...]:
     """Names of the robots that have a base model."""
-    return tuple(sorted({*_SHIPPED, *_own}))
+    return tuple(sorted({*robots(), *_own}))
 
 
 def add_base(maker: Maker) -> None:
@@ -39,6 +34,6 @@ def add_base(maker: Maker) -> None:
     """
     base = maker()
     robot = base.system.name
-    if base.kind in _SHIPPED.get(robot, {}):
+    if robot in robots() and base.kind in robots()[robot].bases():
         raise InputError(f"base '{base.kind}' of robot '{robot}' ships with the project; choose another kind")
     _own.setdefault(robot, {})[base.kind] = maker

@@ -10,7 +10,6 @@ from typing import Any
 
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.bases import bases_of, robots_with_bases
-from safedpa.dynamics.kinematic_bicycle import KinematicBicycle
 from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.own import load_own_of_environment
 from safedpa.dynamics.physics import PhysicsModel
@@ -83,7 +82,12 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
     base, period = _base(robot, base_table), _period(table)
     if "networks" in table:
         base = _learned(base, table["networks"], folder or Path(), period)
-    settings = _settings("base", base.parameters, base_table, ("kind", "drive"))
+    settings = _settings(
+        "base",
+        base.parameters,
+        base_table,
+        ("kind", *(base.nominal if isinstance(base, LearnedBase) else base).choices),
+    )
     effects = []
     for entry in _effect_tables(table):
         item = _effect(base, entry)
@@ -118,8 +122,7 @@ def write_model(model: PhysicsModel, weights: str = "") -> str:
         "[base]",
     ]
     lines.append(f'kind = "{physical.kind}"')
-    if isinstance(physical, KinematicBicycle):
-        lines.append(f'drive = "{physical.drive}"')
+    lines += [f'{key} = "{getattr(physical, key)}"' for key in physical.choices]
     lines += _setting_lines(model, "base", model.base.parameters)
     if isinstance(model.base, LearnedBase):
         source = model.base.weights.source
@@ -163,22 +166,19 @@ def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
     if robot not in robots_with_bases():
         raise ModelFileError(
             f"robot: got {robot!r}, wanted one of {', '.join(robots_with_bases())}; a robot of your own is loaded with "
-            "--effects FILE.py"
+            "--effects or --robot-file FILE.py"
         )
     kinds = bases_of(robot)
     if table.get("kind") not in kinds:
         wanted_kinds = " or ".join(f"'{kind}'" for kind in kinds)
         raise ModelFileError(f"base.kind: got {table.get('kind')!r}, wanted {wanted_kinds} for robot '{robot}'")
-    drive = table.get("drive")
-    if robot != "car":
-        if drive is not None:
-            raise ModelFileError(f"base.drive: got {drive!r}, a {robot} has none; remove the key")
-        return kinds[table["kind"]]()
-    if table["kind"] != KinematicBicycle.kind:
-        return kinds[table["kind"]]()
-    if drive not in ("speed_servo", "throttle"):
-        raise ModelFileError(f"base.drive: got {drive!r}, wanted 'speed_servo' or 'throttle'")
-    return KinematicBicycle(drive)
+    maker = kinds[table["kind"]]
+    choices: Mapping[str, tuple[str, ...]] = getattr(maker, "choices", {})
+    for key, allowed in choices.items():
+        if table.get(key) not in allowed:
+            wanted = " or ".join(f"'{one}'" for one in allowed)
+            raise ModelFileError(f"base.{key}: got {table.get(key)!r}, wanted {wanted}")
+    return maker(**{key: table[key] for key in choices})
 
 
 def _learned(nominal: AbstractBase, table: Any, folder: Path, period: float) -> LearnedBase:

@@ -1,4 +1,4 @@
-"""A user's own systems, base models and effects, from one Python file outside the project.
+"""A user's own robots, systems, base models and effects, from one Python file outside the project.
 
 Files are named by an option, by the environment variable SAFEDPA_EFFECTS (several with the path separator between
 them, so that every process of a loop knows them), or by an entry point ``safedpa.effects`` that names a module.
@@ -13,15 +13,18 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 
-import safedpa.systems
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.bases import add_base
 from safedpa.effects.library import add_effects, module_from
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS
+from safedpa.robot import AbstractRobot, add_robot
 from safedpa.systems import System, add_system, systems
 
 __all__ = ["EFFECTS_VARIABLE", "load_own", "load_own_everywhere", "load_own_of_environment"]
+
+_DECLARED = ("system", "rate", "measurement_deviation")
+"""Attributes without which nothing of a robot works."""
 
 EFFECTS_VARIABLE = "SAFEDPA_EFFECTS"
 """Name of the environment variable."""
@@ -36,7 +39,7 @@ def load_own(path: Path) -> list[str]:
     if not found:
         raise InputError(
             f"{path}: got no effect, wanted a class derived from RateEffect, CommandEffect or SensorEffect, a System, "
-            "or a base model"
+            "a base model, or a robot"
         )
     return found
 
@@ -74,6 +77,12 @@ def _entry_points_once() -> None:
 
 
 def _added(module: ModuleType, path: Path) -> list[str]:
+    robots_found = _robots_in(module, path)
+    for robot in robots_found:
+        try:
+            add_robot(robot)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
     own = _systems_in(module)
     for system in own:
         try:
@@ -83,13 +92,28 @@ def _added(module: ModuleType, path: Path) -> list[str]:
     bases = _bases_in(module)
     for base in bases:
         _check_base(base, path)
-        add_base(base)
-    return [*(item.name for item in own), *(item.kind for item in bases), *(e.name for e in add_effects(module, path))]
+        if base not in [made for robot in robots_found for made in robot.bases().values()]:
+            add_base(base)
+    names = [*(item.name for item in robots_found), *(item.name for item in own), *(item.kind for item in bases)]
+    return [*names, *(item.name for item in add_effects(module, path))]
+
+
+def _robots_in(module: ModuleType, path: Path) -> list[AbstractRobot]:
+    """One of each class of robot that a module defines. Raises InputError for one that does not declare everything."""
+    found = []
+    for name, item in inspect.getmembers(module, inspect.isclass):
+        if item.__module__ != module.__name__ or not issubclass(item, AbstractRobot):
+            continue
+        lacking = sorted({*item.__abstractmethods__, *(part for part in _DECLARED if not hasattr(item, part))})
+        if lacking:
+            raise InputError(f"{path}: class {name}: '{lacking[0]}' is missing; declare it as AbstractRobot says")
+        found.append(item())
+    return found
 
 
 def _systems_in(module: ModuleType) -> list[System]:
     """Systems that a module makes; those that it imports are known already."""
-    known = [*vars(safedpa.systems).values(), *systems().values()]
+    known = list(systems().values())
     found = [item for _, item in inspect.getmembers(module) if isinstance(item, System)]
     return [item for item in found if not any(item is other for other in known)]
 

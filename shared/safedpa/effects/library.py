@@ -16,9 +16,11 @@ from types import ModuleType
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
+from safedpa.robot import AbstractRobot
+from safedpa.robot import robots as robots_declared
 from safedpa.systems import systems
 
-__all__ = ["add_effects", "effect", "effects_of", "load_effects", "module_from", "robots"]
+__all__ = ["add_effects", "effect", "effects_in_package", "effects_of", "load_effects", "module_from", "robots"]
 
 _own: dict[tuple[str, str], AbstractEffect] = {}
 """Effects that were loaded from files outside the project, in this process."""
@@ -91,18 +93,30 @@ def _check_declaration(item: AbstractEffect, path: Path) -> None:
         raise InputError(f"{label}: parameters: got {item.parameters!r}, wanted a tuple of Parameter(...)")
 
 
-@cache
 def _shipped() -> dict[tuple[str, str], AbstractEffect]:
-    found: dict[tuple[str, str], AbstractEffect] = {}
-    for folder in ("car", "pendulum", "point"):
-        package = importlib.import_module(f"safedpa.effects.{folder}")
-        for info in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
-            for item in _effects_in(importlib.import_module(info.name)):
-                found[item.robot, item.name] = item
-    for entry in entry_points(group="safedpa.effects"):
-        for item in _effects_in(entry.load()):
-            found[item.robot, item.name] = item
+    """What robots and installed modules declare."""
+    found = dict(_of_entry_points())
+    for robot in robots_declared().values():
+        found.update(_of_robot(robot))
     return found
+
+
+@cache
+def _of_robot(robot: AbstractRobot) -> dict[tuple[str, str], AbstractEffect]:
+    return {(item.robot, item.name): item for item in robot.effects()}
+
+
+@cache
+def _of_entry_points() -> dict[tuple[str, str], AbstractEffect]:
+    points = entry_points(group="safedpa.effects")
+    return {(item.robot, item.name): item for entry in points for item in _effects_in(entry.load())}
+
+
+def effects_in_package(name: str) -> tuple[AbstractEffect, ...]:
+    """Every effect that the modules of a package define, by the modules' names."""
+    package = importlib.import_module(name)
+    modules = [importlib.import_module(info.name) for info in pkgutil.iter_modules(package.__path__, name + ".")]
+    return tuple(item for module in modules for item in _effects_in(module))
 
 
 def _effects_in(module: ModuleType) -> Iterator[AbstractEffect]:

@@ -16,6 +16,7 @@ import numpy as np
 from safedpa.errors import InputError
 from safedpa.networks.plain_rows import turn_rows
 from safedpa.operations import FLOATS, Operations, Scalar, operations_for
+from safedpa.robot import robots
 
 __all__ = ["Frame", "frame_of"]
 
@@ -84,9 +85,12 @@ class Frame:
 
 def frame_of(robot: str) -> Frame:
     """The frame of a kind of robot. Raises InputError when learned models of it are not known."""
-    if robot not in _FRAMES:
-        raise InputError(f"robot: got '{robot}', wanted one with learned models: {', '.join(_FRAMES)}")
-    return _FRAMES[robot]
+    known = robots()
+    found = known[robot].frame() if robot in known else None
+    if found is None:
+        taught = [name for name, one in known.items() if one.frame() is not None]
+        raise InputError(f"robot: got '{robot}', wanted one with learned models: {', '.join(taught)}")
+    return found
 
 
 def _stacked(entries: list[Array]) -> Array:
@@ -99,30 +103,3 @@ def _stacked(entries: list[Array]) -> Array:
 
 def _entries(state: Array) -> list[Array]:
     return [state[..., index] for index in range(state.shape[-1])]
-
-
-def _car_features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
-    return [operations.cos(state[2]), operations.sin(state[2]), state[3]]
-
-
-def _car_rotation(state: Sequence[Scalar], operations: Operations) -> tuple[Scalar, Scalar]:
-    return operations.cos(state[2]), operations.sin(state[2])
-
-
-def _pendulum_features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
-    return [operations.cos(state[0]), operations.sin(state[0]), state[1]]
-
-
-def _point_features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
-    cosine, sine = _car_rotation(state, operations)
-    x, y = state[3], state[4]
-    return [cosine, sine, cosine * x + sine * y, cosine * y - sine * x]
-
-
-_FRAMES = {
-    "car": Frame(("cos(yaw)", "sin(yaw)", "speed"), _car_features, _car_rotation, 2),
-    "pendulum": Frame(("cos(angle)", "sin(angle)", "rate"), _pendulum_features, None, 0),
-    "point": Frame(
-        ("cos(yaw)", "sin(yaw)", "speed along", "speed across"), _point_features, _car_rotation, 2, ((0, 1), (3, 4))
-    ),
-}

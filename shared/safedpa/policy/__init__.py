@@ -1,8 +1,7 @@
 """Controllers that wish for an action; none of them is trusted, all of them are filtered."""
 
-from safedpa.policy.controller import CONTROLLERS, Controller
-from safedpa.policy.goal_seeker import GoalSeeker, GoalSeekerSettings
+from safedpa.policy.controller import Controller, controller_for
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.policy.node import PolicyNode
 
-__all__ = ["CONTROLLERS", "Controller", "GoalSeeker", "GoalSeekerSettings", "LearnedPolicy", "PolicyNode"]
+__all__ = ["Controller", "LearnedPolicy", "PolicyNode", "controller_for"]

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, Protocol, final
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage
 from safedpa.dynamics import LearnedBase, PhysicsModel
-from safedpa.errors import InputError, MessageError, did_you_mean
-from safedpa.policy.backing_off import BackingOff
-from safedpa.policy.compensation import SpeedCompensation
-from safedpa.policy.goal_seeker import GoalSeeker, GoalSeekerSettings
+from safedpa.errors import InputError, did_you_mean
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.policy.network_latent import NetworkLatent
-from safedpa.policy.point_seeker import PointSeeker
 from safedpa.policy.random_wishes import RandomWishes
+from safedpa.robot import AbstractRobot, robot_like
 
-__all__ = ["CONTROLLERS", "CompensatedGoalSeeker", "Controller", "controller_for"]
-
-CONTROLLERS: Final = ("goal_seeker", "learned", "planner", "random")
-"""By name."""
+__all__ = ["Controller", "controller_for"]
 
 
 class Controller(Protocol):
@@ -36,65 +30,31 @@ class Controller(Protocol):
         """
 
 
-@final
-class CompensatedGoalSeeker:
-    """The goal seeker, which makes up for what the robot tows as far as the latent is known."""
+def controller_for(model: PhysicsModel, name: str | None = None) -> Callable[[], Controller]:
+    """What makes the controller of one robot; called anew for each.
 
-    def __init__(self, model: PhysicsModel, settings: GoalSeekerSettings) -> None:
-        self._compensation = SpeedCompensation(model)
-        self._settings = settings
-        self._seeker = GoalSeeker(settings)
-
-    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
-        """Target speed [m/s] and steer [rad]; the name tells what it is about, such as ``goal_seeker:seek``."""
-        if len(state.values) != 4 or len(state.goal) != 2:
-            raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
-        values = self._seeker.wish(state.robot_time, state.values, state.goal)
-        if latent is not None and self._compensation.model.system.is_plausible(np.array(state.values)):
-            self._compensation.model.clock.seconds = state.robot_time
-            speed = self._compensation.target(state.values, values, latent.tolist())
-            values = min(max(speed, self._settings.slowest_target), self._settings.fastest_target), values[1]
-        return values, f"goal_seeker:{self._seeker.mode}"
-
-
-def controller_for(
-    model: PhysicsModel, name: str | None = None, settings: GoalSeekerSettings | None = None
-) -> Callable[[], Controller]:
-    """What makes the controller of one robot; called anew for each. ``settings`` are the goal seeker's.
-
-    Without a name: the learned policy when the model's weights hold one, else the goal seeker, for a pendulum random
-    wishes. Raises InputError for a name that does not exist, for ``learned`` without a policy, and for a pendulum with
-    what only drives.
+    Without a name: the learned policy when the model's weights hold one, else the robot's own default. Raises
+    InputError for a name that this robot does not have, and for ``learned`` without a policy.
     """
-    base = model.base
-    swings = model.system.name == "pendulum"
+    robot, base = robot_like(model.system), model.base
+    own = {} if robot is None else robot.controllers(model)
     if name is None:
-        name = _default(model)
-    if swings and name in ("goal_seeker", "planner"):
-        raise InputError(f"controller '{name}': got a pendulum, wanted a car; choose random or learned")
-    if name == "goal_seeker" and model.system.name == "point":
-        return lambda: PointSeeker(model)
-    if name == "goal_seeker":
-        return lambda: CompensatedGoalSeeker(model, settings or GoalSeekerSettings())
+        taught = isinstance(base, LearnedBase) and base.weights.has("policy")
+        name = "learned" if taught else _default(robot, own)
     if name == "learned":
         if not isinstance(base, LearnedBase):
             raise InputError(
                 "controller 'learned': the model has no networks, wanted one with a policy; choose another"
             )
         policy = NetworkLatent(LearnedPolicy(base.weights), model)
-        if swings:
-            return lambda: policy
-        return lambda: BackingOff(policy)
+        return lambda: policy if robot is None else robot.learned(policy)
     if name == "random":
         return lambda: RandomWishes(model)
-    if name == "planner":
-        from safedpa.policy.planner import Planner
+    if name not in own:
+        known = (*own, "learned", "random")
+        raise InputError(f"controller '{name}' of a {model.system.name}: {did_you_mean(name, known)}")
+    return own[name]
 
-        return lambda: Planner(model)
-    raise InputError(f"controller '{name}': {did_you_mean(name, CONTROLLERS)}")
 
-
-def _default(model: PhysicsModel) -> str:
-    if isinstance(model.base, LearnedBase) and model.base.weights.has("policy"):
-        return "learned"
-    return "random" if model.system.name == "pendulum" else "goal_seeker"
+def _default(robot: AbstractRobot | None, own: Mapping[str, object]) -> str:
+    return robot.default_controller if robot is not None and robot.default_controller in own else "random"

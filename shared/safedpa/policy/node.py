@@ -31,7 +31,6 @@ from safedpa.bus.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.dynamics.offered import offered_model
 from safedpa.policy.controller import Controller, controller_for
-from safedpa.policy.goal_seeker import GoalSeekerSettings
 
 __all__ = ["PolicyNode"]
 
@@ -47,10 +46,11 @@ class _Held:
 
 @final
 class PolicyNode(AbstractNode):
-    """Wishes for actions that lead each robot to its goal, by one of the controllers of ``CONTROLLERS``.
+    """Wishes for actions that lead each robot to its goal, by one of the robot's controllers.
 
-    Without a name it is the learned policy when the model's weights hold one, else the goal seeker. A latent that does
-    not belong to the model is left aside. Raises InputError for a controller that does not exist or lacks its weights.
+    Without a name it is the learned policy when the model's weights hold one, else the robot's default. A latent that
+    does not belong to the model is left aside. Raises InputError for a controller that does not exist or lacks its
+    weights.
     """
 
     name = "policy"
@@ -62,10 +62,8 @@ class PolicyNode(AbstractNode):
     slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1}
     lingers = False
 
-    def __init__(
-        self, model: PhysicsModel, settings: GoalSeekerSettings | None = None, controller: str | None = None
-    ) -> None:
-        self._settings, self._controller = settings, controller
+    def __init__(self, model: PhysicsModel, controller: str | None = None) -> None:
+        self._controller = controller
         first = self._held(model)
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
         self._controllers: dict[str, Controller] = {}
@@ -129,7 +127,7 @@ class PolicyNode(AbstractNode):
         self._versions.forget(robot)
 
     def _held(self, model: PhysicsModel) -> _Held:
-        return _Held(model, fingerprint(model), controller_for(model, self._controller, self._settings))
+        return _Held(model, fingerprint(model), controller_for(model, self._controller))
 
     def _load(self, robot: str, offer: ModelMessage) -> _Held:
         """The offered model, tried at the robot's newest state. Raises InputError when it cannot be used."""

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage
 from safedpa.errors import InputError, MessageError
-from safedpa.policy.observation import observation_length
-from safedpa.policy.one_observation import observe_one
-from safedpa.policy.pendulum_observation import observe_pendulum, pendulum_observation_length
+from safedpa.robot import robots
 
-__all__ = ["Perception", "perception_of"]
+__all__ = ["Perception", "checked", "perception_of"]
 
 Values = NDArray[np.floating[Any]]
 
@@ -32,37 +30,16 @@ class Perception:
 
 def perception_of(robot: str) -> Perception:
     """The perception of a kind of robot. Raises InputError when learned policies of it are not known."""
-    if robot not in _PERCEPTIONS:
-        raise InputError(f"robot: got '{robot}', wanted one with learned policies: {', '.join(_PERCEPTIONS)}")
-    return _PERCEPTIONS[robot]
+    known = robots()
+    found = known[robot].perception() if robot in known else None
+    if found is None:
+        taught = [name for name, one in known.items() if one.perception() is not None]
+        raise InputError(f"robot: got '{robot}', wanted one with learned policies: {', '.join(taught)}")
+    return found
 
 
-def _checked(state: StateMessage, **lengths: int) -> None:
+def checked(state: StateMessage, **lengths: int) -> None:
     """Raises MessageError when an entry of the message has another length than the robot's."""
     for name, length in lengths.items():
         if len(getattr(state, name)) != length:
             raise MessageError(f"state.{name}: got {len(getattr(state, name))} numbers, wanted {length}")
-
-
-def _observed_car(state: StateMessage, latent: Values) -> Values:
-    _checked(state, values=4, applied=2, goal=2, field=4, footprint=3)
-    if any(len(row) != 3 for row in state.obstacles):
-        raise MessageError("state.obstacles: got rows of another length, wanted 3 numbers in each: x, y, radius")
-    try:
-        seen = observe_one(
-            state.values, state.applied, state.goal, state.obstacles, state.field, state.footprint, latent.tolist()
-        )
-    except (ValueError, OverflowError) as error:
-        raise MessageError(f"state: got numbers that are not finite in {state.values}, wanted finite ones") from error
-    return np.array(seen)
-
-
-def _observed_pendulum(state: StateMessage, latent: Values) -> Values:
-    _checked(state, values=2, goal=1)
-    return observe_pendulum(np.array(state.values), np.array(state.goal)[0], latent)
-
-
-_PERCEPTIONS = {
-    "car": Perception(observation_length, _observed_car),
-    "pendulum": Perception(pendulum_observation_length, _observed_pendulum),
-}

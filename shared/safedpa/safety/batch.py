@@ -18,14 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
+from safedpa.robot import robot_like
 from safedpa.safety.batch_barriers import ManyScenes
 from safedpa.safety.batch_search import ManyConditions, ManyOutcomes, ManyPredictions, search_by_many
 from safedpa.safety.inputs import Plausible
 from safedpa.safety.safety_filter import SafetyFilter
-from safedpa.safety.scene import is_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status
-from safedpa.systems import CAR
 
 __all__ = ["STATUSES", "BatchFilter", "ManyVerdicts"]
 
@@ -62,7 +61,8 @@ class BatchFilter:
     def __init__(self, model: PhysicsModel, settings: FilterSettings | None = None) -> None:
         self.model, self.settings = model, settings or FilterSettings()
         actions = len(self.settings.action_low)
-        if not is_of(model.system, CAR) or actions != 2:
+        robot = robot_like(model.system)
+        if robot is None or not robot.in_batches or actions != 2:
             raise InputError(
                 f"model: got a '{model.system.name}' and {actions} actions, wanted a car and 2; filter it one by one"
             )

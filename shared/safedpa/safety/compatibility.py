@@ -14,23 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa.robot import robots
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.settings import FilterSettings
 from safedpa.systems import System, systems
 
 __all__ = [
-    "KINDS",
     "check_backup",
     "check_barriers",
     "check_margins",
     "check_reads",
     "check_settings",
     "check_settings_of_functions",
+    "known_kinds",
 ]
 
-KINDS = ("corridor", "field", "function", "obstacle", "rollout", "speed")
-"""Kinds of the barriers that ship: settings may hold margins for those that are not in sight."""
+
+def known_kinds() -> tuple[str, ...]:
+    """Kinds of barriers that some robot or the library has: settings may hold margins for those not in sight."""
+    return tuple(sorted({"function", "rollout", *(kind for robot in robots().values() for kind in robot.kinds)}))
 
 
 def check_settings(settings: FilterSettings, system: System) -> None:
@@ -128,13 +131,14 @@ def check_margins(epsilon: Mapping[str, float], barriers: Sequence[AbstractBarri
     Where the barriers are not known yet, for one whose name is nearly that of a kind that ships; with an empty list,
     for every kind that does not ship.
     """
+    kinds = known_kinds()
     if barriers is None:
-        without = [kind for kind in KINDS if kind not in epsilon]
-        foreign = [kind for kind in epsilon if kind not in (*KINDS, "default") and get_close_matches(kind, without)]
-        known: set[str] = set(KINDS)
+        without = [kind for kind in kinds if kind not in epsilon]
+        foreign = [kind for kind in epsilon if kind not in (*kinds, "default") and get_close_matches(kind, without)]
+        known: set[str] = set(kinds)
     else:
-        known = {part.kind for part in barriers if part.names} or set(KINDS)
-        foreign = [kind for kind in epsilon if kind not in known and kind not in (*KINDS, "default")]
+        known = {part.kind for part in barriers if part.names} or set(kinds)
+        foreign = [kind for kind in epsilon if kind not in known and kind not in (*kinds, "default")]
     if foreign:
         raise InputError(
             f"epsilon.{foreign[0]}: no barrier is of this kind, and a margin for none is no margin; "

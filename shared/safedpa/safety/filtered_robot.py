@@ -20,10 +20,9 @@ from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.found_delay import MOST, FoundDelay
 from safedpa.safety.held_model import HeldModel
 from safedpa.safety.margin_change import PhasedMargin
-from safedpa.safety.point_scene import PointScene
 from safedpa.safety.safety_filter import SafetyFilter
-from safedpa.safety.scene import SceneBarriers
-from safedpa.safety.scenes import Scene, scene_of
+from safedpa.safety.scene import AbstractScene
+from safedpa.safety.scenes import scene_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.standstill import Standstill, places_of
 from safedpa.safety.trail import LONGEST_AGE, Trail
@@ -96,7 +95,7 @@ class FilteredRobot:
     model: PhysicsModel
     """The held one, over the robot's own period."""
     filter: SafetyFilter
-    scene: Scene
+    scene: AbstractScene
     margin: WatchedMargin
     trail: Trail
     tick: int = -1
@@ -147,8 +146,7 @@ class FilteredRobot:
         """
         model = held.model if period is None else held.model.with_period(period)
         scene = scene_of(model, settings)
-        backup = scene.backup if isinstance(scene, PointScene) else None
-        filtering = SafetyFilter.for_model(model, settings, backup=backup)
+        filtering = SafetyFilter.for_model(model, settings, backup=scene.backup)
         phased = None if before is None else PhasedMargin(before, held.calibration.epsilon, settings.eta)
         margin = WatchedMargin(held.calibration, Ceiling.of_settings(settings), phased)
         return cls(held, model, filtering, scene, margin, Trail(model))
@@ -215,15 +213,14 @@ class FilteredRobot:
         if known is None or known.epoch != state.epoch or _late(state, known):
             return None, ["the latent (none of the last second has arrived)"]
         latent = np.array(known.values)
-        if isinstance(self.scene, PointScene):
-            self.scene.learn(latent)
+        self.scene.learn(latent)
         return latent, []
 
     def remember_way(self, former: FilteredRobot | None) -> None:
         """How far the robot was driven backwards, and what was sent, do not depend on who held the model until now."""
         self.former = None if former is None else former.trail
-        if former is not None and isinstance(former.scene, SceneBarriers) and isinstance(self.scene, SceneBarriers):
-            self.scene.way = former.scene.way
+        if former is not None:
+            self.scene.remember(former.scene)
 
     def remember_actuators(self, state: StateMessage) -> None:
         """What the actuators remember now: as expected if the robot did what it was told, else as if at rest there."""
@@ -326,10 +323,7 @@ class FilteredRobot:
 
         margins = barriers.of_each(self.margin.epsilon, 0.0)
         here = Here(state.tick, state.period, barriers.heights(values), margins, ahead, fails)
-        quick = isinstance(
-            self.scene, SceneBarriers
-        )  # the point robot's h costs too much for hundreds of states a tick
-        return self.way_out.instead_of(verdict, here, self.standing.seconds if quick else 0.0)
+        return self.way_out.instead_of(verdict, here, self.standing.seconds if self.scene.quick else 0.0)
 
     def _next(self, state: StateMessage, action: Values, latent: Values | None) -> Rows:
         """One predicted state under an action; empty where there is none."""

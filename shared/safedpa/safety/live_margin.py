@@ -9,12 +9,11 @@ from dataclasses import replace
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.records.run import Run, Stretch
+from safedpa.robot import robot_like
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin_text import margin_text
-from safedpa.safety.run_calibration import SMALL_CAR, LatentAlong, calibration_from_runs
-from safedpa.safety.scene import is_of
+from safedpa.safety.run_calibration import LatentAlong, calibration_from_runs
 from safedpa.safety.settings import FilterSettings
-from safedpa.systems import CAR, PENDULUM
 
 __all__ = ["live_margin"]
 
@@ -30,16 +29,16 @@ def live_margin(
 ) -> str:
     """The margin as text: for each kind of barrier the larger one of all of the run and of its newest half.
 
-    The model was fitted to part of the run, most likely to its older half. Empty where the model is neither a car that
-    the filter drives nor a pendulum. Raises InputError when the run is too short for 99 %.
+    The model was fitted to part of the run, most likely to its older half. Empty where the robot does
+    not say which barriers may be drawn around a state. Raises InputError when the run is too short for 99 %.
     """
-    if not any(is_of(model.system, known) for known in (CAR, PENDULUM)):
+    robot = robot_like(model.system)
+    if robot is None or not robot.calibrates_from_logs:
         return ""
-    rear, front, radius = footprint if len(footprint) == 3 else SMALL_CAR
-    body, date = (rear, front, radius), datetime.date.today().isoformat()
+    date = datetime.date.today().isoformat()
 
     def calibrated(part: Run) -> MarginCalibration:
-        return calibration_from_runs(model, settings, [part], _COVERAGE, date, body, estimator)
+        return calibration_from_runs(model, settings, [part], _COVERAGE, date, footprint, estimator)
 
     found = calibrated(run)
     try:

@@ -9,7 +9,7 @@ from typing import Any, final
 
 from safedpa.errors import did_you_mean
 from safedpa.safety.barrier import AbstractStack, Barriers
-from safedpa.safety.compatibility import KINDS
+from safedpa.safety.compatibility import known_kinds
 from safedpa.safety.search import DecisionError
 
 __all__ = ["Margins"]
@@ -24,7 +24,7 @@ class Margins:
         self._barriers: AbstractStack = Barriers(())
         self._asked: dict[str, float] = {}
         self._known: tuple[list[float], float] | None = None
-        self._kinds = {*KINDS, "default", *settings}
+        self._kinds = {*known_kinds(), "default", *settings}
         """Of these, and of what was ever in sight, a margin may be asked for."""
 
     def of(self, barriers: AbstractStack, asked: Any) -> tuple[list[float], float]:

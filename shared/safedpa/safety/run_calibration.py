@@ -16,16 +16,12 @@ from numpy.typing import NDArray
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.records.run import Run
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.robot import robot_like, robots
 from safedpa.safety.calibration import MarginCalibration, calibration_from_errors
-from safedpa.safety.car_barriers import car_barriers
 from safedpa.safety.compatibility import check_settings
-from safedpa.safety.corridor_barrier import CorridorBarrier
-from safedpa.safety.scene import is_of
 from safedpa.safety.settings import FilterSettings
-from safedpa.systems import CAR, PENDULUM
 
-__all__ = ["SMALL_CAR", "LatentAlong", "calibration_from_runs"]
+__all__ = ["LatentAlong", "calibration_from_runs"]
 
 Values = NDArray[np.float64]
 
@@ -39,20 +35,8 @@ class LatentAlong(Protocol):
     def update(self, state: Values, action: Values, next_state: Values, period: float) -> None: ...  # noqa: D102
 
 
-SMALL_CAR = (0.08, 0.40, 0.12)
-"""m; how far the body of the 1:10 car reaches behind and ahead of its rear axle, and the radius around that line."""
-
 _MOST = 3000
 """Transitions; more narrow the quantile by less than its own spread."""
-_AROUND = (0.5, 2.5)
-"""m from the car at which obstacles are drawn."""
-_RADII = (0.2, 0.35)
-"""m"""
-_OBSTACLES = 3
-_ROOM = 4.0
-"""m from the car to the farthest walls."""
-_EDGE = 1.0
-"""rad from the pendulum to the edges of its corridor; any number would do."""
 _SAME_PERIOD = 0.1
 """Relative difference of a row's period from the model's beyond which its transition is left out."""
 
@@ -63,28 +47,29 @@ def calibration_from_runs(
     runs: Sequence[Run],
     coverage: float,
     date: str,
-    body: tuple[float, float, float] = SMALL_CAR,
+    footprint: tuple[float, ...] = (),
     estimator: Callable[[], LatentAlong] | None = None,
 ) -> MarginCalibration:
     """Margins by kind of barrier: the quantile of h(predicted) - h(measured) over the runs' transitions.
 
-    Actuators remember what was commanded before, as they do in the filter. ``body`` as in a robot's footprint.
+    Actuators remember what was commanded before, as they do in the filter. ``footprint`` as in the message
+    of the state; empty: the usual one.
     ``estimator`` makes what estimates the latent along each stretch; without one the model's own latent stands.
-    Raises InputError for a model that is neither a car with a speed servo nor a pendulum, settings of another one, or
+    Raises InputError for a model that is of a robot that does not say how, settings of another one, or
     too few transitions at the model's own period.
     """
-    corridor = is_of(model.system, PENDULUM)
-    if not corridor and not is_of(model.system, CAR):
+    robot = robot_like(model.system)
+    draw = np.random.default_rng(0)
+    if robot is None or not robot.calibrates_from_logs:
         raise InputError(
             f"margin: got a model with the actions {', '.join(model.system.action_names) or 'none'} and the states "
-            f"{', '.join(model.system.state_names)}, wanted those of a car's speed servo, target_speed and steer, or a "
-            "pendulum's torque: the filter's barriers are theirs"
+            f"{', '.join(model.system.state_names)}, wanted one of a robot that says which barriers may be drawn "
+            f"around a state: {', '.join(name for name, one in robots().items() if one.calibrates_from_logs)}"
         )
     check_settings(settings, model.system)
-    draw = np.random.default_rng(0)
     errors: dict[str, list[float]] = {}
     for before, predicted, after in _predictions(model, runs, estimator):
-        for barrier in _corridor(before, settings) if corridor else _around(before, settings, body, draw):
+        for barrier in robot.barriers_around(before, settings, footprint, draw):
             worst = float((barrier.values(predicted) - barrier.values(after)).max(initial=-np.inf))
             errors.setdefault(barrier.kind, []).append(worst if np.isfinite(worst) else 0.0)
     if not errors:
@@ -123,20 +108,3 @@ def _predictions(
                     yield states[row], predicted, states[row + 1]
                 if along is not None and near:
                     along.update(states[row], actions[row], states[row + 1], model.period)
-
-
-def _corridor(state: Values, settings: FilterSettings) -> list[AbstractBarrier]:
-    """A corridor around a pendulum's angle."""
-    return [CorridorBarrier(state[0] - _EDGE, state[0] + _EDGE, settings.corridor_seconds)]
-
-
-def _around(
-    state: Values, settings: FilterSettings, body: tuple[float, float, float], draw: np.random.Generator
-) -> list[AbstractBarrier]:
-    """Barriers of a scene around the car: some obstacles, four walls."""
-    distance, angle = draw.uniform(*_AROUND, _OBSTACLES), draw.uniform(-np.pi, np.pi, _OBSTACLES)
-    x, y = state[0] + distance * np.cos(angle), state[1] + distance * np.sin(angle)
-    obstacles = np.column_stack([x, y, draw.uniform(*_RADII, _OBSTACLES)])
-    low, high = draw.uniform(0.5, _ROOM, 2), draw.uniform(0.5, _ROOM, 2)
-    field = (state[0] - low[0], state[0] + high[0], state[1] - low[1], state[1] + high[1])
-    return car_barriers(settings, body, obstacles, field)

@@ -6,7 +6,9 @@ from importlib.resources import as_file, files
 from pathlib import Path
 
 from safedpa.dynamics import PhysicsModel, fingerprint
+from safedpa.dynamics.own import load_own_of_environment
 from safedpa.errors import InputError, did_you_mean
+from safedpa.robot import robot_named, robots
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.settings import FilterSettings, load_settings
 
@@ -14,8 +16,10 @@ __all__ = ["margin_for", "settings_named"]
 
 
 def settings_named(source: str) -> FilterSettings:
-    """Settings from a file, or the ones that ship under a name. Raises InputError naming file and key."""
-    return load_settings(_path(source, "named_settings"))
+    """Settings from a file, or those of the robot of that name. Raises InputError naming file and key."""
+    load_own_of_environment()
+    declared = source in robots() and not Path(source).exists() and source not in _shipped("named_settings")
+    return robot_named(source).settings() if declared else load_settings(_path(source, "named_settings"))
 
 
 def margin_for(model: PhysicsModel, source: str = "") -> MarginCalibration | None:

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
 from safedpa.networks import frame_of
+from safedpa.robot import robot_like
 from safedpa.safety.margin import split_conformal_margin
-from safedpa.safety.scene import is_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.theory_gradient import largest_gradients
-from safedpa.systems import CAR
 
 __all__ = ["RecordedBound", "Transitions", "own_errors", "recorded_bound"]
 
@@ -61,7 +60,8 @@ def recorded_bound(
     P is the largest gradient for any of the recorded footprints. Raises InputError when too few transitions are used
     for the coverage.
     """
-    if not is_of(model.system, CAR):
+    robot = robot_like(model.system)
+    if robot is None or not robot.theorem_margins:
         return RecordedBound({}, {})
     errors = np.abs(own_errors(model, found))
     scaling = used & (np.arange(len(used)) // _BLOCK % 10 == 0)
@@ -82,7 +82,7 @@ def recorded_bound(
 
 def own_errors(model: PhysicsModel, found: Transitions) -> Values:
     """Measured minus predicted increment (n, states) in the robot's own frame, SI units."""
-    frame = frame_of(CAR.name)
+    frame = frame_of(model.system.name)
     expected = model.step(found.state, found.action, found.latent)
     measured = frame.own_increment(found.state, found.following)
     return np.asarray(measured - frame.own_increment(found.state, expected))

@@ -1,22 +1,19 @@
-"""Every kind of robot that is known in this process: those that ship, and a user's own."""
+"""Every system that is known in this process: those of robots, and a user's own."""
 
 from __future__ import annotations
 
 from safedpa.errors import InputError
-from safedpa.systems.car import CAR
-from safedpa.systems.pendulum import PENDULUM
-from safedpa.systems.point import POINT
+from safedpa.robot import robots
 from safedpa.systems.system import System
 
 __all__ = ["add_system", "systems"]
 
-_SHIPPED = {item.name: item for item in (CAR, PENDULUM, POINT)}
 _own: dict[str, System] = {}
 
 
 def systems() -> dict[str, System]:
     """By name; of a kind with several sets of actions, the first."""
-    return {**_SHIPPED, **_own}
+    return {**{name: robot.system for name, robot in robots().items()}, **_own}
 
 
 def add_system(system: System) -> None:
@@ -24,7 +21,7 @@ def add_system(system: System) -> None:
 
     Raises InputError when it has no state, repeats a name, or bears the name of one that ships.
     """
-    if system.name in _SHIPPED:
+    if system.name in robots():
         raise InputError(f"system '{system.name}' ships with the project; choose another name")
     names = ["t", *system.state_names, *system.action_names]
     if not system.name.isidentifier() or not all(name.isidentifier() for name in names):

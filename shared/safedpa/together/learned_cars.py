@@ -17,7 +17,7 @@ from safedpa.dynamics import LearnedBase, PhysicsModel
 from safedpa.errors import InputError
 from safedpa.policy import LearnedPolicy
 from safedpa.policy.backing_off_together import BackingOffTogether
-from safedpa.policy.observation import FAR_AWAY, OBSTACLES, observe
+from safedpa.robots.car.observation import FAR_AWAY, OBSTACLES, observe
 from safedpa.safety.batch import BatchFilter, ManyVerdicts
 from safedpa.safety.settings import FilterSettings
 from safedpa.together.histories import HistoriesTogether

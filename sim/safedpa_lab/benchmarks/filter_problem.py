@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.robots.car.car_scene import CarScene
 from safedpa.safety import FilterSettings, SafetyFilter, Status
-from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.shipped import settings_named
-from safedpa.systems import CAR
 
 __all__ = ["FilterProblem", "car_message", "problem_with", "wedged"]
 
@@ -49,7 +48,7 @@ class FilterProblem:
 
     def barriers(self) -> Any:
         """As the service builds them for a scene: obstacles, four walls far away, two limits of speed."""
-        found = SceneBarriers(self.settings, CAR).of(car_message(0, self.obstacles, (0.0, 0.0, 0.0, 0.0)))
+        found = CarScene(self.settings).of(car_message(0, self.obstacles, (0.0, 0.0, 0.0, 0.0)))
         assert not isinstance(found, str), found
         return found
 

@@ -24,13 +24,12 @@ from safedpa.bus import LATENT, LatentMessage, StateMessage
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.networks import frame_of
+from safedpa.robots.car.car_scene import CarScene
 from safedpa.safety import FilterSettings
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin import smallest_sample, split_conformal_margin
-from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.theory_gradient import largest_gradients
-from safedpa.systems import CAR
 from safedpa_lab.experiments.car_drives import Drive
 from safedpa_lab.experiments.statistics import wilson_interval
 
@@ -83,7 +82,7 @@ def step_errors(model: PhysicsModel, drives: Sequence[Drive], settings: FilterSe
     h: dict[str, list[float]] = {}
     bound: dict[str, list[float]] = {}
     for drive in drives:
-        scene = SceneBarriers(settings, CAR)
+        scene = CarScene(settings)
         gradients = largest_gradients(settings, drive.messages[0].footprint, scale)
         for before, expected, measured in _steps(model, drive):
             size = _largest_entry(np.array(before.values), expected, measured, scale)
@@ -150,7 +149,7 @@ class CoverageCount:
     """Counts along one episode how often the margin that the settings name covered what the filter predicted."""
 
     def __init__(self, settings: FilterSettings, margin: MarginCalibration | None) -> None:
-        self._scene = SceneBarriers(settings, CAR)
+        self._scene = CarScene(settings)
         self._margin = None if margin is None else margin.chosen(settings.margin)
         self._expected: Values | None = None
         self._barriers: Sequence[AbstractBarrier] = ()
@@ -171,7 +170,7 @@ class CoverageCount:
         self._expected = np.array(predicted[0]) if predicted else None
 
 
-def _barriers(scene: SceneBarriers, message: StateMessage) -> Sequence[AbstractBarrier]:
+def _barriers(scene: CarScene, message: StateMessage) -> Sequence[AbstractBarrier]:
     barriers = scene.of(message)
     if isinstance(barriers, str):
         raise InputError(f"recorded drive, tick {message.tick}: {barriers}; record it anew")

@@ -14,7 +14,7 @@ from safedpa.bus.messages import StateMessage
 from safedpa.bus.topics import STATE, key_of
 from safedpa.records import McapRecorder
 from safedpa.records.write import write_columns
-from safedpa.systems import CAR
+from safedpa.robots.car.system import CAR
 from safedpa_lab.hidden.car import ACCELERATION_LIMIT, WHEELBASE, simulate_cars
 from safedpa_lab.hidden.case import Effects
 from safedpa_lab.hidden.excitation import car_commands

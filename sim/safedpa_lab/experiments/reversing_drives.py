@@ -18,7 +18,7 @@ import numpy as np
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import WISH, AbstractNode, Inputs, Outputs, StateMessage, WishMessage
 from safedpa.dynamics import load_model
-from safedpa.policy import GoalSeeker
+from safedpa.robots.car.goal_seeker import GoalSeeker
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.closed_loop import drive

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safedpa.dynamics import LearnedBase
 from safedpa.policy import LearnedPolicy
-from safedpa.policy.pendulum_observation import observe_pendulum
+from safedpa.robots.pendulum.pendulum_observation import observe_pendulum
 from safedpa_lab.pendulum.balancing import winds_and_starts
 from safedpa_lab.pendulum.methods import Method, closed_of, model_named
 from safedpa_lab.pendulum.rollouts import Swung, Wish, swung

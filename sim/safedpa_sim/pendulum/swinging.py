@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa.policy.pendulum_observation import observe_pendulum
+from safedpa.robots.pendulum.pendulum_observation import observe_pendulum
 from safedpa_sim.pendulum.kept import kept_torque
 from safedpa_sim.pendulum.task import AHEAD, HELD_TICKS, LONG_WAY_ROUND, TORQUE, UPRIGHT, in_hazard, is_upright
 from safedpa_sim.training.configuration import Configuration

@@ -3,7 +3,7 @@
     wanted = (speed along the way - velocity) / time - (wind - drag velocity)         acceleration
     thrust = clip(wanted . heading / strongest),  turn = clip(gain angle from heading to wanted / fastest)
 
-The same as ``safedpa.policy.point_seeker`` for one; what keeps it out of hazards is the filter.
+The same as ``safedpa.robots.point.point_seeker`` for one; what keeps it out of hazards is the filter.
 """
 
 from __future__ import annotations

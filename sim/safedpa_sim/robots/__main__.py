@@ -10,6 +10,8 @@ from pathlib import Path
 
 from safedpa.bus.process import Stop, Urgency, add_bus_options, bus_from, lifetime, run_process
 from safedpa.bus.setup import setup_message
+from safedpa.dynamics.own import load_own_of_environment
+from safedpa.robot import DEFAULT_ROBOT, robot_named
 from safedpa_sim.robots.account import account_of, check_writable, write_account
 from safedpa_sim.robots.changes import CHANGES
 from safedpa_sim.robots.claim import claim_name
@@ -19,15 +21,15 @@ from safedpa_sim.robots.made import robot_of
 from safedpa_sim.robots.pendulum_task import TASKS
 from safedpa_sim.robots.trace import Trace
 
-_RATES = {"car": 20.0, "pendulum": 100.0, "point": 50.0}
-"""Ticks per second."""
-
 
 def robot_parser() -> argparse.ArgumentParser:
     """The options of a simulated robot."""
     parser = argparse.ArgumentParser(prog="safedpa-robot", description="a simulated robot on the bus")
     add_bus_options(parser)
-    parser.add_argument("--robot", choices=tuple(_RATES), default="car", help="kind of robot")
+    parser.add_argument("--robot", default=DEFAULT_ROBOT, help="kind of robot")
+    parser.add_argument(
+        "--world", action="append", default=[], metavar="NAME=NUMBER", help="of a stand-in of one's own"
+    )
     parser.add_argument("--name", default="r1", help="name on the bus; one robot each")
     parser.add_argument("--load", choices=("none", *LOADS), default="none", help="what it tows")
     parser.add_argument("--change", choices=("none", *CHANGES), default="none", help="what changes while it drives")
@@ -47,9 +49,7 @@ def robot_parser() -> argparse.ArgumentParser:
         "--seconds", type=float, default=0.0, help="drive for so long by the robot's clock; 0: for ever"
     )
     parser.add_argument("--lockstep", action="store_true", help="wait for each action: a run repeats bit for bit")
-    parser.add_argument(
-        "--rate", type=float, help="ticks per second; default: 20 of the car, 100 of the pendulum, 50 of the point"
-    )
+    parser.add_argument("--rate", type=float, help="ticks per second; default: the robot's own")
     parser.add_argument("--summary", type=Path, default=None, help="write the account of the run here")
     parser.add_argument("--trace", type=Path, default=None, help="append what was done in every period here")
     return parser
@@ -57,7 +57,8 @@ def robot_parser() -> argparse.ArgumentParser:
 
 def work(options: argparse.Namespace, stop: Stop) -> int:
     """Drives until the time is over or ``stop``; 0, or 1 when in lockstep nobody answered."""
-    options.rate = _RATES[options.robot] if options.rate is None else options.rate
+    load_own_of_environment()
+    options.rate = robot_named(options.robot).rate if options.rate is None else options.rate
     robot = robot_of(options)
     if options.summary is not None:
         check_writable(options.summary)

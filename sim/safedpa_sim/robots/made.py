@@ -6,6 +6,8 @@ import argparse
 import secrets
 
 from safedpa.errors import InputError
+from safedpa.robot import robot_named
+from safedpa.stand_in import world_number
 from safedpa_sim.point.body import CONTROL_SECONDS
 from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.core import CarRobot
@@ -13,15 +15,19 @@ from safedpa_sim.robots.pendulum_robot import PendulumRobot
 from safedpa_sim.robots.pendulum_task import task_named
 from safedpa_sim.robots.pendulum_world import PendulumParameters, wind_towards
 from safedpa_sim.robots.point_robot import PointRobot, force_towards
+from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.stand_in_robot import StandInRobot
 
 __all__ = ["robot_of"]
 
+SHIPPED = ("car", "pendulum", "point")
+"""Robots whose stand-ins are simulated here; others declare theirs."""
 _EPOCH_BITS = 53
 """Whole numbers that every reader of a recording holds exactly."""
 
 
-def robot_of(options: argparse.Namespace) -> CarRobot | PendulumRobot | PointRobot:
+def robot_of(options: argparse.Namespace) -> SimulatedRobot:
     """The robot that the options of ``python -m safedpa_sim.robots`` describe, with an epoch drawn anew.
 
     Raises InputError naming the option.
@@ -35,6 +41,13 @@ def robot_of(options: argparse.Namespace) -> CarRobot | PendulumRobot | PointRob
     if not 0.0 <= options.change_after < 1e9:
         raise InputError(f"--change-after: got {options.change_after}, wanted 0 s or more")
     epoch = secrets.randbits(_EPOCH_BITS)
+    if options.robot not in SHIPPED:
+        given = dict(world_number(text) for text in options.world)
+        return StandInRobot(
+            robot_named(options.robot), 1.0 / options.rate, options.seed, given, options.lockstep, epoch
+        )
+    if options.world:
+        raise InputError(f"--world: got {options.world[0]}, for a robot of one's own; a {options.robot} has options")
     if options.robot == "pendulum":
         return _pendulum(options, epoch)
     if options.robot == "point":

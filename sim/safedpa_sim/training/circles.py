@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from safedpa.errors import InputError
 from safedpa.records import Run, Stretch
-from safedpa.systems import CAR
+from safedpa.robots.car.system import CAR
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 from safedpa_sim.robots.world import CarWorld
 

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from safedpa.networks import LearnedNetworks, Weights
-from safedpa.policy.observation import clearances, observe
+from safedpa.robots.car.observation import clearances, observe
 from safedpa_sim.robots.scene import GOAL_RADIUS
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.moved import Moved

@@ -54,7 +54,7 @@ def _map(path: Path) -> object:
 
 def _run(path: Path) -> object:
     from safedpa.records import load_run
-    from safedpa.systems import CAR
+    from safedpa.robots.car.system import CAR
 
     return load_run(path, CAR)
 

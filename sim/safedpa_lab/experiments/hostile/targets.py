@@ -23,10 +23,10 @@ from safedpa.dynamics.offered import offered_model
 from safedpa.networks import load_weights
 from safedpa.records import load_column_map, load_run
 from safedpa.records.column_map_file import parse_column_map, shipped_column_maps
+from safedpa.robots.car.system import CAR
 from safedpa.safety.margin_text import margin_from_text, margin_text
 from safedpa.safety.settings import parse_settings
 from safedpa.safety.shipped import margin_for
-from safedpa.systems import CAR
 
 __all__ = ["Target", "messages", "state_at", "targets"]
 

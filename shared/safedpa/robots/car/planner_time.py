@@ -15,7 +15,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.policy.planner_field import Grid, disc_ways
+from safedpa.robots.car.planner_field import Grid, disc_ways
 
 __all__ = ["TimeToGo", "clearance"]
 

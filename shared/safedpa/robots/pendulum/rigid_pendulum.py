@@ -8,7 +8,7 @@ from safedpa.dynamics.base import AbstractBase
 from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations
-from safedpa.systems import PENDULUM
+from safedpa.robots.pendulum.system import PENDULUM
 
 __all__ = ["RigidPendulum"]
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from safedpa.bus import StateMessage
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.errors import MessageError
-from safedpa.policy.planner_costs import DriveCosts, PlannerSettings
+from safedpa.robots.car.planner_costs import DriveCosts, PlannerSettings
 
 __all__ = ["Planner", "PlannerSettings"]
 

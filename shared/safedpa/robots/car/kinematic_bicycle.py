@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal, final
+from collections.abc import Mapping
+from typing import ClassVar, Literal, final
 
 from safedpa.dynamics.base import AbstractBase
 from safedpa.effects.effect import Named
 from safedpa.effects.parameter import Parameter
 from safedpa.operations import Operations, Scalar
-from safedpa.systems import CAR, CAR_THROTTLE
+from safedpa.robots.car.system import CAR, CAR_THROTTLE
 
 __all__ = ["Drive", "KinematicBicycle"]
 
@@ -43,6 +44,7 @@ class KinematicBicycle(AbstractBase):
         "beta = atan(tracked_point/wheelbase tan(steer))"
     )
     source = "Rajamani, Vehicle Dynamics and Control, section 2.2"
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"drive": ("speed_servo", "throttle")}
 
     def __init__(self, drive: Drive = "speed_servo") -> None:
         self.drive = drive

@@ -20,6 +20,7 @@ from safedpa.bus import StateMessage
 from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
+from safedpa.safety.scene import MOST_OBSTACLES, AbstractScene
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.stopping_barrier import Motion, StoppingBarrier, nearer_end, stopping_action
 
@@ -30,7 +31,6 @@ Values = NDArray[np.float64]
 _HEADINGS: Final = 0.5 * np.pi * np.arange(4)
 _LEAST_SLOPE, _MOST_SLOPE = 1e-6, 0.5
 """Share of the speed that drag may take in a period; what lies outside is no drag."""
-_MOST_HAZARDS = 64
 
 
 def motion_of(model: AbstractDynamics, latent: Values | None, settings: FilterSettings, period: float) -> Motion:
@@ -57,31 +57,27 @@ def motion_of(model: AbstractDynamics, latent: Values | None, settings: FilterSe
 
 
 @final
-class PointScene:
+class PointScene(AbstractScene):
     """Builds the barriers from a state message and the last latent; ``backup`` stops the robot in that wind."""
 
-    stands = True
-    """The backup brings the robot to rest."""
-
     def __init__(self, model: AbstractDynamics, settings: FilterSettings) -> None:
+        self.backup = self._stopping
         self._model, self._settings = model, settings
         self._latent: Values | None = None
         self._motion: Motion | None = None
         self._barrier: StoppingBarrier | None = None
 
-    def learn(self, latent: Values | None) -> None:
-        """The latent that was used last; none: that of the model's file."""
+    def learn(self, latent: Values | None) -> None:  # noqa: D102
         self._latent = latent
 
-    def of(self, state: StateMessage) -> AbstractStack | str:
-        """The barriers around this robot, or a sentence about what cannot be a scene."""
+    def of(self, state: StateMessage) -> AbstractStack | str:  # noqa: D102
         try:
             return self._built(state)
         except InputError as error:
             self._barrier = None
             return f"scene ({error})"
 
-    def backup(self, state: Values | None) -> Values:
+    def _stopping(self, state: Values | None) -> Values:
         """The manoeuvre's (thrust [N], turn [rad/s]) at ``state``; the resting action where nothing is known."""
         motion, barrier = self._motion, self._barrier
         if state is None or motion is None:
@@ -94,8 +90,10 @@ class PointScene:
     def _built(self, state: StateMessage) -> AbstractStack:
         if state.corridor or state.field or state.footprint:
             raise InputError("got a corridor, a field or a footprint, wanted hazards alone")
-        if len(state.obstacles) > _MOST_HAZARDS:
-            raise InputError(f"obstacles: got {len(state.obstacles)}, wanted at most {_MOST_HAZARDS}; send the nearest")
+        if len(state.obstacles) > MOST_OBSTACLES:
+            raise InputError(
+                f"obstacles: got {len(state.obstacles)}, wanted at most {MOST_OBSTACLES}; send the nearest"
+            )
         rows: list[Any] = [list(row) for row in state.obstacles]
         for row in rows:
             if len(row) != 3 or not np.all(np.isfinite(row)) or row[2] < 0.0:

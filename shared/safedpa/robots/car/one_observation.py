@@ -9,7 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from safedpa.policy.observation import FAR_AWAY, FULL_RADIUS, FULL_SPEED, FULL_STEER, NEAR, OBSTACLES, RAYS, TOUCHING
+from safedpa.robots.car.observation import (
+    FAR_AWAY,
+    FULL_RADIUS,
+    FULL_SPEED,
+    FULL_STEER,
+    NEAR,
+    OBSTACLES,
+    RAYS,
+    TOUCHING,
+)
 
 __all__ = ["observe_one"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa.policy.planner_time import TimeToGo, clearance
+from safedpa.robots.car.planner_time import TimeToGo, clearance
 
 __all__ = ["DriveCosts", "PlannerSettings"]
 

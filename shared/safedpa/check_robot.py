@@ -1,0 +1,257 @@
+"""Whether a robot that somebody declares is complete and safe to filter: each part tried, a sentence about each.
+
+The stand-in is driven by wishes drawn at random behind the robot's own filter; barriers, backup and margin are then
+probed at the states that it met (``check_filter``), and settings of another robot must be refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import StateMessage
+from safedpa.drawing import Discs, Lines, Rings
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.effects import effects_of
+from safedpa.errors import InputError, SafedpaError
+from safedpa.policy.controller import controller_for
+from safedpa.robot import AbstractRobot, robots
+from safedpa.safety.check_filter import check_filter
+from safedpa.safety.safety_filter import SafetyFilter
+from safedpa.safety.scene import AbstractScene
+from safedpa.safety.scenes import scene_of
+from safedpa.safety.settings import FilterSettings
+from safedpa.stand_in import AbstractStandIn
+
+__all__ = ["Finding", "check_robot"]
+
+Values = NDArray[np.float64]
+
+_TICKS = 200
+_PROBED = 5
+"""Moments of the drive at which barriers and backup are probed."""
+_FAR_OFF = 5.0
+"""Measurement deviations; a model that misses single steps by more at the median is told."""
+
+
+@final
+@dataclass(frozen=True)
+class Finding:
+    """What was seen of one part."""
+
+    part: str
+    verdict: Literal["fine", "note", "missing", "wrong"]
+    sentence: str
+
+    @property
+    def ends_well(self) -> bool:
+        """Whether the robot can be driven with it."""
+        return self.verdict in ("fine", "note")
+
+
+def check_robot(robot: AbstractRobot, seed: int = 0) -> list[Finding]:
+    """Every part of a robot in the order in which they build on each other; ends where the next cannot be tried.
+
+    Raises nothing for whatever the robot's own code does.
+    """
+    found: list[Finding] = []
+    try:
+        found.extend(_parts(robot, seed))
+    except _EndError as end:
+        found.append(end.finding)
+    return found
+
+
+class _EndError(Exception):
+    def __init__(self, finding: Finding) -> None:
+        super().__init__(finding.sentence)
+        self.finding = finding
+
+
+def _tried(part: str, function: Callable[[], Any]) -> Any:
+    """What a function of the robot answers; whatever it raises ends the check with a sentence."""
+    try:
+        return function()
+    except SafedpaError as error:
+        raise _EndError(Finding(part, "wrong", str(error))) from error
+    except Exception as error:  # a user's own code may raise anything, and that is what is asked for
+        raise _EndError(Finding(part, "wrong", f"raised {type(error).__name__}: {error}")) from error
+
+
+def _parts(robot: AbstractRobot, seed: int) -> Iterator[Finding]:
+    system = robot.system
+    deviations = len(robot.measurement_deviation)
+    if deviations != len(system.state):
+        said = f"got {deviations} entries, wanted one for each of {', '.join(system.state_names)}"
+        raise _EndError(Finding("measurement_deviation", "wrong", said))
+    yield Finding("system", "fine", f"states {', '.join(system.state_names)}; actions {', '.join(system.action_names)}")
+    model: PhysicsModel = _tried("model", lambda: load_model(str(robot.model)))
+    if model.system != system:
+        said = f"{robot.model} is of a '{model.system.name}' with {', '.join(model.system.action_names)}"
+        raise _EndError(Finding("model", "wrong", f"{said}, wanted this robot's system"))
+    free = ", ".join(model.latent_names) or "nothing"
+    yield Finding("model", "fine", f"{robot.model}; estimated while it drives: {free}")
+    effects = _tried("effects", lambda: effects_of(robot.name))
+    found = "fine" if effects else "missing"
+    yield Finding("effects", found, f"{len(effects)} that a diagnosis may find" if effects else "none; give EFFECTS")  # type: ignore[arg-type]
+    settings: FilterSettings = _tried("settings", robot.settings)
+    scene: AbstractScene = _tried("settings", lambda: scene_of(model, settings))
+    yield Finding("settings", "fine", f"bounds {settings.action_low} to {settings.action_high}")
+    yield _foreign_settings(robot, model)
+    stand_in: AbstractStandIn = _tried("stand_in", lambda: robot.stand_in(seed, {}))
+    drive = _tried("barriers", lambda: _Drive(robot, model, settings, scene, stand_in).run(_TICKS, seed))
+    yield from _driven(robot, model, drive)
+    yield _wished(model, drive)
+    yield _drawing(robot, drive)
+
+
+def _foreign_settings(robot: AbstractRobot, model: PhysicsModel) -> Finding:
+    """Settings of every other robot must be refused."""
+    accepted = []
+    for name, other in robots().items():
+        if name == robot.name:
+            continue
+        try:
+            scene_of(model, other.settings())
+        except InputError:
+            continue
+        accepted.append(name)
+    if accepted:
+        return Finding("foreign settings", "wrong", f"those of {', '.join(accepted)} are accepted; set system")
+    return Finding("foreign settings", "fine", "refused, those of every other robot")
+
+
+class _Drive:
+    """The stand-in behind the robot's filter, wished at random; keeps what it met."""
+
+    def __init__(
+        self,
+        robot: AbstractRobot,
+        model: PhysicsModel,
+        settings: FilterSettings,
+        scene: AbstractScene,
+        stand_in: AbstractStandIn,
+    ) -> None:
+        self.robot, self.model, self.settings, self.scene, self.stand_in = robot, model, settings, scene, stand_in
+        self.filter = SafetyFilter.for_model(model, settings, backup=scene.backup)
+        self.states: list[StateMessage] = []
+        self.errors: list[Values] = []
+        self.problems: list[str] = []
+        self.touched = ""
+        self.count = 0
+        """Barriers met at most at once."""
+
+    def run(self, ticks: int, seed: int) -> _Drive:
+        """Drives; each wish is held for half a second, so that it leads somewhere."""
+        random = np.random.default_rng(seed)
+        low, high = self.settings.low, self.settings.high
+        held = max(1, round(0.5 * self.robot.rate))
+        latent = self.model.latent if self.model.latent_names else None
+        applied = self.settings.resting_action
+        wish = applied
+        for tick in range(ticks):
+            if tick % held == 0:
+                wish = random.uniform(low, high)
+            state = self._message(tick, applied)
+            self.states.append(state)
+            self.scene.learn(latent)
+            barriers = self.scene.of(state)
+            if isinstance(barriers, str):
+                self.problems.append(barriers)
+                return self
+            self.count = max(self.count, len(barriers.names))
+            before = np.array(state.values)
+            verdict = self.filter.decide(state.values, wish, latent, barriers=barriers) if barriers.names else None
+            if verdict is not None and verdict.status.value == "fallback":
+                self.problems.append(verdict.sentence)
+            applied = np.clip(wish, low, high) if verdict is None else np.asarray(verdict.action)
+            expected = np.asarray(self.model.step(before, applied, latent))
+            self.stand_in.advance(tuple(applied.tolist()), 1.0 / self.robot.rate)
+            error = self.model.system.difference(np.array(self.stand_in.values), expected)
+            self.errors.append(np.abs(error) / np.array(self.robot.measurement_deviation))
+            self.touched = self.touched or self.stand_in.contact()
+        return self
+
+    def _message(self, tick: int, applied: Values) -> StateMessage:
+        seen = self.stand_in
+        return StateMessage(
+            epoch=1,
+            tick=tick,
+            robot_time=tick / self.robot.rate,
+            publish_time=0.0,
+            values=tuple(seen.values),
+            applied=tuple(applied.tolist()),
+            applied_by="filter",
+            period=1.0 / self.robot.rate,
+            lockstep=True,
+            goal=tuple(seen.goal),
+            obstacles=tuple(seen.obstacles),
+            field=tuple(seen.field),
+            footprint=(),
+        )
+
+
+def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterator[Finding]:
+    """Stand-in, model, barriers and backup, from the drive."""
+    for message in drive.states:
+        if not model.system.is_plausible(np.array(message.values)):
+            yield Finding("stand_in", "wrong", f"its state {message.values} is out of the system's bounds")
+            return
+    if drive.problems:
+        yield Finding("barriers", "wrong", drive.problems[0])
+        return
+    if not drive.count:
+        yield Finding("barriers", "missing", "none at any state of a drive; there is nothing to keep")
+        return
+    yield Finding("barriers", "fine", f"up to {drive.count} at once in {len(drive.states)} ticks")
+    yield from _probed(robot, drive)
+    if drive.touched:
+        yield Finding("filter", "wrong", f"touched {drive.touched} behind it, under random wishes; see the margins")
+    else:
+        yield Finding("filter", "fine", f"nothing touched in {len(drive.states)} ticks of random wishes")
+    median = np.median(np.array(drive.errors), axis=0)
+    worst = int(median.argmax())
+    name = model.system.state_names[worst]
+    said = f"single steps of {name} missed by {median[worst]:.2g} measurement deviations (median)"
+    yield Finding("model against stand_in", "note" if median[worst] > _FAR_OFF else "fine", said)
+
+
+def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[Finding]:
+    latent = drive.model.latent if drive.model.latent_names else None
+    said: dict[str, str] = {}
+    for message in drive.states[:: max(1, len(drive.states) // _PROBED)]:
+        barriers = drive.scene.of(message)
+        if isinstance(barriers, str) or not barriers.names:
+            continue
+        report = check_filter(
+            drive.filter, message.values, barriers=barriers, latent=latent, stands=robot.stands, ticks=20
+        )
+        for issue in report:
+            said.setdefault(issue.subject, str(issue))
+    for sentence in said.values():
+        yield Finding("filter", "wrong", sentence)
+
+
+def _wished(model: PhysicsModel, drive: _Drive) -> Finding:
+    """The default controller at a state that was met."""
+    wish, name = _tried(
+        "controllers",
+        lambda: controller_for(model)().wish(drive.states[0], model.latent if model.latent_names else None),
+    )
+    if len(wish) != len(model.system.action) or not np.isfinite(np.array(wish, dtype=np.float64)).all():
+        return Finding("controllers", "wrong", f"'{name}' wishes {wish}, wanted {len(model.system.action)} numbers")
+    return Finding("controllers", "fine", f"'{name}' wishes {tuple(round(float(entry), 3) for entry in wish)}")
+
+
+def _drawing(robot: AbstractRobot, drive: _Drive) -> Finding:
+    shapes = _tried("draw", lambda: dict(robot.draw(drive.states[0])))
+    if not shapes:
+        return Finding("draw", "note", "no shapes; the dashboard shows curves alone")
+    foreign = [name for name, shape in shapes.items() if not isinstance(shape, (Discs, Lines, Rings))]
+    if foreign:
+        return Finding("draw", "wrong", f"'{foreign[0]}' is none of Discs, Lines, Rings (safedpa.drawing)")
+    return Finding("draw", "fine", ", ".join(shapes))

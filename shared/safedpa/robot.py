@@ -1,0 +1,205 @@
+"""What is known of one kind of robot, in one place: how it is declared, and how it is found.
+
+A robot is a class derived from ``AbstractRobot``: a package of its own in ``safedpa.robots``, one that another
+distribution brings by the entry point ``safedpa.robots``, or one Python file (``--robot-file``). Everything generic
+asks here for what differs from robot to robot, and for no name. Whatever is heavy is imported within the method that
+needs it: to know a robot costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from safedpa.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
+
+    from safedpa.bus import StateMessage
+    from safedpa.drawing import Shape
+    from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
+    from safedpa.effects import AbstractEffect
+    from safedpa.networks.frame import Frame
+    from safedpa.policy.controller import Controller
+    from safedpa.policy.perception import Perception
+    from safedpa.safety.barrier import AbstractBarrier
+    from safedpa.safety.scene import AbstractScene
+    from safedpa.safety.settings import FilterSettings
+    from safedpa.stand_in import AbstractStandIn
+    from safedpa.systems import System
+
+__all__ = ["DEFAULT_ROBOT", "ENTRY_POINTS", "AbstractRobot", "add_robot", "robot_like", "robot_named", "robots"]
+
+DEFAULT_ROBOT = "car"
+"""What is meant where nobody says which."""
+ENTRY_POINTS = "safedpa.robots"
+"""The group under which other distributions bring robots: name = "module:ROBOT"."""
+
+
+class AbstractRobot(ABC):
+    """One kind of robot. What is abstract must be declared; the rest has a default that fits a robot without it."""
+
+    system: ClassVar[System]
+    """Names, units and bounds of state and action."""
+    rate: ClassVar[float]
+    """Ticks per second at which it is driven."""
+    variants: ClassVar[tuple[System, ...]] = ()
+    """The same robot with another set of actions, such as a throttle in place of a speed."""
+    measurement_deviation: ClassVar[tuple[float, ...]]
+    """(states,) standard deviation of what a measured state adds to one step, in the state's units."""
+    smallest_motion: ClassVar[float] = 1.0
+    """Measurement deviations by which some entry must change in a step for it to teach the adaptation anything."""
+    wish_range: ClassVar[tuple[tuple[float, float], ...]] = ()
+    """(actions, 2) lowest and highest of each action that its actuators can do; empty: the system's bounds."""
+    stands: ClassVar[bool] = True
+    """Whether the backup brings it to rest, and keeps every condition meanwhile."""
+    kinds: ClassVar[tuple[str, ...]] = ()
+    """Kinds of its barriers: what margins may be called."""
+    calibrates_from_logs: ClassVar[bool] = False
+    """Whether ``barriers_around`` draws barriers: then a margin can be had from logs that tell of no scene."""
+    theorem_margins: ClassVar[bool] = False
+    """Whether the theorem's margin is known for its barriers: how steep they are at most."""
+    in_batches: ClassVar[bool] = False
+    """Whether its barriers are there for many robots at once."""
+    options: ClassVar[tuple[str, ...]] = ("world",)
+    """Options of ``safedpa up`` that are its own: what may be asked of its simulated world."""
+    default_controller: ClassVar[str] = "goal_seeker"
+    """Which of ``controllers`` wishes where nobody says, and no policy was learned."""
+
+    @property
+    def name(self) -> str:
+        """Of the system."""
+        return self.system.name
+
+    @property
+    @abstractmethod
+    def model(self) -> str | Path:
+        """The model that it is driven with where nobody names one: a file, or the name of one that ships."""
+
+    @abstractmethod
+    def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:
+        """What makes its base models, by kind; classes take their ``choices`` by name."""
+
+    @abstractmethod
+    def settings(self) -> FilterSettings:
+        """Settings of its filter, with the bounds of its actions."""
+
+    def effects(self) -> Iterable[AbstractEffect]:
+        """What its base models may lack."""
+        return ()
+
+    def barriers(
+        self, state: StateMessage, model: AbstractDynamics, latent: NDArray[np.float64] | None, settings: FilterSettings
+    ) -> Sequence[AbstractBarrier]:
+        """The barriers around it, from what it measures and perceives now; none where nothing is near.
+
+        ``latent`` (latents,) is the newest, None before there is one. Raises InputError for what cannot be a scene of
+        this robot: then the backup acts, and the verdict says why.
+        """
+        raise InputError(f"robot '{self.name}': it declares no barriers; write its method 'barriers'")
+
+    def barriers_around(
+        self,
+        state: NDArray[np.float64],
+        settings: FilterSettings,
+        footprint: tuple[float, ...],
+        draw: np.random.Generator,
+    ) -> Sequence[AbstractBarrier]:
+        """Barriers as they might be at a recorded ``state`` (states,), drawn: for margins from logs without a scene."""
+        del state, settings, footprint, draw
+        return ()
+
+    def backup(self, state: NDArray[np.float64], model: AbstractDynamics, settings: FilterSettings) -> ArrayLike:
+        """The action (actions,) that is taken when nothing else is known to be safe, at ``state`` (states,)."""
+        del state, model
+        return settings.resting_action
+
+    def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene | None:
+        """What keeps the barriers from tick to tick; None: they are built anew from ``barriers`` in each.
+
+        Raises InputError for a model or settings of another robot.
+        """
+        del model, settings
+        return None
+
+    def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:
+        """What makes its own controllers, by name; ``random`` and ``learned`` every robot has."""
+        del model
+        return {}
+
+    def learned(self, policy: Controller) -> Controller:
+        """A learned policy as this robot drives it: what else it does when it is stuck."""
+        return policy
+
+    def frame(self) -> Frame | None:
+        """What its networks see of the state; None: it has no networks."""
+        return None
+
+    def perception(self) -> Perception | None:
+        """What its learned policy observes; None: it has none."""
+        return None
+
+    def draw(self, state: StateMessage) -> Mapping[str, Shape]:
+        """The robot itself as plain shapes, by the name of each; empty: curves alone."""
+        del state
+        return {}
+
+    def stand_in(self, seed: int, given: Mapping[str, float]) -> AbstractStandIn:
+        """A simulated robot to drive instead of the real one; ``given``: what was asked of its world, by name.
+
+        Raises InputError for what its world does not have, and where there is none.
+        """
+        raise InputError(f"robot '{self.name}': it has no simulated stand-in; run a robot of your own (docs/bus.md)")
+
+
+_own: dict[str, AbstractRobot] = {}
+
+
+def robots() -> dict[str, AbstractRobot]:
+    """Every robot that is known in this process, by name."""
+    return {**_shipped(), **_own}
+
+
+def robot_named(name: str) -> AbstractRobot:
+    """One robot. Raises InputError with the nearest names when there is none."""
+    known = robots()
+    if name not in known:
+        raise InputError(f"robot '{name}': {did_you_mean(name, known)}; --robot-file FILE.py loads one of your own")
+    return known[name]
+
+
+def robot_like(system: System) -> AbstractRobot | None:
+    """The robot that has these states and actions, whatever the system is called; None: nobody declared it."""
+    wanted = (system.state_names, system.action_names)
+    found = [one for one in robots().values() if _names(one.system) == wanted]
+    return next((one for one in found if one.name == system.name), found[0] if found else None)
+
+
+def add_robot(robot: AbstractRobot) -> None:
+    """Makes a robot known; the same name again replaces it. Raises InputError for the name of one that ships."""
+    if robot.name in _shipped():
+        raise InputError(f"robot '{robot.name}' ships with the project; choose another name for its system")
+    _own[robot.name] = robot
+
+
+def _names(system: System) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    return system.state_names, system.action_names
+
+
+@cache
+def _shipped() -> dict[str, AbstractRobot]:
+    package = importlib.import_module("safedpa.robots")
+    modules = sorted(info.name for info in pkgutil.iter_modules(package.__path__, "safedpa.robots."))
+    found: list[Any] = [importlib.import_module(name).ROBOT for name in modules]
+    for point in entry_points(group=ENTRY_POINTS):
+        found.append(point.load())
+    return {robot.name: robot for robot in found}

@@ -1,0 +1,1 @@
+"""The robots that ship: a folder each, with everything that is theirs alone."""

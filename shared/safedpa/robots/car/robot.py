@@ -1,0 +1,102 @@
+"""What the car declares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, final
+
+from safedpa.robot import AbstractRobot
+from safedpa.robots.car.system import CAR, CAR_THROTTLE
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
+    from safedpa.effects import AbstractEffect
+    from safedpa.networks.frame import Frame
+    from safedpa.policy.controller import Controller
+    from safedpa.policy.perception import Perception
+    from safedpa.safety.barrier import AbstractBarrier
+    from safedpa.safety.scene import AbstractScene
+    from safedpa.safety.settings import FilterSettings
+
+__all__ = ["ROBOT", "Car"]
+
+
+@final
+class Car(AbstractRobot):
+    """A small four-wheeled robot with front steering and a speed servo, which may tow something."""
+
+    system = CAR
+    variants = (CAR_THROTTLE,)
+    rate = 20.0
+    model = "car"
+    measurement_deviation = (0.01, 0.01, 0.01, 0.03)
+    calibrates_from_logs = True
+    theorem_margins = True
+    in_batches = True
+    kinds = ("obstacle", "field", "speed")
+    options = ("load", "change")
+    wish_range = ((-0.6, 2.0), (-0.34, 0.34))
+
+    def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
+        from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
+
+        return {KinematicBicycle.kind: KinematicBicycle}
+
+    def effects(self) -> Iterable[AbstractEffect]:  # noqa: D102
+        from safedpa.effects.library import effects_in_package
+
+        return effects_in_package("safedpa.robots.car.effects")
+
+    def settings(self) -> FilterSettings:  # noqa: D102
+        from safedpa.safety.shipped import settings_named
+
+        return settings_named(self.name)
+
+    def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
+        from safedpa.robots.car.car_scene import CarScene
+
+        del model
+        return CarScene(settings)
+
+    def barriers_around(  # noqa: D102
+        self,
+        state: NDArray[np.float64],
+        settings: FilterSettings,
+        footprint: tuple[float, ...],
+        draw: np.random.Generator,
+    ) -> Sequence[AbstractBarrier]:
+        from safedpa.robots.car.calibration_scene import barriers_around
+
+        return barriers_around(state, settings, footprint, draw)
+
+    def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
+        from safedpa.robots.car.compensated_seeker import CompensatedGoalSeeker
+        from safedpa.robots.car.goal_seeker import GoalSeekerSettings
+
+        def planner() -> Controller:
+            from safedpa.robots.car.planner import Planner
+
+            return Planner(model)
+
+        return {"goal_seeker": lambda: CompensatedGoalSeeker(model, GoalSeekerSettings()), "planner": planner}
+
+    def learned(self, policy: Controller) -> Controller:  # noqa: D102
+        from safedpa.policy.backing_off import BackingOff
+
+        return BackingOff(policy)
+
+    def frame(self) -> Frame:  # noqa: D102
+        from safedpa.robots.car.frame import FRAME
+
+        return FRAME
+
+    def perception(self) -> Perception:  # noqa: D102
+        from safedpa.robots.car.perception import PERCEPTION
+
+        return PERCEPTION
+
+
+ROBOT = Car()

@@ -1,0 +1,41 @@
+"""The barriers of a pendulum: the corridor that its angle must not leave."""
+
+from __future__ import annotations
+
+from typing import final
+
+from safedpa.bus import StateMessage
+from safedpa.errors import InputError
+from safedpa.safety.barrier import AbstractStack, Barriers
+from safedpa.safety.corridor_barrier import CorridorBarrier
+from safedpa.safety.scene import AbstractScene
+from safedpa.safety.settings import FilterSettings
+
+__all__ = ["PendulumScene"]
+
+
+@final
+class PendulumScene(AbstractScene):
+    """Keeps the corridor's barrier while the corridor stays; the resting torque brings no pendulum to rest."""
+
+    stands = False
+    quick = True
+
+    def __init__(self, settings: FilterSettings) -> None:
+        self._settings = settings
+        self._corridor: tuple[float, ...] = ()
+        self._barriers: AbstractStack = Barriers(())
+
+    def of(self, state: StateMessage) -> AbstractStack | str:  # noqa: D102
+        if state.obstacles or state.field or state.footprint or state.towed:
+            return "scene (corridor: got obstacles, a field or a footprint of a robot that does not drive; wanted none)"
+        if len(state.corridor) != 2:
+            return f"scene (corridor: got {len(state.corridor)} numbers, wanted 2: lower and upper edge)"
+        if state.corridor != self._corridor:
+            low, high = state.corridor
+            try:
+                self._barriers = Barriers((CorridorBarrier(low, high, self._settings.corridor_seconds),))
+            except InputError as error:
+                return f"scene ({error})"
+            self._corridor = state.corridor
+        return self._barriers

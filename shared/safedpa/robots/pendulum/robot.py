@@ -1,0 +1,89 @@
+"""What the pendulum declares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, final
+
+from safedpa.robot import AbstractRobot
+from safedpa.robots.pendulum.system import PENDULUM
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from safedpa.dynamics import AbstractBase, AbstractDynamics
+    from safedpa.effects import AbstractEffect
+    from safedpa.networks.frame import Frame
+    from safedpa.policy.perception import Perception
+    from safedpa.safety.barrier import AbstractBarrier
+    from safedpa.safety.scene import AbstractScene
+    from safedpa.safety.settings import FilterSettings
+
+__all__ = ["ROBOT", "Pendulum"]
+
+_EDGE = 1.0
+"""rad from the pendulum to the edges of a drawn corridor; any number would do."""
+
+
+@final
+class Pendulum(AbstractRobot):
+    """An inverted pendulum on a motor, in the wind, which must stay within its corridor."""
+
+    system = PENDULUM
+    rate = 100.0
+    model = "pendulum"
+    measurement_deviation = (0.001, 0.02)
+    calibrates_from_logs = True
+    kinds = ("corridor",)
+    options = ("task", "wind", "wind_direction", "payload", "dry_friction")
+    wish_range = ((-10.0, 10.0),)
+    stands = False
+    default_controller = "random"
+
+    def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
+        from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
+
+        return {RigidPendulum.kind: RigidPendulum}
+
+    def effects(self) -> Iterable[AbstractEffect]:  # noqa: D102
+        from safedpa.effects.library import effects_in_package
+
+        return effects_in_package("safedpa.robots.pendulum.effects")
+
+    def settings(self) -> FilterSettings:  # noqa: D102
+        from safedpa.safety.shipped import settings_named
+
+        return settings_named(self.name)
+
+    def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
+        from safedpa.robots.pendulum.pendulum_scene import PendulumScene
+
+        del model
+        return PendulumScene(settings)
+
+    def barriers_around(  # noqa: D102
+        self,
+        state: NDArray[np.float64],
+        settings: FilterSettings,
+        footprint: tuple[float, ...],
+        draw: np.random.Generator,
+    ) -> Sequence[AbstractBarrier]:
+        from safedpa.safety.corridor_barrier import CorridorBarrier
+
+        del footprint, draw
+        angle = float(state[0])
+        return (CorridorBarrier(angle - _EDGE, angle + _EDGE, settings.corridor_seconds),)
+
+    def frame(self) -> Frame:  # noqa: D102
+        from safedpa.robots.pendulum.frame import FRAME
+
+        return FRAME
+
+    def perception(self) -> Perception:  # noqa: D102
+        from safedpa.robots.pendulum.perception import PERCEPTION
+
+        return PERCEPTION
+
+
+ROBOT = Pendulum()

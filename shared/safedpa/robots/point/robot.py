@@ -1,0 +1,71 @@
+"""What the point declares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, final
+
+from safedpa.robot import AbstractRobot
+from safedpa.robots.point.system import POINT
+
+if TYPE_CHECKING:
+    from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
+    from safedpa.effects import AbstractEffect
+    from safedpa.networks.frame import Frame
+    from safedpa.policy.controller import Controller
+    from safedpa.safety.scene import AbstractScene
+    from safedpa.safety.settings import FilterSettings
+
+__all__ = ["ROBOT", "Point"]
+
+
+@final
+class Point(AbstractRobot):
+    """A small body on slides that a thruster pushes and a servo turns, among hazards and in a wind."""
+
+    system = POINT
+    rate = 50.0
+    model = "point_wind"
+    measurement_deviation = (0.0005, 0.0005, 0.005, 0.005, 0.005)
+    smallest_motion = 0.1
+    kinds = ("obstacle",)
+    options = ("force", "wind_direction")
+    wish_range = ((-0.015, 0.015), (-3.0, 3.0))
+
+    def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
+        from safedpa.robots.point.point_mass import PointMass
+
+        return {PointMass.kind: PointMass}
+
+    def effects(self) -> Iterable[AbstractEffect]:  # noqa: D102
+        from safedpa.effects.library import effects_in_package
+
+        return effects_in_package("safedpa.robots.point.effects")
+
+    def settings(self) -> FilterSettings:  # noqa: D102
+        from safedpa.safety.shipped import settings_named
+
+        return settings_named(self.name)
+
+    def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
+        from safedpa.robots.point.point_scene import PointScene
+
+        return PointScene(model, settings)
+
+    def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
+        from safedpa.robots.point.point_seeker import PointSeeker
+
+        return {"goal_seeker": lambda: PointSeeker(model)}
+
+    def learned(self, policy: Controller) -> Controller:  # noqa: D102
+        from safedpa.policy.backing_off import BackingOff
+
+        return BackingOff(policy)
+
+    def frame(self) -> Frame:  # noqa: D102
+        from safedpa.robots.point.frame import FRAME
+
+        return FRAME
+
+
+ROBOT = Point()

@@ -1,0 +1,89 @@
+"""A robot of one's own without any bus: its declared stand-in senses and moves, the gate judges actions."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+from safedpa.bus.messages import StateMessage
+from safedpa.robot import AbstractRobot
+from safedpa_sim.robots.guard import ActionGuard
+from safedpa_sim.robots.robot import SimulatedRobot
+
+__all__ = ["StandInRobot", "Touch"]
+
+
+@final
+@dataclass(frozen=True)
+class Touch:
+    """Something was touched that must not be."""
+
+    time: float
+    """s since the robot's start."""
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.what} at t={self.time:.2f} s"
+
+
+@final
+class StandInRobot(SimulatedRobot):
+    """Drives what a robot declares as its stand-in; each touch counts once, until it ends.
+
+    Raises InputError for a robot without a stand-in, and for what its world does not have.
+    """
+
+    def __init__(
+        self,
+        robot: AbstractRobot,
+        period: float,
+        seed: int = 0,
+        given: Mapping[str, float] | None = None,
+        lockstep: bool = True,
+        epoch: int = 1,
+        wall_clock: Callable[[], float] = time.time,
+    ) -> None:
+        self.seed, self.given = seed, dict(given or {})
+        self.stand_in = robot.stand_in(seed, self.given)
+        self._touched = self.stand_in.contact()
+        self._collisions: list[Touch] = []
+        settings = robot.settings()
+        super().__init__(ActionGuard(epoch, settings.action_low, settings.action_high), period, lockstep, wall_clock)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """What the stand-in's sensors say."""
+        return self.stand_in.values
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What was asked for."""
+        return {"seed": self.seed, **self.given}
+
+    @property
+    def at_rest(self) -> bool:
+        """Always: nobody waits for a robot that nobody knows."""
+        return True
+
+    @property
+    def collisions(self) -> list[Touch]:
+        """Every touch."""
+        return self._collisions
+
+    def state_message(self) -> StateMessage:
+        """State k, and what the stand-in perceives."""
+        seen = self.stand_in
+        return self._state(goal=seen.goal, obstacles=seen.obstacles, field=seen.field)
+
+    def _live(self) -> None:
+        self.stand_in.advance(self._applied, self.period)
+        self.goals_reached = self.stand_in.goals_reached
+        touched = self.stand_in.contact()
+        if touched and not self._touched:
+            self._collisions.append(Touch((self.tick + 1) * self.period, touched))
+        self._touched = touched
+
+    def _watchdog_action(self) -> tuple[float, ...]:
+        return self.stand_in.watchdog_action()
