@@ -7,7 +7,7 @@ probed at the states that it met (``check_filter``), and settings of another rob
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, final
 
 import numpy as np
@@ -208,6 +208,7 @@ def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterato
         yield Finding("barriers", "missing", "none at any state of a drive; there is nothing to keep")
         return
     yield Finding("barriers", "fine", f"up to {drive.count} at once in {len(drive.states)} ticks")
+    yield _nothing_perceived(drive)
     yield from _probed(robot, drive)
     if drive.touched:
         yield Finding("filter", "wrong", f"touched {drive.touched} behind it, under random wishes; see the margins")
@@ -218,6 +219,16 @@ def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterato
     name = model.system.state_names[worst]
     said = f"single steps of {name} missed by {median[worst]:.2g} measurement deviations (median)"
     yield Finding("model against stand_in", "note" if median[worst] > _FAR_OFF else "fine", said)
+
+
+def _nothing_perceived(drive: _Drive) -> Finding:
+    """Some barrier must be there where nothing is near: the filter judges by nothing else."""
+    barriers = drive.scene.of(replace(drive.states[0], obstacles=()))
+    if isinstance(barriers, str):
+        return Finding("barriers", "note", f"without obstacles: {barriers}; the backup acts then")
+    if not barriers.names:
+        return Finding("barriers", "wrong", "none without obstacles, where the backup would act for ever; add a limit")
+    return Finding("barriers", "fine", f"{len(barriers.names)} without obstacles")
 
 
 def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from safedpa.errors import InputError, did_you_mean
@@ -100,8 +100,9 @@ class AbstractRobot(ABC):
     def barriers(
         self, state: StateMessage, model: AbstractDynamics, latent: NDArray[np.float64] | None, settings: FilterSettings
     ) -> Sequence[AbstractBarrier]:
-        """The barriers around it, from what it measures and perceives now; none where nothing is near.
+        """The barriers around it, from what it measures and perceives now; at least one, whatever it perceives.
 
+        Without any the filter has nothing to judge by, and the backup acts: limits of speed or walls are always there.
         ``latent`` (latents,) is the newest, None before there is one. Raises InputError for what cannot be a scene of
         this robot: then the backup acts, and the verdict says why.
         """
@@ -198,8 +199,27 @@ def _names(system: System) -> tuple[tuple[str, ...], tuple[str, ...]]:
 @cache
 def _shipped() -> dict[str, AbstractRobot]:
     package = importlib.import_module("safedpa.robots")
-    modules = sorted(info.name for info in pkgutil.iter_modules(package.__path__, "safedpa.robots."))
-    found: list[Any] = [importlib.import_module(name).ROBOT for name in modules]
+    inside = sorted(info.name for info in pkgutil.iter_modules(package.__path__, "safedpa.robots.") if info.ispkg)
+    found: list[Any] = [importlib.import_module(name).ROBOT for name in inside]
+    known = {robot.name: robot for robot in found}
     for point in entry_points(group=ENTRY_POINTS):
-        found.append(point.load())
-    return {robot.name: robot for robot in found}
+        robot = _brought(point)
+        if robot.name in known:
+            raise InputError(f"robot '{robot.name}' of {point.value}: is known already; uninstall one of the two")
+        known[robot.name] = robot
+    return known
+
+
+def _brought(point: EntryPoint) -> AbstractRobot:
+    """The robot of another distribution. Raises InputError where there is none behind its entry point."""
+    try:
+        robot = point.load()
+    except Exception as error:  # another's module may fail in any way
+        raise InputError(
+            f"robot '{point.name}': {point.value} cannot be loaded: {type(error).__name__}: {error}; reinstall it"
+        ) from error
+    if not isinstance(robot, AbstractRobot):
+        raise InputError(
+            f"robot '{point.name}': got {type(robot).__name__} behind {point.value}, wanted an AbstractRobot"
+        )
+    return robot

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import safedpa.robot as robot_module
 from safedpa.adaptation import AdaptationNode
 from safedpa.check_robot import check_robot
 from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.robot import robot_named, robots
+from safedpa.safety import FunctionBarrier
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
+from safedpa.stand_in import world_number
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.stand_in_robot import StandInRobot
@@ -87,19 +92,70 @@ def test_a_file_without_a_robot_and_one_that_lacks_something_cost_a_line(
         assert line.count("\n") == 1
 
 
-def test_what_its_own_code_raises_is_a_sentence_and_the_backup_acts(monkeypatch: pytest.MonkeyPatch) -> None:
+def _raises(*_: object) -> None:
+    raise ZeroDivisionError("a tree of no size")
+
+
+def _not_a_number(*_: object) -> list[FunctionBarrier]:
+    return [FunctionBarrier(lambda x: float("nan") * x[0], kind="tree")]
+
+
+def _of_another_robot(*_: object) -> list[FunctionBarrier]:
+    return [FunctionBarrier(lambda x: x[0], kind="tree", reads=("x", "y", "yaw"))]
+
+
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        (_raises, "ZeroDivisionError: a tree of no size"),
+        (_not_a_number, "NaN"),
+        (lambda *_: [], "no barrier"),
+        (lambda *_: [1.0], "AbstractBarrier"),
+        (_of_another_robot, "reads the states x, y, yaw"),
+    ],
+)
+def test_whatever_its_own_barriers_do_is_a_sentence_and_the_backup_acts(
+    broken: Callable[..., Any], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     load_own(FILES["drone"])
     robot, model = robot_named("drone"), load_model(str(robot_named("drone").model))
-
-    def broken(*_: object) -> None:
-        raise ZeroDivisionError("a tree of no size")
-
     monkeypatch.setattr(type(robot), "barriers", broken)
     simulated = StandInRobot(robot, 0.04, 1)
     nodes = [AdaptationNode(model), PolicyNode(model), SafetyFilterNode(model, settings_named("drone"))]
     ticks = list(drive(simulated, nodes, 5))
     assert {tick.verdict.status for tick in ticks} == {"fallback"}
-    assert "ZeroDivisionError" in ticks[-1].verdict.sentence
+    assert said in ticks[-1].verdict.sentence
     assert np.hypot(*simulated.values[2:]) < 0.1
-    (finding,) = [one for one in check_robot(robot) if not one.ends_well]
-    assert "a tree of no size" in finding.sentence
+    assert [one for one in check_robot(robot) if not one.ends_well]
+
+
+def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:
+    load_own(FILES["drone"])
+    with pytest.raises(InputError, match="does not take --world rain=2"):
+        StandInRobot(robot_named("drone"), 0.04, 0, {"rain": 2.0})
+    for wrong in ("wind", "wind=", "wind=nan", "wind=inf", "=1", "wi nd=1"):
+        with pytest.raises(InputError, match="wanted NAME=NUMBER"):
+            world_number(wrong)
+
+
+def test_the_robot_of_another_distribution_is_known_and_a_broken_one_costs_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "stranger-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n", encoding="utf-8")
+    source = FILES["drone"].read_text(encoding="utf-8").replace('"drone"', '"glider"')
+    (tmp_path / "stranger_glider.py").write_text(source + "\n\nROBOT = Drone()\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    entries = info / "entry_points.txt"
+    for value, said in (("stranger_gone:ROBOT", "cannot be loaded"), ("stranger_glider:SYSTEM", "wanted an Abstract")):
+        entries.write_text(f"[safedpa.robots]\nglider = {value}\n", encoding="utf-8")
+        robot_module._shipped.cache_clear()
+        with pytest.raises(InputError, match=said):
+            robots()
+    entries.write_text("[safedpa.robots]\nglider = stranger_glider:ROBOT\n", encoding="utf-8")
+    robot_module._shipped.cache_clear()
+    assert robots()["glider"].rate == 25.0
+    entries.unlink()
+    robot_module._shipped.cache_clear()
+    assert "glider" not in robots()

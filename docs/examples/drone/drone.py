@@ -23,6 +23,7 @@ from safedpa.systems import System, Variable
 
 RADIUS = 0.25  # m, from the middle to the tip of a rotor
 STRONGEST = 4.0  # m/s2 along each axis
+FASTEST = 3.0  # m/s
 BRAKING = 2.0  # m/s2 against the motion that it can always reach, in any wind that it is made for
 
 SYSTEM = System(
@@ -35,6 +36,9 @@ SYSTEM = System(
     ),
     action=(Variable("ax", "m/s2", -STRONGEST, STRONGEST), Variable("ay", "m/s2", -STRONGEST, STRONGEST)),
 )
+
+
+STATES = SYSTEM.state_names
 
 
 class Hover(AbstractBase):
@@ -82,7 +86,7 @@ class Drone(AbstractRobot):
     system = SYSTEM
     rate = 25.0
     model = Path(__file__).with_name("drone.toml")
-    kinds = ("tree",)
+    kinds = ("tree", "speed")
     measurement_deviation = (0.005, 0.005, 0.02, 0.02)
 
     def bases(self):
@@ -93,12 +97,15 @@ class Drone(AbstractRobot):
         """Bounds of the actions, and a margin of 2 mm a step."""
         bound = (STRONGEST, STRONGEST)
         low = (-STRONGEST, -STRONGEST)
-        return FilterSettings(system="drone", action_low=low, action_high=bound, eta=0.2, epsilon={"tree": 0.002})
+        return FilterSettings(
+            system="drone", action_low=low, action_high=bound, eta=0.2, epsilon={"tree": 0.002, "speed": 0.01}
+        )
 
     def barriers(self, state, model, latent, settings):
-        """h = distance to the tree - both radii - clearance - the way that it needs to stop towards it."""
+        """h = distance to the tree - both radii - clearance - the way that it needs to stop towards it; a speed."""
+        haste = FunctionBarrier(lambda x: FASTEST - hypot(x[2], x[3]), names=("haste",), kind="speed", reads=STATES)
         if not state.obstacles:
-            return ()
+            return (haste,)
         trees = np.array(state.obstacles)
         if trees.shape[1] != 3:
             raise InputError(f"obstacles: got rows of {trees.shape[1]}, wanted x, y, radius")
@@ -110,7 +117,7 @@ class Drone(AbstractRobot):
             return distance - trees[:, 2] - RADIUS - settings.clearance - towards**2 / (2.0 * BRAKING)
 
         names = tuple(f"tree {index}" for index in range(len(trees)))
-        return (FunctionBarrier(h, names=names, kind="tree", reads=SYSTEM.state_names),)
+        return FunctionBarrier(h, names=names, kind="tree", reads=STATES), haste
 
     def backup(self, state, model, settings):
         """Against the motion, as strongly as it can."""

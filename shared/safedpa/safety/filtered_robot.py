@@ -153,8 +153,10 @@ class FilteredRobot:
 
     @property
     def speeds(self) -> tuple[int, ...]:
-        """Which entries of the state are a speed that braking takes away."""
-        return tuple(index for index, name in enumerate(self.model.system.state_names) if name == "speed")
+        """Which entries of the state are a speed that braking takes away; none of a robot that has no stand."""
+        if not self.scene.stands:
+            return ()
+        return tuple(index for index, variable in enumerate(self.model.system.state) if variable.unit == "m/s")
 
     def take_up(self, state: StateMessage) -> None:
         """What a state tells before anything else is known."""

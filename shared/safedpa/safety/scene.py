@@ -13,6 +13,7 @@ from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
 from safedpa.robot import AbstractRobot
 from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
+from safedpa.safety.compatibility import check_reads
 from safedpa.safety.decision import Backup
 from safedpa.safety.settings import FilterSettings
 
@@ -69,6 +70,7 @@ class DeclaredScene(AbstractScene):
             return f"scene (obstacles: got {len(state.obstacles)}, wanted at most {MOST_OBSTACLES}; send the nearest)"
         try:
             parts = tuple(self._robot.barriers(state, self._model, self._latent, self._settings))
+            check_reads(parts, self._model.system.state_names)
         except InputError as error:
             return f"scene ({error})"
         except Exception as error:  # noqa: BLE001 - a robot's own code may raise anything; the backup acts then

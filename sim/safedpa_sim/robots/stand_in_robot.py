@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from safedpa.bus.messages import StateMessage
+from safedpa.errors import InputError
 from safedpa.robot import AbstractRobot
 from safedpa_sim.robots.guard import ActionGuard
 from safedpa_sim.robots.robot import SimulatedRobot
@@ -46,7 +47,13 @@ class StandInRobot(SimulatedRobot):
         wall_clock: Callable[[], float] = time.time,
     ) -> None:
         self.seed, self.given = seed, dict(given or {})
-        self.stand_in = robot.stand_in(seed, self.given)
+        try:
+            self.stand_in = robot.stand_in(seed, self.given)
+        except TypeError as error:
+            told = " ".join(f"--world {name}={value:g}" for name, value in self.given.items())
+            raise InputError(
+                f"robot '{robot.name}': its stand-in does not take {told or 'the seed'}: {error}"
+            ) from error
         self._touched = self.stand_in.contact()
         self._collisions: list[Touch] = []
         settings = robot.settings()

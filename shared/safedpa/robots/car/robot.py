@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, final
 
-from safedpa.robot import AbstractRobot
 from safedpa.robots.car.system import CAR, CAR_THROTTLE
+from safedpa.robots.shipped import ShippedRobot
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
-    from safedpa.effects import AbstractEffect
     from safedpa.networks.frame import Frame
     from safedpa.policy.controller import Controller
     from safedpa.policy.perception import Perception
@@ -25,7 +24,7 @@ __all__ = ["ROBOT", "Car"]
 
 
 @final
-class Car(AbstractRobot):
+class Car(ShippedRobot):
     """A small four-wheeled robot with front steering and a speed servo, which may tow something."""
 
     system = CAR
@@ -44,16 +43,6 @@ class Car(AbstractRobot):
         from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
         return {KinematicBicycle.kind: KinematicBicycle}
-
-    def effects(self) -> Iterable[AbstractEffect]:  # noqa: D102
-        from safedpa.effects.library import effects_in_package
-
-        return effects_in_package("safedpa.robots.car.effects")
-
-    def settings(self) -> FilterSettings:  # noqa: D102
-        from safedpa.safety.shipped import settings_named
-
-        return settings_named(self.name)
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
         from safedpa.robots.car.car_scene import CarScene

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, final
 
-from safedpa.robot import AbstractRobot
 from safedpa.robots.pendulum.system import PENDULUM
+from safedpa.robots.shipped import ShippedRobot
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from safedpa.dynamics import AbstractBase, AbstractDynamics
-    from safedpa.effects import AbstractEffect
     from safedpa.networks.frame import Frame
     from safedpa.policy.perception import Perception
     from safedpa.safety.barrier import AbstractBarrier
@@ -27,7 +26,7 @@ _EDGE = 1.0
 
 
 @final
-class Pendulum(AbstractRobot):
+class Pendulum(ShippedRobot):
     """An inverted pendulum on a motor, in the wind, which must stay within its corridor."""
 
     system = PENDULUM
@@ -45,16 +44,6 @@ class Pendulum(AbstractRobot):
         from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
         return {RigidPendulum.kind: RigidPendulum}
-
-    def effects(self) -> Iterable[AbstractEffect]:  # noqa: D102
-        from safedpa.effects.library import effects_in_package
-
-        return effects_in_package("safedpa.robots.pendulum.effects")
-
-    def settings(self) -> FilterSettings:  # noqa: D102
-        from safedpa.safety.shipped import settings_named
-
-        return settings_named(self.name)
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
         from safedpa.robots.pendulum.pendulum_scene import PendulumScene

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, final
 
-from safedpa.robot import AbstractRobot
 from safedpa.robots.point.system import POINT
+from safedpa.robots.shipped import ShippedRobot
 
 if TYPE_CHECKING:
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
-    from safedpa.effects import AbstractEffect
     from safedpa.networks.frame import Frame
     from safedpa.policy.controller import Controller
     from safedpa.safety.scene import AbstractScene
@@ -20,7 +19,7 @@ __all__ = ["ROBOT", "Point"]
 
 
 @final
-class Point(AbstractRobot):
+class Point(ShippedRobot):
     """A small body on slides that a thruster pushes and a servo turns, among hazards and in a wind."""
 
     system = POINT
@@ -36,16 +35,6 @@ class Point(AbstractRobot):
         from safedpa.robots.point.point_mass import PointMass
 
         return {PointMass.kind: PointMass}
-
-    def effects(self) -> Iterable[AbstractEffect]:  # noqa: D102
-        from safedpa.effects.library import effects_in_package
-
-        return effects_in_package("safedpa.robots.point.effects")
-
-    def settings(self) -> FilterSettings:  # noqa: D102
-        from safedpa.safety.shipped import settings_named
-
-        return settings_named(self.name)
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
         from safedpa.robots.point.point_scene import PointScene

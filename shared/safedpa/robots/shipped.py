@@ -1,0 +1,28 @@
+"""What the robots that ship have in common: effects in a package beside them, settings in a file of their name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from safedpa.robot import AbstractRobot
+
+if TYPE_CHECKING:
+    from safedpa.effects import AbstractEffect
+    from safedpa.safety.settings import FilterSettings
+
+__all__ = ["ShippedRobot"]
+
+
+class ShippedRobot(AbstractRobot):
+    """A robot in a package ``safedpa.robots.NAME``."""
+
+    def effects(self) -> Iterable[AbstractEffect]:  # noqa: D102
+        from safedpa.effects.library import effects_in_package
+
+        return effects_in_package(f"safedpa.robots.{self.name}.effects")
+
+    def settings(self) -> FilterSettings:  # noqa: D102
+        from safedpa.safety.shipped import settings_named
+
+        return settings_named(self.name)
