@@ -166,7 +166,7 @@ def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
     if robot not in robots_with_bases():
         raise ModelFileError(
             f"robot: got {robot!r}, wanted one of {', '.join(robots_with_bases())}; a robot of your own is loaded with "
-            "--effects or --robot-file FILE.py"
+            "--effects FILE.py or --robot-file FILE.py"
         )
     kinds = bases_of(robot)
     if table.get("kind") not in kinds:
