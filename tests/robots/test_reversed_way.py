@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from safedpa.bus import ActionMessage
-from safedpa.robots.car.system import CAR
+from safedpa.robots.car.car_scene import CarScene
 from safedpa.safety.reversed_way import ReversedWay
-from safedpa.safety.scene import SceneBarriers
 from safedpa.safety.shipped import settings_named
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS
@@ -56,12 +55,12 @@ def test_another_load_hangs_as_nobody_knows_and_none_is_not_counted() -> None:
 
 def test_a_filter_that_is_started_anew_sees_the_room_that_the_old_one_saw() -> None:
     robot, settings = CarRobot(Scene.random(3, "box")), settings_named("car")
-    old = SceneBarriers(settings, CAR)
+    old = CarScene(settings)
     for _ in range(25):
         old.of(robot.state_message())
         drive(robot, 1, 1.0, 0.0)
     state = robot.state_message()
-    before, after = old.of(state), SceneBarriers(settings, CAR).of(state)
+    before, after = old.of(state), CarScene(settings).of(state)
     assert not isinstance(before, str)
     assert not isinstance(after, str)
     assert after.heights(state.values) == before.heights(state.values)
