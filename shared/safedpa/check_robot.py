@@ -96,8 +96,8 @@ def _parts(robot: AbstractRobot, seed: int) -> Iterator[Finding]:
     free = ", ".join(model.latent_names) or "nothing"
     yield Finding("model", "fine", f"{robot.model}; estimated while it drives: {free}")
     effects = _tried("effects", lambda: effects_of(robot.name))
-    found = "fine" if effects else "missing"
-    yield Finding("effects", found, f"{len(effects)} that a diagnosis may find" if effects else "none; give EFFECTS")  # type: ignore[arg-type]
+    said = f"{len(effects)} that a diagnosis may find" if effects else "none; give EFFECTS"
+    yield Finding("effects", "fine" if effects else "missing", said)
     settings: FilterSettings = _tried("settings", robot.settings)
     scene: AbstractScene = _tried("settings", lambda: scene_of(model, settings))
     yield Finding("settings", "fine", f"bounds {settings.action_low} to {settings.action_high}")

@@ -12,6 +12,7 @@ from safedpa.extras import needs
 from safedpa_services.command_line.answering import answers_json, finish, tell
 from safedpa_services.command_line.listening import bus_of
 from safedpa_services.command_line.names import complete_models
+from safedpa_services.command_line.options import columns_option, effects_option
 
 if TYPE_CHECKING:
     from safedpa_services.workbench.bench import Bench
@@ -22,7 +23,7 @@ __all__ = ["command"]
 @click.command(name="workbench")
 @click.argument("model", default="", shell_complete=complete_models)
 @click.argument("runs", metavar="[RUN]...", nargs=-1)
-@click.option("--columns", help="Column map (TOML), or the name of one that ships: dart_car_columns, say.")
+@columns_option
 @click.option("--horizon", type=float, default=1.0, show_default=True, metavar="SECONDS", help="How far to predict.")
 @click.option(
     "--out",
@@ -38,14 +39,7 @@ __all__ = ["command"]
     metavar="FILE",
     help="Go on with a session.json: opens what it names and decides again what was decided.",
 )
-@click.option(
-    "--effects",
-    "--robot-file",
-    "effects",
-    type=click.Path(path_type=Path),
-    metavar="FILE.py",
-    help="Effects, systems and robots of your own.",
-)
+@effects_option
 @click.option(
     "--host",
     default="127.0.0.1",
