@@ -37,7 +37,16 @@ if TYPE_CHECKING:
     from safedpa.stand_in import AbstractStandIn
     from safedpa.systems import System
 
-__all__ = ["DEFAULT_ROBOT", "ENTRY_POINTS", "AbstractRobot", "add_robot", "robot_like", "robot_named", "robots"]
+__all__ = [
+    "DEFAULT_ROBOT",
+    "ENTRY_POINTS",
+    "AbstractRobot",
+    "add_robot",
+    "forget_robot",
+    "robot_like",
+    "robot_named",
+    "robots",
+]
 
 DEFAULT_ROBOT = "car"
 """What is meant where nobody says which."""
@@ -190,6 +199,13 @@ def add_robot(robot: AbstractRobot) -> None:
     if robot.name in _shipped():
         raise InputError(f"robot '{robot.name}' ships with the project; choose another name for its system")
     _own[robot.name] = robot
+
+
+def forget_robot(name: str) -> None:
+    """Forgets a robot of one's own, if there is one. Raises InputError for the name of one that ships."""
+    if name in _shipped():
+        raise InputError(f"system '{name}' ships with the project; choose another name")
+    _own.pop(name, None)
 
 
 def _names(system: System) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -21,11 +21,16 @@ from safedpa.safety import FunctionBarrier
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
 from safedpa.stand_in import world_number
+from safedpa.systems import systems
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.stand_in_robot import StandInRobot
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+STRANGER = """from safedpa.systems import System, Variable
+DRONE = System("drone", (Variable("height", "m", 0.0, 9.0),), ())
+"""
+"""A system of a name that a robot bears as well."""
 WORLDS = {"drone": {"wind": 1.5}, "differential_drive": {"pull": 0.5, "lag": 0.06}}
 FILES = {name: EXAMPLES / name / f"{name}.py" for name in WORLDS}
 
@@ -127,6 +132,20 @@ def test_whatever_its_own_barriers_do_is_a_sentence_and_the_backup_acts(
     assert said in ticks[-1].verdict.sentence
     assert np.hypot(*simulated.values[2:]) < 0.1
     assert [one for one in check_robot(robot) if not one.ends_well]
+
+
+def test_the_newest_file_says_what_a_name_is(tmp_path: Path) -> None:
+    """A system alone, then a robot of that name, the same file twice, and the system again."""
+    alone = tmp_path / "alone.py"
+    alone.write_text(STRANGER, encoding="utf-8")
+    load_own(alone)
+    for _ in range(2):
+        load_own(FILES["drone"])
+        assert robots()["drone"].system is systems()["drone"]
+        assert systems()["drone"].state_names == ("x", "y", "vx", "vy")
+    load_own(alone)
+    assert "drone" not in robots()
+    assert systems()["drone"].state_names == ("height",)
 
 
 def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:

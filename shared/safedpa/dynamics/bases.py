@@ -19,7 +19,7 @@ def bases_of(robot: str) -> dict[str, Maker]:
     """What makes the base models of one robot, by kind; empty for an unknown robot."""
     known = robots()
     declared = known[robot].bases() if robot in known else {}
-    return {**declared, **_own.get(robot, {})}
+    return {**_own.get(robot, {}), **declared}
 
 
 def robots_with_bases() -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from safedpa.errors import InputError
-from safedpa.robot import robots
+from safedpa.robot import forget_robot, robots
 from safedpa.systems.system import System
 
 __all__ = ["add_system", "systems"]
@@ -13,16 +13,14 @@ _own: dict[str, System] = {}
 
 def systems() -> dict[str, System]:
     """By name; of a kind with several sets of actions, the first."""
-    return {**{name: robot.system for name, robot in robots().items()}, **_own}
+    return {**_own, **{name: robot.system for name, robot in robots().items()}}
 
 
 def add_system(system: System) -> None:
-    """Makes a user's own kind of robot known; the same name again replaces it.
+    """Makes a user's own kind of robot known; the same name again replaces it, and a robot of one's own too.
 
     Raises InputError when it has no state, repeats a name, or bears the name of one that ships.
     """
-    if system.name in robots():
-        raise InputError(f"system '{system.name}' ships with the project; choose another name")
     names = ["t", *system.state_names, *system.action_names]
     if not system.name.isidentifier() or not all(name.isidentifier() for name in names):
         raise InputError(f"system '{system.name}': names: got {names[1:]}, wanted letters, digits and underscores")
@@ -31,4 +29,5 @@ def add_system(system: System) -> None:
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"system '{system.name}': '{min(twice)}' stands twice (t is the time); choose other names")
+    forget_robot(system.name)
     _own[system.name] = system
