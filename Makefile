@@ -6,7 +6,7 @@ BIN := $(ENVIRONMENT)/bin
 INSTALLED := $(ENVIRONMENT)/.installed
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo run test test-compiled test-fleet lint types contracts check audit docs environment constraints clean
+.PHONY: help demo run test test-compiled test-fleet lint types contracts check audit bill docs environment constraints clean
 
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
@@ -18,9 +18,12 @@ run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends
 	@echo "Starting robot, services and dashboard; the address of the live view stands below. Ctrl-C ends everything."
 	@$(BIN)/safedpa up --robot car --load chair --seed 4
 
+# One more than two cores: half of the time a test waits for services, browsers and robots that drive in real time.
+TESTERS ?= 3
+
 # Bytecode is kept, whatever the environment says: hundreds of processes would each compile all that they import.
 test: environment  ## runs all tests
-	@PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses 2 --dist loadfile
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/pytest --numprocesses $(TESTERS) --dist loadfile
 
 test-fleet: environment  ## a fleet of containers: faults, intruders; installs docker on Debian
 	@deploy/test-fleet
@@ -63,11 +66,16 @@ $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 	@$(PIP) --editable '.[test,lint]' --editable sim
 	@touch $@
 
-audit:  ## known holes in what is pinned, and a bill of materials (build/sbom.json); needs the public index
+bill: environment  ## what is installed, with licences, as a bill of materials (CycloneDX): build/sbom.json
+	@$(PYTHON) -m venv build/bill
+	@build/bill/bin/python -m pip install -qq --disable-pip-version-check cyclonedx-bom==7.5.0
+	@build/bill/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file build/sbom.json $(ENVIRONMENT)
+	@echo "Written: build/sbom.json"
+
+audit:  ## known holes in what is pinned; needs the public index
 	@mkdir -p build
 	@$(PYTHON) -m venv build/audit
 	@build/audit/bin/python -m pip install -qq --disable-pip-version-check pip-audit
-	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --format cyclonedx-json --output build/sbom.json
 	@build/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --strict
 
 constraints:  ## writes constraints.txt anew from the newest releases

@@ -18,12 +18,13 @@ from pathlib import Path
 
 from container_name import container_at, number_in
 
-from safedpa.bus.access import ROUTER, roles_of
-from safedpa.bus.authority import HOSTS, Authority
 from safedpa.bus.log import log_event
+from safedpa.bus.security.access import ROUTER, check_names, roles_of
+from safedpa.bus.security.authority import HOSTS, Authority
 from safedpa.errors import SafedpaError
 
 PORT = 7448
+POLICY = "policy"
 READY = Path("/tmp/ready")
 LARGEST_REQUEST = 8192
 _PATIENCE_SECONDS = 5.0
@@ -40,11 +41,31 @@ def issue_to_services(authority: Authority, issued: Path, days: float, routers: 
         folder = issued / role
         if not folder.is_dir() or _is_good(folder / f"{role}.pem", authority.folder / "authority.pem", days):
             continue
-        authority.issue(role, days, hosts.get(role, ()))
-        for name in (f"{role}.key.pem", f"{role}.pem"):
-            shutil.move(authority.folder / name, folder / name)
-        shutil.copy(authority.folder / "authority.pem", folder / "authority.pem")
-        log_event("authority.issued", f"a certificate for {role}, good for {days:g} days", service=role)
+        _issue_into(authority, folder, role, days, hosts.get(role, ()))
+
+
+def issue_to_gateway(authority: Authority, folder: Path, robot: str, days: float, *, wishes: bool) -> None:
+    """Gives the gateway of a robot that speaks ROS 2 that robot's certificate; the policy's too where it ``wishes``.
+
+    What an earlier start gave it for another robot, or for wishes that it shall not have any more, is taken away.
+    """
+    if not folder.is_dir():
+        return
+    roles = (f"robot.{robot}", *((POLICY,) if wishes else ()))
+    for path in folder.glob("*.pem"):
+        if path.name.removesuffix(".pem").removesuffix(".key") not in (*roles, "authority"):
+            path.unlink()
+    for role in roles:
+        if not _is_good(folder / f"{role}.pem", authority.folder / "authority.pem", days):
+            _issue_into(authority, folder, role, days)
+
+
+def _issue_into(authority: Authority, folder: Path, role: str, days: float, hosts: tuple[str, ...] = ()) -> None:
+    authority.issue(role, days, hosts)
+    for name in (f"{role}.key.pem", f"{role}.pem"):
+        shutil.move(authority.folder / name, folder / name)
+    shutil.copy(authority.folder / "authority.pem", folder / "authority.pem")
+    log_event("authority.issued", f"a certificate for {role}, good for {days:g} days", service=role)
 
 
 def _is_good(certificate: Path, authority: Path, days: float) -> bool:
@@ -100,9 +121,15 @@ def main() -> None:
     parser.add_argument("--issued", type=Path, default=Path("/issued"), help="one folder a role")
     parser.add_argument("--days", type=float, default=90.0)
     parser.add_argument("--router", action="append", default=[], metavar="NAME", help="a further, linked router")
+    parser.add_argument("--gateway", default="", metavar="ROBOT", help="a robot that speaks ROS 2, by a gateway")
+    parser.add_argument("--wishes", choices=("0", "1"), default="0", help="1: its own policy wishes by the gateway")
     options = parser.parse_args()
     authority = Authority(options.folder, options.fleet)
     issue_to_services(authority, options.issued, options.days, tuple(options.router))
+    if options.gateway:
+        check_names(options.fleet, (options.gateway,))
+        wishes = options.wishes == "1"
+        issue_to_gateway(authority, options.issued / "ros_gateway", options.gateway, options.days, wishes=wishes)
     Enrolment.authority, Enrolment.days = authority, options.days
     with Server(("0.0.0.0", PORT), Enrolment) as server:
         READY.touch()  # for the health check: who depends on certificates may start

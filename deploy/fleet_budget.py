@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safedpa.bus import STATE, TOPICS, StateMessage
-from safedpa.bus.access import ROLES, ROUTER
-from safedpa.bus.codec import decode
+from safedpa.bus.security.access import ROLES, ROUTER
+from safedpa.bus.wire.codec import decode
 from safedpa.records.mcap_messages import read_payloads
 
 REGION = ("robot", "adaptation", "policy", "safety_filter", "diagnosis")

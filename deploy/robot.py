@@ -3,7 +3,8 @@
 A scaled service has one command for all its containers. So the robot asks the network's name service for the name of
 its own address, ``PROJECT_robot_3``, and is ``robot-3`` from then on; SAFEDPA_NAME in the environment overrules that.
 The name is kept in /tmp/name for the health check. Its load and its scene come from the number: SAFEDPA_LOAD may name
-several loads, separated by commas, which the robots take in turn; SAFEDPA_SEED is the first robot's scene.
+several loads, separated by commas, which the robots take in turn; SAFEDPA_SEED is the first robot's scene. With
+SAFEDPA_LASER=1 they are told no obstacles and have a laser: somebody has to run perception.
 With ``--certificates DIR`` it makes a key there, unless there is one, and has it signed by the authority; see
 authority.py. Every argument is handed on to ``python -m safedpa_sim.robots``.
 """
@@ -30,6 +31,7 @@ def command(environment: Mapping[str, str], name: str, arguments: Sequence[str])
     loads = environment.get("SAFEDPA_LOAD", "box").split(",")
     seed = int(environment.get("SAFEDPA_SEED", "0")) + turn
     options = ["--name", name, "--load", loads[turn % len(loads)].strip(), "--seed", str(seed)]
+    options += ["--laser"] if environment.get("SAFEDPA_LASER", "") not in ("", "0") else []
     role = ["--role", f"robot.{name}"] if "--certificates" in arguments else []
     return [sys.executable, "-m", "safedpa_sim.robots", *options, *role, *arguments]
 

@@ -14,8 +14,8 @@ import sys
 from pathlib import Path
 
 from safedpa.bus import ZenohSettings
-from safedpa.bus.access import ROUTER, access_control, size_limits
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.security.access import ROUTER, access_control, size_limits
+from safedpa.bus.security.certificates import Certificates
 
 
 def document(fleet: str, robots: list[str], certificates: Certificates, listen: str, mounted: str) -> str:

@@ -8,10 +8,13 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import json
 import re
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import (
@@ -23,21 +26,26 @@ from safedpa.bus import (
     Message,
     Request,
     Topic,
-    messages,
-    requests,
 )
-from safedpa.bus.access import ROLES, may_write
 from safedpa.bus.events import KINDS
-from safedpa.diagnosis.live.node import DiagnosisNode
+from safedpa.bus.security.access import ROLES, may_write
+from safedpa.bus.wire import messages, requests
 from safedpa.limits import TABLE
+from safedpa.live.node import DiagnosisNode
+from safedpa.perception.node import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
 from safedpa_lab.commands.experiment import EXPERIMENTS
+from safedpa_lab.experiments import pendulum_report
 from safedpa_services.command_line.group import COMMANDS, LABORATORY
-from safedpa_services.metrics.families import FAMILIES
+from safedpa_services.metrics.collector import FAMILIES
+
+sys.path.insert(0, str(Path(__file__).parent))
+from asyncapi import document
+from promises import table as promises
 
 LOOP: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode)
-NODES = (*LOOP, DiagnosisNode)
+NODES = (*LOOP, PerceptionNode, DiagnosisNode)
 PAGES = Path(__file__).parent
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 COMMANDS_PACKAGE = "safedpa_services.command_line"
@@ -52,7 +60,9 @@ def topics() -> str:
     ]
     for topic in TOPICS.values():
         service = "/{service}" if topic.per_service else ""
-        readers = [node.name for node in NODES if topic is STATE or topic in (*node.inputs, *node.listens)]
+        readers = [
+            node.name for node in NODES if topic is STATE or topic in (*node.inputs, *node.senses, *node.listens)
+        ]
         readers += ["robot"] if topic.name == "action" else []
         rows.append(
             f"| {topic.name} | `safedpa/{{fleet}}/{{robot}}/{topic.name}{service}` | `{topic.message.__name__}` "
@@ -176,6 +186,22 @@ def _text(node: ast.stmt | None) -> str:
     return ""
 
 
+def _of_result(name: str, *tables: Callable[[Mapping[str, Any]], str]) -> Callable[[], str]:
+    """Tables of a file of results, as the command that made it writes them."""
+
+    def made() -> str:
+        result = json.loads((PAGES / "results" / f"{name}.json").read_text(encoding="utf-8"))
+        return "\n\n".join(table(result) for table in tables)
+
+    return made
+
+
+def _pendulum(table: str) -> Callable[[], str]:
+    """Both questions of the pendulum, in one of its tables."""
+    parts = pendulum_report.balancing_table, pendulum_report.hazard_table
+    return _of_result("pendulum", *(lambda result, part=part: part(result, table) for part in parts))
+
+
 GENERATED = {
     "commands": commands,
     "topics": topics,
@@ -185,6 +211,13 @@ GENERATED = {
     "events": events,
     "limits": limits,
     "metrics": metrics,
+    "pendulum_advantages": _of_result("pendulum", lambda result: pendulum_report.advantages_table(result, "own")),
+    "pendulum_latent": _of_result("pendulum", pendulum_report.latent_table),
+    "pendulum_margins": _of_result("pendulum", pendulum_report.margins_table),
+    "pendulum_own": _pendulum("own"),
+    "pendulum_penalties": _of_result("pendulum", pendulum_report.penalties_table),
+    "pendulum_same": _pendulum("same"),
+    "promises": promises,
     "roles": roles,
 }
 
@@ -202,6 +235,13 @@ def main() -> int:
             sys.stderr.write(f"docs/{page.name} is out of date; run python docs/generate.py\n")
         else:
             page.write_text(renewed(page.read_text("utf-8")), "utf-8")
+    described = PAGES / "asyncapi.json"
+    if not described.is_file() or described.read_text("utf-8") != document():
+        stale.append(described)
+        if "--check" in sys.argv:
+            sys.stderr.write("docs/asyncapi.json is out of date; run python docs/generate.py\n")
+        else:
+            described.write_text(document(), "utf-8")
     return int(bool(stale) and "--check" in sys.argv)
 
 

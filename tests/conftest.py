@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gc
 import os
+import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,22 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from safedpa.bus import ports
+from safedpa import robot as declared
+from safedpa.bus.transport import ports
 from safedpa.dynamics import bases
 from safedpa.effects import library
 from safedpa.networks import Description, EnvironmentEntry, Weights
 from safedpa.systems import registry
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
+
+TRAINING = ("training", "benchmarks", "point", "pendulum")
+TRAINING += ("safety/test_theory_command.py", "effects/test_every_effect.py")
+"""Folders and files in ``tests`` that load torch and what stands on it: 400 MB that one process alone need carry."""
+LIGHT = ("adaptation", "bus", "bus_security", "dynamics", "effects", "fleet_process", "networks", "operations")
+LIGHT += ("policy", "replay", "robots", "safety", "sensing")
+"""Folders that load little: where trainings are over, their process is given these before what loads readers and
+viewers; everybody else ends with them, since they are short."""
 
 settings.register_profile("ci", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("search", deadline=None, max_examples=500)
@@ -35,10 +46,42 @@ def pytest_configure(config: pytest.Config) -> None:
     gc.disable()  # what is collected stays to the end: looking through it for garbage is a fifth of the collection
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """File by file; one process gets the files that load torch, so that the others stay small."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByLibraries(LoadFileScheduling):
+        def _assign_work_unit(self, node: Any) -> None:
+            order = ("training", "light", "") if node is self.nodes[0] else ("", "light", "training")
+            self.workqueue.move_to_end(min(self.workqueue, key=lambda file: order.index(kind_of(file))), last=False)
+            super()._assign_work_unit(node)
+
+    return ByLibraries(config, log)
+
+
+def kind_of(file: str) -> str:
+    """``training``, ``light`` or neither: of a file of tests, from the root."""
+    inside = file.removeprefix("tests/")
+    if inside.startswith(tuple(name if name.endswith(".py") else f"{name}/" for name in TRAINING)):
+        return "training"
+    return "light" if inside.startswith(tuple(f"{name}/" for name in LIGHT)) else ""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests come first, so that all cores end at about the same time."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Says at once which test failed: a run that is broken off, or aborts, prints no summary."""
+    if report.failed and "PYTEST_XDIST_WORKER" not in os.environ:
+        crash = getattr(report.longrepr, "reprcrash", None)
+        said = str(getattr(crash, "message", report.longrepr)).strip().splitlines()[:1]
+        print(f"\n{report.when} of {report.nodeid} failed: {(said or [''])[0][:200]}", flush=True)
 
 
 def pytest_collection_finish() -> None:
@@ -51,6 +94,22 @@ def pytest_collection_finish() -> None:
 def repository() -> Path:
     """The root of the working tree."""
     return _REPOSITORY
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _temporary_folder_of_this_run_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Whatever programs and libraries leave in the temporary folder goes when the tests end.
+
+    Its path is short: sockets lie in it, and the kernel takes 107 letters. Folders of tests are pytest's own to keep.
+    """
+    tmp_path_factory.getbasetemp()  # is chosen before, beside those of former runs
+    with (
+        tempfile.TemporaryDirectory(prefix="t-", ignore_cleanup_errors=True) as folder,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        patch.setenv("TMPDIR", folder)
+        patch.setattr(tempfile, "tempdir", folder)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -71,7 +130,29 @@ def free_port() -> int:
 @pytest.fixture(autouse=True)
 def _effects_of_one_test_alone() -> Iterator[None]:
     """Robots, bases and effects that a test loads from a file of its own are gone after it."""
-    tables: tuple[dict[Any, Any], ...] = (library._own, registry._own, bases._own)
+    with _nothing_left():
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _effects_of_one_file_alone() -> Iterator[None]:
+    """The same of what a fixture loads for all tests of a file."""
+    with _nothing_left():
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _memories_of_one_file_alone(request: pytest.FixtureRequest) -> Iterator[None]:
+    """What a file's own functions remember (``cache``) goes with its last test: a thousand syntax trees take 190 MB."""
+    yield
+    for value in vars(request.module).values():
+        if getattr(value, "__module__", "") == request.module.__name__ and hasattr(value, "cache_clear"):
+            value.cache_clear()
+
+
+@contextmanager
+def _nothing_left() -> Iterator[None]:
+    tables: tuple[dict[Any, Any], ...] = (library._own, registry._own, bases._own, declared._own)
     before = [dict(table) for table in tables]
     yield
     for table, kept in zip(tables, before, strict=True):

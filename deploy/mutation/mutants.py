@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import ast
 import copy
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-__all__ = ["Mutant", "mutants"]
+__all__ = ["Mutant", "assigned", "mutants"]
 
 _COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
     ast.Lt: (ast.LtE, ast.GtE),
@@ -50,10 +50,21 @@ class Mutant:
     name: str
     line: int
     source: str
+    lines: Collection[int]
+    """Of the innermost statement around it, of a compound one its head: whoever runs none of them cannot notice. Of a
+    constant those of the functions that read it."""
+    function: str
+    """Qualified name of the outermost function whose body it is in; empty in a module's or class's own body."""
+    constant: str = ""
+    """Name of the module's private constant that it is in, which nothing but functions reads; empty: it is in none."""
 
 
 def mutants(source: str) -> list[Mutant]:
-    """Every mutant of a module's source; annotations, decorators, messages and docstrings are left alone."""
+    """Every mutant of a module's source.
+
+    Annotations, decorators, messages and docstrings are left alone, and ``strict=True``: it guards against lengths that
+    are equal wherever the program is right, so that no test could tell it from False.
+    """
     tree, found, seen = ast.parse(source), [], {}
     lines = source.splitlines()
     for path in _paths(tree):
@@ -64,8 +75,55 @@ def mutants(source: str) -> list[Mutant]:
             line = getattr(_at(tree, path), "lineno", 1)
             name = f"{lines[line - 1].strip()}  ->  {_short(_at(tree, path))} becomes {_short(change)}"
             seen[name] = seen.get(name, 0) + 1
-            found.append(Mutant(f"{name} ({seen[name]})" if seen[name] > 1 else name, line, text))
+            named = f"{name} ({seen[name]})" if seen[name] > 1 else name
+            home, constant = _home(tree, path), _constant(tree, path)
+            found.append(Mutant(named, line, text, *home) if constant is None else Mutant(named, line, text, *constant))
     return found
+
+
+def _constant(tree: ast.Module, path: Path) -> tuple[Collection[int], str, str] | None:
+    """The lines of the functions that read the private constant a place is in, no function, and its name."""
+    statement = tree.body[path[0][1] or 0] if path else tree
+    name = assigned(statement)
+    if not name.startswith("_") or name.startswith("__"):
+        return None
+    bodies = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    inside = {id(inner) for node in bodies for part in node.body for inner in ast.walk(part)}
+    reads = [
+        node for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id == name and node is not statement
+    ]
+    if any(id(node) not in inside for node in reads if isinstance(node.ctx, ast.Load)):
+        return None
+    lines = {
+        line
+        for node in bodies
+        if any(read in ast.walk(node) for read in reads)
+        for line in range(node.body[0].lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    return frozenset(lines), "", name
+
+
+def assigned(statement: ast.AST) -> str:
+    """The name that a statement alone gives a value; empty where it is no such statement."""
+    match statement:
+        case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name), value=ast.expr()):
+            return name
+    return ""
+
+
+def _home(tree: ast.AST, path: Path) -> tuple[range, str]:
+    """The lines of the statement that a place is in, and the function whose body it is in."""
+    node, statement, names, inside = tree, tree, list[str](), ""
+    for field, index in path:
+        if not inside and isinstance(node, (ast.ClassDef, ast.FunctionDef)) and field == "body":
+            names.append(node.name)
+            inside = "" if isinstance(node, ast.ClassDef) else ".".join(names)
+        value = getattr(node, field)
+        node = value if index is None else value[index]
+        statement = node if isinstance(node, ast.stmt) else statement
+    first, body = getattr(statement, "lineno", 1), getattr(statement, "body", None)
+    last = body[0].lineno - 1 if body else getattr(statement, "end_lineno", first)
+    return range(first, max(first, last) + 1), inside
 
 
 Path = tuple[tuple[str, int | None], ...]
@@ -77,7 +135,7 @@ def _paths(node: ast.AST, path: Path = ()) -> Iterator[Path]:
         if field in ("annotation", "returns", "decorator_list", "format_spec") or isinstance(node, ast.JoinedStr):
             continue
         for index, child in enumerate(value) if isinstance(value, list) else ((None, value),):
-            if isinstance(child, ast.AST):
+            if isinstance(child, ast.AST) and not (isinstance(child, ast.keyword) and child.arg == "strict"):
                 yield from _paths(child, (*path, (field, index)))
 
 

@@ -1,6 +1,7 @@
-"""The three services of the loop as their options describe them: node, setup, and what else each does on the bus.
+"""The services of the loop as their options describe them: node, setup, and what else each does on the bus.
 
-Each service's own process makes one of them, the stack all three; every function imports only what its service needs.
+Each service's own process makes one of them, the stack the three without sensors; every function imports only what its
+service needs.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import TYPE_CHECKING
 
 from safedpa.bus import AbstractNode, Answer, Bus, Request, SetupMessage
 from safedpa.bus.log import log_event
-from safedpa.bus.requests import ORDER
-from safedpa.bus.setup import setup_message
+from safedpa.bus.wire.requests import ORDER
+from safedpa.bus.wire.setup import setup_message
 from safedpa.robot import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from safedpa.safety.orders import Orders
 
-__all__ = ["Made", "adaptation", "add_filter_options", "add_policy_options", "policy", "safety_filter"]
+__all__ = ["Made", "adaptation", "add_filter_options", "add_policy_options", "perception", "policy", "safety_filter"]
 
 
 def _nothing(_bus: Bus) -> None:
@@ -48,6 +49,14 @@ def adaptation(options: argparse.Namespace) -> Made:
     model = load_model(options.model)
     node = AdaptationNode(model)
     return Made(node, model_setup(setup_message(node.name, vars(options)), model))
+
+
+def perception(options: argparse.Namespace) -> Made:
+    """Knows no model: where things are follows from scans and the robot's own way."""
+    from safedpa.perception import PerceptionNode
+
+    node = PerceptionNode()
+    return Made(node, setup_message(node.name, vars(options)))
 
 
 def add_policy_options(parser: argparse.ArgumentParser) -> None:

@@ -10,11 +10,12 @@ from contextlib import ExitStack
 from functools import partial
 
 from safedpa.bus import MODEL, NO_ROBOT, AbstractNode, AbstractTransport, Bus, ModelMessage, ServiceLoop, ZenohTransport
-from safedpa.bus.apart import AbstractTicket, Apart
-from safedpa.bus.joint_transport import JointTransport
-from safedpa.bus.journal import Journal
-from safedpa.bus.process import Stop, add_bus_options, lifetime, settings_from
-from safedpa.bus.turning import Turning
+from safedpa.bus.loop.apart import AbstractTicket, Apart
+from safedpa.bus.loop.journal import Journal
+from safedpa.bus.loop.process import Stop, add_bus_options, lifetime, settings_from
+from safedpa.bus.loop.turning import Turning
+from safedpa.bus.transport.joint_transport import JointTransport
+from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.nodes import Made
 
 __all__ = ["serve", "service_parser"]
@@ -27,7 +28,7 @@ def service_parser(program: str) -> argparse.ArgumentParser:
     """Options that every service takes: the bus, the model, the robot."""
     parser = argparse.ArgumentParser(prog=program)
     add_bus_options(parser)
-    parser.add_argument("--model", default="car", help="model file, or the name of one that ships")
+    parser.add_argument("--model", default=DEFAULT_ROBOT, help="model file, or the name of one that ships")
     parser.add_argument("--robot", default="*", help="serve this robot alone")
     return parser
 

@@ -1,24 +1,16 @@
-"""What is shown on a terminal: names and sentences of others move no cursor, colour nothing and hide nothing."""
+"""What is drawn on a terminal: names and sentences of others move no cursor, colour nothing and hide nothing."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any, final
 
-import click
 from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RichCast
 from rich.segment import Segment
 
-from safedpa.limits import readable
+from safedpa.limits import printable
 
-__all__ = ["Shown", "say", "terminal"]
-
-_LONGEST_LINE = 4000
-
-
-def say(text: str, *, err: bool = False) -> None:
-    """Prints lines that others had a part in."""
-    click.echo("\n".join(readable(line, _LONGEST_LINE) for line in text.split("\n")), err=err)
+__all__ = ["Shown", "terminal"]
 
 
 def terminal(**options: Any) -> Console:
@@ -45,7 +37,7 @@ class Shown:
             if segment.control or text.isprintable() or text == "\n":
                 yield segment
             else:
-                plain = "".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text)
+                plain = printable(text, also="\n")
                 yield Segment(plain, segment.style)
 
 

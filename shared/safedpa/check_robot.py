@@ -20,7 +20,7 @@ from safedpa.effects import effects_of
 from safedpa.errors import InputError, SafedpaError
 from safedpa.policy.controller import controller_for
 from safedpa.robot import AbstractRobot, robots
-from safedpa.safety.check_filter import check_filter
+from safedpa.safety.filter_check import check_filter
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import AbstractScene
 from safedpa.safety.scenes import scene_of

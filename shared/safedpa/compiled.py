@@ -9,20 +9,21 @@ __all__ = ["MODULES", "compiled_modules"]
 MODULES = (
     "safedpa.networks.plain_rows",
     "safedpa.safety.affine_motion",
-    "safedpa.safety.braking",
-    "safedpa.safety.car_geometry",
-    "safedpa.safety.chain_rule",
+    "safedpa.robots.car.written_barriers",
+    "safedpa.equations.chain_rule",
     "safedpa.safety.conditions",
     "safedpa.safety.decision",
     "safedpa.safety.inputs",
+    "safedpa.safety.lattice",
+    "safedpa.safety.least_unsafe",
     "safedpa.safety.nearest",
     "safedpa.safety.prediction",
     "safedpa.safety.program_rows",
     "safedpa.safety.remembered",
+    "safedpa.safety.retreat",
     "safedpa.safety.search",
     "safedpa.safety.solution",
     "safedpa.safety.tangent",
-    "safedpa.safety.towed_reach",
 )
 """What ``hatch_build.py`` compiles where it can; the source is the same, and an editable installation runs it."""
 

@@ -26,6 +26,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "metrics": ("prometheus_client",),
     "cluster": ("ray",),
     "gym": ("gymnasium",),
+    "ros": ("rosbags", "pyulog"),
 }
 """Modules that each extra brings by itself."""
 

@@ -48,6 +48,8 @@ class Operations:
     """clip(value, low, high) = min(max(value, low), high)"""
     where: Callable[[Any, Scalar, Scalar], Scalar]
     """where(condition, yes, no)"""
+    hypot: Callable[[Scalar, Scalar], Scalar]
+    """hypot(x, y) = sqrt(x^2 + y^2), of numbers of any size; at (0, 0), where it has no slope, that over y is taken."""
 
 
 FLOATS = Operations(
@@ -64,7 +66,15 @@ FLOATS = Operations(
     maximum=max,
     clip=lambda value, low, high: low if value < low else high if value > high else value,
     where=lambda condition, yes, no: yes if condition else no,
+    hypot=math.hypot,
 )
+
+
+def _complex_hypot(x: complex, y: complex) -> complex:
+    size = math.hypot(x.real, y.real)
+    slope = (x.real * x.imag + y.real * y.imag) / size if size > 0.0 else y.imag
+    return complex(size, slope)
+
 
 COMPLEX = Operations(
     sin=cmath.sin,
@@ -82,6 +92,7 @@ COMPLEX = Operations(
         low if value.real <= low.real else high if value.real >= high.real else value  # slope on a bound: the bound's
     ),
     where=lambda condition, yes, no: yes if condition else no,
+    hypot=_complex_hypot,
 )
 """Real functions with an infinitesimal imaginary part, which carries the slope; order is that of the real parts."""
 
@@ -99,6 +110,7 @@ NUMPY = Operations(
     maximum=np.maximum,
     clip=lambda value, low, high: np.minimum(np.maximum(value, low), high),
     where=np.where,
+    hypot=np.hypot,
 )
 
 
@@ -167,6 +179,7 @@ def torch_operations() -> Operations:
         maximum=binary(torch.maximum),
         clip=clip,
         where=where,
+        hypot=binary(torch.hypot),
     )
 
 

@@ -13,10 +13,12 @@ import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from safedpa.errors import InputError, did_you_mean
+from safedpa.installed import brought_under
+from safedpa.limits import readable
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,13 +26,16 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import ArrayLike, NDArray
 
+    from safedpa.barrier_setting import BarrierSetting
     from safedpa.bus import StateMessage
     from safedpa.drawing import Shape
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
+    from safedpa.dynamics.elsewhere import Elsewhere
     from safedpa.effects import AbstractEffect
     from safedpa.networks.frame import Frame
     from safedpa.policy.controller import Controller
     from safedpa.policy.perception import Perception
+    from safedpa.ros.face import AbstractFace
     from safedpa.safety.barrier import AbstractBarrier
     from safedpa.safety.scene import AbstractScene
     from safedpa.safety.settings import FilterSettings
@@ -43,12 +48,13 @@ __all__ = [
     "AbstractRobot",
     "add_robot",
     "forget_robot",
+    "own_robots",
     "robot_like",
     "robot_named",
     "robots",
 ]
 
-DEFAULT_ROBOT = "car"
+DEFAULT_ROBOT: str = importlib.import_module("safedpa.robots").DEFAULT
 """What is meant where nobody says which."""
 ENTRY_POINTS = "safedpa.robots"
 """The group under which other distributions bring robots: name = "module:ROBOT"."""
@@ -61,8 +67,8 @@ class AbstractRobot(ABC):
     """Names, units and bounds of state and action."""
     rate: ClassVar[float]
     """Ticks per second at which it is driven."""
-    variants: ClassVar[tuple[System, ...]] = ()
-    """The same robot with another set of actions, such as a throttle in place of a speed."""
+    variants: ClassVar[tuple[AbstractRobot, ...]] = ()
+    """The same robot with another set of actions, such as a throttle in place of a speed; its model tells which."""
     measurement_deviation: ClassVar[tuple[float, ...]]
     """(states,) standard deviation of what a measured state adds to one step, in the state's units."""
     smallest_motion: ClassVar[float] = 1.0
@@ -73,21 +79,36 @@ class AbstractRobot(ABC):
     """Whether the backup brings it to rest, and keeps every condition meanwhile."""
     kinds: ClassVar[tuple[str, ...]] = ()
     """Kinds of its barriers: what margins may be called."""
+    barrier_settings: ClassVar[tuple[BarrierSetting, ...]] = ()
+    """Numbers that its barriers take from a settings file: clearances, what its brakes are good for."""
     calibrates_from_logs: ClassVar[bool] = False
     """Whether ``barriers_around`` draws barriers: then a margin can be had from logs that tell of no scene."""
     theorem_margins: ClassVar[bool] = False
     """Whether the theorem's margin is known for its barriers: how steep they are at most."""
-    in_batches: ClassVar[bool] = False
-    """Whether its barriers are there for many robots at once."""
     options: ClassVar[tuple[str, ...]] = ("world",)
     """Options of ``safedpa up`` that are its own: what may be asked of its simulated world."""
     default_controller: ClassVar[str] = "goal_seeker"
     """Which of ``controllers`` wishes where nobody says, and no policy was learned."""
+    stand_in_options: ClassVar[tuple[str, ...]] = ()
+    """Options of the simulated robot's process that make it this variant."""
+
+    effects_of_its_own: ClassVar[bool] = False
+    """Whether all of ``effects`` are of its own system: then they are not loaded where another's are asked for."""
 
     @property
     def name(self) -> str:
         """Of the system."""
         return self.system.name
+
+    @property
+    def settings_name(self) -> str:
+        """Under which ``settings_named`` finds the settings of its filter."""
+        return self.name
+
+    def of_system(self, system: System) -> AbstractRobot:
+        """The variant that has these states and actions; the robot itself where none has."""
+        wanted = _names(system)
+        return next((one for one in (self, *self.variants) if _names(one.system) == wanted), self)
 
     @property
     @abstractmethod
@@ -128,6 +149,15 @@ class AbstractRobot(ABC):
         del state, settings, footprint, draw
         return ()
 
+    def largest_gradients(
+        self, settings: FilterSettings, footprint: Sequence[float], scale: NDArray[np.float64]
+    ) -> Mapping[str, float]:
+        """By kind of barrier the largest |d(h)/d(v)|_1 over increments v (states,) of that ``scale``, in its own frame.
+
+        Asked for where ``theorem_margins`` says that it is known.
+        """
+        raise NotImplementedError(f"robot '{self.name}': how steep its barriers are at most is not known")
+
     def backup(self, state: NDArray[np.float64], model: AbstractDynamics, settings: FilterSettings) -> ArrayLike:
         """The action (actions,) that is taken when nothing else is known to be safe, at ``state`` (states,)."""
         del state, model
@@ -158,10 +188,25 @@ class AbstractRobot(ABC):
         """What its learned policy observes; None: it has none."""
         return None
 
+    def elsewhere(self, model: PhysicsModel) -> Elsewhere | None:
+        """The model in the words of other simulators; None: its table of parameters alone."""
+        del model
+        return None
+
+    def ros_face(self, model: AbstractDynamics | None = None) -> AbstractFace | None:
+        """How it shows itself to ROS, with the measures of ``model`` where one is named; None: states as numbers."""
+        del model
+        return None
+
     def draw(self, state: StateMessage) -> Mapping[str, Shape]:
         """The robot itself as plain shapes, by the name of each; empty: curves alone."""
         del state
         return {}
+
+    def swept(self, state: StateMessage, settings: FilterSettings) -> tuple[float, float, float] | None:
+        """Of the capsule that its barriers keep free now: rear end, front end along the heading, and radius [m]."""
+        del state, settings
+        return None
 
     def stand_in(self, seed: int, given: Mapping[str, float]) -> AbstractStandIn:
         """A simulated robot to drive instead of the real one; ``given``: what was asked of its world, by name.
@@ -179,18 +224,27 @@ def robots() -> dict[str, AbstractRobot]:
     return {**_shipped(), **_own}
 
 
+def own_robots() -> tuple[str, ...]:
+    """Names of those that files of one's own declared, in this process."""
+    return tuple(_own)
+
+
 def robot_named(name: str) -> AbstractRobot:
     """One robot. Raises InputError with the nearest names when there is none."""
     known = robots()
     if name not in known:
-        raise InputError(f"robot '{name}': {did_you_mean(name, known)}; --robot-file FILE.py loads one of your own")
+        shown = readable(name, 200)
+        raise InputError(f"robot '{shown}': {did_you_mean(shown, known)}; --robot-file FILE.py loads one of your own")
     return known[name]
 
 
 def robot_like(system: System) -> AbstractRobot | None:
-    """The robot that has these states and actions, whatever the system is called; None: nobody declared it."""
-    wanted = (system.state_names, system.action_names)
-    found = [one for one in robots().values() if _names(one.system) == wanted]
+    """The robot that has these states and actions, whatever the system is called; None: nobody declared it.
+
+    It may be a variant of one that ``robots`` lists.
+    """
+    wanted = _names(system)
+    found = [one for robot in robots().values() for one in (robot, *robot.variants) if _names(one.system) == wanted]
     return next((one for one in found if one.name == system.name), found[0] if found else None)
 
 
@@ -218,7 +272,7 @@ def _shipped() -> dict[str, AbstractRobot]:
     inside = sorted(info.name for info in pkgutil.iter_modules(package.__path__, "safedpa.robots.") if info.ispkg)
     found: list[Any] = [importlib.import_module(name).ROBOT for name in inside]
     known = {robot.name: robot for robot in found}
-    for point in entry_points(group=ENTRY_POINTS):
+    for point in brought_under(ENTRY_POINTS):
         robot = _brought(point)
         if robot.name in known:
             raise InputError(f"robot '{robot.name}' of {point.value}: is known already; uninstall one of the two")

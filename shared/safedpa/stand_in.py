@@ -36,6 +36,11 @@ class AbstractStandIn(ABC):
         """(4,) lowest x, highest x, lowest y, highest y in m, where it may be; empty without one."""
         return ()
 
+    @property
+    def footprint(self) -> Numbers:
+        """(3,) how far it reaches behind and ahead of its reference point, and its radius in m; empty: not told."""
+        return ()
+
     @abstractmethod
     def advance(self, action: Numbers, seconds: float) -> None:
         """Moves on by ``seconds`` under ``action`` (actions,); counts goals, and chooses the next."""

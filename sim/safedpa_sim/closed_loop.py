@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from safedpa.bus import (
     ACTION,
+    SCAN,
     STATE,
     TOPICS,
     VERDICT,
@@ -17,13 +18,14 @@ from safedpa.bus import (
     MemoryBroker,
     MemoryTransport,
     Received,
+    ScanMessage,
     ServiceLoop,
     StateMessage,
     VerdictMessage,
 )
 from safedpa.errors import BusError
 
-__all__ = ["Robot", "Tick", "drive"]
+__all__ = ["Robot", "Sensing", "Tick", "drive"]
 
 _NAME = "r1"
 
@@ -39,6 +41,14 @@ class Robot(Protocol):
 
     def advance(self) -> None:
         """Lives through one period."""
+
+
+@runtime_checkable
+class Sensing(Protocol):
+    """A robot with sensors of its own."""
+
+    def scans(self) -> Sequence[ScanMessage]:
+        """What they have to tell before the state of this tick."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +83,8 @@ def drive(
         for _ in range(ticks):
             state = robot.state_message()
             now = state.robot_time
+            for scan in robot.scans() if isinstance(robot, Sensing) else ():
+                bus.publish(SCAN, _NAME, scan)
             bus.publish(STATE, _NAME, state)
             for loop in loops:
                 loop.turn(0.0)

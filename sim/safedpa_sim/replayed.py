@@ -5,21 +5,28 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from safedpa.bus import SetupMessage, VerdictMessage
 from safedpa.errors import InputError
+from safedpa.limits import readable
 from safedpa.replay.setups import REPLAYED, node_of
 from safedpa.replay.tape import Stamp, Tape, options_of
 from safedpa.replay.what_if import Change
+from safedpa.robot import robot_named
 from safedpa_sim.closed_loop import Tick, drive
 from safedpa_sim.robots.__main__ import robot_parser
 from safedpa_sim.robots.made import robot_of
 
 __all__ = ["drive_again"]
 
+_SIMULATING = (
+    "robot", "world", "load", "change", "change_after", "task", "wind", "wind_direction", "force", "payload",
+    "dry_friction", "seed", "rate",
+)  # fmt: skip
+"""Options that make the robot what it is; files, names and addresses of a recording are nobody's business."""
 _DECIDING = ("load", "change", "change_after", "task", "wind", "wind_direction", "payload", "dry_friction", "rate")
 
 
@@ -52,8 +59,29 @@ def _robot_options(tape: Tape) -> argparse.Namespace:
             f"--closed-loop: the options of robot '{tape.robot}' are not in the recording; wanted a simulated robot "
             "that was started by 'safedpa up'"
         )
-    defaults = vars(robot_parser().parse_args([]))  # of options that came later than the recording
-    return argparse.Namespace(**{**defaults, **options, "lockstep": True, "seconds": 0.0})
+    found = _parsed({name: options[name] for name in _SIMULATING if name in options})
+    rate = robot_named(found.robot).rate if found.rate is None else found.rate
+    return argparse.Namespace(**{**vars(found), "rate": rate, "lockstep": True, "seconds": 0.0})
+
+
+def _parsed(options: dict[str, Any]) -> argparse.Namespace:
+    """The options through the robot's own parser: whoever wrote the recording may have written anything there.
+
+    Raises InputError naming the option.
+    """
+    parser = robot_parser()  # has a default for options that came later than the recording
+
+    def refuse(message: str) -> NoReturn:
+        raise InputError(f"--closed-loop: the robot's options in the recording: {readable(message, 200)}")
+
+    parser.error = refuse  # type: ignore[method-assign]
+    defaults = vars(parser.parse_args([]))
+    words = []
+    for name, value in options.items():
+        for item in value if isinstance(value, list) else [value]:
+            if item is not None and str(item) != str(defaults.get(name)):
+                words.append(f"--{name.replace('_', '-')}={item}")
+    return parser.parse_args(words)
 
 
 def _told(options: argparse.Namespace) -> dict[str, Any]:

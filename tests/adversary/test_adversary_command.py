@@ -44,7 +44,9 @@ def test_one_attack_is_told_as_a_document_and_in_files(tmp_path, capsys):
     shown = capsys.readouterr()
     found = json.loads(shown.out)
     assert shown.err == ""
-    assert found == json.loads((out / "adversary.json").read_text())
+    kept = json.loads((out / "adversary.json").read_text())
+    assert kept.pop("provenance")["command"] == "safedpa experiment adversary --only programs --small --seed 4"
+    assert found == kept
     assert found["command"] == "safedpa experiment adversary --only programs --small --seed 4"
     assert (found["seed"], found["small"], len(found["code"])) == (4, True, 12)
     (attack,) = found["attacks"]
@@ -54,6 +56,19 @@ def test_one_attack_is_told_as_a_document_and_in_files(tmp_path, capsys):
     page = (out / "adversary.md").read_text()
     assert "| passed or corrected, condition broken |" in page
     assert found["code"] in page
+
+
+def test_parts_run_into_one_folder_become_one_page(tmp_path, capsys):
+    out = tmp_path / "found"
+    for name in ("programs", "inputs", "programs"):
+        assert run("--only", name, "--small", "--seed", 4, "--workers", 1, "--out", out) == 0
+    found = json.loads((out / "adversary.json").read_text())
+    assert [attack["name"] for attack in found["attacks"]] == ["inputs", "programs"], "in the order of the list"
+    assert found["command"] == "safedpa experiment adversary --only inputs --only programs --small --seed 4"
+    assert run("--only", "inputs", "--small", "--seed", 5, "--workers", 1, "--out", out) == 0
+    found = json.loads((out / "adversary.json").read_text())
+    assert [attack["name"] for attack in found["attacks"]] == ["inputs"], "another seed is another page"
+    capsys.readouterr()
 
 
 def test_the_same_seed_finds_the_same_with_any_number_of_processes():

@@ -26,22 +26,24 @@ def test_a_drive_repeats_and_is_safe_behind_the_filter(kind):
 def test_stands_are_counted_and_told(monkeypatch):
     def stood(drive):
         told = ({"from": 1.0, "seconds": 12.0, "reason": "boxed in"},) if drive.seed % 2 else ()
-        return LongOutcome(drive.load, drive.seed, drive.seconds, 0, 3, told, 12.0, {"passed": 1})
+        return LongOutcome(drive.load, drive.seed, drive.seconds, 0, 3, told, 12.0, {"passed": 1}, 0.9)
 
     monkeypatch.setattr(standing, "run_long_drive", stood)
     attack = Standing()
     rows = {row.what: row for row in attack.told([attack.work(each) for each in attack.pieces(3, False)]).rows}
     assert rows["drives with a stand of 10 s and more"].measured == 100
     assert rows["of these, not told"].measured == 52  # the even seeds
+    assert rows["point robot: drives with a stand of 10 s and more"].measured == 25
     assert rows["goals a minute"].measured == 1.5
-    assert not any(rows[what].held for what in list(rows)[:3])
+    assert not any(rows[what].held for what in list(rows)[:4])
     assert rows["collisions"].held
 
 
 def test_a_short_drive_of_every_load_gets_on():
     attack = Standing()
     answers = [attack.work(each) for each in attack.pieces(1, True)]
-    assert [answer.load for answer in answers] == ["none", "box", "chair", "large_chair"]
+    assert [answer.load for answer in answers] == ["none", "box", "chair", "large_chair", "point"]
+    assert sum(answers[-1].statuses.values()) == 200, "the point robot decides 50 times a second"
     assert attack.told(answers).rows[0].held
 
 

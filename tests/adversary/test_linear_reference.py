@@ -48,6 +48,24 @@ def test_an_infeasible_problem_has_no_nearest_action_but_a_least_unsafe_one():
     assert judge.best_least_residual()[0] == pytest.approx(-1.75)
 
 
+def test_where_the_linear_program_ends_in_no_known_status_another_way_answers(monkeypatch: pytest.MonkeyPatch):
+    """HiGHS once ended a program of a hundred thousand in a status that it does not know."""
+    import scipy.optimize
+
+    asked, solve = [], scipy.optimize.linprog
+
+    def gives_up_once(*args, **options):
+        asked.append(options["method"])
+        found = solve(*args, **options)
+        if len(asked) == 1:
+            found.x = None
+        return found
+
+    monkeypatch.setattr(scipy.optimize, "linprog", gives_up_once)
+    assert LinearJudge(one_action(0.5, -2.0)).best_least_height()[0] == pytest.approx(-1.5)
+    assert asked == ["highs", "highs-ds"]
+
+
 def test_a_scale_is_the_largest_of_h_margin_and_reach():
     assert LinearJudge(one_action(3.0, 0.0)).scale[0] == 3.0
     assert LinearJudge(one_action(0.3, 0.0)).scale[0] == 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sqlite3
 import subprocess
 import sys
 import tomllib
@@ -19,6 +20,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 MODULES = {"rerun-sdk": "rerun", "mujoco-core": "mujoco", "eclipse-zenoh": "zenoh", "Pillow": "PIL"}
 """Distributions whose modules bear another name."""
 HEAVY = ("torch", "plotly", "rerun", "pymunk", "pyarrow", "scipy", "jinja2", "nicegui", "prometheus_client", "ray")
+HEAVY += ("rosbags", "pyulog")
 HEAVY += ("gymnasium", "matplotlib", "mujoco", "onnx", "onnxruntime", "sb3_contrib", "stable_baselines3")
 
 CASES = (  # a command line, and the extra that it must name; None: it runs
@@ -38,6 +40,7 @@ CASES = (  # a command line, and the extra that it must name; None: it runs
     ("replay {log} --rrd {out}.rrd", "view"),
     ("screenshot {log} --out {out}.png", "view"),
     ("workbench", "workbench"),
+    ("columns {bag}", "ros"),
     ("train car", "train"),
     ("train-baselines", "train"),
     ("bench latency --seconds 1", "sim"),
@@ -70,7 +73,13 @@ for line in json.loads(sys.argv[1]):
 def test_a_core_without_any_extra_names_the_extra_that_a_command_needs(tmp_path: Path) -> None:
     log, out = tmp_path / "log.csv", tmp_path / "out"
     log.write_text("t,x\n0,0\n", encoding="utf-8")
-    lines = [line.format(log=log, out=out) for line, _ in CASES]
+    bag = tmp_path / "drive.db3"
+    with sqlite3.connect(bag) as base:
+        base.execute("CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+        base.execute("CREATE TABLE messages (topic_id INTEGER, timestamp INTEGER, data BLOB)")
+        base.execute("INSERT INTO topics VALUES (1, '/odom', 'nav_msgs/msg/Odometry', 'cdr')")
+        base.execute("INSERT INTO messages VALUES (1, 0, x'00')")
+    lines = [line.format(log=log, out=out, bag=bag) for line, _ in CASES]
     program = [sys.executable, "-c", PROGRAM.format(heavy=HEAVY), json.dumps(lines)]
     done = subprocess.run(program, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -84,7 +93,7 @@ def test_a_core_without_any_extra_names_the_extra_that_a_command_needs(tmp_path:
         named = re.search(r"pip install 'safedpa\[([a-z,]+)\]'", said)
         assert named, (line, said)
         assert named[1] == extra, (line, said)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.db3", "log.csv"]
 
 
 def _modules(requirements: list[str]) -> set[str]:

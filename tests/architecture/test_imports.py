@@ -5,13 +5,14 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SERVICES = ROOT / "services" / "safedpa_services"
-SHARED_BY_SERVICES = {"serving", "nodes", "web"}
+SHARED_BY_SERVICES = {"driving", "serving", "nodes", "web"}
 LAUNCHERS = {"command_line", "supervisor"}
 """What a person starts: these may know the services and the simulator."""
 HEAVY = {"torch", "rerun", "plotly", "scipy", "pandas", "matplotlib"}
@@ -20,6 +21,7 @@ PACKAGES = sorted(path.name for path in SERVICES.iterdir() if (path / "__init__.
 MAINS = sorted(name for name in PACKAGES if (SERVICES / name / "__main__.py").exists())
 
 
+@cache
 def imported(path: Path) -> set[str]:
     """Every module that a file names in an import, wherever it stands."""
     found: set[str] = set()
@@ -80,3 +82,33 @@ def test_a_process_starts_lightly(service: str) -> None:
 
 def test_the_robot_starts_lightly() -> None:
     assert not HEAVY & loaded_by("safedpa_sim.robots.__main__")
+
+
+def test_who_asks_for_settings_loads_no_filter_and_who_drives_a_car_no_other_robot_s_effects() -> None:
+    """Six processes start at once, and the robot waits for the last of them."""
+    code = (
+        "import sys, safedpa.safety; from safedpa.dynamics import load_model; load_model('car');"
+        "from safedpa.safety.shipped import settings_named; settings_named('car');"
+        "from safedpa.effects import effect; effect('car', 'payload');"
+        "print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "safedpa.robots.car.effects.payload" in loaded
+    assert not {name for name in loaded if ".pendulum.effects" in name or ".point.effects" in name}
+    assert not {"safedpa.safety.search", "safedpa.safety.filter_check", "rich", "subprocess"} & loaded
+
+
+def test_what_draws_is_loaded_where_something_is_drawn() -> None:
+    loaded = loaded_by("safedpa_services.command_line.up, safedpa_services.supervisor.screen")
+    assert "rich" not in loaded
+
+
+def test_what_a_package_names_is_there_whichever_module_was_loaded_first() -> None:
+    code = (
+        "import safedpa.safety.filter_check, safedpa.safety.safety_filter, safedpa.safety as safety;"
+        "assert callable(safety.check_filter) and set(safety.__all__) <= set(dir(safety));"
+        "from safedpa.safety import *;"
+        "assert SafetyFilter is safety.SafetyFilter"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)

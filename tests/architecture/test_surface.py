@@ -5,9 +5,10 @@ from __future__ import annotations
 import ast
 import importlib
 import pkgutil
+from collections.abc import Callable, Iterable
+from functools import cache
 from pathlib import Path
-
-import pytest
+from typing import Any
 
 import safedpa
 import safedpa_lab
@@ -28,29 +29,38 @@ PACKAGES = sorted(
 )
 
 
-@pytest.mark.parametrize("name", PACKAGES)
-def test_all_is_complete_and_importable(name: str) -> None:
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def not_so(check: Callable[[Any], str], items: Iterable[Any]) -> dict[str, str]:
+    """What is wrong with each item, of those with which something is; one test with a list of all costs a second."""
+    return {str(item): wrong for item in items if (wrong := check(item))}
+
+
+def wrong_in_package(name: str) -> str:
     package = importlib.import_module(name)
     assert package.__file__ is not None
-    tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
     brought_in = {
         alias.asname or alias.name
-        for node in tree.body
+        for node in tree_of(Path(package.__file__)).body
         if isinstance(node, ast.ImportFrom) and node.module != "__future__"
         for alias in node.names
     }
     shown = list(getattr(package, "__all__", []))
-    for public in shown:
-        assert hasattr(package, public), public
-    if name.startswith("safedpa."):  # the library; what programs bring in is their own affair
-        assert {public for public in brought_in if not public.startswith("_")} - {"TYPE_CHECKING", "Any"} <= set(shown)
-    assert len(set(shown)) == len(shown)
+    if missing := [public for public in shown if not hasattr(package, public)]:
+        return f"shows what is not there: {missing}"
+    brought_in = {public for public in brought_in if not public.startswith("_")} - {"TYPE_CHECKING", "Any"}
+    if name.startswith("safedpa.") and not brought_in <= set(shown):  # of programs it is their own affair
+        return f"not in __all__: {brought_in - set(shown)}"
+    return "" if len(set(shown)) == len(shown) else "something is twice in __all__"
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_modules_say_what_they_are_and_what_they_show(path: Path) -> None:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert ast.get_docstring(tree), "a module begins with what it is"
+def wrong_in_module(path: Path) -> str:
+    tree = tree_of(path)
+    if not ast.get_docstring(tree):
+        return "a module begins with what it is"
     names = {
         target.id
         for node in tree.body
@@ -60,19 +70,44 @@ def test_modules_say_what_they_are_and_what_they_show(path: Path) -> None:
     }
     defined = {node.name for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
     if "__all__" not in names or path.name in ("__init__.py", "__main__.py"):
-        return
+        return ""
     shown = importlib.import_module(".".join(path.with_suffix("").relative_to(ROOT).parts[1:])).__all__
-    assert {name for name in defined if not name.startswith("_")} <= {*shown}, "public, but not in __all__"
+    hidden = {name for name in defined if not name.startswith("_")} - {*shown}
+    return f"public, but not in __all__: {hidden}" if hidden else ""
 
 
-@pytest.mark.parametrize("path", [*SOURCES, *TESTS], ids=lambda path: str(path.relative_to(ROOT)))
-def test_files_and_functions_stay_small(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert text.count("\n") <= LONGEST_FILE
-    for node in ast.walk(ast.parse(text)):
+def too_large(path: Path) -> str:
+    found = [f"{lines} lines"] if (lines := path.read_text(encoding="utf-8").count("\n")) > LONGEST_FILE else []
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             length = (node.end_lineno or node.lineno) - node.lineno + 1
-            assert length <= LONGEST_FUNCTION, f"{node.name}: {length} lines"
+            found += [f"{node.name}: {length} lines"] if length > LONGEST_FUNCTION else []
+    return ", ".join(found)
+
+
+def test_all_is_complete_and_importable() -> None:
+    assert len(PACKAGES) > 50
+    assert not_so(wrong_in_package, PACKAGES) == {}
+
+
+def test_modules_say_what_they_are_and_what_they_show() -> None:
+    assert len(SOURCES) > 500
+    assert not_so(wrong_in_module, SOURCES) == {}
+
+
+def test_files_and_functions_stay_small() -> None:
+    by_hand = [path for path in (*SOURCES, *TESTS) if not path.name.startswith("written_")]  # those are recorded
+    assert not_so(too_large, by_hand) == {}
+
+
+def test_the_checks_see_what_is_wrong(tmp_path: Path) -> None:
+    """Each of them, on a file that is as it must not be."""
+    bad = tmp_path / "bad.py"
+    bad.write_text("x = 1\n" * (LONGEST_FILE + 1) + "def long():\n" + "    pass\n" * (LONGEST_FUNCTION + 1))
+    assert wrong_in_module(bad) == "a module begins with what it is"
+    assert "long: 62 lines" in too_large(bad)
+    assert f"{LONGEST_FILE + LONGEST_FUNCTION + 3} lines" in too_large(bad)
+    assert list(not_so(too_large, [bad])) == [str(bad)]
 
 
 def test_no_file_knows_this_machine_or_a_package_index() -> None:

@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.dynamics import load_model
-from safedpa.safety import Braking, ObstacleBarrier, SafetyFilter, Status
+from safedpa.robots.car.barriers import ObstacleBarrier
+from safedpa.safety import SafetyFilter, Status
+from safedpa.safety.braking import Braking
 from safedpa_lab.benchmarks.diagnosis_cases import (
     CASES,
     NAMES,
@@ -21,6 +23,8 @@ from safedpa_lab.benchmarks.diagnosis_cases import (
 )
 from safedpa_lab.benchmarks.filter_problem import FilterProblem, problem_with, wedged
 from safedpa_lab.benchmarks.peers.problem import Problem, compared
+from safedpa_lab.benchmarks.rows.sensed import places_seen
+from safedpa_lab.benchmarks.timing import in_turn
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +37,10 @@ def peers_problem(problem: FilterProblem, calls: int = 0) -> Problem:
 
 
 @given(
-    x=st.floats(-3.0, 3.0), y=st.floats(-3.0, 3.0), yaw=st.floats(-3.1, 3.1), speed=st.floats(-0.8, 2.2).filter(bool)
+    x=st.floats(-3.0, 3.0),
+    y=st.floats(-3.0, 3.0),
+    yaw=st.floats(-3.1, 3.1),
+    speed=st.floats(-0.8, 2.2).filter(lambda speed: abs(speed) > 1e-300),  # at rest the slope has two sides
 )
 def test_peers_get_the_barrier_of_this_project(x: float, y: float, yaw: float, speed: float) -> None:
     problem = wedged()
@@ -42,8 +49,8 @@ def test_peers_get_the_barrier_of_this_project(x: float, y: float, yaw: float, s
     ours = ObstacleBarrier(
         problem.obstacles,
         theirs.question["footprint"],
-        Braking(settings.braking_deceleration, settings.braking_gain),
-        settings.clearance,
+        Braking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain")),
+        settings.barrier("clearance"),
     )
     h, p = theirs.gradient(state)
     assert theirs.barrier(state) == pytest.approx(ours.values(state), abs=1e-9)
@@ -147,3 +154,23 @@ def test_answers_are_judged_by_their_terms() -> None:
     assert expression_is_right(drag, [[], ["speed"]])
     assert expression_is_right(offset, [["speed", "steer"], []])
     assert not expression_is_right(nothing, [[], ["speed"]])
+
+
+@pytest.mark.parametrize("count", [64, 256, 1080])
+def test_what_a_laser_sees_lies_on_walls_and_pillars_evenly(count: int) -> None:
+    places = places_seen(count)
+    on_wall = np.isclose(np.abs(places).max(axis=1), 4.0)
+    pillars = np.array([(1.5, 1.2, 0.3), (-1.4, 1.6, 0.25), (-1.2, -1.5, 0.35), (1.8, -1.6, 0.2)])
+    apart = np.abs(np.hypot(*(places[:, None] - pillars[:, :2]).transpose(2, 0, 1)) - pillars[:, 2]).min(axis=1)
+    assert len(places) == count
+    assert (on_wall | (apart < 1e-9)).all()
+    steps = np.hypot(*np.diff(places[on_wall], axis=0).T)
+    assert np.median(steps) == pytest.approx((32.0 + 2.0 * np.pi * 1.1) / count, rel=1e-6)
+
+
+def test_calls_in_turn_are_each_given_their_own_inputs_as_often() -> None:
+    asked: dict[str, list[int]] = {"one": [], "other": []}
+    found = in_turn({"one": (asked["one"].append, [1, 2]), "other": (asked["other"].append, [3])}, 30, 5.0)
+    assert asked["one"].count(1) + asked["one"].count(2) == len(asked["other"]) == 33
+    assert set(asked["other"]) == {3}
+    assert {own["calls"] for own in found.values()} == {30}

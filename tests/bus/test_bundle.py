@@ -27,9 +27,9 @@ from safedpa.bus import (
     encode,
     topic_of,
 )
-from safedpa.bus.access import NOBODY, ROBOT, ROLES, access_control, check_names, may_write
-from safedpa.bus.bundle import packed, parts, unbundled
-from safedpa.bus.topics import BUNDLE
+from safedpa.bus.security.access import NOBODY, ROBOT, ROLES, access_control, check_names, may_write
+from safedpa.bus.transport.bundle import packed, parts, unbundled
+from safedpa.bus.wire.topics import BUNDLE
 from safedpa.errors import InputError, MessageError
 
 entries = some.lists(some.tuples(some.text(max_size=8), some.binary(max_size=40)), max_size=300)
@@ -121,6 +121,8 @@ def test_of_robots_that_are_not_served_nothing_gets_in(samples: dict[str, Messag
     sent_together(wire, STATE, samples["state"], ("a", "b", "c"))
     wire.bus().publish(STATE, "a", samples["state"])
     assert [item.robot for item in inbox.take(0.0)] == ["b"]
+    wire.bus().publish(STATE, "b", samples["state"])
+    assert [item.robot for item in inbox.take(0.0)] == ["b"], "alone it gets in as out of a bundle"
 
 
 @pytest.mark.parametrize(

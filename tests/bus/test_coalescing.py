@@ -24,8 +24,8 @@ from safedpa.bus import (
     ZenohTransport,
     encode,
 )
-from safedpa.bus.coalescing import quantum_for
-from safedpa.bus.transport import Subscription
+from safedpa.bus.loop.agenda import quantum_for
+from safedpa.bus.transport.transport import Subscription
 
 PATIENCE = 30.0
 
@@ -107,7 +107,7 @@ def test_a_batch_is_not_taken_before_its_quantum_is_over(
     kept = Kept(inbox)
     inbox.fill_from(kept)
     slept: list[float] = []
-    monkeypatch.setattr("safedpa.bus.inbox.time.sleep", slept.append)
+    monkeypatch.setattr("safedpa.bus.transport.inbox.time.sleep", slept.append)
     inbox.coalesce(0.05)
     inbox.take(0.0)
     assert slept == [], "it waited although it should not"

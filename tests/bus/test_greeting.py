@@ -146,7 +146,7 @@ def test_what_came_while_it_waited_is_not_lost_and_others_do_not_wait(
     broker: Any, clock: Clock, state_at: Any, samples: Any
 ) -> None:
     from safedpa.bus import MemoryTransport
-    from safedpa.bus.inbox import Answered
+    from safedpa.bus.transport.inbox import Answered
 
     node, bus = Curious(), SlowBus(MemoryTransport(broker), "test")
     loop, robot = ServiceLoop(node, bus, clock=clock), Bus(MemoryTransport(broker), "test")

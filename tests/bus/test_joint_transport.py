@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from safedpa.bus import LATENT, STATE, Bus, MemoryBroker, MemoryTransport, Message, Received, Refused, decode, encode
-from safedpa.bus.bundle import packed
-from safedpa.bus.joint_transport import JointTransport
-from safedpa.bus.topics import BUNDLE
+from safedpa.bus.transport.bundle import packed
+from safedpa.bus.transport.joint_transport import JointTransport
+from safedpa.bus.wire.topics import BUNDLE
 from safedpa.errors import BusError
 
 INSIDE = frozenset(["latent"])

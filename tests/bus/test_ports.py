@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.bus import ports
-from safedpa.bus.ports import free_port
+from safedpa.bus.transport import ports
+from safedpa.bus.transport.ports import free_port
 from safedpa.errors import InputError
 
 

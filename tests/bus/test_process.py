@@ -19,7 +19,7 @@ pytestmark = pytest.mark.processes
 PROGRAM = """
 import argparse, sys, threading, time
 from safedpa.bus import STATE
-from safedpa.bus.process import add_bus_options, bus_from, run_process
+from safedpa.bus.loop.process import add_bus_options, bus_from, run_process
 from safedpa.errors import InputError
 
 def work(options, stop):

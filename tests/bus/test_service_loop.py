@@ -28,7 +28,7 @@ from safedpa.bus import (
     WishMessage,
     encode,
 )
-from safedpa.bus.slot import Slot
+from safedpa.bus.loop.slot import Slot
 from safedpa.errors import MessageError
 
 EPOCH = 8731

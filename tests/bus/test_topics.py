@@ -14,7 +14,7 @@ from hypothesis import strategies as some
 
 import safedpa
 from safedpa.bus import HEALTH, STATE, TOPICS, AbstractNode, Message, Topic, key_of, topic_of
-from safedpa.bus.topics import Delivery
+from safedpa.bus.wire.topics import Delivery
 from safedpa.errors import InputError
 
 names = some.text("abcdefghijklmnopqrstuvwxyzABC0123456789_-.", min_size=1, max_size=12)

@@ -23,6 +23,7 @@ from safedpa.bus import (
     request_key,
 )
 from safedpa.bus import ZenohTransport as Zenoh
+from safedpa.bus.transport.zenoh_transport import _UNCLOSED
 from safedpa.errors import BusError, InputError
 
 PATIENCE = 30.0
@@ -250,6 +251,31 @@ def test_an_endpoint_that_cannot_be_is_refused_with_its_name(endpoint: str) -> N
         Zenoh(ZenohSettings(listen=(endpoint,)))
     assert endpoint in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.processes
+def test_a_session_that_does_not_close_is_told_and_kept(free_port: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """Zenoh gives up after 10 s where the machine has too much to do; who ends must not fail by it."""
+    import zenoh
+
+    transport = Zenoh(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port}",)))
+    real = transport._session
+
+    class Stuck:
+        def is_closed(self) -> bool:
+            return False
+
+        def close(self) -> None:
+            raise zenoh.ZError("close operation timed out! at /somewhere/close.rs:135.")
+
+    stuck = transport._session = Stuck()  # type: ignore[assignment]
+    transport.close()
+    told = capsys.readouterr().err
+    assert '"kind": "bus.unclosed"' in told
+    assert "close operation timed out!" in told
+    assert any(kept is stuck for kept in _UNCLOSED)
+    _UNCLOSED.remove(stuck)
+    real.close()
 
 
 def test_wrong_message_for_a_topic_is_refused_before_it_is_sent(samples: dict[str, Message]) -> None:

@@ -23,8 +23,8 @@ from safedpa.bus import (
     StateMessage,
     WishMessage,
 )
-from safedpa.bus.joint_transport import JointTransport
-from safedpa.bus.turning import Turning
+from safedpa.bus.loop.turning import Turning
+from safedpa.bus.transport.joint_transport import JointTransport
 
 PATIENCE = 30.0
 

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.access import ROUTER, access_control, roles_of, size_limits
-from safedpa.bus.authority import HOSTS, Authority
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.security.access import ROUTER, access_control, roles_of, size_limits
+from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.certificates import Certificates
 
 FLEET = "f"
 ROBOTS = ("r1", "r2")

@@ -11,9 +11,9 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from safedpa.bus.access import roles_of
-from safedpa.bus.authority import Authority
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.security.access import roles_of
+from safedpa.bus.security.authority import Authority
+from safedpa.bus.security.certificates import Certificates
 from safedpa.errors import BusError, InputError
 from safedpa_services.command_line import main
 

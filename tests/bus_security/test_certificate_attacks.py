@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.authority import HOSTS, Authority
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.certificates import Certificates
 from safedpa.errors import BusError
 
 pytestmark = pytest.mark.processes

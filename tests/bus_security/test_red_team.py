@@ -9,16 +9,17 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import STATE, TOPICS, AbstractNode, Bus, Topic, key_of, request_key
-from safedpa.bus.access import roles_of
-from safedpa.bus.requests import AGREED, ORDER, REQUEST, STATUS
-from safedpa.diagnosis.live.node import DiagnosisNode
+from safedpa.bus.security.access import roles_of
+from safedpa.bus.wire.requests import AGREED, ORDER, REQUEST, STATUS
 from safedpa.errors import BusError
+from safedpa.live.node import DiagnosisNode
+from safedpa.perception.node import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
 
 pytestmark = pytest.mark.processes
 
-NODES: tuple[type[AbstractNode], ...] = (AdaptationNode, PolicyNode, SafetyFilterNode, DiagnosisNode)
+NODES: tuple[type[AbstractNode], ...] = (AdaptationNode, PerceptionNode, PolicyNode, SafetyFilterNode, DiagnosisNode)
 LOOP = {"adaptation", "policy", "safety_filter"}
 SILENT = {"operator", "healthcheck"}
 OBSERVERS = {"recorder", "metrics", "dashboard", "workbench", "operator"}
@@ -101,13 +102,13 @@ def test_nobody_deletes_not_even_the_writer(network: Any, guarded: bool) -> None
 
 
 def may_read(role: str, topic: Topic, robot: str) -> bool:
-    """As the nodes declare what they need; a robot its own, an observer everything."""
+    """As the nodes declare what they need; a robot its own and what was decided of it, an observer everything."""
     kind = kind_of(role)
     if kind == "robot":
-        return topic.name in ("state", "action") and role == f"robot.{robot}"
+        return topic.name in ("state", "action", "verdict") and role == f"robot.{robot}"
     node = next((node for node in NODES if node.name == kind), None)
     if node is not None:
-        return topic is STATE or topic in (*node.inputs, *node.listens)
+        return topic is STATE or topic in (*node.inputs, *node.senses, *node.listens)
     return kind in OBSERVERS or (kind == "healthcheck" and topic.name == "health")
 
 

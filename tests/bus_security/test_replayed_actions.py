@@ -9,7 +9,7 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import ActionMessage, decode, encode
-from safedpa.bus.messages import StateMessage
+from safedpa.bus.wire.messages import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import MessageError
 from safedpa.policy import PolicyNode

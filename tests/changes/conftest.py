@@ -25,11 +25,11 @@ from safedpa.bus import (
     StateMessage,
     TakeoverMessage,
 )
-from safedpa.bus.model_versions import ModelVersions
-from safedpa.diagnosis.live.change import ModelChanges
-from safedpa.diagnosis.live.under_way import SERVICES
-from safedpa.diagnosis.live.versions import Candidate, Version, VersionFolder
+from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint, write_model
+from safedpa.live.change import ModelChanges
+from safedpa.live.under_way import SERVICES
+from safedpa.live.versions import Candidate, Version, VersionFolder
 
 FIRST = Version("first", "document first")
 

@@ -10,8 +10,8 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, StateMessage
-from safedpa.diagnosis.live.versions import Candidate
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
+from safedpa.live.versions import Candidate
 from safedpa.policy import PolicyNode
 from safedpa.safety.margin_text import margin_from_text, margin_text
 from safedpa.safety.node import SafetyFilterNode

@@ -19,8 +19,8 @@ from safedpa.bus import (
     TakeoverMessage,
     WishMessage,
 )
-from safedpa.diagnosis.live.versions import Candidate
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
+from safedpa.live.versions import Candidate
 from safedpa.safety.margin_change import PhasedMargin, margin_change
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.node import SafetyFilterNode
@@ -39,7 +39,7 @@ TIGHT, ROOMY = 0.09, 0.5
 
 
 def reach() -> float:
-    return 0.40 + 0.12 + SETTINGS.clearance
+    return 0.40 + 0.12 + SETTINGS.barrier("clearance")
 
 
 class Standing:

@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as some
 
 from safedpa.bus import Request, TakeoverMessage
-from safedpa.diagnosis.live.change import ModelChanges
-from safedpa.diagnosis.live.versions import Candidate, Kept, Version, VersionFolder
 from safedpa.errors import InputError, RecordingError
+from safedpa.live.change import ModelChanges
+from safedpa.live.versions import Candidate, Kept, Version, VersionFolder
 
 SERVICES = ("adaptation", "policy", "safety_filter")
 QUIET = 1500

@@ -10,7 +10,7 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, TAKEOVER, WISH, Answer, LatentMessage, ModelMessage, WishMessage
-from safedpa.bus.codec import decode, encode
+from safedpa.bus.wire.codec import decode, encode
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.dynamics.offered import offered_model
 from safedpa.errors import InputError

@@ -8,11 +8,9 @@ import pytest
 
 from safedpa.bus import STATE, VERDICT, Received
 from safedpa.robots.car.system import CAR
-from safedpa_services.dashboard.fleet_view import FleetView
-from safedpa_services.dashboard.residuals import ResidualBook
+from safedpa_services.dashboard.books import ResidualBook
+from safedpa_services.dashboard.fleet_view import FleetView, Pace, Thinner, TimeLine
 from safedpa_services.dashboard.shapes import Note
-from safedpa_services.dashboard.thinner import Pace, Thinner
-from safedpa_services.dashboard.time_line import TimeLine
 
 
 def _state(tick_of, k, shift=0.25, **changes):

@@ -85,11 +85,11 @@ import rerun as rr
 from safedpa.bus import Received, STATE, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.safety import FilterSettings
-from safedpa_services.dashboard.data_door import DataDoor, own_loopback
+from safedpa_services.dashboard.doors import DataDoor, own_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import look_of
 from safedpa_services.dashboard.painter import Painter
-from safedpa_services.dashboard.ports import Door, choose_port
+from safedpa_services.dashboard.doors import Door, choose_port
 
 look = look_of(load_model("car"), FilterSettings())
 grpc = choose_port(None, int(sys.argv[1]) + 1, "--grpc-port", "127.0.0.1")

@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import HEALTH, LATENT, NO_ROBOT, STATE, TOPICS, VERDICT, Received, Refused, decode, encode
-from safedpa.bus.messages import LARGEST_NUMBER
+from safedpa.bus.wire.messages import LARGEST_NUMBER
+from safedpa.robots.car.barriers import braking_of
+from safedpa.safety import FilterSettings
 from safedpa_services.dashboard.fleet_view import MOST_ROBOTS, FleetView
 from safedpa_services.dashboard.shapes import Bands, Curves, Lines, Note, Rings, States
 
@@ -75,7 +77,7 @@ def test_a_tick_shows_everything_under_the_robots_name(look, tick_of):
     paths = {"/".join(entry.path[2:]) for entry in entries if entry.path[:2] == ("robots", "r1")}
     assert len(paths) == len({entry.path for entry in entries})
     assert paths >= {
-        "world/field", "world/obstacles", "world/clearance", "world/goal", "world/car", "world/load", "world/swept",
+        "world/field", "world/obstacles", "world/clearance", "world/goal", "world/body", "world/load", "world/swept",
         "world/trail", "world/predicted", "barrier", "action/target_speed", "action/steer", "residual",
         "latent/towed_load.mass_ratio", "verdict/filter", "verdict/in_force", "services/policy", "steps/policy", "log",
     }  # fmt: skip
@@ -97,7 +99,7 @@ def test_the_clearance_ring_is_where_the_capsules_axis_must_stop(look, tick_of):
 
 def test_the_wheels_turn_with_the_steer(look, tick_of):
     state = tick_of(0)[0][1]
-    car = _shape(look, STATE, state, "world/car", Lines)
+    car = _shape(look, STATE, state, "world/body", Lines)
     turned = [strip[1] for strip in car.strips[2:]], [strip[0] for strip in car.strips[2:]]
     angles = [math.atan2(b[1] - a[1], b[0] - a[0]) for b, a in zip(*turned, strict=True)]
     yaw, steer = state.values[2], state.applied[1]
@@ -108,7 +110,7 @@ def test_the_swept_capsule_reaches_as_far_as_the_car_needs_to_stop(look, tick_of
     state = replace(tick_of(0)[0][1], values=(0.0, 0.0, 0.0, 2.0))
     swept = _shape(look, STATE, state, "world/swept", Lines)
     farthest = max(x for x, _ in swept.strips[0])
-    assert farthest == pytest.approx(0.4 + 0.15 + look.braking.distance(2.0))
+    assert farthest == pytest.approx(0.4 + 0.15 + braking_of(FilterSettings()).distance(2.0))
 
 
 def test_actions_stand_beside_wishes_and_limits_and_h_has_a_gap_when_unknown(look, tick_of):

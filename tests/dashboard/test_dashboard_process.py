@@ -11,7 +11,7 @@ import urllib.request
 
 import pytest
 
-from safedpa_services.dashboard.ports import Door, choose_port
+from safedpa_services.dashboard.doors import Door, choose_port
 
 pytestmark = pytest.mark.processes
 
@@ -22,9 +22,11 @@ def _start(*options):
 
 
 def test_it_says_where_to_look_and_ends_at_once_without_a_viewer(tmp_path):
+    began = time.monotonic()
     process = _start("--save", str(tmp_path / "a.rrd"))
     try:
         line = process.stdout.readline()
+        beginning = time.monotonic() - began
         assert line.startswith("dashboard: http://localhost:"), process.stderr.read()
         address = line.split()[1].rstrip(",")
         with urllib.request.urlopen(address, timeout=30) as page:
@@ -32,8 +34,8 @@ def test_it_says_where_to_look_and_ends_at_once_without_a_viewer(tmp_path):
             assert "rerun%2Bhttp://localhost" in page.url
         started = time.monotonic()
         process.send_signal(signal.SIGTERM)
-        rest, complaint = process.communicate(timeout=30)
-        assert time.monotonic() - started < 10.0, "it waited for a viewer"
+        rest, complaint = process.communicate(timeout=120)
+        assert time.monotonic() - started < 8.0 + 2.0 * beginning, "it waited for a viewer"
         assert process.returncode == 0
         assert (rest, complaint) == ("", "")
         assert (tmp_path / "a.rrd").stat().st_size > 0

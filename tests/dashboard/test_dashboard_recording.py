@@ -43,7 +43,7 @@ def test_the_recording_is_readable_and_nothing_of_a_robot_is_missing(recording):
         rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
     for robot in ("r1", r"r\ 2", "front-left"):
         under = {path.removeprefix(f"/robots/{robot}/"): count for path, count in rows.items()}
-        for path in ("world/car", "barrier", "action/steer", "latent/towed_load.mass_ratio"):
+        for path in ("world/body", "barrier", "action/steer", "latent/towed_load.mass_ratio"):
             assert under[path] >= 100, path
         assert under["residual"] == 100, "one style and 99 residuals"
         assert 3 <= under["verdict/filter"] < 30, "colours, passed, corrected, and keyframes"

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import FINDING, FindingMessage, Received
+from safedpa_services.dashboard.doors import choose_port
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.painter import SERVER_MEMORY
-from safedpa_services.dashboard.ports import choose_port
 
 pytestmark = [pytest.mark.processes, pytest.mark.filterwarnings("ignore:RRD file has no footer")]
 

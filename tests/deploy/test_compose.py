@@ -16,10 +16,12 @@ import pytest
 import yaml
 
 from safedpa.bus import ACTION, STATE
-from safedpa.bus.access import ROUTER, roles_of
-from safedpa.bus.authority import HOSTS, Authority
-from safedpa.bus.ports import free_port
+from safedpa.bus.security.access import ROUTER, roles_of
+from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.transport.ports import free_port
 from safedpa.records import read_messages
+from safedpa_services.ros_gateway.__main__ import parser
+from safedpa_services.ros_gateway.robot_file import load_robot_file
 
 pytestmark = pytest.mark.slow
 
@@ -34,19 +36,23 @@ def _read(name: str) -> dict[str, Any]:
 COMPOSE = _read("docker-compose.yml")
 PLAIN = _read("docker-compose.plain.yml")
 SERVICES: dict[str, dict[str, Any]] = COMPOSE["services"]
-from robot import command as robot_command  # noqa: E402  deploy/ is no package
+from authority import issue_to_gateway  # noqa: E402  deploy/ is no package
+from robot import command as robot_command  # noqa: E402
 
 DOCKERFILE = (ROOT / "deploy" / "Dockerfile").read_text(encoding="utf-8")
 LOOP = ("router", "safety_filter", "adaptation", "policy", "diagnosis", "recorder", "robot")
 PAGES = ("dashboard", "metrics", "workbench")
+SENSES = ("perception",)
+GATEWAYS = ("ros_gateway",)
 WRITES = {"recorder": ["recordings:/recordings"], "diagnosis": ["versions:/versions"]}
 
 each_service = pytest.mark.parametrize("name", sorted(SERVICES))
-each_role = pytest.mark.parametrize("name", sorted({*LOOP, *PAGES} - {"robot"}))
+each_role = pytest.mark.parametrize("name", sorted({*LOOP, *PAGES, *SENSES} - {"robot"}))
 
 
 def test_the_whole_loop_is_there() -> None:
-    assert set(SERVICES) == {*LOOP, *PAGES, "authority"}
+    assert set(SERVICES) == {*LOOP, *PAGES, *SENSES, *GATEWAYS, "authority"}
+    assert SERVICES["perception"]["profiles"] == ["laser"], "only where a robot has sensors"
 
 
 @each_role
@@ -62,9 +68,45 @@ def test_a_robot_is_given_no_key_it_makes_its_own() -> None:
     assert [name for name in SERVICES if "enrolment" in SERVICES[name]["networks"]] == ["authority", "robot"]
 
 
+def test_the_gateway_speaks_as_its_robot_alone_and_reaches_that_one_by_a_network_of_its_own() -> None:
+    gateway, authority = SERVICES["ros_gateway"], SERVICES["authority"]["command"]
+    name = "${SAFEDPA_ROS_NAME:-ros-1}"
+    assert gateway["profiles"] == ["ros"]
+    assert gateway["volumes"][:2] == ["ros-gateway-key:/certificates:ro", "healthcheck-key:/healthcheck:ro"]
+    assert gateway["networks"] == ["bus", "robots"]
+    assert [other for other in SERVICES if "robots" in SERVICES[other]["networks"]] == ["ros_gateway"]
+    assert (_value(authority, "--gateway"), _value(authority, "--wishes")) == (name, "${SAFEDPA_ROS_WISHES:-0}")
+    assert name in SERVICES["router"]["command"]
+    assert _value(gateway["healthcheck"]["test"], "--robot") == name
+    for line in (gateway["volumes"][2], gateway["command"][0]):
+        assert "/robot/robot.toml" in line
+    asked = load_robot_file(ROOT / "deploy" / "ros" / "fleet_robot.toml")
+    assert gateway["volumes"][2] == "${SAFEDPA_ROS_FILE:-./deploy/ros/fleet_robot.toml}:/robot/robot.toml:ro"
+    assert f"${{SAFEDPA_ROS_NAME:-{asked.name}}}" == name, "the certificate is that of the robot in the file"
+    assert not asked.wish.topic, "the policy of the fleet has that certificate"
+    parser().parse_args(gateway["command"])
+
+
+def test_the_gateway_is_given_the_policy_s_key_only_where_its_robot_wishes(tmp_path: Path) -> None:
+    authority, folder = Authority(tmp_path / "authority", "fleet"), tmp_path / "ros_gateway"
+    folder.mkdir()
+
+    def held(robot: str, *, wishes: bool) -> list[str]:
+        issue_to_gateway(authority, folder, robot, 1.0, wishes=wishes)
+        return sorted(path.name.removesuffix(".key.pem") for path in folder.glob("*.key.pem"))
+
+    assert held("ros-1", wishes=True) == ["policy", "robot.ros-1"]
+    before = (folder / "robot.ros-1.pem").read_bytes()
+    assert held("ros-1", wishes=False) == ["robot.ros-1"]
+    assert (folder / "robot.ros-1.pem").read_bytes() == before
+    assert held("ros-2", wishes=False) == ["robot.ros-2"], "the key of another robot is gone"
+    assert not list((tmp_path / "authority").glob("robot*"))
+    assert (folder / "authority.pem").exists()
+
+
 def test_the_authority_gives_every_role_a_place_of_its_own() -> None:
     places = {entry.split(":")[1] for entry in SERVICES["authority"]["volumes"]} - {"/authority"}
-    assert places == {f"/issued/{role}" for role in roles_of(())}
+    assert places == {f"/issued/{role}" for role in (*roles_of(()), *GATEWAYS)}
     assert [name for name in SERVICES if any("authority:/" in v for v in SERVICES[name]["volumes"])] == ["authority"]
 
 
@@ -160,7 +202,7 @@ def test_what_is_installed_by_name_has_a_pinned_version() -> None:
     joined = DOCKERFILE.replace("\\\n", " ")
     named = re.findall(r"--constraint \S+((?: +[a-z][a-z0-9-]*)+)", joined)
     assert {name for names in named for name in names.split()} <= pinned
-    assert len(named) == 6
+    assert len(named) == 7
 
 
 class OutsideContainers:
@@ -179,6 +221,7 @@ class OutsideContainers:
             r"^/recordings/": f"{folder}/",
             r"^/versions": f"{folder}/versions",
             r"\$\{SAFEDPA_RATE:-20\}": "20",
+            r"\$\{SAFEDPA_ROS_NAME:-ros-1\}": "ros-1",
             r'"\$\$\(cat /tmp/name\)"': "robot-1",
         }
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import ActionMessage, StateMessage
-from safedpa.bus.authority import HOSTS, Authority
-from safedpa.bus.certificates import Certificates
-from safedpa.bus.codec import encode
+from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.certificates import Certificates
+from safedpa.bus.wire.codec import encode
 from safedpa.errors import InputError
 from safedpa.records import McapRecorder
 

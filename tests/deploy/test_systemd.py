@@ -15,6 +15,17 @@ pytestmark = pytest.mark.slow
 
 FOLDER = Path(__file__).resolve().parents[2] / "deploy" / "systemd"
 UNIT = (FOLDER / "safedpa@.service").read_text(encoding="utf-8")
+ROBOT = """
+format = 1
+robot = "car"
+[odometry]
+topic = "/odom"
+[command]
+topic = "/drive"
+[surroundings]
+field = [-4, 4, -4, 4]
+footprint = [0.1, 0.4, 0.1]
+"""
 SERVICES = sorted(path.stem for path in FOLDER.glob("*.env") if path.stem != "loop")
 
 
@@ -28,14 +39,16 @@ def _values(name: str) -> dict[str, str]:
 
 
 def test_every_service_of_a_loop_has_its_options() -> None:
-    assert SERVICES == ["adaptation", "diagnosis", "policy", "recorder", "router", "safety_filter"]
+    wanted = ["adaptation", "diagnosis", "perception", "policy", "recorder", "ros_gateway", "router", "safety_filter"]
+    assert wanted == SERVICES
     for name in SERVICES:
         options = _values(name)["OPTIONS"].split()
-        assert name == "router" or options[:2] == ["--role", name]
+        assert name == "router" or options[:2] == ["--role", "robot.r1" if name == "ros_gateway" else name]
 
 
 def test_every_service_understands_its_options(tmp_path: Path) -> None:
     started = {}
+    (tmp_path / "robot.toml").write_text(ROBOT, encoding="utf-8")
     for name in SERVICES:
         values = _values("loop") | _values(name)
         words = f"{values['LOOP']} {values['OPTIONS']}".split()

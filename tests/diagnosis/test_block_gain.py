@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from safedpa.diagnosis.trial import block_gain
+from safedpa.diagnosis.fit.trial import block_gain
 
 
 def gain(differences):
     """The gain where the squares of each block differ by so much, over a mean square of 1."""
     count = len(differences)
-    shooting = SimpleNamespace(block=np.arange(count), size=np.array([float(count)]))
+    order = np.arange(count)
+    shooting = SimpleNamespace(block=order, by_block=order, first_of_block=order, size=np.array([float(count)]))
     other = SimpleNamespace(heldout=np.full((count, 1), 1.0))
     one = SimpleNamespace(heldout=1.0 + np.asarray(differences)[:, None])
     return block_gain(one, other, shooting)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.remaining import peak_of
-from safedpa.diagnosis.report import as_document
-from safedpa.diagnosis.report_story import story_of
+from safedpa.diagnosis.document import as_document
+from safedpa.diagnosis.remains.remaining import peak_of
 from safedpa.diagnosis.unexplained import Profile
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
+from safedpa.report.diagnosis_story import story_of
 from safedpa_lab.hidden import Case, write_case
 
 NEVER = 1e9
@@ -21,8 +21,8 @@ NEVER = 1e9
 @pytest.fixture
 def refusing(monkeypatch):
     """Every named effect is refused, as it is where the blocks are too few for it."""
-    for place in ("judging.SURE", "judging.VERY_SURE", "judging.LIKELY", "elsewhere._SURE"):
-        monkeypatch.setattr(f"safedpa.diagnosis.{place}", NEVER)
+    for place in ("judgement.SURE", "judgement.VERY_SURE", "judgement.LIKELY", "other_horizons._SURE"):
+        monkeypatch.setattr(f"safedpa.diagnosis.search.{place}", NEVER)
     names = ("viscous_drag", "understeer")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
 

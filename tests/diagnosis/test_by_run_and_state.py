@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.comparison import compare_model
+from safedpa.compare.comparison import compare_model
+from safedpa.compare.summary import as_json, run_sentence, worse_sentence
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.summary import as_json, run_sentence, worse_sentence
 from safedpa.effects import effect
 from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa
@@ -31,6 +31,8 @@ def turned(run):
 def test_the_error_of_each_run_and_state_is_told(plain, runs):
     comparison = compare_model(plain, [*runs[:2], turned(runs[2])], 1.0)
     document = as_json(comparison)
+    assert list(document["explained"]) == [factor.variable for factor in comparison.factors]
+    assert len(document["explained"]) > 1
     errors = {run["name"]: run["per_state"] for run in document["runs"]}
     assert errors["drive_2"]["yaw"] > 10.0 * errors["drive_0"]["yaw"]
     assert set(errors["drive_0"]) == {"x", "y", "yaw", "speed"}

@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.comparison import compare_model, with_distinct_names
-from safedpa.diagnosis.figures import time_figure
-from safedpa.diagnosis.overlays import chosen_windows, overlay_figures
-from safedpa.diagnosis.page import compare_page
-from safedpa.diagnosis.summary import as_json
+from safedpa.compare.comparison import compare_model, with_distinct_names
+from safedpa.compare.summary import as_json
 from safedpa.dynamics import load_model, save_model
 from safedpa.records import write_csv
 from safedpa.records.run import Finding, Run, Stretch
+from safedpa.report.comparison_figures import time_figure
+from safedpa.report.comparison_page import compare_page
+from safedpa.report.overlays import chosen_windows, overlay_figures
 from safedpa_services.command_line.group import safedpa
 
 
@@ -137,7 +137,7 @@ def test_page_asks_no_other_host(files, tmp_path):
 def test_page_escapes_what_comes_from_files(plain, drive):
     run = replace(drive(plain, 10.0), name="</script><b>x", findings=(Finding("jump", "<i>odd</i> & more"),))
     text = compare_page(compare_model(plain, [run]), "<model>")
-    assert text.count("</script") == 3
+    assert text.count("</script") == 4
     assert "</script><b>x" not in text
     assert "<i>odd" not in text
     assert "&lt;model&gt;" in text

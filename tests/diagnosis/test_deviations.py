@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis import final_numbers
-from safedpa.diagnosis.evidence import evidence_at
-from safedpa.diagnosis.final_numbers import with_final_numbers
-from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.refinement import Refined
+from safedpa.diagnosis.fit.evidence import evidence_at
+from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.refinement import Refined
+from safedpa.diagnosis.search import final_numbers
+from safedpa.diagnosis.search.final_numbers import with_final_numbers
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
@@ -40,7 +40,7 @@ def fitted(given, name, **values):
 
 def lost(found, values):
     """A filter that ended elsewhere."""
-    from safedpa.diagnosis.fitting import moved
+    from safedpa.diagnosis.fit.least_squares import moved
 
     model = moved(found.model, dict(zip(found.paths, values, strict=True)))
     return lambda *_: Refined(model, found.paths, np.full(len(values), 0.1), None)
@@ -80,3 +80,18 @@ def test_runs_that_differ_say_so(given):
     one_run = replace(shooting, windows=replace(shooting.windows, run=np.zeros_like(shooting.windows.run)))
     assert of_runs > 1.5 * shifted.deviations(one_run)[0]
     assert 0.01 < of_runs < 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "values"), [("steering_saturation", {"limit": 0.3}), ("viscous_drag", {"coefficient": 0.2})]
+)
+def test_what_has_a_corner_is_told_with_the_deviation_of_the_windows_where_that_is_larger(
+    given, name, values, monkeypatch
+):
+    """The filter follows slopes, which say nothing of a corner; of a smooth effect its deviation stands."""
+    found, shooting, heldout = fitted(given, name, **values)
+    certain = Refined(found.model, found.paths, np.full(1, 1e-9), None)
+    monkeypatch.setattr(final_numbers, "refined", lambda *_: certain)
+    stated = with_final_numbers(found, shooting, heldout)[0].deviations(shooting)
+    wanted = found.deviations(shooting) if name == "steering_saturation" else [1e-9]
+    np.testing.assert_allclose(stated, wanted)

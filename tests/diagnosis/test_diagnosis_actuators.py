@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.actuators import felt_at_once
-from safedpa.diagnosis.rollout import _followed
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.actuators import felt_at_once
+from safedpa.compare.rollout import _followed
+from safedpa.compare.windows import windows_of
 from safedpa.dynamics import load_model
-from safedpa.effects import effect
+from safedpa.effects import CommandEffect, effect, effects_of, robots
+from safedpa.effects.general import general_effects
 from safedpa.records.run import Run, Stretch
+from safedpa.robot import robot_named
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.6])
@@ -26,6 +28,32 @@ def test_fast_is_exact(plain, drive, name, value, jitter):
     assert set(fast) == set(slow)
     for key, column in slow.items():
         np.testing.assert_allclose(fast[key], column, atol=1e-9)
+
+
+def _remembering(robot):
+    """The robot's own effects that remember commands, and those that every system has, by name."""
+    system = robot_named(robot).system
+    zero = dict.fromkeys(system.action_names, 0.0)
+    every = {item.name: item for item in (*general_effects(system), *effects_of(robot).values())}
+    commands = [item for item in every.values() if isinstance(item, CommandEffect)]
+    return [item for item in commands if item.initial_memory(zero) is not None]
+
+
+@pytest.mark.parametrize("robot", robots())
+def test_every_robots_own_actuators_at_once_are_they_row_by_row(robot):
+    system = robot_named(robot).system
+    random = np.random.default_rng(8)
+    actions = np.cumsum(random.normal(0.0, 0.1, (200, len(system.action))), axis=0)
+    run = Run("own", system, 0.05 * np.arange(200), np.zeros((200, len(system.state))), actions, (Stretch(0, 200),))
+    windows = windows_of([run], 0.5)
+    columns = {key: windows.actions[:, index] for index, key in enumerate(system.action_names)}
+    assert _remembering(robot), "nothing was looked at"
+    for command in _remembering(robot):
+        own = {parameter.name: 1.3 * parameter.typical for parameter in command.parameters}
+        fast, slow = felt_at_once(command, columns, own, windows), _followed(command, columns, own, windows)
+        assert fast is not None, f"{command.name} goes the slow way"
+        for key, column in slow.items():
+            np.testing.assert_allclose(fast[key], column, atol=1e-9, err_msg=f"{robot} {command.name}: {key}")
 
 
 @pytest.mark.parametrize("width", [0.0, 0.02, 0.4, 10.0])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.report import Report, as_document
+from safedpa.diagnosis.document import Report, as_document
 from safedpa.dynamics import load_model, parse_model, write_model
 from safedpa.records import load_run
 from safedpa_lab.hidden import Case, write_case

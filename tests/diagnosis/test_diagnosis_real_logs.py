@@ -6,8 +6,8 @@ from copy import deepcopy
 
 import numpy as np
 
+from safedpa.compare.comparison import with_distinct_names
 from safedpa.diagnosis import diagnose as diagnosis
-from safedpa.diagnosis.comparison import with_distinct_names
 from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import load_model
 from safedpa.records import load_column_map, load_run

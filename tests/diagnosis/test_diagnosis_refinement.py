@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.innovations import LinearTrack, Noise, filtered
-from safedpa.diagnosis.refinement import refined
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.windows import windows_of
+from safedpa.diagnosis.fit.innovations import LinearTrack, Noise, filtered
+from safedpa.diagnosis.fit.refinement import refined
 from safedpa.dynamics import Setting
 
 ROWS, KEPT, PERIOD = 9, 0.8, 0.1

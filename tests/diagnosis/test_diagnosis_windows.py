@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.windows import windows_of
 from safedpa.errors import InputError, RunError
 from safedpa.records.run import Stretch
 from safedpa.robots.pendulum.system import PENDULUM

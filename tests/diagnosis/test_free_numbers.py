@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.evidence import evidence_at
-from safedpa.diagnosis.report import as_document
-from safedpa.diagnosis.report_story import story_of
-from safedpa.diagnosis.search import begun
+from safedpa.diagnosis.document import as_document
+from safedpa.diagnosis.fit.evidence import evidence_at
+from safedpa.diagnosis.search.search import begun
 from safedpa.dynamics import Setting
 from safedpa.effects import effect
+from safedpa.report.diagnosis_story import story_of
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 
 from safedpa.diagnosis.addition import add_effect
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.experiment_choice import chosen_experiment, manoeuvres
+from safedpa.diagnosis.experiment.choice import chosen_experiment, manoeuvres
 from safedpa.dynamics import Setting, load_model, load_own
 from safedpa.effects import CommandEffect, effect, effects_of, general_effects
 from safedpa.effects.effect import Context
@@ -179,7 +179,7 @@ def start_of(item):
 
 
 def manoeuvres_of(system):
-    from safedpa.diagnosis.general_manoeuvres import general_manoeuvres
+    from safedpa.diagnosis.experiment.general_manoeuvres import general_manoeuvres
 
     return general_manoeuvres(system, np.arange(0.0, 6.0, 0.05))
 

@@ -9,12 +9,12 @@ import pytest
 
 from safedpa.diagnosis.addition import add_effect
 from safedpa.diagnosis.diagnose import diagnose, library_for
-from safedpa.diagnosis.evidence import evidence_seconds
-from safedpa.diagnosis.report import as_document
-from safedpa.diagnosis.report_story import story_of
+from safedpa.diagnosis.document import as_document
+from safedpa.diagnosis.fit.evidence import evidence_seconds
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
+from safedpa.report.diagnosis_story import story_of
 from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.diagnose import story_lines
 
@@ -118,9 +118,15 @@ def straight(run, model):
     return replace(run, states=states, actions=actions)
 
 
-def test_nothing_is_missing_with_the_sizes_that_would_have_been_found(logs):
-    model, runs = logs({}, runs=4, seconds=25.0, seed=7)
-    report = diagnose(model, runs)
+@pytest.fixture(scope="module")
+def nothing_hidden(tmp_path_factory):
+    log = write_case(Case("test", 7, {}, runs=4, seconds=25.0), tmp_path_factory.mktemp("nothing_hidden"))
+    model = load_model(str(log.model))
+    return model, diagnose(model, [load_run(str(path), model.system) for path in log.runs])
+
+
+def test_nothing_is_missing_with_the_sizes_that_would_have_been_found(nothing_hidden):
+    model, report = nothing_hidden
     assert report.verdict == "nothing_missing"
     sizes = {(item.effect, item.parameter): item for item in report.detectable}
     assert {item.effect for item in report.detectable} == {item.name for item in library_for(model)}
@@ -133,10 +139,9 @@ def test_nothing_is_missing_with_the_sizes_that_would_have_been_found(logs):
 
 
 @pytest.mark.parametrize("factor", [0.3, 3.0])
-def test_the_smallest_size_is_what_a_diagnosis_finds(factor, logs):
+def test_the_smallest_size_is_what_a_diagnosis_finds(factor, logs, nothing_hidden):
     """A third of the size that is told is not found, three times as much is."""
-    model, runs = logs({}, runs=4, seconds=25.0, seed=7)
-    smallest = {item.effect: item.smallest for item in diagnose(model, runs).detectable}["quadratic_drag"]
+    smallest = {item.effect: item.smallest for item in nothing_hidden[1].detectable}["quadratic_drag"]
     hidden = diagnose(*logs({"quadratic_drag": {"coefficient": factor * smallest}}, runs=4, seconds=25.0, seed=17))
     assert ("quadratic_drag" in hidden.added) == (factor > 1.0)
 

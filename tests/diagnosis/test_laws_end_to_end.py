@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.conditions import of_patch
-from safedpa.diagnosis.fleet.outcome import outcome_of
-from safedpa.diagnosis.heldout import heldout_of
-from safedpa.diagnosis.places import Strip
-from safedpa.diagnosis.search import begun
-from safedpa.diagnosis.shooting import shooting_of
+from safedpa.diagnosis.fit.heldout import heldout_of
+from safedpa.diagnosis.fit.shooting import shooting_of
+from safedpa.diagnosis.search.conditions import of_patch
+from safedpa.diagnosis.search.places import Strip
+from safedpa.diagnosis.search.search import begun
 from safedpa.dynamics import load_model
 from safedpa.effects import effects_of
+from safedpa.fleet.outcome import outcome_of
 from safedpa.records import load_run
 from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa_lab.hidden import Case, write_case

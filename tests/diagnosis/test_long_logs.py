@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.comparison import compare_model
-from safedpa.diagnosis.report_excerpt import excerpt
+from safedpa.compare.comparison import compare_model
+from safedpa.compare.excerpt import excerpt
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run
@@ -43,7 +43,7 @@ def test_what_is_hidden_is_found_in_a_small_part_of_the_rows(written, tmp_path, 
     names = ("quadratic_drag", "rolling_resistance")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])
     monkeypatch.setattr("safedpa.diagnosis.diagnose._MOST_ROWS", 6000)
-    monkeypatch.setattr("safedpa.diagnosis.report_page._MOST_ROWS", 6000)
+    monkeypatch.setattr("safedpa.report.diagnosis_page._MOST_ROWS", 6000)
     runs = [str(path) for path in paths["csv"]]
     assert safedpa.run(["diagnose", str(folder / "model.toml"), *runs, "--out", str(tmp_path), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -74,7 +74,7 @@ def test_a_comparison_of_long_logs_starts_farther_apart_and_says_so(written, mon
     model = load_model(folder / "model.toml")
     runs = [load_run(path, model.system) for path in paths["parquet"]]
     whole = compare_model(model, runs)
-    monkeypatch.setattr("safedpa.diagnosis.comparison.MOST_WINDOWS", 600)
+    monkeypatch.setattr("safedpa.compare.comparison.MOST_WINDOWS", 600)
     part = compare_model(model, runs)
     assert len(part.windows) <= 610 < len(whole.windows)
     assert part.error.value == pytest.approx(whole.error.value, rel=0.1)

@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from safedpa.diagnosis.output import new_folder
+from safedpa.compare.output import new_folder
 from safedpa.effects import effect
 from safedpa_lab.hidden import Case, write_case
 from safedpa_services.command_line.group import safedpa

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.diagnose import diagnose, library_for
-from safedpa.diagnosis.heldout import heldout_of
-from safedpa.diagnosis.search import searched
-from safedpa.diagnosis.shooting import shooting_of
-from safedpa.diagnosis.trial import tried
+from safedpa.diagnosis.fit.heldout import heldout_of
+from safedpa.diagnosis.fit.shooting import shooting_of
+from safedpa.diagnosis.fit.trial import tried
+from safedpa.diagnosis.search.search import searched
 from safedpa.dynamics import load_model
 from safedpa.records.run import Run, Stretch
 from safedpa.records.write import write_columns

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.check import check_lines, checked
-from safedpa.diagnosis.rehearsal import measured_noise, rehearsal_of, simulated
-from safedpa.dynamics import load_model
+from safedpa.diagnosis.rehearsal import as_driven, measured_noise, rehearsal_of, simulated
+from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records import load_run
@@ -52,6 +52,19 @@ def test_simulated_logs_have_the_commands_and_the_noise_of_the_given_ones(given)
         apart = np.abs(one.system.difference(one.states, other.states))
         assert np.median(apart) < 0.02  # nothing is missing, so the model drives where the robot did
     np.testing.assert_allclose(measured_noise(again), measured_noise(runs), rtol=0.25)
+
+
+def test_a_guess_of_a_free_number_is_fitted_before_anything_is_driven(tmp_path):
+    """The car has a gain of 4.95 or 4.05, in gusts; with three times as much it would drive three times as fast."""
+    log = write_case(Case("test", 22, {}, runs=2, seconds=15.0, drive="throttle", hard=True), tmp_path)
+    model = load_model(log.model)
+    runs = [load_run(path, model.system) for path in log.runs]
+    guessed = model.with_settings({"base.drive_gain": Setting(15.0, True)})
+    driven = as_driven(guessed, runs)
+    assert driven.latent_names == guessed.latent_names
+    assert 3.0 < driven.settings["base.drive_gain"].value < 6.0
+    again = next(simulated(driven, runs, measured_noise(runs), np.random.default_rng(0)))
+    assert np.abs(again.states[:, 3]).max() < 2.0 * np.abs(runs[0].states[:, 3]).max()
 
 
 def test_the_check_says_what_can_be_told_and_what_only_as_a_sum(given):

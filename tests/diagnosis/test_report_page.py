@@ -9,16 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.report_excerpt import excerpt, heads
-from safedpa.diagnosis.report_figures import before_after_figure, falling_figure, map_figure
-from safedpa.diagnosis.report_page import report_page, write_report
-from safedpa.diagnosis.report_recording import write_recording
-from safedpa.diagnosis.report_story import parameters_text, step_text, story_of
-from safedpa.diagnosis.rollout_error import rollout_error
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.excerpt import excerpt, heads
+from safedpa.compare.rollout_error import rollout_error
+from safedpa.compare.windows import windows_of
 from safedpa.dynamics import load_model
 from safedpa.errors import RecordingError
 from safedpa.records.run import Finding, Run, Stretch
+from safedpa.report.diagnosis_page import before_after_figure, falling_figure, map_figure, report_page, write_report
+from safedpa.report.diagnosis_recording import write_recording
+from safedpa.report.diagnosis_story import parameters_text, step_text, story_of
 
 
 def candidate(stage, name, error, decision="rejected", **more):
@@ -117,7 +116,7 @@ def test_the_page_asks_no_other_host(diagnosed):
     assert "http://" not in own
     assert "https://" not in own
     assert "default-src 'none'" in own
-    assert text.count("</script") == 3
+    assert text.count("</script") == 4
     assert "&lt;model&gt;" in text
 
 
@@ -133,7 +132,7 @@ def test_the_bars_fall(diagnosed):
 
 
 def test_figures_show_less_error_after(diagnosed):
-    from safedpa.diagnosis.comparison import compare_model
+    from safedpa.compare.comparison import compare_model
 
     _, runs, models = diagnosed
     before, after = compare_model(models[0], runs), compare_model(models[-1], runs)
@@ -258,7 +257,7 @@ def test_long_logs_are_shown_in_part(diagnosed, monkeypatch):
     assert 500 <= sum(len(part) for run in many for part in run.stretches) <= 1200
     heading = heads([long], 13.52)[0]
     assert [(part.start, part.stop) for part in heading.stretches] == [(0, 250), (260, 271)]
-    monkeypatch.setattr("safedpa.diagnosis.report_page._MOST_ROWS", 600)
+    monkeypatch.setattr("safedpa.report.diagnosis_page._MOST_ROWS", 600)
     assert "excerpt of 25 % of the logs" in report_page(document, runs * 2, models, "long")
 
 

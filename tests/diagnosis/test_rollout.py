@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from safedpa.diagnosis.rollout import rollout, rollout_at
-from safedpa.diagnosis.rollout_error import rollout_error
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.rollout import rollout, rollout_at
+from safedpa.compare.rollout_error import rollout_error
+from safedpa.compare.windows import windows_of
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.records.run import Stretch

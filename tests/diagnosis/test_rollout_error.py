@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.naive import constant_velocity, measured_rates, no_change
-from safedpa.diagnosis.rollout_error import change_scale, error_of, rollout_error, trimmed_rms
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.naive import constant_velocity, measured_rates, no_change
+from safedpa.compare.rollout_error import change_scale, error_of, rollout_error, trimmed_rms
+from safedpa.compare.windows import windows_of
 from safedpa.dynamics import load_model
 from safedpa.records.run import Run, Stretch
 from safedpa.robots.car.system import CAR_THROTTLE

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis import second_opinion
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.second_opinion import agrees, certain, clear
+from safedpa.diagnosis.search import second_opinion
+from safedpa.diagnosis.search.second_opinion import agrees, certain, clear
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.records import load_run

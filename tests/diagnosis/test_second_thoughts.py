@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.found import Judged
-from safedpa.diagnosis.heldout import error_with, heldout_of
-from safedpa.diagnosis.judging import Stage, farthest
-from safedpa.diagnosis.revision import united
-from safedpa.diagnosis.search import accept, begun
-from safedpa.diagnosis.shooting import shooting_of
-from safedpa.diagnosis.trial import tried
+from safedpa.diagnosis.fit.heldout import error_with, heldout_of
+from safedpa.diagnosis.fit.shooting import shooting_of
+from safedpa.diagnosis.fit.trial import tried
+from safedpa.diagnosis.search.judgement import Stage, farthest
+from safedpa.diagnosis.search.progress import Judged
+from safedpa.diagnosis.search.revision import united
+from safedpa.diagnosis.search.search import accept, begun
 from safedpa.effects import effect
 from safedpa.records.run import Run
 

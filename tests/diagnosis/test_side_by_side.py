@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from safedpa.diagnosis.elimination import Elimination
-from safedpa.diagnosis.side_by_side import SideBySide
+from safedpa.compare.side_by_side import SideBySide
+from safedpa.diagnosis.fit.elimination import Elimination
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import CommandEffect, effects_of

@@ -7,16 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from safedpa.diagnosis import revision
-from safedpa.diagnosis.actuators import late_commands
-from safedpa.diagnosis.final_numbers import with_form_in_doubt
-from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.heldout import HeldoutError, error_with, heldout_of
-from safedpa.diagnosis.judging import feigned_lateness
-from safedpa.diagnosis.kinds_of_driving import between_kinds
-from safedpa.diagnosis.search import begun
-from safedpa.diagnosis.shooting import shooting_of
-from safedpa.diagnosis.stages import _that_help
+from safedpa.compare.actuators import late_commands
+from safedpa.diagnosis.fit.heldout import HeldoutError, error_with, heldout_of
+from safedpa.diagnosis.fit.kinds_of_driving import between_kinds
+from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.shooting import shooting_of
+from safedpa.diagnosis.search import revision
+from safedpa.diagnosis.search.final_numbers import with_form_in_doubt
+from safedpa.diagnosis.search.judgement import feigned_lateness
+from safedpa.diagnosis.search.search import begun
+from safedpa.diagnosis.search.stages import _that_help
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 
@@ -49,8 +49,11 @@ def test_what_helps_whole_runs_by_less_than_one_standard_error_is_taken_out(spre
     """
     search = SimpleNamespace(added=["drag", "lag", "slip"], candidates=[], shooting=None, without={})
     search.error = error_of(search.added, spread)
-    monkeypatch.setattr(revision, "refit", lambda _, items: SimpleNamespace(fit=[item.name for item in items]))
+    monkeypatch.setattr(
+        revision, "refit", lambda _, items, *_enough: SimpleNamespace(fit=[item.name for item in items])
+    )
     monkeypatch.setattr(revision, "_feigned", lambda *_: False)
+    monkeypatch.setattr(revision, "_pushed", lambda *_: False)
     monkeypatch.setattr(revision, "error_with", lambda names, *_: error_of(names, spread))
     library = [SimpleNamespace(name=name) for name in ("drag", "lag", "slip")]
     monkeypatch.setattr(revision, "known_effects", lambda *_: {item.name: item for item in library})
@@ -139,7 +142,7 @@ def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towi
     import json
 
     from safedpa.diagnosis.diagnose import diagnose
-    from safedpa.diagnosis.report import as_document
+    from safedpa.diagnosis.document import as_document
     from safedpa_lab.hidden.judge import judged
 
     log, model, runs = towing

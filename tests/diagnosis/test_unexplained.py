@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.report import as_document
-from safedpa.diagnosis.report_page import report_page
+from safedpa.diagnosis.document import as_document
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
+from safedpa.report.diagnosis_page import report_page
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 from safedpa_lab.hidden.excitation import car_commands
 

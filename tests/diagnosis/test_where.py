@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.diagnosis.bins import merged, round_edges
-from safedpa.diagnosis.comparison import compare_model
-from safedpa.diagnosis.summary import decisive, state_sentence, where_sentence, worst_bins
-from safedpa.diagnosis.where import factors, window_squares
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.bins import merged, round_edges
+from safedpa.compare.comparison import compare_model
+from safedpa.compare.summary import decisive, state_sentence, where_sentence, worst_bins
+from safedpa.compare.where import factors, window_squares
+from safedpa.compare.windows import windows_of
 from safedpa.records.run import Run, Stretch
 from safedpa.robots.car.system import CAR_THROTTLE
 

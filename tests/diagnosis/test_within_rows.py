@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.refinement import refined
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.windows import windows_of
+from safedpa.diagnosis.fit.refinement import refined
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 from safedpa.records import load_run

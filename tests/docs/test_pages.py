@@ -44,11 +44,11 @@ def _commands() -> Iterator[tuple[str, str]]:
 
 
 LONGEST = 1500
-"""Words of running text on a page; tables, code and what is generated are looked up, not read."""
+"""Words of running text on a page; tables, code and what is generated are looked up, remarks are not seen."""
 
 
 def _running_text(text: str) -> str:
-    for kind in (r"^```.*?^```", r"^<!-- generated.*?<!-- end -->"):
+    for kind in (r"^```.*?^```", r"^<!-- generated.*?<!-- end -->", r"<!--.*?-->"):
         text = re.sub(kind, " ", text, flags=re.DOTALL | re.MULTILINE)
     return "\n".join(line for line in text.split("\n") if not line.lstrip().startswith("|") and line[:4] != "    ")
 

@@ -101,7 +101,7 @@ def test_every_shipped_model_loads_by_its_name(name: str) -> None:
 MISTAKES = [
     ("format = 1", "format = 2", "format: got 2, wanted 1; this program reads no other"),
     ("format = 1", "", "format: missing, wanted 1; this program reads no other"),
-    ('robot = "car"', 'robot = "boat"', "robot: got 'boat', wanted one of car, pendulum"),
+    ('robot = "car"', 'robot = "boat"', "robot: got 'boat', wanted one of car, differential_drive, pendulum, point"),
     ("period = 0.05", "periode = 0.05", "periode: unknown key; did you mean 'period'?"),
     ("period = 0.05", "period = 0", "period: got 0, wanted 0.0001 to 1 s"),
     ("period = 0.05", 'period = "20 Hz"', "period: got '20 Hz', wanted a finite number in s"),

@@ -36,7 +36,7 @@ def test_lookup_error_suggests_the_nearest_name() -> None:
         effect("car", "quadratic_darg")
     with pytest.raises(InputError, match="effect 'wind' belongs to robot 'pendulum', not to 'car'"):
         effect("car", "wind")
-    assert robots() == ("car", "pendulum", "point")
+    assert robots() == ("car", "differential_drive", "pendulum", "point")
 
 
 def test_the_documentation_s_own_effect_works(tmp_path: Path) -> None:
@@ -158,7 +158,7 @@ def test_command_shows_every_name_in_the_table(capsys: pytest.CaptureFixture[str
 def test_command_refuses_an_unknown_robot(capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["effects", "--robot", "cat"]) == 2
     error = capsys.readouterr().err
-    assert error == "safedpa: --robot: got 'cat'; did you mean 'car'? known: car, pendulum, point\n"
+    assert error == "safedpa: --robot: got 'cat'; did you mean 'car'? known: car, differential_drive, pendulum, point\n"
 
 
 def test_documentation_holds_the_library_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,7 +23,8 @@ def test_a_known_delay_is_driven_with() -> None:
 
 @pytest.mark.parametrize("channel", ["steer", "drive"])
 def test_a_channel_that_is_late_alone(channel: str) -> None:
-    found = delayed_drives(Lateness(0.2, channel), 4, 31_000, 8.0)
+    """Over twelve drives: in single scenes more is relaxed than corrected, and which ones depends on each decision."""
+    found = delayed_drives(Lateness(0.2, channel), 12, 31_000, 8.0)
     assert found.collided == 0
     assert found.goals > 0
     assert found.statuses["corrected"] > found.statuses["relaxed"] + found.statuses["violated"]

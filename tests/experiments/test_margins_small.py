@@ -80,6 +80,23 @@ def test_the_command_makes_margins_counts_them_and_goes_on_where_it_was_cut(tmp_
     assert {path.name: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")} == before
 
 
+@pytest.mark.parametrize(("name", "epsilon"), [("pendulum", 0.0292), ("point_learned", 0.003)])
+def test_what_ships_is_counted_alone(name: str, epsilon: float, tmp_path: Path) -> None:
+    """A calibrated margin, or the one that the settings assume."""
+    asked = ["--robot", name, "--drives", "0", "--fresh", "2", "--kind", "shipped", "--seconds", "1"]
+    done = CliRunner().invoke(command, [*asked, "--processes", "1", "--out", str(tmp_path), "--json"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.output)
+    assert result["missing"] == 0
+    (counted,) = result["robots"][name]["fresh_shipped"]["covered"].values()
+    assert counted["drives"] == 2
+    assert counted["shipped"]["epsilon"] == pytest.approx(epsilon, abs=5e-5)
+    assert not (tmp_path / name / "margin.toml").exists(), "nothing was calibrated"
+    page = (tmp_path / "margins.md").read_text()
+    assert f"| shipped | {epsilon:.4f} |" in page
+    assert f"--robot {name} --drives 0 --fresh 2 --kind shipped" in page
+
+
 @pytest.mark.parametrize("bad", [["--robot", "carr"], ["--kind", "both"], ["--drives", "0"], ["--minutes", "-1"]])
 def test_what_is_no_order_is_refused(bad: list[str], tmp_path: Path) -> None:
     refused = CliRunner().invoke(command, [*bad, "--out", str(tmp_path)])

@@ -43,12 +43,22 @@ def test_the_heaviest_load_gets_on_where_it_once_stood(seed: int) -> None:
     assert sum(outcome.statuses.values()) == 1200
 
 
+@pytest.mark.parametrize("until_action", [0.0, 0.002, 0.006])
+def test_a_box_between_two_obstacles_gets_on_however_old_the_state_is(until_action: float) -> None:
+    """It once stood for 69 s there, and crawled 0.6 m in 20 s while the policy gave up reversing to one side alone."""
+    outcome = run_long_drive(LongDrive("box", 1, seconds=100.0, until_action=until_action))
+    assert outcome.collisions == 0
+    assert outcome.longest_stand < 10.0
+    assert outcome.least_way > 1.0
+
+
 def test_the_summary_counts_long_stands_and_those_that_nobody_told() -> None:
     stand = {"from": 1.0, "seconds": 12.0, "reason": "margin: ..."}
     told = LongOutcome("box", 1, 60.0, 0, 7, (stand,), 12.0, {"passed": 1200})
-    untold = LongOutcome("box", 2, 60.0, 1, 5, (), 11.0, {"passed": 1200})
+    untold = LongOutcome("box", 2, 60.0, 1, 5, (), 11.0, {"passed": 1200}, 0.9)
     summary = long_summary([told, untold])
     assert json.loads(json.dumps(summary)) == summary
     assert (summary["drives"], summary["stands"], summary["untold"], summary["collisions"]) == (2, 2, 1, 1)
     assert summary["goals_a_minute"] == 6.0
+    assert summary["crawls"] == 1
     assert summary["standstills"] == [{"load": "box", "seed": 1, **stand}]

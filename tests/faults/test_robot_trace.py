@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import ACTION, STATE, ActionMessage, Bus, MemoryBroker, MemoryTransport, StateMessage
-from safedpa.bus.codec import decode
+from safedpa.bus.wire.codec import decode
 from safedpa.errors import RecordingError
 from safedpa_sim.robots import CarRobot, Scene, Trace, read_trace
 from safedpa_sim.robots.loop import RobotLoop

@@ -20,10 +20,10 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.authority import Authority
-from safedpa.bus.certificates import Certificates
-from safedpa.bus.codec import decode, encode
-from safedpa.bus.messages import ActionMessage, StateMessage
+from safedpa.bus.security.authority import Authority
+from safedpa.bus.security.certificates import Certificates
+from safedpa.bus.wire.codec import decode, encode
+from safedpa.bus.wire.messages import ActionMessage, StateMessage
 from safedpa.errors import MessageError, SafedpaError
 
 SECONDS = 3.0

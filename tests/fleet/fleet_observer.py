@@ -14,8 +14,8 @@ from collections import Counter
 from typing import Any
 
 from safedpa.bus import HEALTH, STATE, VERDICT, Received, StateMessage, VerdictMessage
-from safedpa.bus.messages import HealthMessage
-from safedpa.bus.process import add_bus_options, bus_from
+from safedpa.bus.loop.process import add_bus_options, bus_from
+from safedpa.bus.wire.messages import HealthMessage
 
 DRIVEN = ("passed", "corrected", "relaxed")
 LONGEST_GAP = 0.5

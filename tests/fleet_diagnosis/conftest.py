@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from safedpa.diagnosis.fleet.outcome import Number, Outcome, Tried
+from safedpa.fleet.outcome import Number, Outcome, Tried
 from safedpa_lab.experiments.fleet_diagnosis import fleet_diagnosis_experiment
 
 UNITS = {"deceleration": "m/s2", "mass_ratio": "1", "angle": "rad", "ax": "m/s2", "ay": "m/s2", "coefficient": "1/m"}

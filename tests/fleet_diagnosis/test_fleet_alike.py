@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.diagnosis.fleet.alike import clusters, same_effects, with_one_name
-from safedpa.diagnosis.fleet.document import analysed, fleet_document
-from safedpa.diagnosis.fleet.story import group_title, headline
+from safedpa.fleet.alike import clusters, same_effects, with_one_name
+from safedpa.fleet.document import analysed, fleet_document
+from safedpa.fleet.story import group_title, headline
 
 
 def members(outcomes):
@@ -55,7 +55,7 @@ def test_opposite_offsets_are_two_faults(make_tried, make_robot):
 
 
 def test_gains_are_told_apart_by_their_change(make_tried, make_robot):
-    from safedpa.diagnosis.fleet.outcome import Number, Tried
+    from safedpa.fleet.outcome import Number, Tried
 
     gains = [Tried("steering_gain", {"gain": Number(value, 0.001, "1")}, 9.0) for value in (0.95, 0.85)]
     assert len(members([make_robot(f"g{i}", item) for i, item in enumerate(gains)])) == 2

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.diagnosis.fleet.discovery import FALSE_SHARE, believed, chance, upper_tail
+from safedpa.fleet.discovery import FALSE_SHARE, believed, chance, upper_tail
 
 chances = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60)
 

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.fleet import Fleet, Options, RobotLogs, diagnose_fleet
-from safedpa.diagnosis.fleet.one_robot import RobotResult, diagnosed_robot
-from safedpa.diagnosis.fleet.robots import Found
 from safedpa.dynamics import load_model
+from safedpa.fleet import Fleet, Options, RobotLogs, diagnose_fleet
+from safedpa.fleet.one_robot import RobotResult, diagnosed_robot
+from safedpa.fleet.robots import Found
 from safedpa_lab.hidden import Case, write_cases
 
 DRAG = 0.12

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from safedpa.diagnosis.fleet.outcome import neutral_of, outcome_of
-from safedpa.diagnosis.fleet.story import common_sentence, discovery_sentence, listed, range_text
+from safedpa.fleet.outcome import neutral_of, outcome_of
+from safedpa.fleet.story import common_sentence, discovery_sentence, listed, range_text
 
 RESULT = {"robot": "car_1", "status": "diagnosed", "reason": "", "unreadable_files": [{"path": "x", "reason": "y"}]}
 

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from safedpa.diagnosis.fleet.common import (
+from safedpa.dynamics import load_model
+from safedpa.fleet.common import (
     common_effects,
     confirmed,
     mended_model,
     mended_settings,
     together_effects,
 )
-from safedpa.diagnosis.fleet.outcome import Number
-from safedpa.diagnosis.fleet.pooled import evidence_over, pooled_number
-from safedpa.dynamics import load_model
+from safedpa.fleet.outcome import Number
+from safedpa.fleet.pooled import evidence_over, pooled_number
 
 numbers = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.01, 2.0)), min_size=1, max_size=30)
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.diagnosis.fleet.inputs import Options, options_digest
-from safedpa.diagnosis.fleet.one_robot import Task, diagnosed_robot, not_diagnosed
-from safedpa.diagnosis.fleet.robots import RobotLogs, robots_in_folder
-from safedpa.diagnosis.fleet.store import clear_others, kept, read_result, write_result
 from safedpa.errors import RecordingError
+from safedpa.fleet.diagnosing import clear_others, kept, read_result, write_result
+from safedpa.fleet.inputs import Options, options_digest
+from safedpa.fleet.one_robot import Task, diagnosed_robot, not_diagnosed
+from safedpa.fleet.robots import RobotLogs, robots_in_folder
 from safedpa_services.command_line.group import safedpa
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from safedpa.diagnosis.fleet.workers import available_cores, in_processes, one_thread_each
+from safedpa.fleet.workers import available_cores, in_processes, one_thread_each
 from safedpa_services.command_line.group import safedpa
 
 
@@ -49,7 +49,7 @@ def test_threads_are_put_back(monkeypatch):
 _DRIVER = """
 import operator, os, time
 from functools import partial
-from safedpa.diagnosis.fleet.workers import in_processes
+from safedpa.fleet.workers import in_processes
 if __name__ == "__main__":
     jobs = [partial(os.getpid), partial(time.sleep, 600)]
     for answer in in_processes(operator.call, jobs, 1, lambda job, reason: reason):
@@ -83,7 +83,7 @@ def test_a_killed_command_leaves_no_process_behind(tmp_path):
 _ON_RAY = """
 import operator
 from functools import partial
-from safedpa.diagnosis.fleet.on_cluster import on_cluster
+from safedpa.fleet.workers import on_cluster
 jobs = [partial(abs, -4), partial(int, "x"), partial(abs, -5)]
 print(sorted(map(str, on_cluster(operator.call, jobs, "local", lambda job, reason: "failed " + reason, 1))))
 """

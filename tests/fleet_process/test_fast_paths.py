@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.bus.codec import _float, _rows, _tuple_of, _vector
+from safedpa.bus.wire.codec import _float, _rows, _tuple_of, _vector
 from safedpa.dynamics import AbstractDynamics, load_model
 from safedpa.errors import MessageError
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety.barrier import RememberingStack
-from safedpa.safety.car_barriers import car_barriers
-from safedpa.safety.car_stack import stacked
 from safedpa.safety.margin import OnlineMargin
 from safedpa.safety.settings import FilterSettings
-from safedpa_sim.robots.durations import Durations
+from safedpa.safety.stacks import stacked
+from safedpa_sim.robots.fleet_loop import Durations
 
 anything = st.one_of(
     st.floats(), st.integers(-5, 5), st.booleans(), st.none(), st.text(max_size=2), st.just(1e12), st.just(1.1e12)

@@ -24,14 +24,18 @@ def test_three_robots_a_flood_and_hostile_offers_through_real_processes() -> Non
     assert result["robots"] == 3
     assert result["robot_ticks"] > 60, "it stood most of the time"
     assert result["late_ticks"] < result["robot_ticks"], "not one action came in time"
-    assert set(result["processes"]) == {"robots", "adaptation", "policy", "safety_filter", "flood", "offers"}
+    references = {name for name in result["processes"] if name.startswith("reference_")}
+    others = {"robots", "adaptation", "policy", "safety_filter", "flood", "offers"}
+    assert set(result["processes"]) == others | references
+    assert references
     for used in result["processes"].values():
         assert used["us_per_robot_tick"] > 0.0
         assert used["mib_end"] > 10.0
     froze = result["offers"]["answers"][FREEZES]
     assert froze["refused"] == froze["answers"] > 0
     assert "at most 65536" in froze["reason"]
-    assert froze["after_state_ms"]["p50"] < 50.0, "it is refused in the tick in which it is heard"
+    usual = result["offers"]["in_peace"]["sense_to_act_ms"]["p50"]
+    assert froze["after_state_ms"]["p50"] < 40.0 + 5.0 * usual, "it is refused in the tick in which it is heard"
     assert result["offers"]["under_attack"]["robot_ticks"] > 20
     json.dumps(result)
 

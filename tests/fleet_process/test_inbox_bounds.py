@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import Inbox, Refused
-from safedpa.bus import inbox as module
+from safedpa.bus.transport import inbox as module
 
 
 def test_different_keys_beyond_the_most_are_dropped_and_known_ones_kept() -> None:

@@ -42,6 +42,8 @@ def test_the_safety_experiment_prints_one_document(tmp_path, capsys):
     out = tmp_path / "safety.json"
     assert run("safety", "--seeds", 1, "--seconds", 0.5, "--out", out, "--json") == 0
     found = json.loads(capsys.readouterr().out)
-    assert found == json.loads(out.read_text())
+    kept = json.loads(out.read_text())
+    assert kept.pop("provenance")["command"] == "safedpa experiment safety --seeds 1 --seconds 0.5"
+    assert found == kept
     assert found["seeds"] == [0, 0]
     assert {row["filter_on"]["episodes"] for row in found["rows"]} == {1}

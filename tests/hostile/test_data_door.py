@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa_services.dashboard.data_door import DataDoor, own_loopback
+from safedpa_services.dashboard.doors import DataDoor, own_loopback
 
 OWN = b"GET /proxy HTTP/1.1\r\nHost: 127.0.0.1:9876\r\n\r\n"
 

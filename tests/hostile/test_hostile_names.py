@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 
 from safedpa.bus import STATE, HealthMessage, key_of
 from safedpa.bus.log import EventLog
-from safedpa.bus.topics import topic_of
+from safedpa.bus.wire.topics import topic_of
 from safedpa.errors import InputError
 from safedpa.limits import readable
 from safedpa_services.command_line.group import safedpa
+from safedpa_services.lines import say
 from safedpa_services.status.table import _table
 from safedpa_services.supervisor.warnings import readable as event_line
-from safedpa_services.terminal import Shown, say, terminal
+from safedpa_services.terminal import Shown, terminal
 
 HOSTILE = (
     "\x1b[2J\x1b[H",  # clears the screen
@@ -129,7 +130,7 @@ def test_a_page_shows_it_as_text(text: str) -> None:
 
 @pytest.mark.parametrize("text", HOSTILE[:-2])
 def test_a_report_holds_it_as_text(text: str) -> None:
-    from safedpa.diagnosis.page import embedded
+    from safedpa.report.comparison_page import embedded
 
     assert "<" not in embedded({"name": text})
     assert ">" not in embedded({"name": text})
@@ -143,6 +144,28 @@ def test_a_column_s_name_comes_back_as_text(column: str, tmp_path: Path, capsys:
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert not CONTROL.search(said[:-1])
+
+
+@pytest.mark.parametrize("command", ["compare", "diagnose"])
+def test_a_file_s_name_is_text_in_the_report(command: str, tmp_path: Path) -> None:
+    """Of a car that stands still too, in which no share of the error is a number."""
+    path = tmp_path / "\x1b[2J\u202e<b>.csv"
+    rows = "".join(f"{0.05 * k:.2f},{0.05 * k:.3f},0,0,1,1,0\n" for k in range(200))
+    path.write_text(f"t,x,y,yaw,speed,target_speed,steer\n{rows}", encoding="utf-8")
+    assert safedpa.run([command, "car", str(path), "--out", str(tmp_path / "out")]) == 0
+    (page,) = (tmp_path / "out").glob("*.html")
+    text = page.read_text(encoding="utf-8")
+    assert not set(text) & set("\x1b\u202e")
+    assert "2J\\u202e" in text
+
+
+def test_a_file_s_name_that_is_no_text_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run\udcff.csv"
+    path.write_text("t,x\n0,1\n", encoding="utf-8")
+    assert safedpa.run(["compare", "car", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "its name is not UTF-8" in said
 
 
 def test_a_cell_of_many_lines_costs_one_line(tmp_path: Path) -> None:

@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.access import access_control, roles_of
-from safedpa.bus.authority import HOSTS, Authority
-from safedpa.bus.certificates import Card, Certificates
-from safedpa.bus.process import add_bus_options, identity_from
+from safedpa.bus.loop.process import add_bus_options, identity_from
+from safedpa.bus.security.access import access_control, roles_of
+from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.certificates import Card, Certificates
 from safedpa.errors import BusError
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.router.router import Revoked, Twins
@@ -35,7 +35,7 @@ with throw_away_certificates("f", "r1") as wallet:
 """
 
 
-def until(true: Callable[[], object], seconds: float = 10.0) -> bool:
+def until(true: Callable[[], object], seconds: float = 60.0) -> bool:
     end = time.monotonic() + seconds
     while not true():
         if time.monotonic() > end:
@@ -120,7 +120,7 @@ def test_a_card_that_is_none_is_refused(said: bytes) -> None:
 
 _PRIVATE = """
 import ctypes, os, sys, time
-from safedpa.bus.certificates import close_memory
+from safedpa.bus.security.certificates import close_memory
 if os.getuid() == 0:  # who may read everything
     os.setuid(65534)
     ctypes.CDLL(None).prctl(4, 1, 0, 0, 0)  # as every process begins

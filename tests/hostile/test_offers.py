@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +16,8 @@ import pytest
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import TAKEOVER, AbstractNode, Answer, ModelMessage, StateMessage
-from safedpa.bus.apart import Apart
-from safedpa.bus.model_versions import ModelVersions
+from safedpa.bus.loop.apart import AbstractTicket, Apart
+from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
 from safedpa.errors import InputError
@@ -60,7 +63,7 @@ def state_at(tick: int) -> StateMessage:
 def apart() -> Iterator[Apart]:
     found = Apart("safedpa_services.trying:tried")
     yield found
-    found.give_up()
+    found.close()
 
 
 def turn(node: AbstractNode, tick: int) -> Any:
@@ -69,25 +72,32 @@ def turn(node: AbstractNode, tick: int) -> Any:
     return outputs.get(TAKEOVER)
 
 
-def test_a_turn_with_a_bomb_takes_less_than_ten_milliseconds(
+def test_a_turn_with_a_bomb_takes_no_longer_than_reading_a_good_model(
     apart: Apart, offer_of: Callable[..., ModelMessage]
 ) -> None:
+    """The best of three goes at each: what a busy machine adds to one turn is not the bomb's."""
+    good = math.inf
+    for _ in range(5):
+        began = time.thread_time()
+        parse_model(DOCUMENT)
+        good = min(good, time.thread_time() - began)
     node = AdaptationNode(CAR)
     node.try_apart(lambda robot, offer: _hand_in(apart, node, OPTIONS, robot, offer))
     turn(node, 0)
-    tick, spent = 1, []
-    for change, document in enumerate(BOMBS.values(), 1):
-        node.hear("r1", offer_of(document, change=change))
-        answer, until = None, time.monotonic() + 30.0
+    ticks, longest = count(1), dict.fromkeys(BOMBS, math.inf)
+    for change, name in enumerate([*BOMBS] * 3, 1):
+        answer, spent = None, []
+        node.hear("r1", offer_of(BOMBS[name], change=change))
+        until = time.monotonic() + 60.0
         while answer is None and time.monotonic() < until:
             began = time.thread_time()
-            answer = turn(node, tick)
+            answer = turn(node, next(ticks))
             spent.append(time.thread_time() - began)
-            tick += 1
             time.sleep(0.005)
-        assert answer is not None, document[:40]
+        assert answer is not None, name
         assert (answer.state, answer.change) == ("refused", change)
-    assert max(spent) < 0.010
+        longest[name] = min(longest[name], max(spent))
+    assert max(longest.values()) < 20.0 * good, longest
     assert node.model_of("r1") == fingerprint(CAR)
 
 
@@ -173,17 +183,15 @@ def tells_its_niceness(work: object) -> dict[str, Any]:
     [("spins", "processor time"), ("eats", ""), ("dies", "ended its process"), ("writes", "")],
 )
 def test_what_takes_too_much_is_ended_and_the_next_work_is_done(function: str, words: str, tmp_path: Path) -> None:
-    apart = _apart(function, tmp_path)
+    apart = _apart(function, tmp_path, clock=lambda: time.monotonic() / 20.0)  # behind whatever else is busy
     try:
-        began = time.monotonic()
         outcome = apart.hand_in(str(tmp_path / "file")).outcome(wait=True)
         assert outcome is not None
         assert words in outcome["problem"]
         assert outcome["problem"]
-        assert time.monotonic() - began < 20.0
         assert not (tmp_path / "file").exists() or (tmp_path / "file").stat().st_size == 0
     finally:
-        apart.give_up()
+        apart.close()
 
 
 def test_it_runs_behind_everybody_else(tmp_path: Path) -> None:
@@ -191,31 +199,124 @@ def test_it_runs_behind_everybody_else(tmp_path: Path) -> None:
     try:
         assert apart.hand_in(None).outcome(wait=True) == {"nice": 19, "policy": os.SCHED_OTHER}
     finally:
-        apart.give_up()
+        apart.close()
 
 
-def test_handing_in_never_waits_even_where_nobody_reads(tmp_path: Path) -> None:
-    apart = _apart("spins", tmp_path)
+def test_handing_in_waits_two_milliseconds_at_most_even_where_nobody_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept: list[float] = []
+    apart = _apart("spins", tmp_path, clock=lambda: sum(slept))
+    monkeypatch.setattr("safedpa.bus.loop.apart.time.sleep", slept.append)
     try:
-        spent = []
+        waited = []
         for _ in range(40):
-            began = time.thread_time()
+            before = sum(slept)
             apart.hand_in("x" * 65_536)
-            spent.append(time.thread_time() - began)
-        assert max(spent) < 0.010
+            waited.append(sum(slept) - before)
+        assert 0.001 < max(waited) < 0.0025
     finally:
+        apart.close()
+
+
+def test_giving_up_waits_for_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine a process at the lowest priority takes tens of milliseconds to die, with much memory more."""
+    now = [0.0]
+    apart = _apart("spins", tmp_path, clock=lambda: time.monotonic() + now[0])
+    ticket, first = apart.hand_in(None), apart.pid
+    monkeypatch.setattr("subprocess.Popen.wait", lambda *_, **__: pytest.fail("the loop waited for a process to die"))
+    now[0] += 30.0
+    assert "could not be tried" in (ticket.outcome() or {})["problem"]
+    assert apart.pid == 0
+    monkeypatch.undo()
+    until = time.monotonic() + 30.0
+    while Path(f"/proc/{first}").exists() and time.monotonic() < until:
+        apart.take(0)
+        time.sleep(0.01)
+    assert not Path(f"/proc/{first}").exists(), "it stays as a zombie"
+    apart.close()
+
+
+def test_who_waits_behind_a_work_that_takes_too_long_is_told_at_once_and_ends_nobody_elses(tmp_path: Path) -> None:
+    now = [0.0]
+    apart = _apart("spins", tmp_path, clock=lambda: time.monotonic() + now[0])
+    try:
+        first, second, third = (apart.hand_in(number) for number in range(3))
+        now[0] += 30.0
+        assert "within 20 s" in (first.outcome() or {})["problem"]
+        later, process = apart.hand_in("later"), apart.pid
+        for ticket in (second, third):
+            assert "another work" in (ticket.outcome() or {})["problem"]
+        assert later.outcome() is None
+        assert apart.pid == process != 0
+    finally:
+        apart.close()
+
+
+def test_many_that_do_not_die_are_not_joined_by_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    apart = _apart("spins", tmp_path)
+    monkeypatch.setattr("subprocess.Popen.poll", lambda _: None)
+    for _ in range(4):
+        apart.hand_in(None)
         apart.give_up()
+    assert "have not ended" in (apart.hand_in(None).outcome() or {})["problem"]
+    assert apart.pid == 0
+    monkeypatch.undo()
+    apart.close()
 
 
-def _apart(function: str, folder: Path) -> Apart:
+def _apart(function: str, folder: Path, clock: Callable[[], float] = time.monotonic) -> Apart:
     """With a function of this file, which the process finds as a module of its own."""
     source = Path(__file__).read_text(encoding="utf-8")
     begin, end = source.index("def spins"), source.index('@pytest.mark.parametrize(\n    ("function"')
-    head = "import os\nfrom pathlib import Path\nfrom typing import Any\n\n\n"
+    head = "import os\nfrom pathlib import Path\nfrom typing import Any\n\nfrom safedpa.bus.loop import apart\n\n"
+    head += "apart._PROCESSOR_SECONDS = 1\n\n\n"
     (folder / "works_apart.py").write_text(head + source[begin:end], encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
-        return Apart(f"works_apart:{function}")
+        return Apart(f"works_apart:{function}", clock)
+
+
+def test_loading_what_was_found_good_is_spread(offer_of: Callable[..., ModelMessage]) -> None:
+    """Trials that end together do not hold up a turn together: after each load the loop has as long for others."""
+    now = [0.0]
+
+    class Tried(AbstractTicket):
+        def outcome(self, *, wait: bool = False) -> dict[str, Any]:
+            return {"document": "good"}
+
+    def load(robot: str, offer: ModelMessage) -> str:
+        now[0] += 0.014
+        return "new"
+
+    versions: ModelVersions[str] = ModelVersions("policy", "held", "0" * 12, load, clock=lambda: now[0])
+    versions.hand_in = lambda robot, offer: Tried()
+    robots = [f"r{number}" for number in range(8)]
+    for robot in robots:
+        versions.hear(robot, offer_of("document"))
+    for turn_number in range(1, 9):
+        before = now[0]
+        answered = [robot for robot in robots if versions.answer(robot, state_at(turn_number)) is not None]
+        assert answered == [robots[turn_number - 1]]
+        assert now[0] - before == pytest.approx(0.014)
+        now[0] += 0.0141
+
+
+def test_in_lockstep_nobody_waits_for_a_moment(offer_of: Callable[..., ModelMessage]) -> None:
+    """What a robot in lockstep is answered depends on no clock."""
+    versions: ModelVersions[str] = ModelVersions("policy", "held", "0" * 12, lambda *_: "new", clock=time.monotonic)
+
+    class Tried(AbstractTicket):
+        def outcome(self, *, wait: bool = False) -> dict[str, Any]:
+            assert wait
+            return {"document": "good"}
+
+    versions.hand_in = lambda robot, offer: Tried()
+    for robot in ("r1", "r2", "r3"):
+        versions.hear(robot, offer_of("document"))
+        answer = versions.answer(robot, replace(state_at(1), lockstep=True))
+        assert answer is not None
+        assert answer.state == "ready"
 
 
 def test_a_repaired_version_needs_no_trial(offer_of: Callable[..., ModelMessage]) -> None:

@@ -78,7 +78,7 @@ class Served:
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    from safedpa.bus.ports import free_port
+    from safedpa.bus.transport.ports import free_port
 
     folder, port = tmp_path_factory.mktemp("pages"), free_port()
     (folder / "runs").mkdir()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import time
+import stat
 
 from safedpa_services.router.zenoh_log import LogFile
 
@@ -21,10 +21,9 @@ def test_lines_come_whole_and_in_order() -> None:
 
 def test_a_flood_that_nobody_reads_is_never_waited_for_and_given_back() -> None:
     file, line = LogFile(most_unread=1 << 20), b"x" * 1023 + b"\n"
-    began = time.thread_time()
+    assert stat.S_ISREG(os.fstat(file.descriptor).st_mode), "who writes to a full pipe or socket waits"
     for _ in range(20_000):
         assert os.write(file.descriptor, line) == len(line), "no error, of which the logger would tell, waiting"
-    assert time.thread_time() - began < 5.0
     assert file.lines() == []
     assert file.passed_over == 20_000 * len(line)
     os.write(file.descriptor, b"after it\n")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
-from safedpa.diagnosis.live.work import AbstractWorker, Outcome, Work
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
+from safedpa.live.work import AbstractWorker, Outcome, Work
 
 PERIOD = 0.05
 Row = tuple[int, np.ndarray, np.ndarray]

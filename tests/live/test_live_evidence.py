@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.diagnosis.live.evidence import ALPHA, BEYOND, Evidence
+from safedpa.live.watch import ALPHA, BEYOND, Evidence
 
 INSIDE, OUTSIDE, FAR = 0.5, 1.5, BEYOND + 1.0
 

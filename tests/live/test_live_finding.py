@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from safedpa.diagnosis.live.finding import FIRST_SEARCH, RobotDiagnosis
-from safedpa.diagnosis.live.work import InlineWorker, Outcome, Work
 from safedpa.dynamics import Setting, write_model
 from safedpa.effects import effect
+from safedpa.live.finding import FIRST_SEARCH, RobotDiagnosis
+from safedpa.live.work import InlineWorker, Outcome, Work
 
 CHANGE = 800
 NUMBERS = {"angle": 0.08}

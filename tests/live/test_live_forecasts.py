@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.live.band import learned_band, moved
-from safedpa.diagnosis.live.errors import channel_errors, channels, stretch_error
-from safedpa.diagnosis.live.forecasts import Forecast, Forecasts
-from safedpa.diagnosis.live.history import History
-from safedpa.diagnosis.rollout import rollout_at
-from safedpa.diagnosis.windows import windows_of
+from safedpa.compare.rollout import rollout_at
+from safedpa.compare.windows import windows_of
 from safedpa.errors import InputError
+from safedpa.live.finding import History
+from safedpa.live.forecasts import Forecast, Forecasts, channel_errors, channels, stretch_error
+from safedpa.live.watch import learned_band, moved
 
 
 def test_a_forecast_is_the_rollout_of_the_recorded_run(car, drive_of):

@@ -7,12 +7,12 @@ import json
 import pytest
 
 from safedpa.bus import FINDING, LATENT, MODEL, TAKEOVER, VERDICT, Request, Stale, TakeoverMessage
-from safedpa.diagnosis.live.foresight import Foresight
-from safedpa.diagnosis.live.node import DiagnosisNode
-from safedpa.diagnosis.live.work import Outcome
 from safedpa.dynamics import Setting, fingerprint, parse_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import MessageError, ModelFileError
+from safedpa.live.foresight import Foresight
+from safedpa.live.node import DiagnosisNode
+from safedpa.live.work import Outcome
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin_text import margin_text
 from safedpa_services.diagnosis.foretelling import foretell_with

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safedpa.diagnosis.live.band import learned_band
-from safedpa.diagnosis.live.forecasts import Forecast
-from safedpa.diagnosis.live.place import place_in_words
-from safedpa.diagnosis.live.watch import Decision, Watch
+from safedpa.live.forecasts import Forecast
+from safedpa.live.watch import Decision, Watch, learned_band, place_in_words
 
 pytestmark = pytest.mark.slow
 
@@ -104,6 +102,17 @@ def test_words_name_the_side_of_a_variable_that_matters(car, quiet_band):
     assert words.startswith("yaw: ")
     assert "more than predicted" in words
     assert words.endswith("is above 1.1 m/s")
+
+
+def test_errors_of_both_signs_are_large_on_the_side_where_their_sizes_are(car, quiet_band):
+    slow = [made((0.0, 0.0, error, 0.0), speed=0.4) for error in (0.3, -0.3) * 4]
+    fast = [made((0.0, 0.0, error, 0.0), speed=1.8) for error in (0.05, -0.05) * 4]
+    words = place_in_words(car.system, quiet_band, slow + fast, 1.0)
+    assert words.startswith("yaw: ")
+    assert "beside the prediction" in words
+    assert words.endswith("speed is below 1.1 m/s")
+    mirrored = [made((0.0, 0.0, -0.05, 0.0), speed=0.4)] * 5 + [made((0.0, 0.0, -0.3, 0.0), speed=1.8)] * 5
+    assert place_in_words(car.system, quiet_band, mirrored, 1.0).endswith("speed is above 1.1 m/s")
 
 
 def test_words_tell_a_wind_by_the_heading(car, quiet_band):

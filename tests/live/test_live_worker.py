@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from safedpa.adaptation import LatentEstimator
-from safedpa.diagnosis.live.history import History
-from safedpa.diagnosis.live.work import Work
 from safedpa.dynamics import Setting, load_model, write_model
 from safedpa.effects import effect
+from safedpa.errors import InputError
+from safedpa.live.finding import History
+from safedpa.live.work import Work
 from safedpa.safety.live_margin import live_margin
 from safedpa.safety.margin_text import margin_from_text
 from safedpa.safety.shipped import settings_named
@@ -157,6 +158,7 @@ def test_a_model_with_free_numbers_is_calibrated_with_the_latent_that_is_estimat
     assert fixed.epsilon != along.epsilon
 
 
-def test_a_model_that_no_filter_drives_has_no_margin():
-    throttle = load_model("dart_car")
-    assert live_margin(throttle, settings_named("car"), None, ()) == ""
+def test_a_robot_that_names_no_barriers_around_a_state_has_no_margin_and_settings_of_another_car_none_either():
+    assert live_margin(load_model("point_wind"), settings_named("point"), None, ()) == ""
+    with pytest.raises(InputError, match=r"got bounds of -0\.6 to 2 1 for throttle"):
+        live_margin(load_model("dart_car"), settings_named("car"), None, ())

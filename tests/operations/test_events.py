@@ -11,8 +11,8 @@ import pytest
 
 from safedpa.bus import TAKEOVER, VERDICT, Bus, MemoryBroker, MemoryTransport, ServiceLoop, TakeoverMessage
 from safedpa.bus.events import KINDS
-from safedpa.bus.journal import Journal
 from safedpa.bus.log import log_event
+from safedpa.bus.loop.journal import Journal
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.warnings import Warnings, readable
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from safedpa.bus import HEALTH
+from safedpa.bus import HEALTH, SurroundingsMessage
 from safedpa.bus.overview import Recent, fleet_concerns
 from safedpa_services.status.document import document_of
 from safedpa_services.status.table import picture_of
@@ -42,6 +42,30 @@ def test_a_healthy_fleet_raises_no_concern(fleet: Any) -> None:
     assert (row["sense_to_act_p50"], row["sense_to_act_p99"]) == (0.0042, 0.0042)
     assert row["models"]["safety_filter"] == "0123456789ab"
     assert json.loads(json.dumps(document)) == document
+
+
+def test_the_age_of_each_source_is_told_and_what_is_wrong_with_one(fleet: Any) -> None:
+    fleet.drive(2)
+    robot = fleet.overview.robots["r1"]
+    robot.state = dataclasses.replace(robot.state, sources=("front", "rear"))
+    assert document_of(fleet.overview)["robots"][0]["sources"] == {"front": None, "rear": None}
+    stamp = {"epoch": robot.state.epoch, "tick": robot.state.tick, "robot_time": 1.0, "publish_time": 0.0}
+    seen = SurroundingsMessage(
+        **stamp, points=(), movers=(), hidden=(), ages=(0.05, -1.0), amiss=("nothing was heard of the source rear",)
+    )
+    robot.hear(seen, fleet.overview.clock())
+    assert document_of(fleet.overview)["robots"][0]["sources"] == {"front": 0.05, "rear": None}
+    assert "nothing was heard of the source rear" in sentences(fleet, "trouble")
+    assert any("front 0.05 rear -" in line for line in drawn(fleet, 240))
+
+
+def test_without_a_verdict_nobody_filters_however_young_the_listener_is(fleet: Any) -> None:
+    fleet.drive(1)
+    fleet.now = 0.5
+    robot = fleet.overview.robots["r1"]
+    robot.hear(robot.state, 0.5)
+    robot.verdict, robot.verdict_at = None, 0.0
+    assert "no verdict: nobody filters" in sentences(fleet, "trouble")
 
 
 def test_nobody_on_the_bus_is_not_healthy(fleet: Any) -> None:

@@ -18,10 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.errors import InputError
-from safedpa_services.metrics.collector import FleetCollector
+from safedpa_services.metrics.collector import FAMILIES, FleetCollector, Histogram
 from safedpa_services.metrics.exporter import Exporter
-from safedpa_services.metrics.families import FAMILIES
-from safedpa_services.metrics.histogram import Histogram
 
 pytest.importorskip("prometheus_client", reason="prometheus_client is not installed; install 'safedpa[metrics]'")
 
@@ -96,6 +94,9 @@ def test_counts_are_those_of_what_was_said(talked: Any) -> None:
     assert value(text, 'safedpa_sense_to_act_seconds_bucket{le="0.003",robot="r1"}') == 0
     assert value(text, 'safedpa_sense_to_act_seconds_bucket{le="0.005",robot="r1"}') == 16
     assert value(text, 'safedpa_sense_to_act_seconds_sum{robot="r1"}') == pytest.approx(8 * (0.0031 + 0.0042))
+    steps = value(text, 'safedpa_step_seconds_count{service="policy"}')
+    assert steps > 0
+    assert value(text, 'safedpa_step_seconds_sum{service="policy"}') == pytest.approx(steps * 150e-6)
     assert value(text, 'safedpa_diagnosis_stage{robot="r1",stage="raised"}') == 1
     assert value(text, 'safedpa_model_error{robot="r1"}') == 0.3
     assert value(text, 'safedpa_refused_messages_total{pid="1006",service="router"}') == 3

@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.adaptation import AdaptationNode
-from safedpa.bus import Request, StateMessage
+from safedpa.bus import Answer, Request, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
-from safedpa.safety import FilterSettings, SafetyFilter, Status, car_barriers
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, SafetyFilter, Status
 from safedpa.safety.margin import OnlineMargin
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.orders import EVERYBODY, Orders
@@ -25,6 +26,7 @@ from safedpa_sim.robots import CarRobot, PendulumRobot, Scene, task_named, wind_
 
 CAR = load_model("car")
 STOP, GO = Request(do="stop", who="a test"), Request(do="go", who="a test")
+STATUS = Request(do="status")
 
 
 def test_a_robot_stands_by_its_own_order_or_by_the_fleets() -> None:
@@ -44,6 +46,10 @@ def test_a_robot_stands_by_its_own_order_or_by_the_fleets() -> None:
     assert orders.answer("r1", GO).ok
     assert orders.reason("r1") == ""
     assert not orders.answer("r1", GO).ok
+    assert orders.answer("r1", STATUS) == Answer(ok=True, sentence="robot 'r1' may drive")
+    assert orders.answer("r1", STOP).ok
+    assert orders.answer("r1", STATUS) == Answer(ok=True, sentence="robot 'r1' stands, ordered by a test")
+    assert orders.answer(EVERYBODY, STATUS).sentence == "the whole fleet may drive; still stopped: r1"
     with pytest.raises(InputError, match="wanted stop, go or status"):
         orders.answer("r1", Request(do="accept"))
 

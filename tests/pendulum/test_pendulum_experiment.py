@@ -1,29 +1,46 @@
-"""Both questions in small, with the models that ship: what SafeDPA keeps and what fixed winds do not."""
+"""Both questions in small, with the models that ship: what each filter keeps, and with which margin."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import Received
 from safedpa.dynamics import fingerprint, load_model
+from safedpa.policy import PolicyNode
 from safedpa.safety import MarginCalibration
-from safedpa_lab.pendulum.balancing import balanced, balanced_account
-from safedpa_lab.pendulum.methods import BALANCING_METHODS
+from safedpa.safety.batch import BatchFilter
+from safedpa.safety.many_barriers import ManyEquations
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import settings_named
+from safedpa_lab.experiments.pendulum import PendulumExperiment, pendulum_experiment
+from safedpa_lab.experiments.pendulum_episodes import DEVELOPMENT, Choice, best_penalty
+from safedpa_lab.experiments.pendulum_report import markdown_of, write_report
+from safedpa_lab.experiments.seeds import SEEDS
+from safedpa_lab.pendulum.balancing import balanced, balanced_account, sensors_of
+from safedpa_lab.pendulum.crossing import crossed, crossed_account
+from safedpa_lab.pendulum.difficulty import AXES, Difficulty, Episodes
+from safedpa_lab.pendulum.margin import covered_share, measured_margins
+from safedpa_lab.pendulum.methods import method_named
 from safedpa_lab.pendulum.rollouts import Closed, swung
 from safedpa_services.command_line import safedpa
-from safedpa_sim.pendulum.task import BALANCING, WIND, filter_settings
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.pendulum.task import BALANCING, TORQUE, WIND, corridor, filter_settings
+from safedpa_sim.robots import PendulumRobot, task_named, wind_towards
 
 NOWHERE = Path("no models here")
 """So that those that ship are taken."""
-METHODS = {method.name: method for method in BALANCING_METHODS}
 
 
-def test_adaptation_keeps_what_a_fixed_wind_does_not() -> None:
+def test_with_a_margin_that_is_not_its_own_a_fixed_wind_fails() -> None:
+    episodes = Episodes(5, 4, 1)
     found = {
-        name: balanced_account(balanced(METHODS[name], NOWHERE, 0.018, 4, 1, seed=5, ticks=200), 4)
+        name: balanced_account(balanced(method_named(1, name), NOWHERE, 0.018, episodes, ticks=200), episodes)
         for name in ("safedpa", "fix_45", "oracle")
     }
     assert found["safedpa"]["safe"] == found["oracle"]["safe"] == 4
@@ -31,35 +48,133 @@ def test_adaptation_keeps_what_a_fixed_wind_does_not() -> None:
     assert found["safedpa"]["relaxed"] == 0.0
 
 
+def test_each_filter_has_a_margin_of_its_own_by_one_rule() -> None:
+    methods = [method_named(1, name) for name in ("safedpa", "mix", "oracle")]
+    found = measured_margins(methods, NOWHERE, 50)
+    assert {(row["drives"], row["transitions"], row["coverage"]) for row in found.values()} == {(100, 35_000, 0.99)}
+    epsilon = {name: row["epsilon"] for name, row in found.items()}
+    assert epsilon["oracle"] < 1e-6 < epsilon["safedpa"] < epsilon["mix"], "who knows less pays with a wider one"
+    fresh = Episodes(5, 8, 1)
+    for method in methods:
+        swings = balanced(method, NOWHERE, epsilon[method.name], fresh)
+        given = fresh.difficulty.balancing, epsilon[method.name]
+        assert balanced_account(swings, fresh)["safe"] == 8
+        assert covered_share(method, NOWHERE, swings, fresh.winds(), *given) > 0.98
+
+
+def test_the_seeds_of_calibration_choice_and_evaluation_are_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: dict[str, set[int]] = {}
+    part = "calibration"
+    plain = Episodes.random
+
+    def random(self: Episodes, stream: int) -> np.random.Generator:
+        drawn.setdefault(part, set()).add(self.seed)
+        return plain(self, stream)
+
+    monkeypatch.setattr(Episodes, "random", random)
+    measured_margins([method_named(1, "oracle")], NOWHERE, 50)
+    part = "development"
+    best_penalty(Choice(NOWHERE, 4, 1, Difficulty()))
+    part = "evaluation"
+    for seed in (0, 2100):
+        asked = PendulumExperiment(NOWHERE, seed=seed).evaluation
+        balanced(method_named(1, "unfiltered"), NOWHERE, 0.0, asked, ticks=2)
+    assert drawn["development"] == {DEVELOPMENT}
+    for name, seeds in drawn.items():
+        assert seeds <= set(SEEDS[name]), name
+
+
+def test_the_filter_of_the_experiment_is_the_one_on_the_bus() -> None:
+    model, epsilon = load_model("pendulum_learned"), 0.03
+    margin = MarginCalibration({"corridor": epsilon}, 0.99, 1000, "2026-11-23", fingerprint(model))
+    heard: list[Received] = []
+    nodes = [
+        AdaptationNode(model),
+        PolicyNode(model, controller="random"),
+        SafetyFilterNode(model, settings_named("pendulum"), margin),
+    ]
+    robot = PendulumRobot(task_named("balance"), wind_towards(4.0, 135.0), seed=3)
+    ticks = list(drive(robot, nodes, 120, hear=heard.append))
+    said = {name: [one.message for one in heard if one.topic.name == name] for name in ("latent", "wish")}
+    rows = [
+        np.array([message.values for message in messages])
+        for messages in ([tick.state for tick in ticks], said["wish"], said["latent"])
+    ]
+    barriers = ManyEquations.of([[corridor(BALANCING)]] * len(ticks), 2)
+    ours = BatchFilter(model, filter_settings(epsilon)).decide(*rows, barriers=barriers)
+    np.testing.assert_allclose(ours.action, [tick.verdict.action for tick in ticks], atol=1e-4)
+    assert {tick.verdict.status for tick in ticks} == {"passed", "corrected"}
+
+
 def test_without_a_filter_the_wish_goes_through() -> None:
     start, wind = np.zeros((1, 2)), np.array([[WIND, 0.0]])
     swings = swung(Closed(), lambda state, _: np.full((len(state), 1), 99.0), start, wind, BALANCING, 40)
     assert swings.states[-1, 0, 0] > BALANCING[1]
-    assert swings.torques.max() <= 50.0, "the system's own bound"
+    assert swings.torques.max() == TORQUE, "the motor's bound"
 
 
 def test_the_same_draws_for_every_method() -> None:
-    loose = filter_settings(0.0)
-    assert loose.action_low == (-10.0,)
-    one, two = (balanced(METHODS["mix"], NOWHERE, 0.018, 4, 1, seed=6, ticks=20) for _ in range(2))
+    episodes = Episodes(6, 4, 1, Difficulty(noise=0.01))
+    one, two = (balanced(method_named(1, "mix"), NOWHERE, 0.018, episodes, ticks=20) for _ in range(2))
     np.testing.assert_array_equal(one.states, two.states)
+    other = balanced(method_named(1, "safedpa"), NOWHERE, 0.018, episodes, ticks=20)
+    np.testing.assert_allclose(one.seen - one.states, other.seen - other.states, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", AXES, ids=lambda axis: axis.name)
+def test_each_axis_makes_its_own_number_harder(axis) -> None:  # type: ignore[no-untyped-def]
+    plain = Difficulty()
+    assert getattr(plain, axis.name) in axis.values
+    for value in axis.values:
+        assert replace(axis.at(value), **{axis.name: getattr(plain, axis.name)}) == plain
+    assert len(axis.ticks) == len(axis.values)
+
+
+def test_what_is_asked_is_what_happens() -> None:
+    hard = Difficulty(wind=3.0, torque=6.0, corridor=0.3, hazard=0.2, noise=0.02)
+    episodes = Episodes(7, 4, 2, hard)
+    np.testing.assert_allclose(np.linalg.norm(episodes.winds(), axis=1), 3.0)
+    swings = balanced(method_named(1, "safedpa"), NOWHERE, 0.02, episodes, ticks=30)
+    assert np.abs(swings.torques).max() <= 6.0
+    assert (swings.seen - swings.states).std() == pytest.approx(0.02, rel=0.15)
+    account = balanced_account(swings, episodes)
+    assert max(account["least_room"]) < 0.3
+    quiet = Episodes(7, 4, 2)
+    np.testing.assert_array_equal(sensors_of(quiet)(swings.states[0]), swings.states[0])
+    assert hard.in_hazard(np.array([0.1, 0.3])).tolist() == [False, True]
+    passed = crossed_account(crossed(method_named(2, "goal_seeker"), NOWHERE, 0.03, quiet), quiet)
+    assert passed["both"] == 8
 
 
 @pytest.mark.slow
-def test_the_whole_experiment_in_small(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--directions", "4", "--episodes", "1", "--processes", "1", "--models", str(NOWHERE)]
-    assert safedpa.run(["experiment", "pendulum", *options, "--out", str(tmp_path)]) == 0
-    assert "| SafeDPA | 4/4 |" in capsys.readouterr().out
-    result = json.loads((tmp_path / "pendulum.json").read_text())
-    assert result["hazard"]["safedpa"]["both"] == 4
-    assert 4.0 < result["invariance"]["largest_wind"]["balancing"] < 5.2
+def test_the_whole_experiment_in_small(tmp_path: Path) -> None:
+    axes = tuple(replace(axis, values=axis.values[:1], shown=axis.shown[:1]) for axis in (AXES[1], AXES[3]))
+    small = PendulumExperiment(NOWHERE, directions=4, episodes=1, sweep_episodes=1, drives=50, seed=3, axes=axes)
+    told: list[tuple[int, int]] = []
+    result = pendulum_experiment(small, lambda done, every: told.append((done, every)))
+    assert told[-1][0] == told[-1][1]
+    assert "| SafeDPA | " in markdown_of(result)
+    write_report(result, tmp_path)
+    written = json.loads((tmp_path / "pendulum.json").read_text())
+    assert written["tables"]["own"]["hazard"]["safedpa"]["both"] == 4
+    assert all(row["safe"] == 4 for name, row in written["tables"]["own"]["balancing"].items() if name != "unfiltered")
+    own = {name: row["epsilon"] for name, row in written["tables"]["own"]["balancing"].items()}
+    assert own == {**{name: row["epsilon"] for name, row in written["margins"].items()}, "unfiltered": None}
+    same = {row["epsilon"] for row in written["tables"]["same"]["hazard"].values()}
+    assert same == {written["margins"]["safedpa"]["epsilon"]}
+    assert written["sweeps"]["hazard"]["hazard"]["rma_p"]["chosen"][0].startswith("rma_p_")
+    assert written["penalty"]["seed"] in SEEDS["development"]
+    assert written["evaluation_seed"] in SEEDS["evaluation"]
+    assert 2.5 < written["invariance"]["largest_wind"]["balancing"] < 3.1, "with the margin that fifty drives ask for"
+    assert 5.0 < written["invariance"]["without_margin"]["balancing"] < 5.2
     margin = MarginCalibration.load(tmp_path / "margin.toml")
     assert margin.fingerprint == fingerprint(load_model("pendulum_learned"))
-    pictures = {path.name for path in tmp_path.glob("*.png")}
-    assert len(pictures) == 4
+    assert len(list(tmp_path.glob("*.png"))) == 5
 
 
-@pytest.mark.parametrize("mistake", ["--directions=1", "--episodes=0", "--seed=-1"])
+@pytest.mark.parametrize(
+    "mistake", ["--directions=1", "--episodes=0", "--seed=-1", "--seed=200000", "--drives=20", "--sweep-episodes=-1"]
+)
 def test_a_mistake_is_one_line(mistake: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["experiment", "pendulum", mistake]) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""What histories tell of the wind, and what stands in for the filter in training."""
+"""What histories tell of the wind, and what training is sheltered by."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa_lab.pendulum.balancing import winds_and_starts
+from safedpa_lab.pendulum.difficulty import Episodes
 from safedpa_lab.pendulum.recovery import fitted_wind, recovery, swung_all_around
 from safedpa_lab.pendulum.rollouts import blown
-from safedpa_sim.pendulum.kept import kept_torque
-from safedpa_sim.pendulum.swinging import starts_beneath
+from safedpa_sim.pendulum.policy_task import CorridorShelter, starts_beneath
 from safedpa_sim.pendulum.task import AHEAD, BALANCING, HAZARD, LONG_WAY_ROUND, TORQUE, in_hazard, is_upright
 
 NOWHERE = Path("no models here")
@@ -22,7 +21,8 @@ NOWHERE = Path("no models here")
 
 
 def test_the_best_fit_finds_the_wind_that_blew() -> None:
-    wind, state = winds_and_starts(8, 1, seed=3)
+    episodes = Episodes(3, 8, 1)
+    wind, state = episodes.winds(), episodes.upright_starts()
     random = np.random.default_rng(4)
     states, torques = [state], []
     for _ in range(40):
@@ -33,7 +33,7 @@ def test_the_best_fit_finds_the_wind_that_blew() -> None:
 
 
 def test_the_latent_tells_the_direction_and_the_networks_refine_it() -> None:
-    swings = swung_all_around(NOWHERE, 8, 1, seed=2)
+    swings = swung_all_around(NOWHERE, Episodes(2, 8, 1))
     found = recovery(swings, NOWHERE, 8, seed=2)
     assert found["best_median_degrees"] < 0.5
     assert found["median_degrees"] < 45.0, "a quarter of what knowing nothing gives"
@@ -43,14 +43,14 @@ def test_the_latent_tells_the_direction_and_the_networks_refine_it() -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(-0.7, 0.7), st.floats(-0.6, 0.6), st.floats(-TORQUE, TORQUE), st.floats(0.0, 6.28))
-def test_the_stand_in_keeps_the_corridor(angle: float, ahead: float, torque: float, direction: float) -> None:
+def test_the_shelter_keeps_the_corridor(angle: float, ahead: float, torque: float, direction: float) -> None:
     state = torch.tensor([[angle, (ahead - angle) / AHEAD]], dtype=torch.float64)
     wind = 4.0 * np.array([[np.cos(direction), np.sin(direction)]])
 
     def after(bound: torch.Tensor) -> torch.Tensor:
         return torch.from_numpy(blown(state.numpy(), bound.numpy(), wind))
 
-    kept = kept_torque(after, state, torch.tensor([[torque]], dtype=torch.float64), BALANCING)
+    kept = CorridorShelter(1, BALANCING).decide(after, state, torch.tensor([[torque]], dtype=torch.float64))
     following = after(kept)[0]
     room = BALANCING[1] - abs(float(following[0] + AHEAD * following[1]))
     assert room >= 0.5 * (BALANCING[1] - abs(ahead)) - 1e-3

@@ -1,12 +1,20 @@
 """The stopping manoeuvre keeps what its barrier says, and the batched filter is the filter."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.safety import FilterSettings, SafetyFilter
+from safedpa.errors import InputError
+from safedpa.robots.point.system import POINT
+from safedpa.safety import FilterSettings, SafetyFilter, Status
+from safedpa.safety.batch import STATUSES, BatchFilter
+from safedpa.safety.inputs import Plausible
+from safedpa.safety.many_stopping import ManyStopping
+from safedpa.safety.shipped import settings_named
 from safedpa.safety.stopping_barrier import ENDS, Motion, StoppingBarrier, stopping_action
-from safedpa_sim.point.filtering import ETA, Believed, best_end, filtered, nearest_in_polygon
 
 STRONGEST, FASTEST, DRAG, PERIOD = 2.89, 3.0, 1.93, 0.02
 STATE = st.tuples(*[st.floats(-1.0, 1.0)] * 2, st.floats(-3.1, 3.1), *[st.floats(-1.0, 1.0)] * 2)
@@ -41,55 +49,60 @@ def test_the_manoeuvre_ends_at_rest_against_the_wind_and_loses_no_room(
     assert np.hypot(state[3], state[4]) < 0.2
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10_000))
-def test_the_nearest_point_of_a_polygon_is_the_one_that_a_grid_finds(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    slope, needed = random.normal(size=(1, 3, 2)), random.normal(size=(1, 3)) * 0.5
-    wish = random.uniform(-1.0, 1.0, (1, 2))
-    found, exists = nearest_in_polygon(wish, slope, needed)
-    axis = np.linspace(-1.0, 1.0, 201)
-    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    inside = np.all(grid @ slope[0].T >= needed, axis=1)
-    if inside.any():
-        assert exists[0]
-        nearest = np.linalg.norm(grid[inside] - wish, axis=1).min()
-        assert np.linalg.norm(found[0] - wish[0]) <= nearest + 1e-9
-        assert np.all(slope[0] @ found[0] >= needed[0] - 1e-6)
-
-
 def test_many_at_once_are_filtered_as_one_is() -> None:
-    random = np.random.default_rng(0)
-    wind, hazards = np.array([0.9, -0.4]), np.array([[0.4, 0.0], [0.0, 0.5], [-0.5, -0.2]])
-    motion = Motion(wind, DRAG, STRONGEST, FASTEST)
-    settings_ = FilterSettings(
-        action_low=(-STRONGEST, -FASTEST),
-        action_high=(STRONGEST, FASTEST),
-        backup_action=(0.0, 0.0),
-        eta=ETA,
-        epsilon=0.002,
-    )
-    one = SafetyFilter(lambda x: _affine(x, wind), [StoppingBarrier(np.c_[hazards, [0.2] * 3], motion)], settings_)
+    """To 1e-6, also where not every condition can be kept, and where an h is below 0."""
+    random, hazards = np.random.default_rng(0), np.array([[0.4, 0.0, 0.2], [0.0, 0.5, 0.2], [-0.5, -0.2, 0.2]])
+    own = replace(settings_named("point"), action_low=(-STRONGEST, -FASTEST), action_high=(STRONGEST, FASTEST))
     near = np.c_[random.uniform(-0.8, 0.8, (3000, 2)), random.uniform(-3, 3, 3000), random.uniform(-1, 1, (3000, 2))]
-    room, _ = best_end(near, np.broadcast_to(hazards, (3000, 3, 2)), np.full(3, 0.2), motion)
-    state = near[(room.min(axis=1) > 0.0) & (room.min(axis=1) < 0.02)][:40]
-    count = len(state)
-    wish = np.c_[random.uniform(0.3, 1.0, count), random.uniform(-1.0, 1.0, count)]
-    pairs = [_affine(row, wind) for row in state]
-    scale = np.array([STRONGEST, FASTEST])
-    gain = np.stack([g for _, g in pairs]) * scale
-    believed = Believed(np.stack([f for f, _ in pairs]), gain, motion, scale)
-    many = filtered(state, wish, np.broadcast_to(hazards, (count, 3, 2)), 0.2, believed, 0.002)
-    agreed = compared = 0
+    wind = random.uniform(-1.0, 1.0, (2, 3000))
+    room = ManyStopping(np.broadcast_to(hazards, (3000, 3, 3)), Motion(wind, DRAG, STRONGEST, FASTEST)).values(near)
+    close = np.flatnonzero((room.min(axis=1) > -0.01) & (room.min(axis=1) < 0.02))[:40]
+    state, motion = near[close], Motion(wind[:, close], DRAG, STRONGEST, FASTEST)
+    wish = np.c_[random.uniform(0.3, 1.0, 40), random.uniform(-1.0, 1.0, 40)] * own.high
+    pairs = [_affine(row, motion.of(index).wind) for index, row in enumerate(state)]
+    affine = np.stack([f for f, _ in pairs]), np.stack([g for _, g in pairs])
+    around = ManyStopping(np.broadcast_to(hazards, (40, 3, 3)), motion)
+    backup = np.tile([0.1, -0.2], (40, 1))
+    many = BatchFilter(POINT, own).decide(state, wish, barriers=around, affine=affine, backup=backup.__getitem__)
     for index, row in enumerate(state):
-        verdict = one.decide(row, wish[index] * scale)
-        if verdict.status.value == "passed":
-            assert not many.corrected[index]
-        if verdict.status.value == "corrected" and not many.stopping[index]:
-            compared += 1
-            agreed += np.abs(verdict.action / scale - many.action[index]).max() < 0.05
-    assert compared >= 5
-    assert agreed >= 0.8 * compared
+        barrier = StoppingBarrier(hazards, motion.of(index))
+        one = _alone(pairs[index], barrier, own, backup[index]).decide(row, wish[index])
+        assert STATUSES[many.status[index]] is one.status
+        np.testing.assert_allclose(many.action[index], one.action, atol=1e-6)
+        assert many.h_now[index] == pytest.approx(one.h_now, abs=1e-9)
+    for status in (Status.passed, Status.corrected, Status.relaxed, Status.violated):
+        assert many.count(status) > 0, status
+    assert (~many.alone).sum() >= 10
+
+
+def _alone(
+    pair: tuple[np.ndarray, np.ndarray], barrier: StoppingBarrier, own: FilterSettings, backup: np.ndarray
+) -> SafetyFilter:
+    believed = Plausible(POINT.state_low, POINT.state_high, POINT.state_names)
+    return SafetyFilter(lambda _: pair, [barrier], own, backup=lambda _: backup, state_range=believed)
+
+
+def test_the_backup_of_each_robot_is_its_own() -> None:
+    state, hazards = np.zeros((2, 5)), np.tile([0.1, 0.0, 0.2], (2, 1, 1))
+    motion, own = Motion(np.zeros(2), DRAG, STRONGEST, FASTEST), settings_named("point")
+    backup, affine = np.array([[0.01, 0.0], [0.0, 1.0]]), (state, np.full((2, 5, 2), np.nan))
+    around = ManyStopping(hazards, motion)
+    found = BatchFilter(POINT, own).decide(
+        state, np.zeros((2, 2)), barriers=around, affine=affine, backup=backup.__getitem__
+    )
+    assert found.count(Status.fallback) == 2
+    np.testing.assert_array_equal(found.action, backup)
+
+
+def test_a_filter_without_a_model_wants_f_and_g() -> None:
+    around, many = (
+        ManyStopping(np.zeros((1, 1, 3)), Motion(np.zeros(2), 1.0, 1.0, 1.0)),
+        BatchFilter(POINT, settings_named("point")),
+    )
+    with pytest.raises(InputError, match="wanted f and g of each robot"):
+        many.decide(np.zeros((1, 5)), np.zeros((1, 2)), barriers=around)
+    with pytest.raises(InputError, match=r"g: got shape \(1, 5\)"):
+        many.decide(np.zeros((1, 5)), np.zeros((1, 2)), barriers=around, affine=(np.zeros((1, 5)), np.zeros((1, 5))))
 
 
 def test_either_end_is_a_manoeuvre_of_its_own() -> None:

@@ -11,11 +11,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from safedpa.adaptation.histories import Histories
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks, frame_of
 from safedpa_lab.experiments.point_heat_map import heat_map_markdown, write_heat_map
-from safedpa_lab.point.adapting import Adaptation
 from safedpa_lab.point.heat_map import HeatMap, agreement, heat_map
 from safedpa_lab.point.margin import one_step_errors
 from safedpa_lab.point.moments import drawn_moments
@@ -29,8 +29,7 @@ from safedpa_sim.point.belief import (
     to_task_action,
 )
 from safedpa_sim.point.body_steps import after_one_period, centre_state, put_state
-from safedpa_sim.point.filtering import best_end, filtered
-from safedpa_sim.point.layout import HAZARD_RADIUS
+from safedpa_sim.point.filtering import PointFilter, least_room
 from safedpa_sim.point.simulation import PointSimulation
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.training.configuration import load_configuration
@@ -124,7 +123,7 @@ def test_actions_of_the_task_and_of_the_filter_are_one(thrust: float, turn: floa
 
 def test_latents_are_those_of_the_encoder_over_the_same_history() -> None:
     weights, random = weights_named("learned"), np.random.default_rng(3)
-    encoder, adaptation = HistoryEncoder(weights), Adaptation(weights, 2)
+    encoder, adaptation = HistoryEncoder(weights), Histories(weights, 2)
     states, actions = random.normal(0, 0.3, (71, 2, 5)), random.normal(0, 0.005, (70, 2, 2))
     for state, action in zip(states[:-1], actions, strict=True):
         adaptation.see(state)
@@ -153,13 +152,12 @@ def test_recovery_takes_the_action_that_leaves_most_room() -> None:
     state = _states(8, 5)
     hazards = state[:, np.newaxis, :2] + np.array([[[0.12, 0.02], [2.0, 2.0]]])
     believed = TrueBelief(simulation).believed(state, np.zeros((8, 0)))
-    radii = np.full(2, HAZARD_RADIUS)
-    chosen = filtered(state, np.ones((8, 2)), hazards, HAZARD_RADIUS, believed)
-    reached = best_end(believed.next_state(chosen.action), hazards, radii, believed.motion)[0].min(axis=1)
-    lost = chosen.stopping
+    chosen = PointFilter(0.0).decide(state, np.ones((8, 2)), hazards, believed)
+    reached = least_room(believed.next_state(chosen.action), hazards, believed.motion)
+    lost = chosen.relaxed
     assert lost.sum() >= 4
     for tried in np.random.default_rng(0).integers(-2, 3, (12, 2)) / 2.0:
-        other = best_end(believed.next_state(np.tile(tried, (8, 1))), hazards, radii, believed.motion)[0].min(axis=1)
+        other = least_room(believed.next_state(np.tile(tried, (8, 1))), hazards, believed.motion)
         assert np.all(reached[lost] >= other[lost] - 2e-4)
 
 

@@ -95,5 +95,5 @@ def test_the_loop_keeps_a_goal_seeker_out_of_the_hazards_in_the_wind() -> None:
 def test_it_is_drawn_as_a_ball_with_a_nose() -> None:
     entries = body_entries(message((1.0, 2.0, 0.5, 0.0, 0.0)), look_of(MODEL, SETTINGS))
     shapes = {entry.path: entry.shape for entry in entries}
-    assert set(shapes) == {("world", "car"), ("world", "ball")}
+    assert set(shapes) == {("world", "nose"), ("world", "ball")}
     assert shapes["world", "ball"].centres == ((1.0, 2.0),)

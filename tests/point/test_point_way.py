@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.safety.stopping_barrier import Motion
+from safedpa_sim.point.belief import Believed, TrueBelief
 from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import ETA, Believed, filtered
+from safedpa_sim.point.filtering import ETA, PointFilter
 from safedpa_sim.point.layout import HAZARD_RADIUS
-from safedpa_sim.point.seeing import entries_seen, policy_seen
+from safedpa_sim.point.observation import entries_seen, policy_seen
 from safedpa_sim.point.task import PointTask
-from safedpa_sim.point.teaching import taught
-from safedpa_sim.point.way import BERTH, Ways
+from safedpa_sim.point.way import BERTH, Ways, taught
 
 FAR = np.full((7, 2), 9.0) + np.arange(7)[:, None]
 
@@ -76,10 +76,10 @@ def test_a_robot_that_believes_a_wrong_wind_is_not_blown_into_the_hazard_that_it
     task.layout.hazards[:] = _one((0.0, 0.0))
     task.simulation.pose[:, 0] = -(HAZARD_RADIUS + 0.004), 0.0, 0.0
     task.simulation.force[:, 0] = 0.008, 0.0
-    least = 1.0
+    least, shelter = 1.0, PointFilter(0.002)
     for _ in range(300):
         state = centre_state(task.simulation)
-        action = filtered(state, np.ones((1, 2)), task.layout.hazards, HAZARD_RADIUS, _mistaken(state), 0.002).action
+        action = shelter.decide(state, np.ones((1, 2)), task.layout.hazards, _mistaken(state)).action
         task.advance(action * np.array([1.0, 0.5]))
         least = min(least, float(task.hazard_distance()[0]))
     assert least > 0.0
@@ -88,7 +88,6 @@ def test_a_robot_that_believes_a_wrong_wind_is_not_blown_into_the_hazard_that_it
 
 def _mistaken(state: np.ndarray) -> Believed:
     """The truth but for 0.2 m/s2 of the wind."""
-    from safedpa_sim.point.belief import TrueBelief
     from safedpa_sim.point.simulation import PointSimulation
 
     other = PointSimulation(1)

@@ -12,9 +12,9 @@ from safedpa.dynamics import LearnedBase, load_model
 from safedpa.errors import MessageError
 from safedpa.networks import Weights
 from safedpa.policy import LearnedPolicy
-from safedpa.robots.car.compensation import SpeedCompensation
+from safedpa.robots.car.compensated_seeker import SpeedCompensation
 from safedpa.robots.car.observation import observe, padded
-from safedpa.robots.car.one_observation import observe_one
+from safedpa.robots.car.perception import observe_one
 
 
 def shipped(name: str) -> Weights:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -147,6 +148,19 @@ def backed_off(seconds_a_metre: float) -> float:
 def test_it_backs_off_by_a_way_whatever_it_tows() -> None:
     assert backed_off(2.0) == pytest.approx(0.7, abs=0.05), "no shorter than 1.4 s"
     assert backed_off(5.0) == pytest.approx(SETTINGS.back_off_way, abs=0.05)
+
+
+def test_held_back_while_it_backs_off_it_tries_the_other_side_before_it_goes_on() -> None:
+    tried = held(GoalSeeker(), 8.0)
+    first = next(index for index, (mode, _) in enumerate(tried) if mode == "back_off")
+    steers = []
+    for mode, (_, steer) in tried[first:]:
+        if mode != "back_off":
+            break
+        steers.append(math.copysign(1.0, steer))
+    changes = [at for at, (one, other) in enumerate(pairwise(steers), 1) if one != other]
+    assert len(changes) == 1, "once, however long it is held"
+    assert changes[0] * PERIOD == pytest.approx(SETTINGS.patience_seconds, abs=2.1 * PERIOD)
 
 
 def test_a_goal_behind_is_turned_to_in_several_moves_to_one_side() -> None:

@@ -14,8 +14,7 @@ from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError, MessageError
 from safedpa.robots.car.planner import Planner, PlannerSettings
-from safedpa.robots.car.planner_field import Grid, disc_ways
-from safedpa.robots.car.planner_time import TimeToGo, clearance
+from safedpa.robots.car.planner_time import Grid, TimeToGo, clearance, disc_ways
 
 MODEL = load_model("car")
 FIELD = (-4.0, 4.0, -4.0, 4.0)

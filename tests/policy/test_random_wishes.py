@@ -10,9 +10,7 @@ import pytest
 from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.policy.controller import controller_for
-from safedpa.policy.network_latent import NetworkLatent
-from safedpa.policy.random_wishes import RandomWishes
+from safedpa.policy.controller import NetworkLatent, RandomWishes, controller_for
 
 
 def state(tick: int, values: tuple[float, ...]) -> StateMessage:

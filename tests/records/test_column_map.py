@@ -242,7 +242,7 @@ def test_shipped_maps_are_found_by_name_and_a_missing_file_lists_them(tmp_path: 
     for name in shipped_column_maps():
         assert load_column_map(name) == load_column_map(f"{name}.toml")
     with pytest.raises(
-        ColumnMapError, match=r"nothing: cannot be read .*one of dart_car_columns, dfki_pendulum_columns"
+        ColumnMapError, match=r"nothing: cannot be read .*one of dart_car_bag, dart_car_columns, dfki_pendulum_columns"
     ):
         load_column_map("nothing")
     (tmp_path / "mine.toml").write_text("format = 3")

@@ -9,15 +9,34 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.bus.codec import encode
-from safedpa.bus.messages import StateMessage
-from safedpa.bus.topics import STATE, key_of
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.messages import StateMessage
+from safedpa.bus.wire.topics import STATE, key_of
 from safedpa.errors import RunError
 from safedpa.records import McapRecorder, Run, load_run
 from safedpa.robots.car.system import CAR
 
 ODD_CELLS = st.sampled_from(
-    ["", "nan", "inf", "-inf", "1e400", "1e-400", "abc", '"', "1,2", "\n", "\r", "0", "-0", "é"]
+    [
+        "",
+        "nan",
+        "inf",
+        "-inf",
+        "1e400",
+        "1e-400",
+        "abc",
+        '"',
+        "1,2",
+        "\n",
+        "\r",
+        "0",
+        "-0",
+        "é",
+        "1\x0b",
+        "\x0c0",
+        "1_0",
+        "\u0661",
+    ]
 )
 EDITS = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 6), ODD_CELLS), max_size=6)
 
@@ -63,6 +82,22 @@ def test_a_damaged_csv_file(folder: Path, edits: list[tuple[int, int, str]], kee
     cells[1:] = cells[1 + swap :] + cells[1 : 1 + swap]
     (folder / "drive.csv").write_bytes("\n".join(",".join(row) for row in cells).encode()[: keep or None])
     sound(folder / "drive.csv")
+
+
+@pytest.mark.parametrize(("cell", "value"), [("1.25\x0b", 1.25), ("\x0c1.25", 1.25), ("1_0", None), ("\u0661", None)])
+def test_what_one_reader_takes_for_a_number_and_the_other_does_not(
+    tmp_path: Path, cell: str, value: float | None
+) -> None:
+    """Blanks of any kind around a number are blanks; other scripts and underscores are no numbers of a sensor."""
+    path = tmp_path / "odd.csv"
+    rows = [[f"{0.05 * number:.2f}", "0", "0", "0", "1", "1", "0"] for number in range(40)]
+    rows[20][4] = cell
+    path.write_text("\n".join(["t,x,y,yaw,speed,target_speed,steer", *map(",".join, rows)]) + "\n", encoding="utf-8")
+    if value is None:
+        with pytest.raises(RunError, match=r"line 22, column 'speed': got .* wanted a number"):
+            load_run(path, CAR)
+    else:
+        assert load_run(path, CAR).states[20, 3] == value
 
 
 @pytest.mark.parametrize("rows", [1, 2, 4])

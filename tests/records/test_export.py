@@ -8,9 +8,9 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from safedpa.bus.codec import encode
-from safedpa.bus.messages import StateMessage, VerdictMessage
-from safedpa.bus.topics import STATE, VERDICT, key_of
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.messages import StateMessage, VerdictMessage
+from safedpa.bus.wire.topics import STATE, VERDICT, key_of
 from safedpa.records import McapRecorder, load_run, read_run_from_mcap
 from safedpa.robots.car.system import CAR
 from safedpa_services.command_line.group import safedpa

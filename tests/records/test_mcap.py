@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safedpa.bus.codec import encode
-from safedpa.bus.messages import StateMessage, VerdictMessage
-from safedpa.bus.topics import STATE, VERDICT, key_of
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.messages import StateMessage, VerdictMessage
+from safedpa.bus.wire.topics import STATE, VERDICT, key_of
 from safedpa.errors import InputError, RecordingError, RunError
 from safedpa.records import Finding, McapRecorder, load_run, read_messages, read_run_from_mcap, write_csv, write_parquet
 from safedpa.robots.car.system import CAR

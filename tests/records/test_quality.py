@@ -16,8 +16,9 @@ from safedpa.errors import RunError
 from safedpa.records import Run
 from safedpa.records.apply_map import Rows
 from safedpa.records.column_map import native_map
-from safedpa.records.run_of_rows import run_of_rows
+from safedpa.records.quality import run_of_rows
 from safedpa.robots.car.system import CAR
+from safedpa.robots.differential_drive.system import DIFFERENTIAL_DRIVE
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.systems import System
 
@@ -303,6 +304,36 @@ def test_a_held_position_is_not_full_of_jumps() -> None:
 def test_a_pendulum_read_wrongly_is_recognised(change: Callable[[Array], Array], kind: str) -> None:
     rows = pendulum_rows()
     assert kinds(judge(replace(rows, states=change(rows.states)), PENDULUM)) == [kind]
+
+
+def wheels_rows(count: int = 600, period: float = 0.05) -> Rows:
+    """A differential drive behind a servo, with the noise of a good tracking system."""
+    t = period * np.arange(count)
+    commands = np.column_stack([0.25 + 0.2 * np.sin(0.9 * t), 0.8 * np.sin(1.3 * t) + 0.4 * np.sin(3.1 * t)])
+    states, state = np.empty((count, 5)), np.zeros(5)
+    for row in range(count):
+        states[row] = state
+        _, _, yaw, speed, turn = state
+        wanted = 5.0 * (commands[row] - state[3:])
+        state = state + period * np.array([speed * np.cos(yaw), speed * np.sin(yaw), turn, *wanted])
+    noise = np.random.default_rng(4).standard_normal((count, 5)) * (0.002, 0.002, 0.003, 0.01, 0.02)
+    return Rows(t, states + noise, commands)
+
+
+@pytest.mark.parametrize(
+    ("factor", "found", "said"),
+    [
+        (1.0, [], ""),
+        (-1.0, ["opposite_sign"], "turn_rate has the opposite sign of the change of yaw"),
+        (3.0, ["scale_mismatch"], "times turn_rate"),
+        (60 / (2 * np.pi), ["unit_mistake"], "as if turn_rate were in rpm"),
+    ],
+)
+def test_a_gyroscope_that_counts_otherwise_is_recognised(factor: float, found: list[str], said: str) -> None:
+    rows = wheels_rows()
+    run = judge(replace(rows, states=rows.states * (1, 1, 1, 1, factor)), DIFFERENTIAL_DRIVE)
+    assert kinds(run) == found
+    assert said in " ".join(item.message for item in run.findings)
 
 
 def test_a_run_with_nothing_usable_lists_what_was_found() -> None:

@@ -14,6 +14,7 @@ from safedpa.bus import (
     ACTION,
     MODEL,
     NO_ROBOT,
+    SCAN,
     SETUP,
     STATE,
     TAKEOVER,
@@ -29,9 +30,10 @@ from safedpa.bus import (
     SetupMessage,
     TakeoverMessage,
 )
-from safedpa.bus.setup import setup_message
+from safedpa.bus.wire.setup import setup_message
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.dynamics.model_setup import model_setup
+from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder
 from safedpa.safety.margin_text import margin_text
@@ -40,6 +42,7 @@ from safedpa.safety.settings import write_settings
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
+from safedpa_sim.sensing.senses import Senses
 
 PERIOD = 0.05
 ROBOT = "r1"
@@ -50,6 +53,8 @@ SERVICES = ("adaptation", "policy", "safety_filter")
 def built(service: str, name: str, controller: str | None) -> tuple[AbstractNode, SetupMessage]:
     """A service's node and its setup, as its process makes them."""
     model = load_model(name)
+    if service == "perception":
+        return PerceptionNode(), setup_message(service, {})
     setup = model_setup(setup_message(service, {"model": name}), model)
     if service == "adaptation":
         return AdaptationNode(model), setup
@@ -85,8 +90,17 @@ def offered(name: str, change: int) -> ModelMessage:
 class Fleet:
     """One car, its three services, and a recorder of everything that is said."""
 
-    def __init__(self, model: str = "car", load: str = "box", controller: str | None = None, seed: int = 3) -> None:
+    def __init__(
+        self,
+        model: str = "car",
+        load: str = "box",
+        controller: str | None = None,
+        seed: int = 3,
+        senses: Callable[[], Senses] | None = None,
+    ) -> None:
         self.now = 0.0
+        self._senses = senses
+        self._services = SERVICES if senses is None else ("perception", *SERVICES)
         self._model, self._controller = model, controller
         self._broker = MemoryBroker()
         self._bus = Bus(MemoryTransport(self._broker), "test")
@@ -98,14 +112,21 @@ class Fleet:
         self._scene = Scene.random(seed, load)
         self._epoch = 0
         self.start_robot()
-        for service in SERVICES:
+        for service in self._services:
             self.start(service)
 
     def start_robot(self) -> None:
         """The robot starts (anew) under a new epoch, after it was silent for long enough."""
         self._epoch += 1
         self.now += 1.0
-        self.robot = CarRobot(self._scene, PERIOD, lockstep=False, epoch=self._epoch, wall_clock=lambda: self.now)
+        self.robot = CarRobot(
+            self._scene,
+            PERIOD,
+            lockstep=False,
+            epoch=self._epoch,
+            wall_clock=lambda: self.now,
+            senses=self._senses and self._senses(),
+        )
 
     def start(self, service: str) -> None:
         """A new process of a service, which says its setup."""
@@ -127,10 +148,12 @@ class Fleet:
     def tick(self, stalled: frozenset[str] = frozenset()) -> None:
         """One period in real time; stalled services do nothing in it."""
         begin = self.now
+        for scan in self.robot.scans():
+            self._bus.publish(SCAN, ROBOT, scan)
         self._bus.publish(STATE, ROBOT, self.robot.state_message())
         for share in (0.01, 0.25, 0.6, 0.75):
             self.now = begin + share * PERIOD
-            for service in SERVICES:
+            for service in self._services:
                 if service in self._loops and service not in stalled:
                     self._loops[service][1].turn(0.0)
         for item in self._actions.take(0.0):

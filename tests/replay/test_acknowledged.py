@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from safedpa.bus import HEALTH, NO_ROBOT, SETUP, STATE, Bus, HealthMessage, MemoryBroker, MemoryTransport, Received
-from safedpa.bus.setup import setup_message
+from safedpa.bus.wire.setup import setup_message
 from safedpa.records import Finding, read_messages
 from safedpa.records import mcap_recorder as module
 from safedpa_services.recorder import recorder as service
@@ -25,7 +25,7 @@ RECORDING = """
 import itertools, sys, time
 from pathlib import Path
 from safedpa.bus import HEALTH, STATE, Bus, MemoryBroker, MemoryTransport
-from safedpa.bus.setup import setup_message
+from safedpa.bus.wire.setup import setup_message
 from safedpa_services.recorder.recorder import Recorder
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene

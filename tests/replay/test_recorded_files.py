@@ -24,10 +24,10 @@ from safedpa.bus import (
     Request,
     request_key,
 )
-from safedpa.bus.asked import asked_message
-from safedpa.bus.setup import setup_message
+from safedpa.bus.wire.requests import asked_message
+from safedpa.bus.wire.setup import setup_message
 from safedpa.errors import InputError
-from safedpa.records.schema import schema_of
+from safedpa.records.mcap_recorder import schema_of
 from safedpa_services.recorder.recorder import Recorder
 
 PAGE = Path(__file__).parents[2] / "docs" / "replay.md"

@@ -77,7 +77,10 @@ def test_under_another_eta_it_is_another_drive() -> None:
     tape = read_tape([GOLDEN / "pendulum.mcap"])
     driven = drive_again(tape, Change(eta=0.2))
     assert driven["ticks"] == 100
-    assert driven["apart_from_tick"] is not None or driven["compared"]["collisions"] == (0, 0)
+    assert driven["apart_from_tick"] == 2, "the states until the first action are the same"
+    (then, now), passed = driven["compared"]["verdicts corrected"], driven["compared"]["verdicts passed"]
+    assert now > then > 0, "a smaller eta corrects earlier"
+    assert passed == (100 - then, 100 - now)
 
 
 def test_without_the_robot_s_options_it_cannot_be_driven_again(box: Tape) -> None:

@@ -7,7 +7,7 @@ from math import inf, nan
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_sim.robots.late_commands import LateCommands
+from safedpa_sim.robots.core import LateCommands
 
 
 def felt(late: LateCommands, *commands: tuple[float, float]) -> list[tuple[float, float, float]]:

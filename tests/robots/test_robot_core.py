@@ -7,8 +7,8 @@ from math import hypot, pi, sin
 
 import pytest
 
-from safedpa.bus.codec import decode, encode
-from safedpa.bus.messages import ActionMessage, StateMessage
+from safedpa.bus.wire.codec import decode, encode
+from safedpa.bus.wire.messages import ActionMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots import LOADS, CarRobot, Scene, footprint
 

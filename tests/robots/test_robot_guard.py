@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from safedpa.bus.messages import ActionMessage
+from safedpa.bus.wire.messages import ActionMessage
 from safedpa_sim.robots import BRAKE, ActionGuard, CarRobot, Scene
 
 LOW, HIGH = (-0.6, -0.34), (2.0, 0.34)

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from safedpa.bus import ACTION, HEALTH, STATE, ActionMessage, Bus, HealthMessage, MemoryBroker, MemoryTransport
-from safedpa.bus.codec import decode
-from safedpa.bus.messages import StateMessage
+from safedpa.bus.wire.codec import decode
+from safedpa.bus.wire.messages import StateMessage
 from safedpa.errors import BusError
 from safedpa_sim.robots import CarRobot, Scene
 from safedpa_sim.robots.account import account_of, percentile

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import atan, cos, hypot, sin, tan, tanh
+from math import atan, cos, hypot, sin, sqrt, tan, tanh
 
 import pytest
 from hypothesis import given, settings
@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from safedpa_sim.robots import LOADS, CarWorld
 from safedpa_sim.robots.actuators import SpeedServo, SteeringActuator
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY
-from safedpa_sim.robots.ground_forces import ground_forces
-from safedpa_sim.robots.tyres import axle_force
+from safedpa_sim.robots.world import ground_forces
 
 OPEN_FIELD = (-500.0, 500.0, -500.0, 500.0)
 LOAD_NAMES = ("none", *LOADS)
@@ -21,6 +20,22 @@ BRAKING = (2.8, 3.2)
 """m/s2 and 1/s: what docs/robot.md promises of the watchdog with every load."""
 
 actions = st.lists(st.tuples(st.floats(-0.6, 2.0), st.floats(-0.34, 0.34)), min_size=1, max_size=60)
+
+
+def axle_force(
+    rolling: float, sideways: float, drive: float, limit: float, slip_scale: float, slip_speed: float
+) -> tuple[float, float]:
+    """Longitudinal and lateral force [N] on an axle, in the frame of its wheels.
+
+    F_x = clip(drive, +-limit), F_y = -sqrt(limit^2 - F_x^2) s / sqrt(1 + s^2),
+    s = sideways / (slip_scale (|rolling| + slip_speed)):
+    a tyre of cornering stiffness limit / slip_scale that saturates on the friction circle of radius ``limit`` [N].
+    ``rolling`` and ``sideways`` [m/s] are the velocity of the axle's middle along and across its wheels. Source: the
+    combined-slip friction circle, Rajamani, Vehicle Dynamics and Control, 2nd ed., ch. 13, with a smooth saturation.
+    """
+    along = -limit if drive < -limit else limit if drive > limit else drive
+    slip = sideways / (slip_scale * (abs(rolling) + slip_speed))
+    return along, -sqrt(limit * limit - along * along) * slip / sqrt(1.0 + slip * slip)
 
 
 def open_world(load: str = "none") -> CarWorld:
@@ -296,7 +311,7 @@ def test_a_period_is_its_substeps_by_servo_steering_tyres_and_runners(load, sequ
         for _ in range(20):
             substep(slow, target_speed, steer, 0.0025)
         assert quick.state == slow.state, "to the last bit"
-        assert (quick.time, quick.servo.acceleration) == (slow.time, slow.servo.acceleration)
+        assert (quick.time, quick.drive.acceleration) == (slow.time, slow.drive.acceleration)
         assert quick.steering.angle == slow.steering.angle
         assert not quick.towed or quick.towed.pose == slow.towed.pose
 
@@ -305,7 +320,7 @@ def substep(world: CarWorld, target_speed: float, steer: float, seconds: float) 
     """One substep as the parts define it."""
     yaw, (vx, vy) = world.body.angle, world.body.velocity
     forward, sideways = vx * cos(yaw) + vy * sin(yaw), vy * cos(yaw) - vx * sin(yaw)
-    drive = world.servo.advance(target_speed, forward, seconds)
+    drive = world.drive.advance(target_speed, forward, seconds)
     angle = world.steering.advance(steer + world.steering_offset, seconds)
     along, across, torque = ground_forces(CAR_PARAMETERS)(forward, sideways, world.body.angular_velocity, drive, angle)
     mass, (east, north) = CAR_PARAMETERS.mass, world.wind

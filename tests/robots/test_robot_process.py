@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import ACTION, STATE, ActionMessage, Bus, Received, StateMessage, ZenohSettings, ZenohTransport
-from safedpa.bus.ports import free_port
+from safedpa.bus.transport.ports import free_port
 
 pytestmark = pytest.mark.processes
 

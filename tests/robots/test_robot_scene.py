@@ -8,7 +8,7 @@ from math import cos, hypot, sin
 import numpy as np
 import pytest
 
-from safedpa.bus.messages import ActionMessage
+from safedpa.bus.wire.messages import ActionMessage
 from safedpa.errors import InputError
 from safedpa_sim.robots import GOAL_RADIUS, LOADS, CarRobot, CarWorld, Scene, footprint, load_named
 

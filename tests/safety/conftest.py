@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
-from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, car_barriers
+from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)

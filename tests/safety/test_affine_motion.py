@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.safety import FilterSettings, Prediction, SafetyFilter, car_barriers
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, Prediction, SafetyFilter
 from safedpa.safety.affine_motion import AffineMotion
 
 NAMES = ("car_learned", "car_fix", "pendulum_learned", "point_learned")

@@ -8,15 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.errors import InputError
-from safedpa.safety import (
-    AbstractBarrier,
-    Barriers,
-    Braking,
-    FieldBarrier,
-    FunctionBarrier,
-    ObstacleBarrier,
-    SpeedBarrier,
-)
+from safedpa.robots.car.barriers import FieldBarrier, ObstacleBarrier
+from safedpa.safety import AbstractBarrier, Barriers, FunctionBarrier, SpeedBarrier
+from safedpa.safety.braking import Braking
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 BRAKING = Braking(2.0, 2.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,15 @@ from hypothesis import strategies as st
 
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.safety import FilterSettings, SafetyFilter, Status, car_barriers
-from safedpa.safety.batch import STATUSES, BatchFilter
+from safedpa.robots.car.barriers import ObstacleBarrier, braking_of, car_barriers
+from safedpa.robots.car.counter_braking import CounterBraking
+from safedpa.robots.car.many_barriers import barriers_of_cars
+from safedpa.robots.car.sensed_barrier import MoverBarrier
+from safedpa.safety import AbstractBarrier, CorridorBarrier, FilterSettings, FunctionBarrier, SafetyFilter, Status
+from safedpa.safety.batch import STATUSES, BatchFilter, ManyVerdicts
+from safedpa.safety.many_barriers import OneByOne, many_barriers
+from safedpa.safety.shipped import settings_named
+from safedpa.safety.speed_barrier import SpeedBarrier
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
@@ -33,10 +41,22 @@ def drawn(seed: int, robots: int, obstacles: int, latent: np.ndarray[Any, Any]) 
     }
 
 
+def decided(
+    many: BatchFilter,
+    *,
+    obstacles: Any,
+    footprint: Any = FOOTPRINT,
+    field: Any = None,
+    epsilon: dict[str, Any] | None = None,
+    **inputs: Any,
+) -> ManyVerdicts:
+    return many.decide(**inputs, barriers=barriers_of_cars(many.settings, obstacles, footprint, field), epsilon=epsilon)
+
+
 def agree(name: str, given_: dict[str, Any], walls: bool, epsilon: dict[str, Any] | None = None) -> BatchFilter:
     many = FILTERS[name]
     field = FIELD if walls else None
-    found = many.decide(**given_, footprint=FOOTPRINT, field=field, epsilon=epsilon)
+    found = decided(many, **given_, footprint=FOOTPRINT, field=field, epsilon=epsilon)
     one = SafetyFilter.for_model(many.model, many.settings)
     for robot in range(len(found.action)):
         barriers = car_barriers(many.settings, FOOTPRINT, given_["obstacles"][robot], field)
@@ -66,6 +86,14 @@ def test_everybody_gets_what_the_filter_of_one_robot_gives(seed: int, name: str,
     agree(name, drawn(seed, 12, obstacles, FILTERS[name].model.latent), walls)
 
 
+def test_where_an_actuator_saturates_the_nearest_action_is_looked_for_as_well() -> None:
+    """There the slope is a chord's, and the action that it leads to may lie further from the wish than need be."""
+    random = np.random.default_rng(8)
+    given_ = drawn(8, 300, 6, FILTERS["car"].model.latent)
+    given_["state"][:, 3], given_["wish"] = random.uniform(0.5, 2.0, 300), np.tile([2.0, 0.0], (300, 1))
+    agree("car", given_, True, {"obstacle": random.uniform(0.01, 0.07, 300), "field": 0.05})
+
+
 def test_margins_by_robot() -> None:
     agree(
         "car",
@@ -77,7 +105,7 @@ def test_margins_by_robot() -> None:
 
 def test_most_are_answered_together_and_every_kind_of_verdict_occurs() -> None:
     many = FILTERS["car"]
-    found = many.decide(**drawn(0, 400, 6, many.model.latent), footprint=FOOTPRINT, field=FIELD)
+    found = decided(many, **drawn(0, 400, 6, many.model.latent), footprint=FOOTPRINT, field=FIELD)
     for status in (Status.passed, Status.corrected, Status.violated):
         assert found.count(status) > 10
     together = ~found.alone
@@ -92,26 +120,83 @@ def test_what_cannot_be_believed_ends_in_the_fallback_of_its_own_robot() -> None
     given_["state"][3, 3], given_["wish"][4, 0] = 1e6, 1e6
     epsilon = {"obstacle": np.array([0.01, 0.01, 0.01, 0.01, 0.01, np.nan, -0.1, 0.01])}
     with np.errstate(all="raise"):
-        found = many.decide(**given_, footprint=FOOTPRINT, field=FIELD, epsilon=epsilon)
+        found = decided(many, **given_, footprint=FOOTPRINT, field=FIELD, epsilon=epsilon)
     assert [STATUSES[index] is Status.fallback for index in found.status] == [True] * 7 + [False]
     np.testing.assert_array_equal(found.action[:7], np.zeros((7, 2)))
 
 
+def test_a_margin_for_a_kind_that_no_barrier_has_is_refused_as_for_one_robot() -> None:
+    """Misspelt it was no margin at all, and the wish passed."""
+    given_ = drawn(2, 4, 2, FILTERS["car"].model.latent)
+    for epsilon in ({"obstacel": 0.3}, {"obstacle": True}):
+        found = decided(FILTERS["car"], **given_, epsilon=epsilon)
+        assert found.count(Status.fallback) == 4
+    agree("car", given_, walls=False, epsilon={"mover": 0.3, "default": 0.0})
+
+
+def test_a_predicted_state_that_is_no_number_passes_no_wish_though_no_barrier_reads_it() -> None:
+    own = FunctionBarrier(lambda x: 1.0 - x[0], names=("x",))
+    many, robots = BatchFilter(load_model("car").system, replace(FilterSettings(), epsilon={})), 3
+    state, g = np.tile((0.95, 0.0, 0.0, 0.0), (robots, 1)), np.zeros((robots, 4, 2))
+    g[:, 0, 0] = 0.01
+    f = state.copy()
+    f[1, 2], f[2, 2] = np.nan, np.inf
+    for wish in (-0.5, 1.9):
+        found = many.decide(
+            state,
+            np.full((robots, 2), (wish, 0.0)),
+            barriers=many_barriers([[own]] * robots, 4),
+            affine=(f, g),
+        )
+        wanted = Status.passed if wish < 0.0 else Status.corrected
+        assert [STATUSES[index] for index in found.status] == [wanted, Status.fallback, Status.fallback]
+
+
+@pytest.mark.parametrize("slowly", [False, True])
+def test_what_may_be_used_up_at_once_may_be_so_by_many(slowly: bool) -> None:
+    """In one function and one by one: as the filter of one robot has it."""
+    settings = settings_named("car")
+    braking, counter = braking_of(settings), CounterBraking(2.0, 2.5, 0.6)
+    state = np.array([(0.0, 0.0, 0.0, 0.8), (0.1, 0.0, 0.0, 0.8)])
+    wish, latent = np.tile((1.2, 0.0), (2, 1)), np.tile(FILTERS["car"].model.latent, (2, 1))
+    discs = [[(ahead, 0.0, 0.1, 1.5)] for ahead in (1.5, 1.8)]
+    parts: list[list[AbstractBarrier]] = [
+        [MoverBarrier(disc, [False], FOOTPRINT, braking, counter), SpeedBarrier(-0.8, 2.2)] for disc in discs
+    ]
+    around = OneByOne(parts) if slowly else many_barriers(parts, 4)
+    found = FILTERS["car"].decide(state, wish, latent, barriers=around)
+    one = SafetyFilter.for_model(FILTERS["car"].model, FILTERS["car"].settings)
+    for robot, own in enumerate(parts):
+        verdict = one.decide(state[robot], wish[robot], latent[robot], barriers=own)
+        assert STATUSES[found.status[robot]] is verdict.status
+        np.testing.assert_allclose(found.action[robot], verdict.action, rtol=0.0, atol=1e-6)
+    assert (found.count(Status.corrected), found.count(Status.passed)) == (1, 1)
+
+
+@pytest.mark.parametrize("own", [[], [ObstacleBarrier((), FOOTPRINT, braking_of(settings_named("car")))]])
+def test_where_there_is_no_barrier_all_fall_back_and_say_so(own: list[AbstractBarrier]) -> None:
+    given_ = drawn(2, 3, 0, FILTERS["car"].model.latent)
+    del given_["obstacles"]
+    found = FILTERS["car"].decide(**given_, barriers=many_barriers([own] * 3, 4))
+    assert found.count(Status.fallback) == 3
+    np.testing.assert_array_equal(found.action, np.zeros((3, 2)))
+
+
 def test_without_the_latent_that_the_model_needs_all_fall_back() -> None:
     given_ = {**drawn(2, 3, 2, FILTERS["car"].model.latent), "latent": None}
-    assert FILTERS["car"].decide(**given_, footprint=FOOTPRINT).count(Status.fallback) == 3
+    assert decided(FILTERS["car"], **given_, footprint=FOOTPRINT).count(Status.fallback) == 3
 
 
 def test_a_filter_that_is_switched_off_says_so() -> None:
     many = BatchFilter(load_model("car"), FilterSettings(enabled=False))
-    assert many.decide(**drawn(2, 3, 2, many.model.latent), footprint=FOOTPRINT).count(Status.disabled) == 3
+    assert decided(many, **drawn(2, 3, 2, many.model.latent), footprint=FOOTPRINT).count(Status.disabled) == 3
 
 
 def test_one_robot_and_obstacles_far_away_as_padding() -> None:
     many = FILTERS["car"]
     given_ = drawn(5, 1, 3, many.model.latent)
     padded = {**given_, "obstacles": np.concatenate([given_["obstacles"], np.full((1, 4, 3), (1e6, 0.0, 0.0))], axis=1)}
-    one, other = (many.decide(**numbers, footprint=FOOTPRINT, field=FIELD) for numbers in (given_, padded))
+    one, other = (decided(many, **numbers, footprint=FOOTPRINT, field=FIELD) for numbers in (given_, padded))
     np.testing.assert_allclose(one.action, other.action, atol=1e-9)
 
 
@@ -133,9 +218,35 @@ def test_one_robot_and_obstacles_far_away_as_padding() -> None:
 def test_shapes_that_are_wrong_are_refused(wrong: dict[str, Any], message: str) -> None:
     given_ = {**drawn(0, 2, 1, FILTERS["car"].model.latent), "footprint": FOOTPRINT, "field": FIELD, **wrong}
     with pytest.raises(InputError, match=message):
-        FILTERS["car"].decide(**given_)
+        decided(FILTERS["car"], **given_)
 
 
 def test_other_robots_are_refused() -> None:
-    with pytest.raises(InputError, match="wanted a car"):
+    with pytest.raises(InputError, match="made for the system 'car', the model is of 'pendulum'"):
         BatchFilter(load_model("pendulum"))
+    given_ = drawn(0, 2, 1, FILTERS["car"].model.latent)
+    barriers = barriers_of_cars(FilterSettings(), given_.pop("obstacles"), FOOTPRINT)
+    with pytest.raises(InputError, match="those of 1 robots, wanted 2"):
+        FILTERS["car"].decide(**given_, barriers=barriers.only(np.array([0])))
+    corridor = many_barriers([[CorridorBarrier(-1.0, 1.0, 0.2)]] * 2, 4)
+    with pytest.raises(InputError, match="those of angle, rate"):
+        FILTERS["car"].decide(**given_, barriers=corridor)
+
+
+def test_a_robot_of_one_action_and_barriers_that_are_functions() -> None:
+    """A pendulum's torque in a corridor, beside the same corridor as a function of the user's own."""
+    model, chosen = load_model("pendulum"), replace(settings_named("pendulum"), eta=0.15, epsilon={})
+    many, one = BatchFilter(model, chosen), SafetyFilter.for_model(model, chosen)
+    random = np.random.default_rng(4)
+    state, wish = random.uniform((-0.4, -1.5), (0.4, 1.5), (40, 2)), random.uniform(-10.0, 10.0, (40, 1))
+    latent = np.tile(model.latent, (40, 1))
+    edges, names = CorridorBarrier(-0.5, 0.5, 0.25), ("lower", "upper")
+    own = FunctionBarrier(lambda x: (x @ [1.0, 0.25] + 0.5, 0.5 - x @ [1.0, 0.25]), names=names, kind="corridor")
+    parts: list[list[AbstractBarrier]] = [[edges] if robot % 2 else [own] for robot in range(40)]
+    found = many.decide(state, wish, latent, barriers=many_barriers(parts, 2))
+    for robot, around in enumerate(parts):
+        verdict = one.decide(state[robot], wish[robot], latent[robot], barriers=around)
+        assert STATUSES[found.status[robot]] is verdict.status
+        np.testing.assert_allclose(found.action[robot], verdict.action, rtol=0.0, atol=1e-6)
+    assert found.count(Status.corrected) > 5
+    assert (~found.alone).mean() > 0.5

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.safety.closed_form import Row, nearest_kept
 
 from safedpa.safety.batch_nearest import nearest_kept_by_many
-from safedpa.safety.nearest import Row, nearest_kept
 
 WEIGHTS = np.array([1.0, 2.0])
 BOX = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -30,11 +30,11 @@ def test_every_robot_gets_what_it_gets_alone(rows: int) -> None:
     robots = 300
     slopes = np.concatenate([random.normal(size=(robots, rows, 2)), np.tile(BOX, (robots, 1, 1))], axis=1)
     limits = np.concatenate([random.normal(0.0, 0.7, (robots, rows)), np.tile(BOX_LIMITS, (robots, 1))], axis=1)
-    limits[random.random(limits.shape) < 0.1] = -inf
+    limits[:, :rows][random.random((robots, rows)) < 0.1] = -inf
     wish = random.uniform(-1.0, 2.0, (robots, 2))
     points, certain = nearest_kept_by_many(slopes, limits, wish, WEIGHTS)
     for robot in range(robots):
-        own = alone(slopes[robot], limits[robot], wish[robot])
+        own = alone(slopes[robot, :rows], limits[robot, :rows], wish[robot])
         assert certain[robot] == (own is not None)
         if own is not None:
             np.testing.assert_allclose(points[robot], own, rtol=0.0, atol=1e-9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from safedpa.safety.chain_rule import chain_rule
+from safedpa.equations.chain_rule import chain_rule
 
 
 @pytest.mark.parametrize(("rows", "states", "actions"), [(1, 1, 1), (3, 2, 1), (2, 4, 3), (0, 2, 2)])

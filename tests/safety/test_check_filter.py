@@ -15,6 +15,7 @@ import pytest
 from safedpa.bus import StateMessage
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.robots.point.point_scene import PointScene
 from safedpa.safety import (
     AbstractBarrier,
@@ -26,7 +27,6 @@ from safedpa.safety import (
     PendingActions,
     RolloutBarrier,
     SafetyFilter,
-    car_barriers,
     check_filter,
 )
 from safedpa.safety.shipped import settings_named
@@ -86,7 +86,7 @@ def test_the_car_is_fine(settings: FilterSettings) -> None:
 
 def test_the_pendulum_is_fine_but_has_no_stand() -> None:
     model, settings = load_model("pendulum"), settings_named("pendulum")
-    safe = SafetyFilter.for_model(model, settings, [CorridorBarrier(-1.0, 1.0, settings.corridor_seconds)])
+    safe = SafetyFilter.for_model(model, settings, [CorridorBarrier(-1.0, 1.0, settings.barrier("corridor_seconds"))])
     states = np.random.default_rng(0).uniform((-1.0, -2.0), (1.0, 2.0), (40, 2))
     found = check_filter(safe, states, latent=model.latent, stands=False)
     assert not found, str(found)

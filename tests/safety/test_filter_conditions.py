@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction, car_barriers
-from safedpa.safety.car_stack import stacked
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import Barriers, FilterSettings, FunctionBarrier, Prediction
 from safedpa.safety.conditions import ROUNDING, Conditions, Outcome
+from safedpa.safety.stacks import stacked
 from safedpa.safety.tangent import Tangent
 
 

@@ -10,16 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.dynamics import PhysicsModel, Setting
-from safedpa.safety import (
-    FilterSettings,
-    FunctionBarrier,
-    Plausible,
-    SafetyFilter,
-    Solution,
-    Status,
-    Verdict,
-    car_barriers,
-)
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, FunctionBarrier, Plausible, SafetyFilter, Solution, Status, Verdict
 from safedpa.safety import decision as decision_module
 from safedpa.safety.inputs import Unusable, checked_input
 

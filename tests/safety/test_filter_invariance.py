@@ -9,7 +9,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from safedpa.dynamics import PhysicsModel
-from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, Status, car_barriers
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, Status
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
@@ -133,4 +134,4 @@ def test_small_model_errors_are_covered_by_the_margin(
         for tick in range(120):
             wish = wishes("extreme", random, settings, state) if tick % 5 == 0 else wish
             state = world.step(state, safe.decide(state, wish).action)
-            assert min(part.values(state).min() for part in barriers) > -settings.clearance
+            assert min(part.values(state).min() for part in barriers) > -settings.barrier("clearance")

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
-from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, Verdict, car_barriers
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import AbstractBarrier, FilterSettings, SafetyFilter, Verdict
 
 RECORDING = Path(__file__).with_name("recorded_verdicts.json")
 FOOTPRINT = (0.08, 0.40, 0.12)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
+from safedpa.robots.car.barriers import braking_of
 from safedpa.safety import FilterSettings, load_settings, parse_settings, save_settings, write_settings
 from safedpa.safety.settings import without_former_keys
 
@@ -16,7 +17,7 @@ def test_defaults_fit_the_car() -> None:
     np.testing.assert_array_equal(settings.high, [2.0, 0.34])
     np.testing.assert_array_equal(settings.weight_vector, [1.0, 1.0])
     np.testing.assert_array_equal(settings.resting_action, [0.0, 0.0])
-    assert (settings.braking.deceleration, settings.braking.gain) == (2.0, 2.5)
+    assert (braking_of(settings).deceleration, braking_of(settings).gain) == (2.0, 2.5)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +36,7 @@ def test_file_comes_back_the_same(settings: FilterSettings, tmp_path: Path) -> N
 
 def test_keys_left_out_keep_their_defaults() -> None:
     settings = parse_settings("eta = 0.5\nepsilon = { obstacle = 0.03 }\nclearance = 0\n")
-    assert settings == replace(FilterSettings(), eta=0.5, epsilon={"obstacle": 0.03}, clearance=0.0)
+    assert settings == replace(FilterSettings(), eta=0.5, epsilon={"obstacle": 0.03}).with_barriers(clearance=0.0)
     assert parse_settings("epsilon = 0.03").epsilon == {"default": 0.03}
 
 
@@ -65,7 +66,7 @@ def test_keys_left_out_keep_their_defaults() -> None:
         ("slack_linear = 1e4", "slack_linear: no setting any more"),
         ("braking_gain = 0", "braking_gain: got 0"),
         ("clearance = -0.1", r"clearance: got -0\.1, wanted at least 0"),
-        ("speed_low = 3.0", r"speed_high: got 2\.2, wanted more than 3\.0"),
+        ("speed_low = 3.0", r"speed_high: got 2\.2, wanted more than speed_low 3\.0"),
         ("relinearisations = 2.5", r"relinearisations: got 2\.5, wanted a whole number"),
         ("relinearisations = true", "relinearisations: got True"),
         ("relinearisations = 21", "relinearisations: got 21, wanted at least 0, at most 20"),
@@ -94,9 +95,33 @@ def test_arrays_and_lists_become_tuples(value: Any) -> None:
 
 def test_what_is_left_out_is_what_the_page_says() -> None:
     left = FilterSettings()
-    numbers = (left.eta, left.relinearisations, left.plausible_wish, left.clearance, left.corridor_seconds)
-    assert numbers == (0.2, 3, 10.0, 0.05, 0.25)
-    assert (left.braking_deceleration, left.braking_gain, left.speed_low, left.speed_high) == (2.0, 2.5, -0.8, 2.2)
+    assert (left.eta, left.relinearisations, left.plausible_wish) == (0.2, 3, 10.0)
+    names = ("braking_deceleration", "braking_gain", "speed_low", "speed_high", "clearance")
+    assert left.barriers == dict(zip(names, (2.0, 2.5, -0.8, 2.2, 0.05), strict=True))
+    pendulum = FilterSettings(system="pendulum", action_low=(-1.0,), action_high=(1.0,))
+    assert pendulum.barriers == {"corridor_seconds": 0.25}
+
+
+def test_a_file_of_an_older_program_is_read_and_keys_of_other_robots_say_nothing() -> None:
+    """Every file held the numbers of all barriers; those of another robot never said anything."""
+    old = "system = 'pendulum'\naction_low = [-1.0]\naction_high = [1.0]\nclearance = 0.2\ncorridor_seconds = 0.4\n"
+    assert parse_settings(old).barriers == {"corridor_seconds": 0.4}
+    assert parse_settings("corridor_seconds = 0.4\nclearance = 0.2").barrier("clearance") == 0.2
+
+
+def test_numbers_of_barriers_that_a_robot_does_not_have_are_refused() -> None:
+    with pytest.raises(InputError, match="corridor_seconds: no setting of the barriers of 'car'"):
+        FilterSettings(barriers={"corridor_seconds": 0.4})
+    with pytest.raises(InputError, match="settings of 'car': no 'corridor_seconds' among them"):
+        FilterSettings().barrier("corridor_seconds")
+    with pytest.raises(InputError, match=r"clearence: unknown key; .*clearance"):
+        parse_settings("clearence = 0.2")
+
+
+def test_settings_of_no_named_robot_hold_what_any_robot_knows() -> None:
+    own = FilterSettings(action_low=(-1.0,), action_high=(1.0,), barriers={"clearance": 0.3})
+    assert (own.barriers, own.barrier("clearance"), own.barrier("braking_gain")) == ({"clearance": 0.3}, 0.3, 2.5)
+    assert parse_settings(write_settings(own)) == own
 
 
 @pytest.mark.parametrize("backup", [(-0.6, -0.34), (2.0, 0.34)])

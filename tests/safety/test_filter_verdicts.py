@@ -7,17 +7,9 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
-from safedpa.safety import (
-    AbstractBarrier,
-    FilterSettings,
-    FunctionBarrier,
-    SafetyFilter,
-    SpeedBarrier,
-    Status,
-    Verdict,
-    car_barriers,
-)
+from safedpa.safety import AbstractBarrier, FilterSettings, FunctionBarrier, SafetyFilter, SpeedBarrier, Status, Verdict
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 FIELD = (-4.0, 4.0, -4.0, 4.0)
@@ -183,7 +175,7 @@ def test_infeasible_situation_is_visible_and_brakes() -> None:
     values = {"wheelbase": 0.32, "speed_gain": 4.0, "acceleration_limit": 1.0}
     car = PhysicsModel(KinematicBicycle(), (), {f"base.{key}": Setting(value) for key, value in values.items()})
     settings = FilterSettings(
-        action_low=(-0.6, -0.34), action_high=(8.0, 0.34), speed_high=30.0, braking_deceleration=1.0
+        action_low=(-0.6, -0.34), action_high=(8.0, 0.34), barriers={"speed_high": 30.0, "braking_deceleration": 1.0}
     )
     barriers = car_barriers(settings, FOOTPRINT, [], (-500.0, 1.0, -500.0, 500.0))
     safe = SafetyFilter.for_model(car, settings, barriers)

@@ -16,6 +16,7 @@ from safedpa.safety import (  # noqa: E402
     Plausible,
     SafetyFilter,
     Status,
+    gymnasium_wrapper,
 )
 
 DT = 0.05
@@ -228,6 +229,14 @@ def test_scenes_and_latents_of_each_environment() -> None:
     env.reset()
     found = env.step(np.zeros((2, 1)))[4]["verdict"]
     assert [verdict.h_now for verdict in found] == [11.0, 11.0]
+
+
+@pytest.mark.parametrize(("low", "high"), [((-1.0, -0.1), (1.0, 1.0)), ((-1.0, -1.0), (0.1, 1.0))])
+def test_each_bound_of_each_action_has_to_be_in_the_box(low: tuple[float, ...], high: tuple[float, ...]) -> None:
+    two = FilterSettings(action_low=(-0.5, -0.5), action_high=(0.5, 0.5), backup_action=(0.0, 0.0), system="")
+    gymnasium_wrapper._check_actions(gymnasium.spaces.Box(-0.5, 0.5, (2,), np.float32), two)
+    with pytest.raises(InputError, match="wanted one that holds the settings' bounds"):
+        gymnasium_wrapper._check_actions(gymnasium.spaces.Box(np.float32(low), np.float32(high), (2,)), two)
 
 
 def test_vector_environments_that_do_not_fit() -> None:

@@ -100,3 +100,24 @@ def test_the_answer_is_its_callers_own() -> None:
     assert first is not None
     program.solve(np.array([[-1.0]]), np.zeros(1), np.full(1, np.nan))
     assert first == pytest.approx([1.0], abs=1e-7)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_solver_that_says_solved_and_has_no_numbers_is_not_believed(number: float) -> None:
+    program: Any = HighestProgram(2)
+    slopes, free = np.array([[1.0, 0.5]]), np.full(1, np.nan)
+    program.solve(slopes, np.zeros(1), free)
+    workspace = program._workspaces[1]
+
+    class Solved:
+        class result:  # noqa: N801 - as piqp has it
+            x = np.array([0.5, number, 0.0])
+
+        def update(self, **_: Any) -> None: ...
+
+        def solve(self) -> Any:
+            return workspace._solved
+
+    workspace._solver = Solved()
+    found = program.solve(slopes, np.zeros(1), free)
+    assert found is None or np.isfinite(found).all()

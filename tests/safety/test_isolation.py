@@ -13,15 +13,8 @@ import pytest
 
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
-from safedpa.safety import (
-    AbstractBarrier,
-    FilterSettings,
-    FunctionBarrier,
-    SafetyFilter,
-    Status,
-    Verdict,
-    car_barriers,
-)
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import AbstractBarrier, FilterSettings, FunctionBarrier, SafetyFilter, Status, Verdict
 from safedpa.safety.barrier import Barriers
 from safedpa.safety.inputs import Unusable, checked_input, checked_names
 from safedpa.safety.numbers_returned import numbers_returned, read_only

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from safedpa.safety.lattice import lattice
+from safedpa.safety.lattice import around, lattice
 
 SIDE = (-1.0, 2.0, 3.0)
 
@@ -34,3 +34,10 @@ def test_the_highest_value_is_the_bound_itself() -> None:
     """0.1 + 0.2 * 3 / 3 would be beyond 0.3."""
     assert max(lattice(((0.1, 0.3, 0.2),), affine=False)) == (0.3,)
     assert lattice(((0.1, 0.3, 0.2), (0.0, 1.0, 1.0)), affine=True) == [(0.1, 0.0), (0.1, 1.0), (0.3, 0.0), (0.3, 1.0)]
+
+
+def test_what_lies_around_an_action_is_one_entry_moved_at_a_time_within_the_bounds() -> None:
+    sides = ((0.0, 10.0, 10.0), (-1.0, 1.0, 2.0))
+    assert around(sides, (5.0, 0.0), 0.25) == [(2.5, 0.0), (7.5, 0.0), (5.0, -0.5), (5.0, 0.5)]
+    assert around(sides, (0.0, 0.75), 0.25) == [(2.5, 0.75), (0.0, 0.25), (0.0, 1.0)], "no step that a bound forbids"
+    assert around(sides, (0.0, 1.0), 0.0) == []

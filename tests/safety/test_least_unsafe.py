@@ -2,80 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.safety.aims import Case
 
-from safedpa.safety import Barriers, FunctionBarrier, Prediction, QuadraticProgram
-from safedpa.safety.conditions import Conditions, Outcome
+from safedpa.safety import QuadraticProgram
 from safedpa.safety.highest import HighestProgram
-from safedpa.safety.lattice import lattice
-from safedpa.safety.least_unsafe import TOLERANCE, least_unsafe
+from safedpa.safety.least_unsafe import TOLERANCE
 from safedpa.safety.search import DecisionError
 
 Values = NDArray[np.float64]
-
-
-class Case:
-    """h(a) (rows,) of actions within -1 and 1, at a state whose h are ``now``; the state is a itself."""
-
-    def __init__(
-        self,
-        h: Callable[[Values], Sequence[float]],
-        now: Sequence[float],
-        wish: Sequence[float],
-        *,
-        eta: float = 1.0,
-        epsilon: float = 0.0,
-        limit: float = 1.0,
-        affine: bool = True,
-        backup: Sequence[float] | None = None,
-        program: Any = None,
-        highest: Any = None,
-    ) -> None:
-        self.h, self.wish, actions = h, tuple(wish), len(wish)
-        self.affine, self.resting, self.stuck = affine, backup, ("not run",)
-        self.asked: list[tuple[float, ...]] = []
-        start = (9.0,) * actions
-
-        def heights(x: Values) -> Sequence[float]:
-            if tuple(x) == start:
-                return now
-            return h(x)
-
-        names = tuple(f"h{row}" for row in range(len(now)))
-        low, high = np.full(actions, -limit), np.full(actions, limit)
-        self.program = QuadraticProgram(low, high, np.ones(actions)) if program is None else program
-        self.highest = HighestProgram(actions) if highest is None else highest
-        self.conditions = Conditions(
-            Barriers([FunctionBarrier(heights, names=names)]),
-            Prediction(lambda x, around: (np.zeros(actions), np.eye(actions)), self._step),
-            start,
-            None,
-            None,
-            eta,
-            [epsilon] * len(now),
-            QuadraticProgram(low, high, np.ones(actions)).sides,
-        )
-
-    def _step(self, state: Values, action: Values) -> Values:
-        self.asked.append(tuple(action.tolist()))
-        return action
-
-    @property
-    def backup(self) -> Outcome:
-        return self.conditions.outcome(tuple(self.wish if self.resting is None else self.resting))
-
-    def run(self, *known: Sequence[float]) -> Outcome:
-        begun = [self.conditions.outcome(tuple(action)) for action in known or [self.wish]]
-        spread = [self.conditions.outcome(action) for action in lattice(self.conditions._sides, affine=self.affine)]
-        known = [*begun, *spread]
-        found, self.stuck = least_unsafe(self.conditions, self.program, self.highest, self.wish, self.backup, known)
-        return found
 
 
 def test_the_highest_is_taken_though_the_wish_is_far() -> None:
@@ -171,8 +111,10 @@ def test_of_what_is_known_the_best_is_never_lost() -> None:
         return [0.5 - abs(a[0] - 0.2) - 0.1 * a[1]]
 
     case = Case(bump, [-1.0], [0.0, 0.0], highest=Mute())
-    assert case.run([0.0, 0.0], [0.2, -0.5]).action == (0.2, -0.5)
-    assert case.run([0.2, -0.5], [0.0, 0.0]).action == (0.2, -0.5)
+    one, other = case.run([0.0, 0.0], [0.2, -0.5]), case.run([0.2, -0.5], [0.0, 0.0])
+    assert one.action == other.action
+    assert one.action[0] == pytest.approx(0.2)
+    assert one.h_next[0] >= 0.59, "and what one entry alone brings on top"
     corners = Case(lambda a: [a[0] - a[1] - 3.0], [-1.0], [0.0, 0.0], highest=Mute())
     assert corners.run([0.0, 0.0]).action == (1.0, -1.0)
 
@@ -187,7 +129,10 @@ def test_of_equally_high_ones_what_breaks_conditions_less_comes_before_the_wish(
     case = Case(lambda a: [-7.0, a[0]], [-7.0, 2.0], [-0.5], eta=0.0, highest=Mute())
     assert case.run([-0.5], [0.5]).action == (1.0,)
     kept = Case(lambda a: [-7.0, a[0]], [-7.0, 0.25], [-0.5], eta=0.0, highest=Mute())
-    assert kept.run([-0.5], [0.3]).action == (0.3,)
+    found = kept.run([-0.5], [0.3])
+    assert found.kept is False
+    assert found.residual[1] >= 0.0
+    assert found.action[0] <= 0.3, "and nearer to the wish by itself, as far as the condition allows"
 
 
 def test_a_nearest_program_that_gives_up_leaves_the_highest() -> None:
@@ -239,6 +184,54 @@ def test_corners_are_tried_up_to_four_actions(actions: int, corners: int) -> Non
     assert found.action == pytest.approx((1.0,) * actions, abs=0.02 * actions)
     every = set(product((-1.0, 1.0), repeat=actions))
     assert len(every & set(case.asked)) == corners or (corners == 0 and len(every & set(case.asked)) <= 1)
+
+
+def test_where_one_action_alone_has_numbers_the_search_begins_there() -> None:
+    """Five actions, so that no corners are tried; of the wish the model knows nothing."""
+    case = Case(
+        lambda a: [np.nan if a[0] == 0.7 else a.sum() - 9.0], [-9.0], [0.7] + [0.0] * 4, affine=False, backup=[0.0] * 5
+    )
+    found = case.run()
+    assert found.usable
+    assert found.action == pytest.approx((1.0,) * 5, abs=0.02)
+
+
+@pytest.mark.parametrize("limit", [1.0, 100.0])
+def test_without_corners_what_actions_can_change_is_what_the_tangent_says_over_their_range(limit: float) -> None:
+    """h = sum of a / limit - 9 changes by 10 over the range of five actions; a thousandth of that is given away."""
+    found = Case(lambda a: [a.sum() / limit - 9.0], [-9.0], [0.0] * 5, limit=limit).run()
+    assert 5.0 - sum(found.action) / limit == pytest.approx(0.5 * TOLERANCE * 10.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("affine", [True, False])
+def test_nothing_is_asked_of_an_action_beyond_the_bounds(affine: bool) -> None:
+    random = np.random.default_rng(2)
+    for _ in range(20):
+        top, wish = random.uniform(-1.2, 1.2, (2, 2))
+        steep = float(random.uniform(0.5, 8.0))
+        case = Case(
+            lambda a, top=top, steep=steep: [-1.0 - steep * ((a - top) ** 2).sum(), np.exp(steep * a[0]) - 2.0],  # type: ignore[misc]
+            [-1.0, 0.5],
+            np.clip(wish, -1.0, 1.0).tolist(),
+            affine=affine,
+        )
+        case.run()
+        assert max(max(abs(entry) for entry in action) for action in case.asked) <= 1.0
+
+
+def test_a_program_that_gives_up_at_the_second_aim_leaves_what_the_first_one_found() -> None:
+    """Five actions, so that no corners are tried: what one entry alone brings ends a twentieth short of it."""
+
+    class Once:
+        def __init__(self) -> None:
+            self.own, self.asked = HighestProgram(5), 0
+
+        def solve(self, *rows: Any) -> Any:
+            self.asked += 1
+            return self.own.solve(*rows) if self.asked % 2 else None
+
+    found = Case(lambda a: [a[0] - 5.0, a[1] - 3.0], [-5.0, -3.0], [0.0] * 5, highest=Once()).run()
+    assert found.action[0] == pytest.approx(1.0, abs=0.01)
 
 
 def test_what_was_foretold_needs_no_second_round() -> None:

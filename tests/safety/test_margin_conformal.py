@@ -10,6 +10,7 @@ from scipy.stats import binom
 
 from safedpa.dynamics import PhysicsModel, Setting, fingerprint
 from safedpa.errors import InputError
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety import (
     FilterSettings,
     FunctionBarrier,
@@ -17,7 +18,6 @@ from safedpa.safety import (
     OnlineMargin,
     Prediction,
     calibrate_margin,
-    car_barriers,
     one_step_errors,
     smallest_sample,
     split_conformal_margin,
@@ -116,6 +116,21 @@ def test_scene_and_latent_of_each_transition() -> None:
     )
     np.testing.assert_allclose(errors["first"], [0.5, 0.0])
     np.testing.assert_allclose(errors["second"], [0.0, 0.25])
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_a_prediction_without_numbers_is_no_error_of_zero(number: float) -> None:
+    prediction = Prediction(lambda x: (np.where(x > 0.5, number, x), np.zeros((1, 1))))
+    with np.errstate(invalid="ignore"), pytest.raises(InputError, match="errors: got shape"):
+        calibrate_margin(
+            prediction,
+            [FunctionBarrier(lambda x: [x[0], -x[0]], names=("a", "b"))],
+            [[0.0], [1.0], [0.0]],
+            [[0.0]] * 3,
+            [[0.0], [1.0], [0.0]],
+            coverage=0.5,
+            date="",
+        )
 
 
 @pytest.mark.parametrize(
@@ -306,7 +321,7 @@ def test_the_margin_falls_back_to_its_quantile_once_misses_are_allowed_again() -
     assert [online.update(error) for error in (0.02, 0.1, 0.3)] == [pytest.approx(0.02), 0.2, 1.2]
     assert online.update(0.01) == pytest.approx(1.2)  # alpha is 0 still
     assert online.update(0.01) == 0.3
-    assert online.value < 0.31
+    assert online.update(0.31) == pytest.approx(0.62)  # twice the largest again, not four times
 
 
 def test_a_margin_of_messages_stays_a_number_that_they_carry() -> None:

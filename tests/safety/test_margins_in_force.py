@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from safedpa.dynamics import load_model
-from safedpa.safety import FilterSettings, Prediction, car_barriers
-from safedpa.safety.car_stack import stacked
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, Prediction
 from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.search import DecisionError
+from safedpa.safety.stacks import stacked
 
 SETTINGS = {"obstacle": 0.1, "default": 0.02}
 

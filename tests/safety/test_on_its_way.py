@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter, car_barriers
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, FunctionBarrier, SafetyFilter
 from safedpa.safety.conditions import Conditions
-from safedpa.safety.on_its_way import Actuators, Along, Pending
+from safedpa.safety.on_its_way import LONGEST, Actuators, Along, Begin, Pending, Reach
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.verdict import Status
 
@@ -65,6 +69,110 @@ def test_a_delay_that_is_estimated_counts_as_it_is_now() -> None:
         latent = [*model.latent.tolist()]
         latent[index] = seconds
         assert tuple(actuators.reach(tuple(latent))) == (whole, whole)
+
+
+def test_dead_times_are_kept_for_64_latents_that_differ_in_the_third_digit(monkeypatch: pytest.MonkeyPatch) -> None:
+    actuators, asked = Actuators(late("actuator_delay", 0.1)), list[tuple[float, ...] | None]()
+
+    def responded(latent: tuple[float, ...] | None) -> Reach:
+        asked.append(latent)
+        return Reach(1, 2)
+
+    monkeypatch.setattr(actuators, "_responded", responded)
+    for number in range(LONGEST):
+        assert tuple(actuators.reach((0.002 * number,))) == (1, 2)
+    assert (LONGEST, len(asked)) == (64, 64)
+    actuators.reach((0.0,))
+    actuators.reach((0.0004,))
+    assert len(asked) == 64, "known, and alike to three digits"
+    actuators.reach((0.201,))
+    actuators.reach((0.0,))
+    assert len(asked) == 66, "with one more all are forgotten"
+
+
+def test_an_action_is_felt_at_once_where_nothing_waits_and_one_period_is_judged() -> None:
+    for waits, rows, at_once in ((0, 1, True), (1, 1, False), (0, 2, False), (1, 2, False)):
+        assert Begin(STATE, (), STATE, None, waits, rows).at_once is at_once
+
+
+def test_without_anything_known_of_what_was_sent_an_action_counts_as_long_in_force() -> None:
+    begin = Actuators(late("actuator_delay", 0.1)).begin(STATE, LATENT, None)
+    assert begin is not None
+    assert (begin.waits, begin.rows, begin.at_once) == (0, 1, True)
+
+
+def test_actuators_without_a_memory_act_at_once() -> None:
+    assert tuple(Actuators(CAR).reach(LATENT)) == (0, 0)
+
+
+def test_slopes_over_a_delay_are_those_of_differences() -> None:
+    model = late("actuator_delay", 0.13)
+    actuators, around = Actuators(model), (0.8, 0.1)
+    memory, _ = sent(model, [(0.5, 0.0)] * 4)
+    begin = actuators.begin(STATE, LATENT, Pending(memory, (0.5, 0.0)))
+    assert begin is not None
+    slopes = np.array(actuators.slopes(begin, around, LATENT))
+    for index, width in ((0, 1e-4), (1, 1e-5)):
+        up, down = ([v + sign * width * (i == index) for i, v in enumerate(around)] for sign in (1, -1))
+        ends = [np.array(actuators.after(begin, end, LATENT)) for end in (up, down)]
+        assert slopes[:, index] == pytest.approx((ends[0] - ends[1]) / (2 * width), abs=1e-3)
+
+
+class Scripted:
+    """Stands in for a model: the first action is felt two periods late, the second as ``deaf`` says."""
+
+    class system:  # noqa: N801 - as the model has it
+        action_low, action_high = np.array([-1.0, -2.0]), np.array([1.0, 2.0])
+
+    period = 0.05
+
+    def __init__(self, *, deaf: tuple[bool, bool]) -> None:
+        self.deaf, self.asked = deaf, 0
+
+    def initial_memory(self, action: Any, latent: Any = None) -> Any:
+        return (tuple(action),) * 2
+
+    def felt(self, action: Any, memory: Any, latent: Any, *, period: float) -> Any:
+        self.asked += 1
+        first = 0.0 if self.deaf[0] else memory[0][0]
+        return [first, 0.0 if self.deaf[1] else action[1]], (*memory[1:], tuple(action))
+
+
+@pytest.mark.parametrize(
+    ("deaf", "reach"),
+    [((False, False), (0, 2)), ((False, True), (2, 2)), ((True, False), (0, 0)), ((True, True), (0, 0))],
+)
+def test_an_action_that_is_never_felt_has_no_dead_time(deaf: tuple[bool, bool], reach: tuple[int, int]) -> None:
+    assert tuple(Actuators(Scripted(deaf=deaf)).reach(None)) == reach  # type: ignore[arg-type]
+
+
+def test_a_response_is_followed_until_it_has_settled_and_no_further() -> None:
+    """The two ends of the step, and three periods of which the last is felt as it will stay."""
+    model = Scripted(deaf=(False, False))
+    Actuators(model).reach(None)  # type: ignore[arg-type]
+    assert model.asked == 2 + 3
+
+
+@pytest.mark.parametrize("load", [(0.0, 2.5), (0.8, 4.0)])
+def test_the_latent_that_is_given_counts_all_the_way(load: tuple[float, float]) -> None:
+    model, action, last = late("actuator_delay", 0.1), np.array((0.4, -0.2)), np.array((1.5, 0.1))
+    latent = np.array(load)
+    memory = model.initial_memory(last, latent)
+    begin = Actuators(model).begin(STATE, load, Pending(memory, tuple(last.tolist())))
+    assert begin is not None
+    state, path = np.array(STATE), list[NDArray[np.float64]]()
+    for command in (last, last, action):
+        state = CAR.advance(state, command, (), latent)[0]
+        path.append(state)
+    np.testing.assert_allclose(begin.path, path[:2], rtol=0, atol=1e-12)
+    after = np.array(Actuators(model).after(begin, action.tolist(), load))
+    np.testing.assert_allclose(after, path[2], rtol=0, atol=1e-12)
+
+
+def test_a_gain_before_a_delay_counts_as_the_latent_has_it() -> None:
+    model = CAR.with_effect(effect("car", "steering_gain"), {"gain": Setting(1.0, free=True)})
+    actuators = Actuators(late("steering_delay", 0.15, model))
+    assert [tuple(actuators.reach((0.0, 2.5, gain))) for gain in (1.0, 0.4, 2.0)] == [(0, 3)] * 3
 
 
 def test_two_delays_add_up() -> None:

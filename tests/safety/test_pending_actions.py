@@ -9,6 +9,7 @@ import pytest
 
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.safety import (
     FilterSettings,
     FunctionBarrier,
@@ -17,7 +18,6 @@ from safedpa.safety import (
     RolloutBarrier,
     SafetyFilter,
     Status,
-    car_barriers,
 )
 
 PERIOD, LATE = 0.05, 3
@@ -165,3 +165,23 @@ def test_what_is_no_delay_is_named() -> None:
         with pytest.raises(InputError) as error:
             made()
         assert said in str(error.value)
+
+
+def test_a_barrier_is_judged_with_the_latent_that_it_was_given() -> None:
+    """The car's way there depends on its latent; two ways by the model itself, and without one by its own."""
+    model, x = load_model("car"), np.array([0.1, -0.2, 0.3, 0.8])
+    late, queue = PendingActions(model, 2, (0.0, 0.0)), np.array([[1.0, 0.2], [1.5, -0.3]])
+    ahead = FunctionBarrier(lambda state: 3.0 - state[0] - 0.1 * state[3])
+    other = 0.5 * np.asarray(model.latent) + 0.4
+    found = []
+    for given, latent in ((None, model.latent), (other, other)):
+        end = model.step(model.step(x, queue[0], latent), queue[1], latent)
+        found.append(float(late.barrier(ahead, given).values(late.state(x, queue))[0]))
+        assert found[-1] == pytest.approx(3.0 - end[0] - 0.1 * end[3], abs=1e-12)
+    assert abs(found[0] - found[1]) > 1e-3
+
+
+@pytest.mark.parametrize("resting", [(0.0, np.nan), (np.inf, 0.0), (), ((0.0, 0.0),)])
+def test_what_rests_is_a_row_of_finite_numbers(resting: tuple[object, ...]) -> None:
+    with pytest.raises(InputError, match="resting"):
+        PendingActions(load_model("car"), 2, resting)  # type: ignore[arg-type]

@@ -142,6 +142,29 @@ def test_infeasible_conditions_cost_slack_only() -> None:
     assert solution.slack.sum() == pytest.approx(2.5, abs=1e-6)
 
 
+def test_a_corner_is_the_minimiser_to_the_last_bit_and_only_where_quadprog_says_so() -> None:
+    """Two actions, limits out of reach among the rows: the solver alone would end a billionth beside the corner."""
+    random, corners, others = np.random.default_rng(3), 0, 0
+    for _ in range(400):
+        low = -random.uniform(0.2, 3.0, 2)
+        program = QuadraticProgram(low, low + random.uniform(0.5, 5.0, 2), random.uniform(0.3, 3.0, 2))
+        rows = int(random.integers(1, 4))
+        A, wish = random.normal(size=(rows, 2)), random.uniform(program.low - 1.0, program.high + 1.0)
+        middle = A @ (program.low + 0.5 * program.range)
+        b = middle + random.uniform(-0.2, 1.2, rows) * reaches(program, A)
+        b[0] = middle[0] + random.uniform(0.51, 1.2) * reaches(program, A)[0]
+        solution, expected = solved(program, A, b, wish), reference(program, A, b, wish)
+        np.testing.assert_allclose(solution.action, expected[:2], atol=2e-5)
+        np.testing.assert_allclose(solution.slack / reaches(program, A), expected[2:], atol=1e-6)
+        at_end = np.minimum(expected[:2] - program.low, program.high - expected[:2]) / program.range
+        exact = ((solution.action == program.low) | (solution.action == program.high)).all()
+        corners += bool(exact)
+        others += bool(at_end.max() > 1e-3)
+        assert exact == bool(at_end.max() < 1e-7)
+    assert corners > 100
+    assert others > 50
+
+
 def test_how_far_a_limit_lies_beyond_all_actions_does_not_matter() -> None:
     """Else a hopeless row would outweigh all others: 3 is the most of interest, 2 reaches above the lowest value."""
     program = QuadraticProgram(np.full(1, -1.0), np.full(1, 1.0), np.ones(1))

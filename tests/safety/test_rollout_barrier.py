@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from safedpa.dynamics import load_model
 from safedpa.effects import effect
 from safedpa.errors import InputError
+from safedpa.robots.car.barriers import ObstacleBarrier
 from safedpa.safety import (
     AbstractBarrier,
     Barriers,
     FilterSettings,
     FunctionBarrier,
-    ObstacleBarrier,
     PendingActions,
     RolloutBarrier,
     SafetyFilter,

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from safedpa.bus import StateMessage
+from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.robots.car.car_scene import CarScene
 from safedpa.robots.pendulum.pendulum_scene import PendulumScene
-from safedpa.safety import CorridorBarrier, FilterSettings
+from safedpa.safety import CorridorBarrier, FilterSettings, FunctionBarrier
+from safedpa.safety.scene import MOST_OBSTACLES, AbstractScene, DeclaredScene
 from safedpa.safety.settings import parse_settings, write_settings
 from safedpa.safety.shipped import settings_named
 
@@ -86,7 +90,49 @@ def test_the_settings_of_the_pendulum() -> None:
     assert SETTINGS.epsilon == {"corridor": 0.02}
     assert SETTINGS.resting_action.tolist() == [0.0]
     assert parse_settings(write_settings(SETTINGS)) == SETTINGS
-    assert parse_settings("corridor_seconds = 0.4").corridor_seconds == 0.4
+    assert parse_settings(write_settings(SETTINGS).replace("0.25", "0.4")).barrier("corridor_seconds") == 0.4
     for wrong in (0.0, -1.0, float("nan")):
         with pytest.raises(InputError, match="corridor_seconds"):
-            FilterSettings(corridor_seconds=wrong)
+            SETTINGS.with_barriers(corridor_seconds=wrong)
+
+
+def declared(barriers: Any, stands: bool = True) -> DeclaredScene:
+    robot: Any = SimpleNamespace(
+        name="toy", stands=stands, barriers=barriers, backup=lambda state, _model, _settings: np.array([state[0]])
+    )
+    return DeclaredScene(robot, load_model("pendulum"), SETTINGS)
+
+
+def test_a_declared_robot_has_the_barriers_and_the_backup_that_it_declares() -> None:
+    latents: list[Any] = []
+
+    def barriers(_state: Any, _model: Any, latent: Any, _settings: Any) -> list[FunctionBarrier]:
+        latents.append(latent)
+        return [FunctionBarrier(lambda x: 1.0 - x[0])]
+
+    scene = declared(barriers, stands=False)
+    scene.learn(np.array([2.0]))
+    found = scene.of(state())
+    assert not isinstance(found, str)
+    assert found.heights((0.25, 0.0)) == pytest.approx([0.75])
+    assert latents[0].tolist() == [2.0]
+    assert scene.backup is not None
+    assert scene.backup(np.array([3.0, 0.0])).tolist() == [3.0]
+    assert scene.backup(None).tolist() == SETTINGS.resting_action.tolist(), "where it is, nobody knows"
+    assert (scene.stands, declared(barriers).stands) == (False, True)
+    assert (AbstractScene.stands, AbstractScene.quick) == (True, False), "of a robot that says nothing of it"
+
+
+def test_a_declared_robot_among_too_many_obstacles_has_no_scene() -> None:
+    scene = declared(lambda *_: [FunctionBarrier(lambda x: 1.0 - x[0])])
+    assert MOST_OBSTACLES == 64
+    assert not isinstance(scene.of(state(obstacles=((0.0, 0.0, 0.1),) * MOST_OBSTACLES)), str)
+    told = scene.of(state(obstacles=((0.0, 0.0, 0.1),) * (MOST_OBSTACLES + 1)))
+    assert told == "scene (obstacles: got 65, wanted at most 64; send the nearest)"
+
+
+def test_whatever_a_declared_robot_raises_is_a_sentence() -> None:
+    def broken(*_: Any) -> Any:
+        raise KeyError("towed")
+
+    assert declared(broken).of(state()) == "scene (barriers of robot 'toy': KeyError: 'towed')"

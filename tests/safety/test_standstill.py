@@ -8,7 +8,7 @@ from safedpa.bus import VerdictMessage
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.robots.point.system import POINT
-from safedpa.safety.standstill import Stand, Standstill, note_standstill, places_of
+from safedpa.safety.standstill import Stand, Standstill, note_standstill, places_of, what_to_do
 from safedpa.systems import System, Variable
 
 PERIOD = 0.05
@@ -42,12 +42,77 @@ def test_an_action_that_should_move_it_and_does_not_lies_in_the_dead_band() -> N
     assert standing.failed == pytest.approx(0.001)
     assert standing.would_fail(0.0009)
     assert not standing.would_fail(0.002), "a stronger action was not tried"
-    assert stood(0.3, 0.005, 0.001).failed == 0.0, "it takes half a second to see"
+    assert standing.would_fail(standing.failed)
+    assert stood(0.45, 0.005, 0.001).failed == 0.0, "it takes half a second to see"
+    assert stood(0.5, 0.005, 0.001).failed == pytest.approx(0.001)
+    assert not Standstill((0,)).would_fail(0.0), "nothing has failed"
+
+
+def test_what_is_not_meant_to_move_it_fails_at_nothing() -> None:
+    assert stood(6.0, 0.005, 0.00005).failed == 0.0, "a hundredth of what is wished"
+    standing = Standstill((0,))
+    for _ in range(20):
+        standing.measure((0.0,), PERIOD)
+        standing.promise((0.0,), (0.5,), (0.01,))
+    assert standing.failed == 0.0, "a fiftieth is no more than that"
+
+
+def test_a_wish_that_passes_now_and_then_and_moves_nothing_lies_in_the_dead_band() -> None:
+    standing = Standstill((0,))
+    for tick in range(122):
+        standing.measure((0.0,), PERIOD)
+        standing.promise((0.0,), (0.005,), (0.0004 * (tick % 2),))
+    assert standing.failed == 0.0
+    assert standing.reason("passed", (), False).startswith("dead band")
+    assert standing.reason("corrected", ("wall",), False).startswith("boxed in")
+
+
+def test_a_stand_may_begin_with_a_promise() -> None:
+    standing = Standstill((0,))
+    assert (standing.seconds, standing.failed) == (0.0, 0.0)
+    standing.promise((0.0,), (0.5,), (0.0,))
+    standing.measure((0.05,), PERIOD)
+    assert standing.seconds == PERIOD, "a tenth of what was promised is standing"
+    standing.promise((0.05,), (0.55,), (0.05,))
+    standing.measure((0.16,), PERIOD)
+    assert standing.seconds == 0.0
+    standing = Standstill((0,))
+    for _ in range(102):
+        standing.promise((0.0,), (0.05,), (0.0,))
+        standing.measure((0.0,), PERIOD)
+    assert standing.reason("passed", (), False).startswith("boxed in"), "nothing was to move it"
+    standing = Standstill((0,), seconds=6.0)
+    standing.promise((0.0,), (0.5,), (0.01,))
+    standing.measure((0.0,), PERIOD)
+    assert standing.reason("passed", (), False).startswith("boxed in"), "a fiftieth is not meant to move it"
+    standing.seconds = 5.0
+    assert standing.reason("passed", (), False) == "", "not for longer than that"
+
+
+def test_a_state_without_the_places_ends_a_stand() -> None:
+    standing = stood(6.0, 0.005, 0.001)
+    standing.measure((1.0,), PERIOD)
+    assert standing.seconds == 0.0
+
+
+@pytest.mark.parametrize(
+    ("reason", "begins"),
+    [
+        ("dead band: the model says", "Free it"),
+        ("no decision: the backup", "An input"),
+        ("margin: obstacle 0", "Give it another goal or more room, roll back"),
+        ("boxed in: obstacle 0", "Give it another goal or more room, or drive"),
+    ],
+)
+def test_each_reason_has_its_cure(reason: str, begins: str) -> None:
+    assert what_to_do(reason).startswith(begins)
+    assert what_to_do(f"x {reason}") == ""
 
 
 def test_noise_and_creeping_are_standing_but_driving_is_not() -> None:
     assert stood(6.0, 0.005, 0.001, creep=2e-5).seconds > 5.0
     assert stood(6.0, 0.005, 0.001, noise=1e-4).seconds > 5.0
+    assert stood(6.0, 0.005, 0.001, creep=2e-4).seconds > 5.0, "it is the wish that is held against"
     assert stood(6.0, 0.005, 0.004, creep=0.004).seconds == 0.0
     assert stood(6.0, 0.0, 0.0).seconds == 0.0, "nothing is wished"
 
@@ -96,4 +161,19 @@ def test_stands_are_collected_one_by_one_and_the_newest_reason_counts() -> None:
     assert found == [
         {"from": 0.0, "seconds": 5.1, "reason": "dead band"},
         {"from": 14.0, "seconds": 6.0, "reason": "margin"},
+    ]
+
+
+def test_stands_are_one_where_they_began_together() -> None:
+    found: list[Stand] = []
+    note_standstill(found, verdict(20.0000008, 6.0000004, "margin"))
+    assert found == [{"from": 14.0, "seconds": 6.0, "reason": "margin"}], "to a millionth of a second"
+    found.clear()
+    for time, stands in ((6.0, 6.0), (6.001, 6.0), (20.0000008, 6.0000004), (20.5, 6.5), (21.0, 6.5)):
+        note_standstill(found, verdict(time, stands, "margin"))
+    assert [(stand["from"], stand["seconds"]) for stand in found] == [
+        (0.0, 6.0),
+        (0.001, 6.0),
+        (14.0, 6.5),
+        (14.5, 6.5),
     ]

@@ -15,6 +15,7 @@ import pytest
 from safedpa.dynamics import PhysicsModel, load_model, parse_model
 from safedpa.dynamics.own import load_own
 from safedpa.errors import InputError
+from safedpa.robots.car.barriers import ObstacleBarrier, braking_of, car_barriers
 from safedpa.robots.car.system import CAR
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.robots.point.system import POINT
@@ -24,14 +25,12 @@ from safedpa.safety import (
     FilterSettings,
     FunctionBarrier,
     HigherOrderBarrier,
-    ObstacleBarrier,
     PendingActions,
     Plausible,
     RolloutBarrier,
     SafetyFilter,
     SpeedBarrier,
     Status,
-    car_barriers,
     parse_settings,
     write_settings,
 )
@@ -245,6 +244,14 @@ def test_limits_that_do_not_fit_the_model(changed: dict[str, Any], words: str) -
         SafetyFilter.for_model(load_model("car"), FilterSettings(**changed))
 
 
+def test_limits_that_are_the_models_own_fit() -> None:
+    car = load_model("car")
+    low, high = ([getattr(each, end) for each in car.system.action] for end in ("low", "high"))
+    SafetyFilter.for_model(car, FilterSettings(action_low=low, action_high=high))
+    with pytest.raises(InputError, match="backup: got"):
+        SafetyFilter.for_model(car, FilterSettings(), backup=lambda state: np.array([0.0, np.nan]))
+
+
 def test_a_robot_without_an_action_cannot_be_filtered() -> None:
     class Falls:
         system = System("ball", (Variable("height", "m", 0.0, 9.0),), ())
@@ -278,7 +285,7 @@ def test_a_backup_that_needs_a_state_is_no_mistake() -> None:
     assert own(backup=lambda state: -0.5 * state).decide(np.array([0.4]), None).action == [-0.2]
 
 
-@pytest.mark.parametrize("barriers", [[], (), [ObstacleBarrier([], FOOTPRINT, FilterSettings().braking)]])
+@pytest.mark.parametrize("barriers", [[], (), [ObstacleBarrier([], FOOTPRINT, braking_of(FilterSettings()))]])
 def test_a_filter_without_barriers(barriers: Any) -> None:
     with pytest.raises(InputError, match="barriers: got none, wanted at least one, or None"):
         own(barriers=barriers)
@@ -399,7 +406,7 @@ def replace_system(model: PhysicsModel, system: System) -> Any:
 
 def test_barriers_that_are_made_of_others_read_what_these_read(strangers: dict[str, PhysicsModel]) -> None:
     model, drone = load_model("car"), strangers["drone"]
-    obstacles = ObstacleBarrier([(2.0, 0.0, 0.3)], FOOTPRINT, FilterSettings().braking)
+    obstacles = ObstacleBarrier([(2.0, 0.0, 0.3)], FOOTPRINT, braking_of(FilterSettings()))
     rollout = RolloutBarrier(model, (0.0, 0.0), obstacles, 5, latent=model.latent)
     assert rollout.reads == rollout.since(np.zeros(4)).reads == CAR.state_names
     assert RolloutBarrier(drone, (0.0, 0.0), lambda x: 1.0 - x[0], 5).reads == drone.system.state_names

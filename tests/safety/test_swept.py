@@ -61,6 +61,7 @@ def test_a_path_at_rest_is_asked_at_its_states_alone() -> None:
     value, place, asked = least(lambda x: 2.0 + x, [np.array([0.5])] * 3)
     assert (value, place, asked) == (2.5, (0, 0.0), 3)
     assert least(lambda x: 2.0 + x, [np.array([0.5])]) == (2.5, (0, 0.0), 1)
+    assert least(lambda x: 2.0 + x, [np.array([0.5]) for _ in range(3)]) == (2.5, (0, 0.0), 3)
 
 
 def test_of_a_long_path_only_chords_that_may_hold_less_are_looked_into() -> None:
@@ -89,6 +90,7 @@ def test_each_value_has_a_place_of_its_own() -> None:
     np.testing.assert_allclose([share for _, share in found.places], [0.4, 0.0, 0.7], atol=1e-7)
     np.testing.assert_array_equal(found.size, [1.6, 3.0, 4.7])
     assert least_along(lambda x: np.array([0.0]), path).size[0] == 1.0, "never 0: it is divided by"
+    assert least_along(lambda x: np.array([0.25]), path).size[0] == 0.25
 
 
 def test_a_place_is_a_state_that_nobody_can_write_into() -> None:
@@ -97,3 +99,62 @@ def test_a_place_is_a_state_that_nobody_can_write_into() -> None:
     assert chord_point(UNIT, (1, 0.0)) is UNIT[1]
     with pytest.raises(ValueError, match="read-only"):
         point[0] = 1.0
+
+
+def _quartic(x: float, at: float) -> float:
+    return (x - at) * (x - at) * (1.0 + 2.0 * x * x) - 0.1 * x
+
+
+def _bent(x: float, at: float) -> float:
+    return 0.3 * (x - at) if x > at else 1.7 * (at - x)
+
+
+def _sunk(x: float, at: float) -> float:
+    return -0.04 / (0.02 + (x - at) * (x - at)) + 0.3 * x
+
+
+def _waved(x: float, at: float) -> float:
+    y = 6.0 * (x - at)
+    return y * y * y * y - 3.0 * y * y + 0.5 * y
+
+
+LONG = [np.array([0.04 * tick - 0.002 * tick * (tick % 3)]) for tick in range(27)]
+
+
+@pytest.mark.parametrize(
+    ("curve", "path", "asked", "places"),
+    [
+        (_quartic, UNIT, 955, 19.567974226122608),
+        (_bent, UNIT, 1689, 18.50000001518692),
+        (_sunk, UNIT, 725, 18.450488867471798),
+        (_waved, UNIT, 1130, 13.306592474441306),
+        (_quartic, LONG, 2520, 508.64570931022405),
+        (_bent, LONG, 2718, 475.8501748978265),
+        (_sunk, LONG, 2193, 481.9661938540069),
+        (_waved, LONG, 2629, 351.3391348282158),
+    ],
+)
+def test_the_search_goes_the_way_that_was_recorded(
+    curve: Callable[[float, float], float], path: list[np.ndarray], asked: int, places: float
+) -> None:
+    """How often h is asked, and where the least values are, over 37 curves: whatever changes the search changes this.
+
+    Curves of products and quotients alone, so that every machine has the same digits.
+    """
+    found = [least(lambda x, at=at: curve(x, at), path) for at in np.linspace(-0.06, 1.06, 37).tolist()]
+    assert sum(count for *_, count in found) == asked
+    assert sum(k + share for _, (k, share), _ in found) == pytest.approx(places, abs=1e-12)
+
+
+@pytest.mark.parametrize(("states", "asked"), [(5, 585), (6, 717), (27, 920)])
+def test_of_several_values_each_is_searched_where_it_may_be_less(states: int, asked: int) -> None:
+    """Up to four chords all are looked into, of more those where one of the values may be less."""
+    counted = []
+    for at in np.linspace(0.0, 1.0, 9).tolist():
+
+        def h(x: np.ndarray, at: float = at) -> np.ndarray:
+            counted.append(at)
+            return np.array([_quartic(float(x[0]), at), _bent(float(x[0]), 1.0 - at), 3.0])
+
+        least_along(h, [np.array([tick / (states - 1)]) for tick in range(states)])
+    assert len(counted) == asked

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from safedpa.equations.chain_rule import chain_rule
 from safedpa.errors import InputError
-from safedpa.safety.chain_rule import chain_rule
 from safedpa.safety.tangent import MARK, Tangent
 
 WIDTHS = [2.0, 0.5]

@@ -112,6 +112,13 @@ def test_the_least_of_the_norms_is_taken() -> None:
     assert largest_slope(layers, np.zeros((1, 1)), [0]) == pytest.approx(2.0)
 
 
+def test_without_layers_or_inputs_there_is_no_constant() -> None:
+    chain = [Layer(np.array([[1.0], [1.0]]), np.ones(2))]
+    for layers, inputs in (([], [0]), (chain, [])):
+        with pytest.raises(InputError, match="wanted one of each"):
+            lipschitz_bound(layers, inputs)
+
+
 def test_cancelling_weights_are_bounded_by_the_spectral_norm() -> None:
     """A rotation between two layers: absolute values and row sums lose sqrt(2), the 2-norm nothing."""
     turn = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2)

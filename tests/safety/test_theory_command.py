@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, LatentMessage, VerdictMessage
-from safedpa.bus.codec import encode
-from safedpa.bus.topics import STATE, key_of
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.topics import STATE, key_of
 from safedpa.dynamics import fingerprint, load_model
 from safedpa.errors import InputError
 from safedpa.networks import Description, EnvironmentEntry, LearnedNetworks, Weights

@@ -79,8 +79,11 @@ def test_stays_by_hand() -> None:
     ]
     assert [stay.fall for stay in stays] == [pytest.approx(0.02), 0.0]
     assert stays_in_layer([], [], []) == []
+    assert stays_in_layer([0.1], [0.1], [0.1]) == [], "at its depth the layer is left"
     with pytest.raises(InputError, match="wanted as many of each"):
         stays_in_layer([0.1], [], [])
     with pytest.raises(InputError, match="1 rises and 0 errors"):
         least_after(0.1, [0.0], [], 0.2)
     assert least_after(0.1, [0.0, 0.0], [0.2, 0.0], 0.5) == pytest.approx(-0.1)
+    assert least_after(0.1, [0.0, 0.3], [0.2, 0.0], 0.5) == pytest.approx(-0.1), "raised again by the second"
+    assert least_after(0.0, [0.2], [0.1], 0.5) == 0.0, "at 0 the condition asks for no more than 0"

@@ -9,9 +9,11 @@ from hypothesis import strategies as some
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa.networks import Description, LearnedNetworks, Weights, frame_of
+from safedpa.networks import Description, LearnedNetworks, Weights, dense_stack, frame_of
+from safedpa.networks.layers import layers_of
 from safedpa.safety.theory_measure import (
     Branches,
+    affine_parts,
     error_constants,
     lipschitz_constants,
     measured_errors,
@@ -99,6 +101,60 @@ def test_the_error_of_the_latent_is_its_sum_over_entries() -> None:
     assert measured_errors(LearnedNetworks(known), moved)["latent"] == pytest.approx(0.75)
 
 
+def test_each_error_is_the_largest_of_its_entries() -> None:
+    known = weights(12)
+    networks, seen = LearnedNetworks(known), branches(known, 4)
+    errors = measured_errors(networks, seen)
+    u = (seen.action - known["action_middle"]) / known["action_scale"]
+    own = frame_of("car").own_increment(seen.state[:, None], seen.following)
+    v = own / known["increment_scale"]
+    F, G = network_parts(networks, seen.state, seen.latent)
+    F_true, G_true, remainder = affine_parts(u, v)
+    F_there, G_there = network_parts(networks, seen.state, seen.deployed)
+    for i in (0, 31, 59):
+        assert errors["f"][i] == pytest.approx(max(abs(F_true[i, s] - F[i, s]) for s in range(4)))
+        assert errors["g"][i] == pytest.approx(max(abs(G_true[i, s, a] - G[i, s, a]) for s in range(4) for a in (0, 1)))
+        assert errors["remainder"][i] == remainder[i]
+        for k in range(9):
+            step = v[i, k] - (F_there[i] + G_there[i] @ u[i, k])
+            assert errors["step"][i, k] == pytest.approx(np.abs(step).max())
+            assert errors["effort"][i, k] == pytest.approx(abs(u[i, k, 0]) + abs(u[i, k, 1]))
+
+
+def test_slopes_are_those_at_the_branches_own_states_and_latents() -> None:
+    known = weights(5)
+    networks, seen = LearnedNetworks(known), branches(known, 1)
+    largest = 0.0
+    for state, latent in zip(seen.state, seen.deployed, strict=True):
+        for entry in range(2):
+            moved = np.tile(latent, (2, 1))
+            moved[:, entry] += (-1e-3, 1e-3)
+            scaled = (frame_of("car").features(state) - known["feature_middle"]) / known["feature_scale"]
+            out = dense_stack(np.column_stack([np.tile(scaled, (2, 1)), moved]), layers_of(known.tensors, "f"), "relu")
+            largest = max(largest, float(np.abs(out[1] - out[0]).max()) / 2e-3)
+    assert lipschitz_constants(networks, seen)["f"][1] == pytest.approx(largest, rel=0.05)
+
+
+def test_actions_that_do_not_tell_the_parts_apart_are_refused() -> None:
+    line = np.tile(np.linspace(-1.0, 1.0, 9)[None, :, None], (2, 1, 2))
+    all_ways = np.random.default_rng(0).uniform(-1, 1, (2, 4, 2))
+    for action in (line, all_ways[:, :3], np.concatenate([line[:1, :4], all_ways[:1]])):
+        with pytest.raises(InputError, match="wanted at least 4 that point all ways"):
+            affine_parts(action, np.zeros((*action.shape[:2], 4)))
+    assert affine_parts(all_ways, np.ones((2, 4, 4)))[0] == pytest.approx(1.0), "four are enough"
+
+
+def test_too_few_states_for_a_coverage_are_told() -> None:
+    known = weights(3)
+    networks = LearnedNetworks(known)
+    errors = measured_errors(networks, branches(known, 1, 60))
+    with pytest.raises(InputError, match="got 60 states, too few"):
+        error_constants(errors, {"f": (1.0, 1.0), "g": (1.0, 1.0)}, 0.99)
+    short = errors | {"f": errors["f"][:10]}
+    with pytest.raises(InputError, match="too few"):
+        error_constants(short, {"f": (1.0, 1.0), "g": (1.0, 1.0)}, 0.9)
+
+
 def test_network_parts_predict_what_the_networks_predict() -> None:
     known = weights(7)
     networks, seen = LearnedNetworks(known), branches(known, 1)
@@ -120,6 +176,10 @@ def test_slopes_are_found_between_zero_and_the_bound() -> None:
 
 def test_branches_that_do_not_fit_are_refused() -> None:
     seen = branches(weights(1), 1)
+    alone = [part[:1] for part in (seen.state, seen.latent, seen.deployed, seen.action, seen.following)]
+    assert Branches(*alone).action.shape == (1, 9, 2)
+    with pytest.raises(InputError, match="n > 0"):
+        Branches(*(part[:0] for part in alone))
     with pytest.raises(InputError, match="deployed"):
         Branches(seen.state, seen.latent, seen.deployed[:5], seen.action, seen.following)
     with pytest.raises(InputError, match="state"):

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
-from safedpa.safety import FilterSettings, MarginCalibration, car_barriers, one_step_errors, parse_settings
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, MarginCalibration, one_step_errors, parse_settings
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.settings import write_settings
 from safedpa.safety.theory_recorded import own_errors, recorded_bound
@@ -81,6 +82,21 @@ def test_the_longest_footprint_counts() -> None:
     both = recorded_bound(MODEL, SETTINGS, found, used, 0.99)
     assert both.margins["obstacle"] > 1.1 * alone.margins["obstacle"]
     assert both.margins["speed"] == alone.margins["speed"]
+
+
+def test_the_scales_are_those_of_the_first_of_ten_blocks() -> None:
+    found = drawn(1200, (0.01, 0.002, 0.02, 0.05))
+    bound = recorded_bound(MODEL, SETTINGS, found, np.ones(1200, bool), 0.99)
+    errors = np.abs(own_errors(MODEL, found))
+    aside = np.concatenate([np.arange(100), np.arange(1000, 1100)])
+    scale = np.quantile(errors[aside], 0.99, axis=0)
+    told = [bound.constants[f"scale.{name}"] for name in MODEL.system.state_names]
+    assert told == pytest.approx(scale.tolist(), rel=1e-12)
+
+
+def test_a_robot_without_such_barriers_has_no_such_margin() -> None:
+    pendulum = load_model("pendulum")
+    assert recorded_bound(pendulum, SETTINGS, drawn(3, (0.0,) * 4), np.ones(3, bool), 0.99).margins == {}
 
 
 def test_too_few_transitions_are_refused() -> None:

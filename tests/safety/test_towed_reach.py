@@ -9,33 +9,51 @@ import numpy as np
 import pytest
 
 from safedpa.bus import StateMessage
+from safedpa.equations import Given
 from safedpa.errors import InputError
+from safedpa.operations import FLOATS
+from safedpa.robots.car.barriers import braking_of, car_barriers
 from safedpa.robots.car.car_scene import CarScene
-from safedpa.safety import Barriers, FilterSettings, car_barriers
-from safedpa.safety.braking import Braking
-from safedpa.safety.car_stack import CarStack, stacked
-from safedpa.safety.reversed_way import ReversedWay
+from safedpa.robots.car.reversed_way import ReversedWay
+from safedpa.robots.car.swept import body_of, hitch_of
+from safedpa.robots.car.towed_reach import TowedReach
+from safedpa.safety import Barriers, FilterSettings
 from safedpa.safety.shipped import settings_named
-from safedpa.safety.towed_reach import TowedReach
+from safedpa.safety.stacks import EquationStack, stacked
 
 SETTINGS = settings_named("car")
-BRAKING = SETTINGS.braking
+BRAKING = braking_of(SETTINGS)
 FOOTPRINT, FIELD = (0.08, 0.40, 0.25), (-4.0, 4.0, -4.0, 4.0)
 TOWED = (0.1, 0.5, 0.42)
 
 
 def towed(way: float, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TowedReach:
-    return TowedReach(TOWED[0], TOWED[1], TOWED[2] - FOOTPRINT[2], way, pose, BRAKING)
+    return TowedReach(TOWED[0], TOWED[1], TOWED[2] - FOOTPRINT[2], way, pose)
+
+
+def growth(load: TowedReach, x: float, y: float, speed: float) -> float:
+    """m by which the radius at the hitch is larger."""
+    shared = (*FOOTPRINT[:2], BRAKING.deceleration, BRAKING.gain, *load.numbers)
+    given = Given((x, y, 0.0, speed), shared, ())
+    hitch = hitch_of(body_of(given, FLOATS), given, FLOATS)
+    assert hitch is not None
+    return float(hitch[1])
 
 
 def test_the_growth_follows_the_way_and_the_stop_to_come() -> None:
     most = TOWED[2] - FOOTPRINT[2]
-    assert towed(0.05).growth(0.0, 0.0, 1.0) == 0.0
-    assert towed(0.3).growth(0.0, 0.0, 1.0) == pytest.approx(most / 2)
-    assert towed(0.3).growth(-0.1, 0.0, 0.0) == pytest.approx(0.75 * most), "10 cm farther back"
-    assert towed(0.3).growth(0.1, 0.0, 0.0) == pytest.approx(0.25 * most), "10 cm forwards again"
-    assert towed(0.2).growth(0.0, 0.0, -0.32) == pytest.approx(most / 2), "the stop takes 10 cm"
-    assert towed(0.9).growth(0.0, 0.0, -0.6) == most
+    assert growth(towed(0.05), 0.0, 0.0, 1.0) == 0.0
+    assert growth(towed(0.3), 0.0, 0.0, 1.0) == pytest.approx(most / 2)
+    assert growth(towed(0.3), -0.1, 0.0, 0.0) == pytest.approx(0.75 * most), "10 cm farther back"
+    assert growth(towed(0.3), 0.1, 0.0, 0.0) == pytest.approx(0.25 * most), "10 cm forwards again"
+    assert growth(towed(0.2), 0.0, 0.0, -0.32) == pytest.approx(most / 2), "the stop takes 10 cm"
+    assert growth(towed(0.9), 0.0, 0.0, -0.6) == most
+
+
+def test_the_way_is_measured_along_the_heading_of_then_from_where_it_was() -> None:
+    most = TOWED[2] - FOOTPRINT[2]
+    assert growth(towed(0.3, (1.0, 2.0, math.pi / 2)), 5.0, 2.1, 0.0) == pytest.approx(0.25 * most)
+    assert growth(towed(0.3, (1.0, 2.0, 0.0)), 0.9, 5.0, 0.0) == pytest.approx(0.75 * most)
 
 
 def scene(draw: np.random.Generator) -> tuple[np.ndarray[Any, Any], TowedReach, list[Any]]:
@@ -51,7 +69,7 @@ def test_both_roads_to_h_agree_and_slopes_are_those_of_finite_differences() -> N
     for _ in range(400):
         state, load, parts = scene(draw)
         quick, reference = stacked(parts), Barriers(parts)
-        assert isinstance(quick, CarStack)
+        assert isinstance(quick, EquationStack)
         assert np.array(quick.heights(state.tolist())) == pytest.approx(reference.values(state), abs=1e-12)
         assert np.concatenate([part.evaluate(state)[0] for part in parts]) == pytest.approx(reference.values(state))
         slopes = np.array(quick.slopes(state.tolist(), range(len(quick.names))))
@@ -63,7 +81,7 @@ def test_both_roads_to_h_agree_and_slopes_are_those_of_finite_differences() -> N
         measured = np.array([(reference.values(state + n) - reference.values(state - n)) / 2e-6 for n in nudges]).T
         kinks = np.abs(measured - slopes).max(1) > 1e-4
         assert kinks.sum() <= 2, "a nudge may cross from one nearest point to another"
-        grown += load.growth(state[0], state[1], state[3]) > 0.0
+        grown += growth(load, state[0], state[1], state[3]) > 0.0
     assert grown > 200
 
 
@@ -140,17 +158,39 @@ def test_the_barriers_of_a_robot_that_tows_follow_its_way() -> None:
         found = tells.of(message(tick, float(x), obstacles=((x - 0.08, 1.0, 0.2),)))
         assert not isinstance(found, str)
         room.append(found.heights((float(x), 0.0, 0.0, 0.0))[0])
-    assert room[9] == pytest.approx(1.0 - 0.2 - FOOTPRINT[2] - SETTINGS.clearance)
-    assert room[-1] == pytest.approx(1.0 - 0.2 - TOWED[2] - SETTINGS.clearance), "0.7 m back: its whole reach"
+    assert room[9] == pytest.approx(1.0 - 0.2 - FOOTPRINT[2] - SETTINGS.barrier("clearance"))
+    assert room[-1] == pytest.approx(1.0 - 0.2 - TOWED[2] - SETTINGS.barrier("clearance")), (
+        "0.7 m back: its whole reach"
+    )
 
 
-@pytest.mark.parametrize("wrong", [(0.1, 0.5), (0.5, 0.1, 0.4), (-0.1, 0.5, 0.4), (0.1, 1.5, 0.4)])
+def test_a_way_counts_from_the_first_state_on_and_over_half_a_second_without_one() -> None:
+    way = ReversedWay()
+    way.follow(message(0, 0.2, towed=()))
+    assert way.way == 1.0, "before it nothing was seen"
+    way.follow(message(10, 0.5, towed=()))
+    assert way.way == pytest.approx(0.7), "half a second later"
+    way.follow(message(21, 0.9, towed=()))
+    assert way.way == 1.0
+    way.follow(message(22, 0.0, values=(1.1, 0.0, 0.0), towed=()))
+    assert way.way == pytest.approx(0.8), "place and heading are enough"
+    way.follow(message(23, 1.1, towed=(), reversed_way=0.0))
+    assert way.way == 0.0, "told by the robot"
+
+
+def test_lengths_at_their_limits() -> None:
+    for lengths in ((0.0, 0.5, 0.42), (0.1, 1.0, 0.42)):
+        assert ReversedWay().reach(message(0, 0.0, towed=lengths)) is not None
+    assert ReversedWay().reach(message(0, 0.0, towed=(0.1, 0.5, FOOTPRINT[2]))) is None, "no more than the footprint"
+
+
+@pytest.mark.parametrize("wrong", [(0.1, 0.5), (0.5, 0.5, 0.4), (0.5, 0.1, 0.4), (-0.1, 0.5, 0.4), (0.1, 1.5, 0.4)])
 def test_lengths_that_are_none_are_no_scene(wrong: tuple[float, ...]) -> None:
     found = CarScene(FilterSettings()).of(message(0, 0.0, towed=wrong))
     assert isinstance(found, str)
     assert "towed" in found
     with pytest.raises(InputError, match="towed"):
-        ReversedWay().reach(message(0, 0.0, towed=wrong), Braking(2.0, 2.0))
+        ReversedWay().reach(message(0, 0.0, towed=wrong))
 
 
 def test_a_filter_that_is_started_anew_believes_the_robot_that_counts_itself() -> None:

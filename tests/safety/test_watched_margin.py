@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.filtered_robot import FilteredRobot
 from safedpa.safety.held_model import HeldModel, uncalibrated
 from safedpa.safety.shipped import settings_named
+from safedpa.safety.trail import Foretold
 from safedpa.safety.watched_margin import WatchedMargin
 
 CALIBRATION = MarginCalibration({"function": 0.01}, 0.99, 500, "2026-11-21", "x")
@@ -49,6 +52,96 @@ def test_the_change_of_h_with_the_latent_is_in_the_error() -> None:
     assert seen(watch) == pytest.approx(0.01)
     watch.observe([0.29], at(0.15))
     assert watch.seen == {}, "nothing was predicted"
+
+
+def kinds(**heights: float) -> Barriers:
+    """Barriers of a kind each, whose h is one state with a number on top."""
+    rows = [
+        FunctionBarrier(lambda x, index=index, more=more: x[index] + more, kind=kind)  # type: ignore[misc]
+        for index, (kind, more) in enumerate(heights.items())
+    ]
+    return Barriers(tuple(rows))
+
+
+@pytest.mark.parametrize("order", [("a", "b", "c"), ("b", "c", "a"), ("c", "a", "b"), ("c", "b", "a")])
+@pytest.mark.parametrize("missed", [("a",), ("a", "a", "b")])
+def test_the_coverage_is_that_of_the_kind_that_has_the_least(order: tuple[str, ...], missed: tuple[str, ...]) -> None:
+    """Four steps each: "a" misses once or twice of them, so that 3/4 or 1/2 are left to it."""
+    watch = WatchedMargin(dataclasses.replace(CALIBRATION, epsilon=dict.fromkeys(order, 0.01)))
+    assert watch.coverage == -1.0
+    barriers = kinds(**dict.fromkeys(order, 0.0))
+    for step in range(4):
+        too_much = [missed.count(kind) > step for kind in order]
+        watch.expect([1.0] * 3)
+        watch.observe([1.0 - 10.0**step * more for more in too_much], barriers)
+    assert watch.coverage == pytest.approx(1.0 - missed.count("a") / 4.0)
+
+
+def test_a_kind_that_has_missed_all_the_time_has_a_coverage_of_none() -> None:
+    for order in (("a", "b"), ("b", "a")):
+        watch = WatchedMargin(dataclasses.replace(CALIBRATION, epsilon=dict.fromkeys(order, 0.01)))
+        watch.expect([1.0, 1.0])
+        watch.observe([0.0 if kind == "a" else 1.0 for kind in order], kinds(**dict.fromkeys(order, 0.0)))
+        assert watch.coverage == 0.0
+
+
+def test_a_miss_is_remembered_for_five_hundred_steps() -> None:
+    watch, told = WatchedMargin(CALIBRATION), []
+    for step in range(502):
+        watch.expect([1.0])
+        watch.observe([1.0 if step else 0.0], at(0.0))
+        told.append(watch.coverage)
+    assert told[499] == pytest.approx(499 / 500)
+    assert told[500] == 1.0
+
+
+def test_what_was_promised_is_told_of_a_calibration_alone() -> None:
+    assert WatchedMargin(CALIBRATION).promised == 0.99
+    settings = settings_named("car")
+    assert WatchedMargin(uncalibrated(settings, "m")).promised == -1.0
+
+
+def test_a_kind_without_a_margin_is_seen_and_moves_none() -> None:
+    watch = WatchedMargin(CALIBRATION)
+    for _ in range(20):
+        watch.expect([1.0, 1.0])
+        watch.observe([1.0, 0.0], kinds(function=0.0, other=0.0))
+    assert watch.seen["other"] == Seen(1.0, 0.0)
+    assert watch.epsilon == {"function": 0.01}
+
+
+def test_a_margin_that_does_not_learn_stays() -> None:
+    watch = WatchedMargin(CALIBRATION)
+    watch.learns = False
+    for _ in range(20):
+        watch.expect([1.0])
+        watch.observe([0.0], at(0.0))
+    assert watch.epsilon == {"function": 0.01}
+    assert watch.coverage == -1.0
+
+
+def test_past_a_dead_time_what_was_foretold_is_held_against_what_came_at_both_states() -> None:
+    """h = x - latent; of the state before as of this one the h hoped for is that of the barriers of then."""
+    watch = WatchedMargin(CALIBRATION)
+    watch.expect([0.9], at(0.1))
+    watch.observe([0.5], at(0.2), late=Foretold(hoped_before=(0.8,), before=(0.7,), hoped=(0.6,)))
+    assert watch.seen["function"] == pytest.approx(Seen(0.5, 0.3, 0.7, 0.5))
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_an_h_that_is_no_number_leaves_no_error_wherever_it_stands(place: int) -> None:
+    three = Barriers((FunctionBarrier(lambda x: x, names=("a", "b", "c")),))
+    watch = WatchedMargin(CALIBRATION)
+    measured = [0.5, 0.6, 0.7]
+    measured[place] = nan
+    watch.expect([1.0, 1.0, 1.0])
+    watch.observe(measured, three)
+    assert np.isnan(watch.seen["function"].measured)
+    assert watch.seen["function"].hoped == 1.0
+    assert watch.coverage == -1.0
+    watch.expect([1.0, 1.0, 1.0])
+    watch.observe([np.inf, 0.5, -np.inf], three)
+    assert watch.seen["function"].measured == -np.inf, "the sum is no number, and each of them is one"
 
 
 def test_errors_by_a_latent_that_jumps_widen_the_margin() -> None:
@@ -157,6 +250,14 @@ def test_the_point_robot_s_room_to_stop_is_less_in_a_wind_that_is_learned_late()
     for later in (calm, wind):
         latents = [calm] * 3 + [later] * 3  # the barriers of a tick are those of the latent one tick before
         along = [DrivenTick(point_state(k), latent_message(k, latents[k], own)) for k in range(6)]
-        found[later] = NO_CEILING.errors("obstacle", drive_heights(model, settings, along)["obstacle"])
+        heights = drive_heights(model, settings, along)["obstacle"]
+        assert heights.shape == (5, 4), "each tick but the first is held against what was expected of it"
+        found[later] = NO_CEILING.errors("obstacle", heights)
+    lost = [
+        tick._replace(state=replace(tick.state, values=(nan,) * 5)) if k == 3 else tick for k, tick in enumerate(along)
+    ]
+    left = drive_heights(model, settings, lost)["obstacle"]
+    assert len(left) < 5
+    assert np.isfinite(left).all(), "a state that is no number makes no error"
     assert found[wind][:3] == pytest.approx(found[calm][:3])
     assert found[wind][3] - found[calm][3] > 0.4 * fall, "less what the wind does to the prediction itself"

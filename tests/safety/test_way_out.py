@@ -250,14 +250,18 @@ def test_the_wish_is_taken_where_it_raises_what_is_short(
         )
 
 
-def test_a_car_beside_an_obstacle_gets_out() -> None:
-    """As measured with a box in tow: at rest with h 0.7 mm inside the layer, and every single step lowers it."""
+@pytest.mark.parametrize("until_action", [0.0, 0.006])
+def test_a_car_beside_an_obstacle_gets_out(until_action: float) -> None:
+    """As measured with a box in tow: at rest with h 0.7 mm inside the layer, and every single step lowers it.
+
+    The same where the action acts some milliseconds after the state was measured, as on every real robot.
+    """
     model, settings = load_model("car"), settings_named("car")
     own = fingerprint(model)
     calibration = replace(uncalibrated(settings, own), epsilon={"obstacle": 0.0283, "field": 0.0054, "speed": 0.025})
     memory = FilteredRobot.begun(HeldModel(model, own, calibration), settings)
     state = CarRobot(Scene.random(1, "box"), PERIOD / 2).state_message()
-    state = replace(state, values=(-1.276, 2.0412, 9.2783, 0.0), reversed_way=0.0)
+    state = replace(state, values=(-1.276, 2.0412, 9.2783, 0.0), reversed_way=0.0, until_action=until_action)
     latent = np.array([0.8, 1.09])
     ways = []
     for _ in range(60):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import safedpa.robot as robot_module
+from safedpa import installed
 from safedpa.adaptation import AdaptationNode
 from safedpa.check_robot import check_robot
 from safedpa.dynamics import load_model, load_own
@@ -31,7 +32,7 @@ STRANGER = """from safedpa.systems import System, Variable
 DRONE = System("drone", (Variable("height", "m", 0.0, 9.0),), ())
 """
 """A system of a name that a robot bears as well."""
-WORLDS = {"drone": {"wind": 1.5}, "differential_drive": {"pull": 0.5, "lag": 0.06}}
+WORLDS = {"drone": {"wind": 1.5}, "cleaner": {"pull": 0.5, "lag": 0.06}}
 FILES = {name: EXAMPLES / name / f"{name}.py" for name in WORLDS}
 
 
@@ -81,7 +82,7 @@ def test_up_drives_it_and_its_recording_tells_what_is_hidden(
     words = ["diagnose", plain, str(recording), "--robot-file", str(file), "--json", "--out", str(page)]
     assert safedpa.run(words) == 0
     told = capfd.readouterr().out
-    assert {"drone": "ax_offset", "differential_drive": "pull"}[name] in told
+    assert {"drone": "ax_offset", "cleaner": "pull"}[name] in told
 
 
 def test_a_file_without_a_robot_and_one_that_lacks_something_cost_a_line(
@@ -157,6 +158,11 @@ def test_a_world_that_a_stand_in_does_not_have_is_refused_by_name() -> None:
             world_number(wrong)
 
 
+def _forget_what_is_installed() -> None:
+    installed._all.cache_clear()
+    robot_module._shipped.cache_clear()
+
+
 def test_the_robot_of_another_distribution_is_known_and_a_broken_one_costs_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -169,12 +175,12 @@ def test_the_robot_of_another_distribution_is_known_and_a_broken_one_costs_a_sen
     entries = info / "entry_points.txt"
     for value, said in (("stranger_gone:ROBOT", "cannot be loaded"), ("stranger_glider:SYSTEM", "wanted an Abstract")):
         entries.write_text(f"[safedpa.robots]\nglider = {value}\n", encoding="utf-8")
-        robot_module._shipped.cache_clear()
+        _forget_what_is_installed()
         with pytest.raises(InputError, match=said):
             robots()
     entries.write_text("[safedpa.robots]\nglider = stranger_glider:ROBOT\n", encoding="utf-8")
-    robot_module._shipped.cache_clear()
+    _forget_what_is_installed()
     assert robots()["glider"].rate == 25.0
     entries.unlink()
-    robot_module._shipped.cache_clear()
+    _forget_what_is_installed()
     assert "glider" not in robots()

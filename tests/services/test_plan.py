@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from safedpa.errors import SafedpaError
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan
@@ -75,6 +76,32 @@ def test_only_what_drives_is_essential_and_has_priority(monkeypatch: pytest.Monk
     assert words[words.index("--versions") + 1].endswith("/models"), "what was agreed on outlives the process"
 
 
+def test_perception_runs_beside_a_car_with_a_laser_and_beside_no_other(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    without = planned(monkeypatch, tmp_path, "--headless")
+    plan = planned(monkeypatch, tmp_path, "--headless", "--laser", "--people", "2")
+    assert "perception" not in named(without)
+    assert "--laser" not in without.robot_process().arguments
+    assert named(plan)["perception"].essential
+    assert "--realtime" in named(plan)["perception"].arguments
+    assert "--laser" in plan.robot_process().arguments
+    assert "--people=2" in plan.robot_process().arguments
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--people", "2"], "without --laser"),
+        (["--laser", "--people", "99"], "wanted 0 to 12"),
+        (["--laser", "--robot", "pendulum"], "--laser: got one for a pendulum"),
+    ],
+)
+def test_people_and_lasers_where_there_are_none_are_refused(tmp_path: Path, options: list[str], said: str) -> None:
+    result = CliRunner().invoke(up.command, ["--headless", "--out", str(tmp_path), *options])
+    assert said in str(result.exception)
+
+
 def test_what_changes_is_the_robot_s_affair(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert up.CHANGES == CHANGES
     robot = planned(monkeypatch, tmp_path, "--change", "hitch", "--change-after", "12").robot_process()
@@ -116,6 +143,15 @@ def test_a_diagnosis_that_cannot_be_brought_up_ends_nothing(tmp_path: Path) -> N
     robot.start = lambda: None  # type: ignore[method-assign]
     assert supervisor.run() == 0
     assert DeadChild.started == 1, "it is not tried again and again"
+
+
+def test_a_robot_that_refuses_its_input_before_it_ever_drove_ends_it_with_its_last_words(tmp_path: Path) -> None:
+    robot = DeadChild("robot", "none", (), tmp_path / "robot.log")
+    robot.start = lambda: (tmp_path / "robot.log").write_text("/drive: nobody listens there")  # type: ignore[method-assign, assignment, return-value]
+    turns = iter([False] * 5 + [True] * 50)
+    supervisor = Supervisor([], robot, Deaf(), lambda: next(turns), lambda: None)  # type: ignore[arg-type]
+    with pytest.raises(SafedpaError, match="nobody listens there"):
+        supervisor.run()
 
 
 def test_several_robots_have_names_and_scenes_of_their_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

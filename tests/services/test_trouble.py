@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from safedpa.bus import STATE, Bus, ZenohSettings, ZenohTransport
-from safedpa.bus.ports import free_port
+from safedpa.bus.transport.ports import free_port
 from safedpa.errors import BusError
 from safedpa.records import read_messages
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from safedpa.errors import InputError
-from safedpa_sim.training.circles import PERIOD, record_circles
+from safedpa_sim.training.tuning_data import PERIOD, record_circles
 
 
 @pytest.fixture(scope="module")

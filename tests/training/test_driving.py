@@ -7,9 +7,11 @@ import pytest
 import torch
 
 from safedpa.networks import Weights
-from safedpa.safety.braking import Braking
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import SafetyFilter, Status
+from safedpa.safety.shipped import settings_named
+from safedpa_sim.training.car_task import EPISODE_TICKS, Driving, Rewards
 from safedpa_sim.training.configuration import Configuration, load_configuration
-from safedpa_sim.training.driving import EPISODE_TICKS, Driving, Rewards, allowed_speed
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes
 from safedpa_sim.training.scenes import MOST_OBSTACLES, draw_scenes
 from safedpa_sim.training.simulator import BatchedCars
@@ -97,9 +99,7 @@ def test_nothing_solid_is_driven_through(configuration: Configuration, weights: 
     assert touched.mean() > 0.8
 
 
-def test_the_stand_in_for_the_filter_keeps_straight_drives_from_contact(
-    configuration: Configuration, weights: Weights
-) -> None:
+def test_the_filter_keeps_straight_drives_from_contact(configuration: Configuration, weights: Weights) -> None:
     contacts = {}
     for sheltered in (True, False):
         driving = Driving(configuration, weights, CARS, 3, sheltered=sheltered, calm=True)
@@ -110,12 +110,25 @@ def test_the_stand_in_for_the_filter_keeps_straight_drives_from_contact(
     )
 
 
-def test_the_allowed_speed_is_what_stopping_distance_and_condition_leave() -> None:
-    braking = Braking(2.0, 2.5)
-    for speed in (0.1, 0.5, 0.8, 1.2, 2.0):
-        way = np.float32(braking.distance(speed) + 0.25 * speed)
-        assert allowed_speed(way) == pytest.approx(speed, abs=1e-3)
-    assert allowed_speed(np.array([-0.2, 0.0], dtype=np.float32)).tolist() == [0.0, 0.0]
+def test_training_is_sheltered_by_the_filter_itself(configuration: Configuration, weights: Weights) -> None:
+    """Each car gets what ``SafetyFilter`` would give it, with a margin of eta times what the car keeps."""
+    driving = Driving(configuration, weights, CARS, 7)
+    model, chosen = driving._cars.model, settings_named("car").with_barriers(clearance=0.0)
+    alone, corrected = SafetyFilter.for_model(model, chosen), 0
+    for _ in range(60):
+        before, wish, environment = driving.state.copy(), straight(driving, 2.0), driving.environment.copy()
+        driving.advance(wish)
+    scene, asked = driving.scene, driving._middle + driving._scale * wish
+    for car in range(CARS):
+        rear, front, radius = scene.footprint[car].astype(float)
+        body = (rear + 0.15 * (radius > 0.13), front, radius)
+        around = car_barriers(chosen, body, scene.obstacles[car], scene.field[car].tolist())
+        room = chosen.eta * float(driving._kept[car])
+        margins = {"obstacle": room, "field": room, "speed": 0.0}
+        verdict = alone.decide(before[car], asked[car], environment[car], barriers=around, epsilon=margins)
+        np.testing.assert_allclose(driving.applied[car], verdict.action, atol=2e-5)
+        corrected += verdict.status is not Status.passed
+    assert corrected > CARS / 4
 
 
 def test_progress_is_rewarded_and_contact_costs_what_it_is_told_to(

@@ -13,16 +13,14 @@ from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks
 from safedpa.records import write_csv
 from safedpa_sim.training import phase_3
-from safedpa_sim.training.circles import record_circles
 from safedpa_sim.training.configuration import load_configuration
-from safedpa_sim.training.drawbar import Drawbars
-from safedpa_sim.training.drives import random_drives
+from safedpa_sim.training.drives import Drawbars, random_drives
 from safedpa_sim.training.networks import affine_networks
 from safedpa_sim.training.phase_1a import train_affine
 from safedpa_sim.training.phase_2 import train_history_encoder
 from safedpa_sim.training.phase_3 import tune, tune_on_drives, tune_on_runs
 from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.tuning_data import drives_of
+from safedpa_sim.training.tuning_data import drives_of, record_circles
 from safedpa_sim.training.weights_export import export_model
 
 pytestmark = pytest.mark.slow

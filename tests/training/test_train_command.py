@@ -102,7 +102,7 @@ def test_without_a_cuda_device_it_says_so(capsys: pytest.CaptureFixture[str], tm
 def test_a_boat_cannot_be_trained(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, error = run(capsys, "train", "boat")
     assert code == 2
-    assert "got 'boat'; known: car, pendulum" in error
+    assert "robot 'boat': known: car, differential_drive, pendulum, point" in error
 
 
 def test_a_damaged_record_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -9,8 +9,7 @@ from safedpa.dynamics import load_model, parse_model
 from safedpa.errors import InputError
 from safedpa.networks import load_weights
 from safedpa_services.command_line.group import safedpa
-from safedpa_sim.training.configuration import load_configuration
-from safedpa_sim.training.diagnosed import with_diagnosed
+from safedpa_sim.training.configuration import load_configuration, with_diagnosed
 from safedpa_sim.training.simulator import BatchedCars
 
 FOUND = """format = 1

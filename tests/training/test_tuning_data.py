@@ -8,8 +8,7 @@ import pytest
 from safedpa.errors import InputError
 from safedpa.records import Run, Stretch, write_csv
 from safedpa.robots.car.system import CAR
-from safedpa_sim.training.circles import record_circles
-from safedpa_sim.training.tuning_data import HORIZON, drives_of, load_tuning_runs, split
+from safedpa_sim.training.tuning_data import HORIZON, drives_of, load_tuning_runs, record_circles, split
 
 HISTORY = 36
 

@@ -58,7 +58,7 @@ def _written(path: Path, rows: list[list[float]], columns: tuple[str, ...] = COL
 def finished() -> Iterator[Callable[[Coroutine[Any, Any, Any]], Any]]:
     """Runs a coroutine to its end, on a thread of its own: the browser's tests leave a running loop in this one."""
     with ThreadPoolExecutor(1) as pool:
-        yield lambda story: pool.submit(asyncio.run, story).result(90.0)
+        yield lambda story: pool.submit(asyncio.run, story).result(240.0)
 
 
 @pytest.fixture(scope="session")
@@ -142,7 +142,7 @@ import json, sys, threading, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from live_messages import finding, model, state, REPORT
-from safedpa.bus.process import Stop
+from safedpa.bus.loop.process import Stop
 from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.recordings import Choice

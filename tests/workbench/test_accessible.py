@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
 
-PATIENCE = 90_000
+PATIENCE = 240_000
 AXE = "axe-core@4.10.3"
 SHA256 = "880970c081707360e64f34cea25ff91892f5bc95675b0776925b9709dd8a68bb"
 """Of axe.min.js in that package."""
@@ -72,7 +72,7 @@ def test_the_workbench(browser, serve, drives, axe):
             page.keyboard.press(key)
             page.wait_for_selector(sign, timeout=PATIENCE)
             page.wait_for_timeout(500)
-            # its buttons are those of the page; axe takes what lies behind a dialog for their background
+            # axe takes what lies behind a dialog for the background of its letters; test_screens looks at these
             found += page.evaluate(RUN, [".q-dialog", ["color-contrast"]])
             page.keyboard.press("Escape")
             page.wait_for_selector(sign, state="hidden", timeout=PATIENCE)

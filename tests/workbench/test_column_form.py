@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.records.ros_logs import bag
 
 from safedpa.errors import ColumnMapError, RunError
 from safedpa.records import load_column_map
 from safedpa.records.column_map import native_map
 from safedpa.records.column_map_file import parse_column_map, shipped_column_maps
+from safedpa.robots.car.system import CAR
 from safedpa.systems import systems
 from safedpa_services.workbench.column_form import DERIVED, Line, guessed, lines_of, map_text, units_for
 from safedpa_services.workbench.file_preview import checked, raw_rows
@@ -52,7 +55,8 @@ def test_no_column_is_guessed_twice():
 @pytest.mark.parametrize("name", sorted(shipped_column_maps()))
 def test_a_map_that_ships_comes_back_from_the_form(name, plain):
     columns = load_column_map(name)
-    system = plain.system if columns.robot == "car" else systems()[columns.robot]
+    known = [plain.system, *systems().values()]
+    system = next(one for one in known if one.name == columns.robot and set(one.action_names) <= set(columns.columns))
     assert Made(map_text(system, lines_of(system, columns)), name).columns == columns
 
 
@@ -107,3 +111,19 @@ def test_files_that_cannot_be_previewed_are_refused_in_one_line(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00\x01" * 50)
     with pytest.raises(RunError, match="cannot be read"):
         raw_rows(binary)
+
+
+def test_the_fields_of_a_bag_s_topics_are_guessed_and_the_map_reads_it(tmp_path: Path) -> None:
+    path = next(bag(tmp_path / "drive", "mcap", 100).glob("*.mcap"))
+    names = raw_rows(path).names
+    assert "/odom:@header" in names
+    lines = guessed(CAR, names)
+    assert lines[0].source == "/odom:@header"
+    columns = parse_column_map(map_text(CAR, lines))
+    found = checked(path, CAR, columns)
+    assert not found.problem
+    assert "100 rows in 1 stretch" in found.sentence
+    shipped = load_column_map("f1tenth_bag")
+    assert set(shipped.sources) <= set(names)
+    again = parse_column_map(map_text(CAR, lines_of(CAR, shipped)))
+    assert dict(again.columns) == dict(shipped.columns)

@@ -23,18 +23,23 @@ from safedpa.bus import (
     VerdictMessage,
 )
 from safedpa.errors import InputError
-from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.live_book import RobotBook
-from safedpa_services.workbench.live_cards import live_cards
 from safedpa_services.workbench.live_link import LiveLink, Told
 from safedpa_services.workbench.live_page import _answered, _consequences
-from safedpa_services.workbench.live_panels import change_lines, error_bars
+from safedpa_services.workbench.live_panels import (
+    change_lines,
+    error_bars,
+    error_figure,
+    evidence_figure,
+    field_figure,
+    live_cards,
+)
 from safedpa_services.workbench.look import LIGHT
 from safedpa_services.workbench.replay_link import ReplayLink
 
 pytestmark = pytest.mark.slow
 
-PATIENCE = 90_000
+PATIENCE = 240_000
 """ms; on a busy machine a page takes its time."""
 
 REPORT = {

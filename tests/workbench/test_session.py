@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.dynamics import Setting
+from safedpa.dynamics import Setting, fingerprint
 from safedpa.errors import InputError
+from safedpa.safety.calibration import MarginCalibration
 from safedpa_services.workbench import jobs
-from safedpa_services.workbench.brush import ERROR, TIME, Brush, inside_of, time_of, values_of
-from safedpa_services.workbench.error_map import default_axes, error_map
-from safedpa_services.workbench.figures_path import curves_figure, excerpt_of, path_figure
+from safedpa_services.workbench.brush import ERROR, TIME, Brush, default_axes, error_map, inside_of, time_of, values_of
 from safedpa_services.workbench.figures_where import brush_of_map, brush_of_time, map_figure, time_figure, window_near
 from safedpa_services.workbench.look import DARK, LIGHT
+from safedpa_services.workbench.panel_path import curves_figure, excerpt_of, path_figure
 from safedpa_services.workbench.saving import saved
 from safedpa_services.workbench.session import Session
 
@@ -198,11 +198,13 @@ def test_saving_writes_the_model_with_final_numbers(searched, plain, runs, tmp_p
 
     version = searched.settled("quadratic_drag")
     said = saved(version.step, runs, plain, tmp_path / "out", quiet)
-    assert "model.toml" in said
+    assert f"safedpa up --model {tmp_path / 'out' / 'model.toml'} --margin" in said
     model = load_model(tmp_path / "out" / "model.toml")
     assert model.settings["quadratic_drag.coefficient"].value == pytest.approx(0.3, abs=0.01)
     assert model.latent_names == ()
-    assert not (tmp_path / "out" / "margin.toml").exists()
+    margin = MarginCalibration.load(tmp_path / "out" / "margin.toml")
+    assert margin.fingerprint == fingerprint(model)
+    assert 0.0 < margin.epsilon["obstacle"] < 0.1
 
 
 def test_the_rerun_recording_begins_at_the_chosen_start(searched, tmp_path):

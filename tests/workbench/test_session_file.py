@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
+from safedpa.robots.car.system import CAR_THROTTLE
+from safedpa.systems import Variable
 from safedpa.systems.driven import why_not_driven
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.recordings import Choice, Made
-from safedpa_services.workbench.session_file import (
-    NAME,
+from safedpa_services.workbench.saving import (
+    SESSION_FILE,
     Kept,
     absolute,
     newest_in,
@@ -21,6 +26,7 @@ from safedpa_services.workbench.session_file import (
     write_session,
 )
 
+BALL = Path(__file__).parents[2] / "docs" / "examples" / "falling_ball.py"
 KEPT = Kept(
     Choice("car", ("/a/one.csv", "/a/two.csv"), Made('format = 1\nrobot = "car"\n', "dart_car_columns"), 0.8),
     (("rejected", "payload"), ("added", "quadratic_drag")),
@@ -31,7 +37,7 @@ KEPT = Kept(
 def test_what_is_written_is_read(tmp_path, columns):
     kept = Kept(Choice("car", KEPT.choice.runs, columns, 0.8), KEPT.decisions)
     write_session(kept, tmp_path)
-    assert read_session(tmp_path / NAME) == kept
+    assert read_session(tmp_path / SESSION_FILE) == kept
 
 
 @pytest.mark.parametrize(
@@ -46,10 +52,10 @@ def test_what_is_written_is_read(tmp_path, columns):
 )
 def test_what_is_no_session_is_refused_in_a_line(tmp_path, change, words):
     write_session(KEPT, tmp_path)
-    document = json.loads((tmp_path / NAME).read_text(encoding="utf-8")) | change
-    (tmp_path / NAME).write_text(json.dumps(document), encoding="utf-8")
+    document = json.loads((tmp_path / SESSION_FILE).read_text(encoding="utf-8")) | change
+    (tmp_path / SESSION_FILE).write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(InputError, match=words):
-        read_session(tmp_path / NAME)
+        read_session(tmp_path / SESSION_FILE)
 
 
 def test_another_choice_gets_a_folder_of_its_own_and_the_same_one_goes_on(tmp_path):
@@ -62,7 +68,7 @@ def test_another_choice_gets_a_folder_of_its_own_and_the_same_one_goes_on(tmp_pa
     assert place_for(base, other) == (tmp_path / "workbench-2", ())
     write_session(Kept(other), tmp_path / "workbench-2")
     assert place_for(base, other) == (tmp_path / "workbench-2", ())
-    assert newest_in(base) == tmp_path / "workbench-2" / NAME
+    assert newest_in(base) == tmp_path / "workbench-2" / SESSION_FILE
 
 
 def test_a_model_that_no_session_tells_of_is_not_replaced(tmp_path):
@@ -78,9 +84,21 @@ def test_paths_are_kept_whole_and_names_that_ship_are_names(tmp_path, monkeypatc
     assert absolute(Choice("car", ("one.csv",))) == Choice("car", (str(tmp_path / "one.csv"),))
 
 
-def test_what_up_refuses_is_said_with_what_it_is_and_what_was_wanted(plain):
-    assert "throttle, steer" in why_not_driven(plain.system, "car")
-    assert "wanted a car with target_speed, steer" in why_not_driven(plain.system, "car")
+def test_what_up_refuses_is_said_with_what_it_is_and_what_was_wanted():
+    thruster = replace(CAR_THROTTLE, action=(Variable("thrust", "N", -1.0, 1.0), CAR_THROTTLE.action[1]))
+    said = why_not_driven(thruster, "car")
+    assert "a car with thrust, steer" in said
+    assert "wanted a car with target_speed, steer or throttle, steer" in said
+
+
+def test_a_model_that_up_drives_is_not_warned_of_and_another_is(plain, tmp_path):
+    bench = Bench(Choice(), tmp_path)
+    bench.session = object()
+    bench.given = plain
+    assert bench.warning == ""
+    load_own(BALL)
+    bench.given = load_model(BALL.with_suffix(".toml"))
+    assert "'safedpa up' will refuse it: a ball with" in bench.warning
 
 
 @pytest.mark.processes

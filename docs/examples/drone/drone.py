@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from safedpa.barrier_setting import BarrierSetting
 from safedpa.drawing import Lines, Rings
 from safedpa.dynamics import AbstractBase
 from safedpa.effects import Parameter, RateEffect, Stage, general_effects
@@ -87,6 +88,7 @@ class Drone(AbstractRobot):
     rate = 25.0
     model = Path(__file__).with_name("drone.toml")
     kinds = ("tree", "speed")
+    barrier_settings = (BarrierSetting("clearance", "m", 0.05, "kept to trees"),)
     measurement_deviation = (0.005, 0.005, 0.02, 0.02)
 
     def bases(self):
@@ -114,7 +116,7 @@ class Drone(AbstractRobot):
             apart = trees[:, :2] - x[:2]
             distance = np.hypot(apart[:, 0], apart[:, 1])
             towards = np.maximum((apart @ x[2:]) / np.maximum(distance, 1e-9), 0.0)
-            return distance - trees[:, 2] - RADIUS - settings.clearance - towards**2 / (2.0 * BRAKING)
+            return distance - trees[:, 2] - RADIUS - settings.barrier("clearance") - towards**2 / (2.0 * BRAKING)
 
         names = tuple(f"tree {index}" for index in range(len(trees)))
         return FunctionBarrier(h, names=names, kind="tree", reads=STATES), haste

@@ -48,8 +48,8 @@ def command(
     changes are fitted as well. Prints the fitted numbers and the error on data that was not used for fitting, before
     and after.
     """
+    from safedpa.compare.output import refuse_inputs, writable
     from safedpa.diagnosis.addition import add_effect
-    from safedpa.diagnosis.output import refuse_inputs, writable
     from safedpa.dynamics import save_model
     from safedpa_services.command_line.diagnose import value_text
 

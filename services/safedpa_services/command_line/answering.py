@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from safedpa_services.terminal import say
+from safedpa_services.lines import say
 
 __all__ = ["answers_json", "finish", "tell"]
 

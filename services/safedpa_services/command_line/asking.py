@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from safedpa.errors import InputError, SafedpaError
-from safedpa_services.command_line.listening import bus_of, certificates_option
-from safedpa_services.terminal import say
+from safedpa_services.command_line.listening import bus_of, listening_options, who_option
+from safedpa_services.lines import say
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer, Bus, Request
@@ -28,22 +28,8 @@ _LOOK_SECONDS = 0.1
 
 
 def bus_options(command: _C) -> _C:
-    """The options by which a command finds a running loop."""
-    for option in (
-        click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else"),
-        click.option("--who", default="", help="your name, for the recording; default: that of the account"),
-        click.option(
-            "--connect",
-            multiple=True,
-            envvar="SAFEDPA_CONNECT",
-            metavar="ENDPOINT",
-            help="where the loop listens, as 'safedpa up' tells; also SAFEDPA_CONNECT",
-        ),
-        click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus"),
-        certificates_option,
-    ):
-        command = option(command)
-    return command
+    """The options by which a command finds a running loop, and says who asks."""
+    return listening_options(who_option(command))
 
 
 def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.command_line.answering import answers_json, tell
 from safedpa_services.command_line.names import complete_models
 
@@ -20,11 +21,11 @@ if TYPE_CHECKING:
 @click.option(
     "--model",
     shell_complete=complete_models,
-    default="car",
+    default=DEFAULT_ROBOT,
     show_default=True,
     help="model file, or the name of one that ships",
 )
-@click.option("--settings", default="car", show_default=True, help="settings of the filter: a file or a name")
+@click.option("--settings", default=DEFAULT_ROBOT, show_default=True, help="settings of the filter: a file or a name")
 @click.option(
     "--coverage", type=float, default=0.99, show_default=True, help="share of steps, and of drives, that are covered"
 )

@@ -15,10 +15,10 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import missing, need
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.command_line.up import driven, planned
-from safedpa_services.terminal import say
+from safedpa_services.lines import say
 
 if TYPE_CHECKING:
-    from safedpa.bus.process import Stop
+    from safedpa.bus.loop.process import Stop
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
     from safedpa_services.supervisor.story import Story
@@ -49,7 +49,7 @@ def command(**options: Any) -> None:
     0.08 rad, and no model is told. The diagnosis notices, searches for what the model lacks and proposes it; a click on
     Accept (or --yes) mends the model while the car drives. At the end: the fall of the error, and a report.
     """
-    from safedpa.bus.process import Stop
+    from safedpa.bus.loop.process import Stop
 
     _check(options)
     stop = Stop()
@@ -197,11 +197,11 @@ def _report(story: Story, summary: dict[str, Any], folder: Path) -> str:
     """report.html, and the models before and after, in the folder of the drive."""
     from dataclasses import replace
 
-    from safedpa.diagnosis.report_page import write_report
     from safedpa.dynamics.model_file import parse_model
     from safedpa.limits import parse_json
     from safedpa.records import load_run
     from safedpa.records.run import Stretch
+    from safedpa.report.diagnosis_page import write_report
 
     if len(story.models) < 2 or summary.get("changed") is None or story.told.taken is None:
         return ""

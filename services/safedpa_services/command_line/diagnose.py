@@ -28,7 +28,7 @@ from safedpa_services.command_line.options import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from safedpa.diagnosis.report import Report, Value
+    from safedpa.diagnosis.document import Report, Value
     from safedpa.records.run import Run
 
 __all__ = ["command", "story_lines", "value_text"]
@@ -103,45 +103,46 @@ def _checked(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None
 
 def _diagnosed(model: str, runs: tuple[str, ...], options: dict[str, Any]) -> None:
     """One robot's diagnosis: read, searched, written, told."""
+    from safedpa.compare.output import results_folder
     from safedpa.diagnosis.diagnose import diagnose
-    from safedpa.diagnosis.output import results_folder
-    from safedpa.diagnosis.report import as_document
+    from safedpa.diagnosis.document import as_document
     from safedpa_services.progress import narrated, progress
 
     loaded = given_model(model, options["effects"])
     read = inputs_of(model, runs, options["columns"], options["effects"])
-    out = results_folder(options["out"], "diagnose", model, WRITTEN, read, options["force"])
-    recorded = loaded_runs(loaded, runs, options["columns"])
-    with narrated("diagnosing") as narrate:
-        report = diagnose(loaded, recorded, options["horizon"], narrate)
-    document = as_document(report)
-    with progress("writing") as tell:
-        tell(0, 2)
-        _write(document, report, recorded, out, Path(model).stem)
-        tell(1, 2)
-        margin = _margin(report, recorded, out)
+    with results_folder(options["out"], "diagnose", model, WRITTEN, read, options["force"]) as out:
+        recorded = loaded_runs(loaded, runs, options["columns"])
+        with narrated("diagnosing") as narrate:
+            report = diagnose(loaded, recorded, options["horizon"], narrate)
+        document = as_document(report)
+        with progress("writing") as tell:
+            tell(0, 2)
+            _write(document, report, recorded, out, Path(model).stem)
+            tell(1, 2)
+            margin = _margin(report, recorded, out)
     if options["as_json"]:
         click.echo(json.dumps(document, allow_nan=False))
     else:
-        _show(report, out, margin)
+        _show(report, out, margin, options["effects"])
 
 
 def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
     """Calibrates the filter's margin for the diagnosed model and writes it beside it; None where there is none to tell.
 
-    Only for cars that the filter can drive, and only when the data allowed a verdict.
+    Only for robots that say which barriers may be drawn around a state, and only when the data allowed a verdict.
     """
     from safedpa.adaptation import HistoryEstimator
-    from safedpa.diagnosis.report_excerpt import excerpt
+    from safedpa.compare.excerpt import excerpt
     from safedpa.dynamics import LearnedBase
     from safedpa.errors import InputError
+    from safedpa.robot import robot_like
     from safedpa.safety.run_calibration import calibration_from_runs
-    from safedpa.safety.shipped import settings_named
 
     path, model = out / "margin.toml", report.models[-1]
     path.unlink(missing_ok=True)  # of an earlier diagnosis, of another model
     judged = report.verdict != "unexplained" if report.unexplained is None else report.unexplained.depends_on
-    if not judged or model.system.action_names != ("target_speed", "steer"):
+    robot = robot_like(model.system)
+    if not judged or robot is None or not robot.calibrates_from_logs:
         return None
     # phi tells a learned latent tick by tick, in the filter as here
     learned = isinstance(model.base, LearnedBase) and model.base.weights.has("phi")
@@ -149,7 +150,7 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
     try:
         calibration = calibration_from_runs(
             model,
-            settings_named("car"),
+            robot.settings(),
             excerpt(runs, ROWS, report.horizon),
             COVERAGE,
             datetime.date.today().isoformat(),
@@ -162,10 +163,10 @@ def _margin(report: Report, runs: Sequence[Run], out: Path) -> Path | None:
 
 
 def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path, title: str) -> None:
-    from safedpa.diagnosis.report_page import write_report
-    from safedpa.diagnosis.report_recording import write_recording
     from safedpa.dynamics import LearnedBase, save_model, write_model
     from safedpa.records.atomic import atomic_path
+    from safedpa.report.diagnosis_page import write_report
+    from safedpa.report.diagnosis_recording import write_recording
 
     texts = {"report.json": json.dumps(document, allow_nan=False, indent=1) + "\n"}
     if isinstance(report.models[-1].base, LearnedBase):
@@ -179,7 +180,8 @@ def _write(document: dict[str, Any], report: Report, runs: list[Run], out: Path,
     write_recording(document, runs, report.models, out)
 
 
-def _show(report: Report, out: Path, margin: Path | None) -> None:
+def _show(report: Report, out: Path, margin: Path | None, own: Path | None) -> None:
+    from safedpa_services.driving import drive_command
     from safedpa_services.terminal import terminal
 
     console = terminal(highlight=False, soft_wrap=True)
@@ -188,14 +190,15 @@ def _show(report: Report, out: Path, margin: Path | None) -> None:
         console.print(line, style=style, markup=False)
     console.print(f"Report: {out / 'report.html'}  model: {out / 'model.toml'}", markup=False)
     if margin is not None:
-        console.print(f"Drive with it: safedpa up --model {out / 'model.toml'} --margin {margin}", markup=False)
+        command = drive_command(report.models[-1], out / "model.toml", margin, own)
+        console.print(f"Drive with it: {command}", markup=False)
 
 
 def story_lines(report: Report) -> list[tuple[str, str]]:
     """The diagnosis as lines and their styles: error, where, what is missing, the falling error, what remains, next."""
-    from safedpa.diagnosis.report import as_document
-    from safedpa.diagnosis.report_open import closest_rows
-    from safedpa.diagnosis.report_story import story_of
+    from safedpa.diagnosis.document import as_document
+    from safedpa.report.diagnosis_story import story_of
+    from safedpa.report.undecided_story import closest_rows
 
     story = story_of(as_document(report))
     lines = [(_verdict(report, story.lead), "bold")]

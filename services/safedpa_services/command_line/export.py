@@ -1,4 +1,4 @@
-"""``safedpa export``: a recording of the bus as a table, or learned networks as ONNX, for other programs."""
+"""``safedpa export``: a recording of the bus as a table or a bag of ROS 2, or learned networks as ONNX."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("source", type=click.Path(path_type=Path), metavar="RECORDING.mcap|WEIGHTS.safetensors")
+@click.argument("source", type=click.Path(path_type=Path), metavar="RECORDING.mcap|MODEL.toml|WEIGHTS.safetensors")
 @click.option(
     "--format",
     "kind",
-    type=Choice(["csv", "parquet"]),
-    help="Of a recording. csv: text, every digit kept; parquet: binary, smaller and faster.",
+    type=Choice(["csv", "parquet", "ros2", "simulators"]),
+    help="csv: text, every digit kept; parquet: smaller, faster; ros2: a rosbag2 (MCAP); simulators: of a model.",
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="PATH", help="The file to write a recording to.")
 @click.option("--robot", metavar="NAME", help="Which robot, when the recording holds several.")
@@ -33,10 +33,16 @@ __all__ = ["command"]
 )
 @answers_json
 def command(source: Path, kind: str | None, out: Path | None, robot: str | None, folder: Path | None) -> None:
-    """Write one robot's drive from a recording as CSV or Parquet, or learned networks as ONNX.
+    """Write a recorded drive as CSV, Parquet or rosbag2, a model for other simulators, or learned networks as ONNX.
 
     A recording gives one row per tick: t [s], the states, the actions in force until the next row, and what the safety
-    filter decided at that tick: status, slack, h_now, h_next, margin. Of networks every graph takes and gives SI units.
+    filter decided at that tick: status, slack, h_now, h_next, margin. A rosbag2 is a folder of standard messages:
+    odometry, tf, wish and command, diagnostics, markers; Foxglove, Rerun and ROS 2 open it.
+
+    Of a model (a file, or the name of one that ships) --out is a folder: parameters.json with every parameter, and
+    files of other simulators (MJCF, URDF, Gazebo) as far as they can say it; what they cannot is told.
+
+    Of networks every graph takes and gives SI units.
     """
     if folder is not None:
         if kind or out or robot:
@@ -45,14 +51,50 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
         return
     if kind is None or out is None:
         raise InputError("export: wanted --format and --out for a recording, or --onnx DIR for a weights file")
+    if kind == "simulators":
+        _export_model(source, out)
+        return
+    if kind == "ros2":
+        _export_bag(source, out, robot)
+        return
     need("diagnosis", what=f"--format {kind}")
-    from safedpa.records.export import export_recording
+    from safedpa.records.write import export_recording
 
     exported = export_recording(source, out, kind, robot)
     for finding in exported.findings:
         tell(f"{finding.kind}: {finding.message}", err=True, facts={"findings": [f"{finding.kind}: {finding.message}"]})
     told = {"written": [str(out)], "rows": exported.rows, "robot": exported.robot}
     tell(f"{out}: {exported.rows} rows of robot '{exported.robot}'", facts=told)
+
+
+def _export_model(source: Path, out: Path) -> None:
+    from safedpa.compare.output import refuse_inputs, writable
+    from safedpa.dynamics import load_model
+    from safedpa.dynamics.elsewhere import Elsewhere, table_of
+    from safedpa.robot import robot_named
+
+    model = load_model(source)
+    found = robot_named(model.system.name).elsewhere(model) or Elsewhere()
+    texts = {"parameters.json": table_of(model, found), **found.documents}
+    writable(out, create=True)
+    refuse_inputs([out / name for name in texts], [source], force=False)
+    for name, text in texts.items():
+        (out / name).write_text(text, encoding="utf-8")
+        tell(str(out / name), facts={"written": [str(out / name)]})
+    for name, cannot in found.unexpressed.items():
+        for effect, why in cannot.items():
+            tell(f"{name}: {effect} is not in it: {why}", err=True, facts={"unexpressed": [f"{name}: {effect}: {why}"]})
+
+
+def _export_bag(source: Path, out: Path, robot: str | None) -> None:
+    need("ros", what="--format ros2")
+    from safedpa.replay.ros2_bag import export_bag
+
+    exported = export_bag(source, out, robot)
+    for line in exported.findings:
+        tell(line, err=True, facts={"findings": [line]})
+    told = {"written": [str(out)], "messages": exported.messages, "robot": exported.robot}
+    tell(f"{out}: {exported.messages} messages of robot '{exported.robot}'; ros2 bag play {out}", facts=told)
 
 
 def _export_networks(source: Path, folder: Path) -> None:

@@ -15,7 +15,7 @@ from safedpa_services.command_line.names import Choice
 from safedpa_services.command_line.options import inputs_of
 
 if TYPE_CHECKING:
-    from safedpa.diagnosis.fleet import Found, Workers
+    from safedpa.fleet import Found, Workers
 
 __all__ = ["diagnosed_fleet", "fleet_options", "wants_fleet"]
 
@@ -67,8 +67,8 @@ def wants_fleet(fleet: Path | None, by: str) -> bool:
 
 def diagnosed_fleet(model: str, runs: Sequence[str], **options: Any) -> int:
     """Diagnoses a fleet and tells; the exit code: 0, or 2 where no robot's recordings could be used."""
-    from safedpa.diagnosis.fleet import Fleet, Options, diagnose_fleet
-    from safedpa.diagnosis.output import results_folder
+    from safedpa.compare.output import results_folder
+    from safedpa.fleet import Fleet, Options, diagnose_fleet
     from safedpa_services.progress import progress
 
     given: Path | None = options["out"]
@@ -81,11 +81,14 @@ def diagnosed_fleet(model: str, runs: Sequence[str], **options: Any) -> int:
         raise InputError(f"--out {given}: got the folder of the recordings; choose another one for the results")
     found = _found(runs, options)
     read = inputs_of(model, [path for robot in found.robots for path in map(str, robot.files)], effects)
-    out = results_folder(given, "fleet", model, ("fleet.html", "fleet.json"), read, options["force"])
     columns = _absolute(options["columns"]) if options["columns"] else None
     own = str(effects.resolve()) if effects else None
     known = Options(_absolute(model), columns, options["horizon"], own)
-    with progress(f"diagnosing {len(found.robots)} robots") as tell:
+    written = "fleet.html", "fleet.json"
+    with (
+        results_folder(given, "fleet", model, written, read, options["force"]) as out,
+        progress(f"diagnosing {len(found.robots)} robots") as tell,
+    ):
         document = diagnose_fleet(Fleet(found, known, out.resolve()), _workers(options), tell, anew=options["anew"])
     if options["as_json"]:
         click.echo(json.dumps(document, allow_nan=False))
@@ -104,7 +107,7 @@ def _absolute(name: str) -> str:
 
 
 def _found(runs: Sequence[str], options: dict[str, Any]) -> Found:
-    from safedpa.diagnosis.fleet import robots_in_folder, robots_of_files
+    from safedpa.fleet import robots_in_folder, robots_of_files
 
     fleet: Path | None = options["fleet"]
     if fleet is None:
@@ -127,7 +130,7 @@ def _workers(options: dict[str, Any]) -> Workers:
 def _in_processes(
     jobs: int | None, work: Callable[[Job], Answer], items: Sequence[Job], failed: Callable[[Job, str], Answer]
 ) -> Iterator[Answer]:
-    from safedpa.diagnosis.fleet.workers import available_cores, in_processes
+    from safedpa.fleet.workers import available_cores, in_processes
 
     return in_processes(work, items, min(jobs or available_cores(), max(1, len(items))), failed)
 
@@ -139,13 +142,13 @@ def _on_cluster(
     items: Sequence[Job],
     failed: Callable[[Job, str], Answer],
 ) -> Iterator[Answer]:
-    from safedpa.diagnosis.fleet.on_cluster import on_cluster
+    from safedpa.fleet.workers import on_cluster
 
     return on_cluster(work, items, address, failed, jobs) if items else iter(())
 
 
 def _show(document: dict[str, Any], out: Path) -> None:
-    from safedpa.diagnosis.fleet.story import common_sentence, discovery_sentence, headline
+    from safedpa.fleet.story import common_sentence, discovery_sentence, headline
     from safedpa_services.terminal import terminal
 
     console = terminal(highlight=False)
@@ -175,7 +178,7 @@ def _show(document: dict[str, Any], out: Path) -> None:
 def _table(document: dict[str, Any]) -> Any:
     from rich.table import Table
 
-    from safedpa.diagnosis.fleet.story import group_title, listed, numbers_text
+    from safedpa.fleet.story import group_title, listed, numbers_text
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("robots", justify="right", no_wrap=True)

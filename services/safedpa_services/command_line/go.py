@@ -6,14 +6,14 @@ from typing import Any
 
 import click
 
-from safedpa_services.command_line.listening import listening_options
+from safedpa_services.command_line.listening import listening_options, who_option
 from safedpa_services.command_line.ordering import give_order
 
 
 @click.command()
 @listening_options
 @click.option("--robot", default="", help="this robot alone; default: the whole fleet")
-@click.option("--who", default="", help="your name, for the recording; default: that of the account")
+@who_option
 def command(robot: str, **options: Any) -> None:
     """Let a robot, or the whole fleet, drive again that was stopped by 'safedpa stop'.
 

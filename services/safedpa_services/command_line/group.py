@@ -14,16 +14,16 @@ from safedpa.limits import readable
 __all__ = ["COMMANDS", "safedpa"]
 
 COMMANDS = (
-    "accept", "add", "calibrate", "certificates", "check", "compare", "demo", "diagnose", "effects", "export", "go",
-    "predict",
-    "rehearse", "reject", "replay", "roll-back", "screenshot", "status", "stop", "train", "up", "workbench",
+    "accept", "add", "calibrate", "certificates", "check", "columns", "compare", "demo", "diagnose",
+    "effects", "export", "go", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",
+    "serve", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 
 ENTRY_POINTS = "safedpa.commands"
 """The group under which other distributions bring commands: name = "module:command"."""
 
-LABORATORY = ("bench", "experiment", "train-baselines")
+LABORATORY = ("bench", "experiment", "results", "train-baselines")
 """What safedpa-lab brings."""
 
 

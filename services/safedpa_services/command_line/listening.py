@@ -11,23 +11,24 @@ import click
 if TYPE_CHECKING:
     from safedpa.bus import Bus
 
-__all__ = ["bus_of", "certificates_option", "listening_options"]
+__all__ = ["bus_of", "listening_options", "who_option"]
 
 _C = TypeVar("_C", bound=Callable[..., Any])
 
 
-certificates_option = click.option(
+_certificates_option = click.option(
     "--certificates",
     type=click.Path(path_type=Path),
     metavar="DIR",
     help="prove by the operator's certificate there who this is",
 )
+who_option = click.option("--who", default="", help="your name, for the recording; default: that of the account")
 
 
 def listening_options(command: _C) -> _C:
     """``--fleet``, ``--connect``, ``--certificates`` and ``--json``."""
     for option in (
-        certificates_option,
+        _certificates_option,
         click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else"),
         click.option(
             "--connect",
@@ -45,7 +46,7 @@ def listening_options(command: _C) -> _C:
 def bus_of(options: dict[str, Any], role: str = "operator") -> Bus:
     """The bus that the options describe, joined in a role. Raises BusError when it cannot be opened."""
     from safedpa.bus import Bus, ZenohSettings, ZenohTransport
-    from safedpa.bus.certificates import Certificates
+    from safedpa.bus.security.certificates import Certificates
 
     folder = options["certificates"]
     certificates = None if folder is None else Certificates(folder, role)

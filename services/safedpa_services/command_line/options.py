@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,9 +13,19 @@ if TYPE_CHECKING:
     from safedpa.records.run import Run
 
 __all__ = [
-    "as_json_option", "columns_option", "effects_option", "folder_option", "force_option", "given_model",
-    "horizon_option", "inputs_of", "loaded_runs", "run_options", "runs_argument",
-]  # fmt: skip
+    "Grouped",
+    "as_json_option",
+    "columns_option",
+    "effects_option",
+    "folder_option",
+    "force_option",
+    "given_model",
+    "horizon_option",
+    "inputs_of",
+    "loaded_runs",
+    "run_options",
+    "runs_argument",
+]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -75,7 +85,7 @@ def given_model(name: str, effects: Path | None) -> PhysicsModel:
 
 def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) -> list[Run]:
     """The recordings, named so that they can be told apart; with a progress bar of its own."""
-    from safedpa.diagnosis.comparison import with_distinct_names
+    from safedpa.compare.comparison import with_distinct_names
     from safedpa.records import load_column_map, load_run
     from safedpa_services.progress import progress
 
@@ -87,3 +97,22 @@ def loaded_runs(model: PhysicsModel, paths: Sequence[str], columns: str | None) 
             found.append(load_run(path, model.system, mapping))
         tell(len(paths), len(paths))
     return with_distinct_names(found, paths)
+
+
+class Grouped(click.Command):
+    """``groups``: heading to names of parameters; one may stand under several, and what is in none comes last."""
+
+    def __init__(self, *arguments: Any, groups: Mapping[str, Sequence[str]], **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.groups = groups
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Writes a section for each heading."""
+        records = {item.name: item.get_help_record(ctx) for item in self.get_params(ctx)}
+        named = {name for names in self.groups.values() for name in names}
+        rest = [name for name in records if name not in named]
+        for heading, names in (*self.groups.items(), ("Options", rest)):
+            rows = [row for row in (records.get(name) for name in names) if row is not None]
+            if rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows)

@@ -10,7 +10,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa_services.command_line.listening import bus_of
-from safedpa_services.terminal import say
+from safedpa_services.lines import say
 
 if TYPE_CHECKING:
     from safedpa.bus import Answer
@@ -31,9 +31,9 @@ def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -
     answers or a robot that drives does not obey.
     """
     from safedpa.bus import Request
+    from safedpa.bus.loop.service import NO_ROBOT
     from safedpa.bus.overview import FleetOverview
-    from safedpa.bus.requests import ORDER
-    from safedpa.bus.service import NO_ROBOT
+    from safedpa.bus.wire.requests import ORDER
 
     with bus_of(options) as bus:
         fleet = FleetOverview(bus, robot or "*")

@@ -39,8 +39,8 @@ def command(
     Each prediction starts at the measured state and sees only the run's own actions; FILE.csv has the columns start_t,
     t and the states, one line per measured row up to the horizon.
     """
-    from safedpa.diagnosis.output import refuse_inputs, writable
-    from safedpa.diagnosis.predict import predict_run
+    from safedpa.compare.output import refuse_inputs, writable
+    from safedpa.compare.predict import predict_run
     from safedpa.records import load_column_map, load_run
     from safedpa.records.write import write_columns
 

@@ -12,7 +12,7 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import need
 from safedpa_services.command_line.options import as_json_option, effects_option
-from safedpa_services.terminal import say
+from safedpa_services.lines import say
 
 if TYPE_CHECKING:
     from safedpa.replay.replay import Replay
@@ -94,8 +94,7 @@ def _compared(tape: Tape, assumed: list[str], options: dict[str, Any]) -> int:
     from safedpa.replay.comparison import TOLERANCE
     from safedpa.replay.gaps import gaps_of
     from safedpa.replay.replay import replay
-    from safedpa.replay.report import document_of, lines_of
-    from safedpa.replay.save import Saved
+    from safedpa.replay.report import Saved, document_of, lines_of
 
     saved = Saved()
     wanted = options["out"] is not None
@@ -116,8 +115,7 @@ def _code(found: Replay) -> int:
 
 
 def _changed(tape: Tape, change: Change, assumed: list[str], options: dict[str, Any]) -> int:
-    from safedpa.replay.report import told_lines, what_if_document, what_if_lines
-    from safedpa.replay.save import write_decisions
+    from safedpa.replay.report import told_lines, what_if_document, what_if_lines, write_decisions
     from safedpa.replay.what_if import summary_of, what_if
 
     decisions = what_if(tape, change, _window(options), _folders(options))
@@ -161,7 +159,7 @@ def _driven_lines(driven: dict[str, Any]) -> list[str]:
 def _draw(tape: Tape, path: Path) -> None:
     from safedpa.replay.setups import model_of_document
     from safedpa.safety.settings import parse_settings
-    from safedpa_services.dashboard.drawn import draw_recording
+    from safedpa_services.dashboard.dashboard import draw_recording
     from safedpa_services.dashboard.look import look_of
 
     filters = tape.setups.get("safety_filter", [])

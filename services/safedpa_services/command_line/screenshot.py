@@ -44,7 +44,7 @@ def _render(recording: Path, out: Path, size: str, at: float | None) -> None:
     import subprocess
     import tempfile
 
-    from safedpa.bus.ports import free_port
+    from safedpa.bus.transport.ports import free_port
 
     port = free_port()
     command = [_viewer(), "--headless", "--bind", "127.0.0.1", "--port", str(port), "--window-size", size]

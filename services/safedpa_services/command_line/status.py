@@ -100,7 +100,7 @@ def _watched(fleet: FleetOverview) -> bool:
     from rich.live import Live
     from rich.text import Text
 
-    from safedpa.bus.process import Stop
+    from safedpa.bus.loop.process import Stop
     from safedpa_services.status.document import document_of
     from safedpa_services.status.table import picture_of
     from safedpa_services.terminal import Shown, terminal

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from safedpa.dynamics import load_own_everywhere
 from safedpa.errors import InputError
 from safedpa.extras import needs
-from safedpa_services.command_line.names import Choice
+from safedpa.robot import robot_named
+from safedpa_services.command_line.names import Choice, complete_robots
 
 if TYPE_CHECKING:
     from safedpa_sim.training.configuration import Configuration
@@ -21,9 +23,10 @@ __all__ = ["command"]
 
 
 @click.command()
-@click.argument("robot", type=Choice(["car", "pendulum", "point"]))
+@click.argument("robot", shell_complete=complete_robots)
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
-@click.option("--configuration", "source", metavar="FILE", help="what to train on; 'car' when left out")
+@click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
+@click.option("--configuration", "source", metavar="FILE", help="what to train on; that of the robot when left out")
 @click.option("--model", metavar="MODEL.toml", help="simulate this one, of `safedpa diagnose` say; its effects join e")
 @click.option("--small", is_flag=True, help="every phase in seconds, to see it work: nothing to drive with")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="folder; learned/ROBOT when left out")
@@ -41,9 +44,13 @@ def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool,
     """Train the learned model of a robot, or tune one on recorded runs.
 
     1a: environment encoder and control-affine dynamics. 1b: policy. 2: history encoder. 3: tuning on few data of the
-    real robot. ablations: Fix, Mix and RMA-P. A phase that is there already from the same configuration is skipped; an
+    real robot. ablations: Fix, Mix and RMA-P. A robot of your own has 1a and 2: it needs a FRAME and a configuration.
+    A phase that is there already from the same configuration is skipped; an
     interrupted one goes on where it was.
     """
+    if options["robot_file"] is not None:
+        load_own_everywhere(options["robot_file"])
+    robot = robot_named(robot).name
     out = Path("learned") / robot if out is None else out
     _check(runs, options)
     configuration = _configuration(robot, options)
@@ -89,7 +96,7 @@ def _configuration(robot: str, options: dict[str, Any]) -> Configuration:
         raise InputError(f"{source}: got a simulator of robot '{configuration.robot}', wanted '{robot}'")
     if options["model"] is not None:
         from safedpa.dynamics import load_model
-        from safedpa_sim.training.diagnosed import with_diagnosed
+        from safedpa_sim.training.configuration import with_diagnosed
 
         configuration = with_diagnosed(configuration, load_model(options["model"]))
     if options["pairs"] is not None:

@@ -13,13 +13,14 @@ import click
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa_services.command_line.grouped import Grouped
 from safedpa_services.command_line.names import Choice, complete_models, complete_robots
-from safedpa_services.terminal import say
+from safedpa_services.command_line.options import Grouped
+from safedpa_services.lines import say
 
 if TYPE_CHECKING:
-    from safedpa.bus.process import Stop
+    from safedpa.bus.loop.process import Stop
     from safedpa.dynamics import PhysicsModel
+    from safedpa.robot import AbstractRobot
     from safedpa_services.supervisor.child import Child
     from safedpa_services.supervisor.plan import Plan
     from safedpa_services.supervisor.securing import Wallet
@@ -31,10 +32,24 @@ __all__ = ["command", "driven", "planned"]
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
-_OF_SOME = ("load", "change", "task", "wind", "wind_direction", "payload", "dry_friction", "force", "world")
+_OF_SOME = (
+    "load",
+    "change",
+    "laser",
+    "people",
+    "task",
+    "wind",
+    "wind_direction",
+    "payload",
+    "dry_friction",
+    "force",
+    "world",
+)
 """Options that only some robots have, as these declare."""
 _MOST_ROBOTS = 8
 """The dashboard has a tab for so many."""
+_MOST_PEOPLE = 12
+"""In the field of the simulated car."""
 _MOST_FORCE = 0.0149
 """N; a stronger wind pushes harder than the point robot can."""
 CHANGES = ("hitch", "headwind", "steering_offset")
@@ -43,7 +58,7 @@ _PLANNED = ("load", "change")
 _ENDED_AT_ONCE = 130
 GROUPS = {
     "Which robot": ("robot", "robot_file", "name", "robots", "seed"),
-    "The car": ("load", "change", "change_after"),
+    "The car": ("load", "change", "change_after", "laser", "people"),
     "The pendulum": ("task", "wind", "wind_direction", "payload", "dry_friction"),
     "The point robot": ("force", "wind_direction"),
     "A robot of your own": ("world",),
@@ -66,6 +81,10 @@ GROUPS = {
 @click.option("--load", type=Choice(LOADS), help="what the car tows; default: none")
 @click.option("--change", type=Choice(CHANGES), help="what changes about the car while it drives")
 @click.option("--change-after", type=float, default=30.0, show_default=True, help="seconds until then, by its clock")
+@click.option(
+    "--laser", is_flag=True, default=None, help="the car is told no obstacles: a laser and perception see them"
+)
+@click.option("--people", type=int, metavar="COUNT", help="who walk about where a car with --laser drives; default: 0")
 @click.option("--task", type=Choice(TASKS), help="what the pendulum has to do; default: balance")
 @click.option("--wind", type=float, metavar="SPEED", help="m/s, on the pendulum; default: 0")
 @click.option("--wind-direction", type=float, metavar="DEGREES", help="where it blows to: 0 aside, 90 up; default: 0")
@@ -104,7 +123,7 @@ GROUPS = {
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 def command(**options: Any) -> None:
     """Drive: robot, adaptation, policy, safety filter, recorder, diagnosis, dashboard, workbench: a process each."""
-    from safedpa.bus.process import Stop
+    from safedpa.bus.loop.process import Stop
     from safedpa.dynamics import load_own_everywhere
 
     need("sim", what="the simulated robot", instead="run a robot of your own (docs/bus.md)")
@@ -142,9 +161,15 @@ def _robot_of(options: dict[str, Any]) -> str:
 
 
 @contextmanager
-def planned(options: dict[str, Any]) -> Iterator[Plan]:
-    """The plan that the options ask for, with the place where its processes meet. Raises InputError for bad ones."""
-    with _certificates(options) as wallet, _meeting_place(options) as endpoint:
+def planned(options: dict[str, Any], known: Wallet | None = None) -> Iterator[Plan]:
+    """The plan that the options ask for, with the place where its processes meet. Raises InputError for bad ones.
+
+    ``known``: a person's own certificates, in place of those that --secure throws away.
+    """
+    with (
+        _certificates(options) if known is None else nullcontext(known) as wallet,
+        _meeting_place(options, secured=wallet is not None) as endpoint,
+    ):
         yield _plan({**options, "wallet": wallet, "endpoint": endpoint})
 
 
@@ -164,16 +189,27 @@ def _certificates(options: dict[str, Any]) -> AbstractContextManager[Wallet | No
 
 
 @contextmanager
-def _meeting_place(options: dict[str, Any]) -> Iterator[str]:
+def _meeting_place(options: dict[str, Any], *, secured: bool) -> Iterator[str]:
     """Where the processes meet: without a word of the person at a socket that this user alone can reach."""
-    from safedpa.bus.ports import free_port
+    from safedpa.bus.transport.ports import free_port
     from safedpa_services.supervisor.private_folder import private_folder
 
-    if options["listen"] or options["secure"]:
+    if secured and options["listen"]:
+        yield _from_inside(options["listen"])
+        return
+    if options["listen"] or secured:
         yield options["listen"] or f"tls/127.0.0.1:{free_port()}"
         return
     with private_folder() as folder:
         yield f"unixsock-stream/{folder}/bus"
+
+
+def _from_inside(door: str) -> str:
+    """Where this machine's processes find a router that listens at ``door``, under a name that its certificate has."""
+    if not door.startswith("tls/"):
+        raise InputError(f"--listen: got '{door}' with certificates, wanted tls/HOST:PORT")
+    host, _, port = door.removeprefix("tls/").rpartition(":")
+    return f"tls/127.0.0.1:{port}" if host in ("0.0.0.0", "[::]") else door
 
 
 def _plan(options: dict[str, Any]) -> Plan:
@@ -192,15 +228,16 @@ def _plan(options: dict[str, Any]) -> Plan:
     if not 1 <= options["robots"] <= _MOST_ROBOTS:
         raise InputError(f"--robots: got {options['robots']}, wanted 1 to {_MOST_ROBOTS}")
     robot, declared = options["robot"], robot_named(options["robot"])
+    options = {**options, "model": options["model"] or str(declared.model)}
+    model = load_model(options["model"])
+    driven = declared.of_system(model.system)
     options = {
         **options,
-        "model": options["model"] or str(declared.model),
-        "settings": options["settings"] or robot,
-        "rate": declared.rate if options["rate"] is None else options["rate"],
+        "settings": options["settings"] or driven.settings_name,
+        "rate": driven.rate if options["rate"] is None else options["rate"],
     }
     if not 1.0 <= options["rate"] <= 500.0:
         raise InputError(f"--rate: got {options['rate']}, wanted 1 to 500 ticks per second")
-    model = load_model(options["model"])
     _check_rate(model, options["rate"])
     _check_robot(model, robot, options["model"], options["settings"])
     margin_for(model, options["margin"])
@@ -215,9 +252,10 @@ def _plan(options: dict[str, Any]) -> Plan:
         lockstep=options["lockstep"],
         filtered=not options["unfiltered"],
         dashboard=not options["headless"],
+        senses=bool(options["laser"]),
         diagnosis=_is_diagnosed(options),
         workbench_port=_workbench_port(options),
-        surroundings=_surroundings(options),
+        surroundings=(*driven.stand_in_options, *_surroundings(options, driven)),
         change=options["change"] or "",
         change_after=options["change_after"],
         model=options["model"],
@@ -227,6 +265,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         fleet=options["fleet"],
         endpoint=options["endpoint"],
         wallet=options["wallet"],
+        door=options["listen"] if options["wallet"] is not None else "",
         folder=Plan.new_folder(options["out"], options["name"]),
     )
 
@@ -246,16 +285,27 @@ def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> N
         raise InputError(f"--settings {settings}: {error}") from error
 
 
-def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
+def _surroundings(options: dict[str, Any], driven: AbstractRobot) -> tuple[str, ...]:
     """Options of the robot's process that only this kind has; refuses those of the others."""
-    from safedpa.robot import robot_named
-
-    own = robot_named(options["robot"]).options
+    own = driven.options
     foreign = [name for name in _OF_SOME if name not in own and options[name] not in (None, (), "none")]
+    if options["change"] == "hitch" and "load" not in own:
+        foreign = [*foreign, "change"]
+    if foreign and driven.name == options["robot"] and driven.stand_in_options:
+        raise InputError(
+            f"--{foreign[0].replace('_', '-')}: got '{options[foreign[0]]}' for a {driven.name} with "
+            f"{', '.join(driven.system.action_names)}, whose stand-in has none; leave it out, or choose another --model"
+        )
     if foreign:
         raise InputError(
             f"--{foreign[0].replace('_', '-')}: got one for a {options['robot']}, which has none; "
             f"leave it out, or choose a robot that has one with --robot: {_owners(foreign[0])}"
+        )
+    if options["people"] is not None and not 0 <= options["people"] <= _MOST_PEOPLE:
+        raise InputError(f"--people: got {options['people']}, wanted 0 to {_MOST_PEOPLE}")
+    if options["people"] and not options["laser"]:
+        raise InputError(
+            f"--people: got {options['people']} without --laser; only a car that sees them may meet people"
         )
     if options["wind"] is not None and not 0.0 <= options["wind"] <= 15.0:
         raise InputError(f"--wind: got {options['wind']}, wanted 0 to 15 m/s")
@@ -268,7 +318,8 @@ def _surroundings(options: dict[str, Any]) -> tuple[str, ...]:
             raise InputError(f"--{name.replace('_', '-')}: got {options[name]}, wanted 0 to {most:g} {unit}")
     given = [(name, options[name]) for name in own if name not in _PLANNED and options[name] is not None]
     each = [(name, value) for name, found in given for value in (found if isinstance(found, tuple) else (found,))]
-    return tuple(f"--{name.replace('_', '-')}={value}" for name, value in each)
+    flags = [f"--{name.replace('_', '-')}" for name, value in each if value is True]
+    return (*(f"--{name.replace('_', '-')}={value}" for name, value in each if not isinstance(value, bool)), *flags)
 
 
 def _owners(option: str) -> str:
@@ -287,7 +338,7 @@ def _is_diagnosed(options: dict[str, Any]) -> bool:
 
 def _workbench_port(options: dict[str, Any]) -> int:
     """Where the page is served; 0 where nobody looks, nothing is diagnosed, or its framework is not installed."""
-    from safedpa.bus.ports import free_port
+    from safedpa.bus.transport.ports import free_port
 
     wanted = not options["headless"] and _is_diagnosed(options) and not missing("workbench")
     return free_port(range(8080, 8100)) if wanted else 0
@@ -316,9 +367,8 @@ def driven(plan: Plan, stop: Stop, shown_by: ShownBy) -> dict[str, Any]:
     """Drives until the end or ``stop`` and returns the summary. Raises SafedpaError where the robot failed."""
     from safedpa.bus import Bus, ZenohTransport
     from safedpa.errors import SafedpaError
-    from safedpa_services.supervisor.summary import summary_of
     from safedpa_services.supervisor.supervisor import Supervisor
-    from safedpa_services.supervisor.watch import Watch
+    from safedpa_services.supervisor.watch import Watch, summary_of
 
     services, robot = plan.services(), plan.robot_process()
     if plan.wallet is not None:

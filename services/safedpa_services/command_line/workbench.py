@@ -131,7 +131,7 @@ def _bench(options: dict[str, Any]) -> Bench:
     """What the page begins with: a session that goes on, or what was named."""
     from safedpa_services.workbench.bench import Bench
     from safedpa_services.workbench.recordings import Choice
-    from safedpa_services.workbench.session_file import newest_in, read_session
+    from safedpa_services.workbench.saving import newest_in, read_session
 
     out, named = options["out"], Choice(options["model"], options["runs"], options["columns"], options["horizon"])
     if options["session"] is not None and named.model:

@@ -9,16 +9,16 @@ import uuid
 from pathlib import Path
 
 from safedpa.bus import NO_ROBOT
-from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa.bus.loop.process import Stop, bus_from, run_process
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.extras import need
+from safedpa.robot import DEFAULT_ROBOT
 from safedpa.safety.shipped import settings_named
 from safedpa_services.dashboard.dashboard import Dashboard
-from safedpa_services.dashboard.data_door import FIRST_OF_ITS_OWN, DataDoor, own_loopback
+from safedpa_services.dashboard.doors import FIRST_OF_ITS_OWN, DataDoor, Door, choose_port, own_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import look_of
-from safedpa_services.dashboard.ports import Door, choose_port
 from safedpa_services.serving import service_parser
 
 _DRIVE_ENDED = "The drive has ended, and this dashboard with it: what is shown is the last of it."
@@ -65,7 +65,7 @@ def _open_door(options: argparse.Namespace, grpc_port: int) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = service_parser("safedpa-dashboard")
     parser.add_argument(
-        "--settings", default="car", metavar="FILE.toml", help="settings of the filter: a file or a name"
+        "--settings", default=DEFAULT_ROBOT, metavar="FILE.toml", help="settings of the filter: a file or a name"
     )
     parser.add_argument("--save", default="", metavar="FILE.rrd", help="keep a recording")
     parser.add_argument("--web-port", type=int, default=None, help="port to open in the browser; default 9090 or next")

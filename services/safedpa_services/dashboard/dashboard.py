@@ -1,19 +1,36 @@
-"""The dashboard's loop: take what arrived, draw it, say that one lives."""
+"""The dashboard's loop: take what arrived, draw it, say that one lives; and the same for what a recording holds."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from safedpa.bus import FINDING, HEALTH, LATENT, MODEL, NO_ROBOT, STATE, VERDICT, Bus, HealthMessage
+from safedpa.bus import (
+    FINDING,
+    HEALTH,
+    LATENT,
+    MODEL,
+    NO_ROBOT,
+    STATE,
+    SURROUNDINGS,
+    VERDICT,
+    Bus,
+    HealthMessage,
+    Received,
+    decode,
+    topic_of,
+)
+from safedpa.errors import MessageError
 from safedpa_services.dashboard.fleet_view import FleetView
+from safedpa_services.dashboard.look import Look
 
 if TYPE_CHECKING:
     from safedpa_services.dashboard.painter import Painter
 
-__all__ = ["Dashboard"]
+__all__ = ["Dashboard", "draw_recording"]
 
 _TURN_SECONDS = 0.05
 _WAIT_SECONDS = 0.25
@@ -29,7 +46,7 @@ class Dashboard:
         self._painter = painter
         self._detail = detail
         self._complete = bus.inbox((STATE, VERDICT, FINDING, MODEL, HEALTH), robot, keep_all=True)
-        self._newest = bus.inbox((LATENT,), robot)
+        self._newest = bus.inbox((LATENT, SURROUNDINGS), robot)
         self._arranged = 0
         self._steps = 0
         self._next_heartbeat = time.monotonic()
@@ -82,3 +99,47 @@ class Dashboard:
 
 def _order(item: object) -> float:
     return getattr(item, "at", 0.0)
+
+
+_TOPICS = (STATE, VERDICT, FINDING, MODEL, HEALTH, LATENT, SURROUNDINGS)
+_BATCH_SECONDS = 0.25
+"""Messages that are drawn together, by the clock of the recording."""
+
+
+def draw_recording(files: Sequence[Path], look: Look, path: Path) -> None:
+    """Writes all robots of the recordings to an .rrd file. Raises InputError when it cannot be written."""
+    from safedpa_services.dashboard.painter import Painter
+
+    view, fleet, known = FleetView(look), "recording", 0
+    painter = Painter(look, fleet, save=path, bind="127.0.0.1", grpc_port=None)
+    for items in _batches(files):
+        frames = view.take(list(items), items[-1].at)
+        if len(view.fields) != known:
+            known = len(view.fields)
+            painter.arrange(view.fields)
+        painter.draw(frames)
+    painter.close()
+
+
+def _batches(files: Sequence[Path]) -> Iterator[list[Received]]:
+    batch: list[Received] = []
+    for item in _received(files):
+        if batch and item.at - batch[0].at > _BATCH_SECONDS:
+            yield batch
+            batch = []
+        batch.append(item)
+    if batch:
+        yield batch
+
+
+def _received(files: Sequence[Path]) -> Iterator[Received]:
+    """As from the bus, with the time of recording [s] in place of the time of arrival."""
+    from safedpa.records.mcap_messages import read_payloads
+
+    for path in files:
+        for key, at, topic, payload in read_payloads(path, topics=_TOPICS):
+            try:
+                message = decode(topic.message, payload)
+            except MessageError:
+                continue
+            yield Received(topic, topic_of(key)[1], message, payload, key, 1e-9 * at)

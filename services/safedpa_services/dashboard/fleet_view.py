@@ -15,11 +15,95 @@ from safedpa_services.dashboard.palette import ORANGE
 from safedpa_services.dashboard.pendulum import phase_bounds
 from safedpa_services.dashboard.robot_view import RobotView
 from safedpa_services.dashboard.shapes import Entry, Frame, Note, Page
-from safedpa_services.dashboard.thinner import Pace, Thinner
-from safedpa_services.dashboard.time_line import TimeLine
 from safedpa_services.dashboard.world import field_of
 
-__all__ = ["FleetView", "Scene"]
+__all__ = ["FleetView", "Pace", "Scene", "Thinner", "TimeLine"]
+
+SHORTEST_INTERVAL = 0.05
+"""s of robot time between two drawn messages of one kind."""
+
+_BEHIND_SECONDS = 0.5
+_CAUGHT_UP_SECONDS = 0.1
+_CALM_SECONDS = 2.0
+_LARGEST_FACTOR = 64
+
+
+class Pace:
+    """One number for the whole dashboard: every ``factor``-th picture is drawn. Doubles while behind."""
+
+    def __init__(self) -> None:
+        self.factor = 1
+        self._calm_since: float | None = None
+
+    def observe(self, lag: float, now: float) -> bool:
+        """Takes how long [s] the oldest message had waited; True when the factor changed."""
+        before = self.factor
+        if lag > _BEHIND_SECONDS:
+            self.factor = min(2 * self.factor, _LARGEST_FACTOR)
+            self._calm_since = None
+        elif lag > _CAUGHT_UP_SECONDS:
+            self._calm_since = None
+        elif self._calm_since is None:
+            self._calm_since = now
+        elif now - self._calm_since >= _CALM_SECONDS:
+            self.factor = max(self.factor // 2, 1)
+            self._calm_since = now
+        return self.factor != before
+
+
+class Thinner:
+    """Decides for one robot, by kind of message, and counts what was left out because drawing was behind."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, float] = {}
+        self.left_out = 0
+
+    def draws(self, kind: str, robot_time: float, factor: int) -> bool:
+        """Whether a message stamped ``robot_time`` [s] is drawn."""
+        last = self._last.get(kind)
+        passed = None if last is None else robot_time - last
+        if passed is None or passed < 0.0 or passed > 0.9 * factor * SHORTEST_INTERVAL:
+            self._last[kind] = robot_time
+            return True
+        self.left_out += passed > 0.9 * SHORTEST_INTERVAL
+        return False
+
+
+_LARGEST_TIME = 1e9
+"""s; about thirty years."""
+
+
+class TimeLine:
+    """t = robot time + offset of the robot's epoch.
+
+    The first robot's offset is 0: its t is its robot time. A robot that appears later, or starts anew, begins at the t
+    of now, so that the view of the last seconds shows every robot and no second life covers the first.
+    """
+
+    def __init__(self) -> None:
+        self._offsets: dict[tuple[str, int], float] = {}
+        self._newest: tuple[float, float] | None = None
+
+    def now(self, clock: float) -> float:
+        """t at ``clock`` [s], the dashboard's monotonic clock; 0 before the first robot."""
+        return 0.0 if self._newest is None else self._newest[0] + (clock - self._newest[1])
+
+    def at(self, robot: str, epoch: int, robot_time: float, clock: float) -> float:
+        """t of a message that arrived at ``clock``."""
+        robot_time = max(-_LARGEST_TIME, min(robot_time, _LARGEST_TIME))
+        key = (robot, epoch)
+        if key not in self._offsets:
+            self._offsets = {other: offset for other, offset in self._offsets.items() if other[0] != robot}
+            self._offsets[key] = 0.0 if self._newest is None else self.now(clock) - robot_time
+        moment = robot_time + self._offsets[key]
+        if self._newest is None or moment > self._newest[0]:
+            self._newest = (moment, clock)
+        return moment
+
+    def offset(self, robot: str, epoch: int) -> float:
+        """t - robot time [s]; 0 for an epoch not heard of."""
+        return self._offsets.get((robot, epoch), 0.0)
+
 
 MOST_ROBOTS = 32
 """Robots that are drawn; a flood of names must not fill the memory."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import deque
+from collections.abc import Sequence
 
-from safedpa.bus import FindingMessage, LatentMessage, Message, StateMessage, VerdictMessage
+from safedpa.bus import FindingMessage, LatentMessage, Message, StateMessage, SurroundingsMessage, VerdictMessage
 from safedpa.safety.standstill import what_to_do
 from safedpa_services.dashboard.look import Look
 from safedpa_services.dashboard.shapes import Note, Page
@@ -30,6 +31,7 @@ class NowPage:
         self._state: StateMessage | None = None
         self._verdict: VerdictMessage | None = None
         self._finding: FindingMessage | None = None
+        self._seen: SurroundingsMessage | None = None
         self._heard: dict[type[Message], float] = {}
         self._since = 0.0
         self._ended = ""
@@ -38,12 +40,14 @@ class NowPage:
         """Remembers a message that was heard at ``now``."""
         if isinstance(message, StateMessage):
             if self._state is None or self._state.epoch != message.epoch:
-                self._verdict, self._finding, self._heard, self._since = None, None, {}, now
+                self._verdict, self._finding, self._seen, self._heard, self._since = None, None, None, {}, now
             self._state, self._ended = message, ""
         elif isinstance(message, VerdictMessage):
             self._verdict = message
         elif isinstance(message, FindingMessage):
             self._finding = message
+        elif isinstance(message, SurroundingsMessage):
+            self._seen = message
         self._heard[type(message)] = now
 
     def add(self, at: float, note: Note) -> None:
@@ -86,6 +90,8 @@ class NowPage:
         if now - self._since < _FIRST_SECONDS:
             return []
         missing = []
+        if self._state.sources and now - self._heard.get(SurroundingsMessage, -1e9) > _SILENT_SECONDS:
+            missing.append("perception, without which a robot that sees for itself brakes")
         if now - self._heard.get(VerdictMessage, -1e9) > _SILENT_SECONDS:
             missing.append("a verdict of the safety filter: without one the robot brakes by itself")
         if self._look.latent_names and now - self._heard.get(LatentMessage, -1e9) > _SILENT_SECONDS:
@@ -102,9 +108,20 @@ class NowPage:
         if verdict is not None:
             unit = self._look.h_unit
             parts.append(f"room left h {verdict.h_now:.2f}{unit}, margin {verdict.margin:.3f}{unit}")
+        if self._seen is not None:
+            parts += _sources_line(state.sources, self._seen)
         if finding is not None:
             parts.append(f"model {finding.model[:8]}, diagnosis {finding.stage}")
         return _plain("; ".join(parts))
+
+
+def _sources_line(names: Sequence[str], seen: SurroundingsMessage) -> list[str]:
+    """How old what each source measured is, and what is wrong with one."""
+    ages = [
+        f"{name} {'never heard' if age < 0.0 else f'{age:.2f} s old'}"
+        for name, age in zip(names, seen.ages, strict=False)
+    ]
+    return [*ages, *seen.amiss]
 
 
 def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> Page:

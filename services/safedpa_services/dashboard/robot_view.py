@@ -13,8 +13,10 @@ from safedpa.bus import (
     Message,
     ModelMessage,
     StateMessage,
+    SurroundingsMessage,
     VerdictMessage,
 )
+from safedpa_services.dashboard.books import FindingBook, HealthBook, ResidualBook
 from safedpa_services.dashboard.curves import (
     action_entries,
     barrier_entries,
@@ -22,8 +24,6 @@ from safedpa_services.dashboard.curves import (
     residual_entry,
     style_entries,
 )
-from safedpa_services.dashboard.findings import FindingBook
-from safedpa_services.dashboard.health import HealthBook
 from safedpa_services.dashboard.look import Look
 from safedpa_services.dashboard.now_page import NowPage
 from safedpa_services.dashboard.palette import IN_FORCE_COLOURS, UNKNOWN_STATUS, VERDICT_COLOURS
@@ -34,9 +34,15 @@ from safedpa_services.dashboard.pendulum import (
     sector_entries,
     wind_entry,
 )
-from safedpa_services.dashboard.residuals import ResidualBook
 from safedpa_services.dashboard.shapes import Entry, Note, States, StateSet
-from safedpa_services.dashboard.world import body_entries, prediction_entry, scene_entries, trail_entry
+from safedpa_services.dashboard.world import (
+    body_entries,
+    holding_entry,
+    prediction_entry,
+    scene_entries,
+    seen_entries,
+    trail_entry,
+)
 
 __all__ = ["RobotView"]
 
@@ -57,6 +63,7 @@ class RobotView:
         self._drawn: StateMessage | None = None
         self._scene: tuple[object, ...] = ()
         self._verdict: VerdictMessage | None = None
+        self._seen: SurroundingsMessage | None = None
         self._status = ""
         self._in_force = ""
         self._scenery: list[Entry] = []
@@ -90,11 +97,18 @@ class RobotView:
         if isinstance(message, FindingMessage | ModelMessage):
             return self._findings.add(message)
         self._change_epoch(message)
+        self._seen = message if isinstance(message, SurroundingsMessage) else self._seen
         if isinstance(message, StateMessage):
             return self._take_state(message, draw)
         if isinstance(message, VerdictMessage):
             return self._take_verdict(message, draw)
-        if isinstance(message, LatentMessage) and draw:
+        return self._beside(message) if draw else []
+
+    def _beside(self, message: Message) -> list[Entry]:
+        """What is drawn of a message that changes nothing else."""
+        if isinstance(message, SurroundingsMessage):
+            return seen_entries(message)
+        if isinstance(message, LatentMessage):
             return [*latent_entries(message, self._look), *self._wind(message)]
         return []
 
@@ -102,7 +116,7 @@ class RobotView:
         if message.epoch != self._epoch and isinstance(message, StateMessage):
             self._epoch = message.epoch
             self._residuals = ResidualBook(self._look.system)
-            self._state = self._drawn = self._verdict = None
+            self._state = self._drawn = self._verdict = self._seen = None
 
     def _take_state(self, state: StateMessage, draw: bool) -> list[Entry]:
         if self._state is not None and state.tick <= self._state.tick:
@@ -155,6 +169,9 @@ class RobotView:
             entries.append(prediction_entry(verdict, self._position()))
         elif self._look.is_pendulum:
             entries.append(phase_prediction(verdict, self._look))
+        if self._seen is not None:
+            of_tick = self._seen if self._seen.tick == verdict.tick else None
+            entries.append(holding_entry(verdict.active, of_tick, self._position()))
         return [*entries, *barrier_entries(verdict), *action_entries(verdict, self._look)]
 
     def _wind(self, latent: LatentMessage) -> list[Entry]:

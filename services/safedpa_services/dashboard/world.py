@@ -1,11 +1,15 @@
-"""The world from above: messages in, shapes out."""
+"""The world from above: messages in, shapes out.
+
+Also what the sensors see of it: what is at rest, what may move, where somebody may hide, what holds back.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
-from safedpa.bus import StateMessage, VerdictMessage
+from safedpa.bus import StateMessage, SurroundingsMessage, VerdictMessage
 from safedpa_services.dashboard.geometry import Pose, capsule, drawable, rectangle
 from safedpa_services.dashboard.look import Look
 from safedpa_services.dashboard.palette import (
@@ -16,12 +20,21 @@ from safedpa_services.dashboard.palette import (
     SKY,
     UNKNOWN_STATUS,
     VERDICT_COLOURS,
+    VERMILLION,
     YELLOW,
     faded,
 )
 from safedpa_services.dashboard.shapes import Discs, Entry, Lines, Point, Rings
 
-__all__ = ["body_entries", "field_of", "prediction_entry", "scene_entries", "trail_entry"]
+__all__ = [
+    "body_entries",
+    "field_of",
+    "holding_entry",
+    "prediction_entry",
+    "scene_entries",
+    "seen_entries",
+    "trail_entry",
+]
 
 _MOST_OBSTACLES = 256
 _LONGEST_STRETCH = 50.0
@@ -80,7 +93,7 @@ def body_entries(state: StateMessage, look: Look) -> list[Entry]:
     pose = Pose(state.values[0], state.values[1], state.values[2])
     if look.is_point:
         return _point(pose)
-    entries = [Entry(("world", "car"), _car(pose, state, look))]
+    entries = [Entry(("world", "body"), _car(pose, state, look))]
     swept = _swept(pose, state, look)
     if swept is not None:
         entries.append(Entry(("world", "swept"), swept))
@@ -105,18 +118,15 @@ def _point(pose: Pose) -> list[Entry]:
     """A ball with a box for a nose."""
     nose = pose.place(rectangle(_BALL - 0.5 * _NOSE, _BALL + 0.5 * _NOSE, _NOSE))
     ball = Rings(((pose.x, pose.y),), (_BALL,), INK, 0.012)
-    return [Entry(("world", "car"), Lines((nose,), (YELLOW,), 0.012)), Entry(("world", "ball"), ball)]
+    return [Entry(("world", "nose"), Lines((nose,), (YELLOW,), 0.012)), Entry(("world", "ball"), ball)]
 
 
 def _swept(pose: Pose, state: StateMessage, look: Look) -> Lines | None:
-    if len(state.footprint) != 3 or len(state.values) < 4 or not drawable(*state.footprint):
+    swept = look.swept(state)
+    if swept is None or not drawable(*swept) or max(map(abs, swept)) > _LONGEST_STRETCH:
         return None
-    rear, front, radius = state.footprint
-    stretch = look.braking.distance(state.values[3]) if abs(state.values[3]) < _LONGEST_STRETCH else math.inf
-    if abs(stretch) > _LONGEST_STRETCH:
-        return None
-    outline = pose.place(capsule(-rear + min(stretch, 0.0), front + max(stretch, 0.0), abs(radius)))
-    return Lines((outline,), (faded(ORANGE, 0.7),), 0.006)
+    rear, front, radius = swept
+    return Lines((pose.place(capsule(rear, front, abs(radius))),), (faded(ORANGE, 0.7),), 0.006)
 
 
 def _load(pose: Pose, state: StateMessage, look: Look) -> Lines:
@@ -151,3 +161,46 @@ def prediction_entry(verdict: VerdictMessage, position: Point | None) -> Entry:
     points = tuple(ahead if position is None else [position, *ahead])
     strips = (points,) if len(points) > 1 and any(a != b for a, b in pairwise(points)) else ()
     return Entry(("world", "predicted"), Lines(strips, (VERDICT_COLOURS.get(verdict.status, INK),), 0.02))
+
+
+_MOST = 512
+"""Discs of a kind that are drawn."""
+_KINDS = ("points", "movers", "hidden")
+
+
+def seen_entries(seen: SurroundingsMessage) -> list[Entry]:
+    """Discs at rest, of what may move and rings where somebody may hide, each as wide as is told."""
+    points, movers, hidden = (_discs(getattr(seen, name)) for name in _KINDS)
+    return [
+        Entry(("world", "seen", "at_rest"), Discs(*points, GREY)),
+        Entry(("world", "seen", "hidden"), Rings(*hidden, faded(PURPLE, 0.55), 0.008)),
+        Entry(("world", "seen", "may_move"), Discs(*movers, faded(VERMILLION, 0.75))),
+    ]
+
+
+def holding_entry(active: Sequence[str], seen: SurroundingsMessage | None, robot: Point | None) -> Entry:
+    """Lines from the robot to the discs that hold its action back; none where nothing does."""
+    ends = [place for name in active for place in _named(name, seen)]
+    strips = () if robot is None else tuple((robot, end) for end in ends)
+    colours = tuple(INK if _kind(name) == _KINDS[0] else ORANGE for name in active if _named(name, seen))
+    return Entry(("world", "seen", "holds_back"), Lines(strips, colours[: len(strips)], 0.012))
+
+
+def _named(name: str, seen: SurroundingsMessage | None) -> list[Point]:
+    """Where the disc of this name is: of ``mover 3`` the fourth of the movers."""
+    kind, index = _kind(name), name.rpartition(" ")[2]
+    if seen is None or not kind or not index.isdigit():
+        return []
+    rows = getattr(seen, kind)[int(index) : int(index) + 1]
+    return [(row[0], row[1]) for row in rows if len(row) >= 2 and drawable(*row[:2])]
+
+
+def _kind(name: str) -> str:
+    """In which field of the message a barrier of this name is; empty: in none."""
+    kind = name.partition(" ")[0]
+    return next((field for field in _KINDS if field in (kind, f"{kind}s")), "")
+
+
+def _discs(rows: Sequence[Sequence[float]]) -> tuple[tuple[Point, ...], tuple[float, ...]]:
+    known = [row for row in rows[:_MOST] if len(row) >= 3 and drawable(*row[:3]) and row[2] >= 0.0]
+    return tuple((row[0], row[1]) for row in known), tuple(row[2] for row in known)

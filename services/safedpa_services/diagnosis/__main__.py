@@ -8,17 +8,17 @@ import os
 from pathlib import Path
 
 from safedpa.bus import ASKED, NO_ROBOT, Answer, Bus, Request, ServiceLoop
-from safedpa.bus.asked import asked_message
-from safedpa.bus.journal import Journal
-from safedpa.bus.process import Stop, bus_from, lifetime, run_process
-from safedpa.bus.requests import STATUS
-from safedpa.bus.setup import setup_message
-from safedpa.diagnosis.live.change import ModelChanges
-from safedpa.diagnosis.live.node import DiagnosisNode
-from safedpa.diagnosis.live.versions import Version, VersionFolder
+from safedpa.bus.loop.journal import Journal
+from safedpa.bus.loop.process import Stop, bus_from, lifetime, run_process
+from safedpa.bus.wire.requests import STATUS, asked_message
+from safedpa.bus.wire.setup import setup_message
 from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import BusError
+from safedpa.live.change import ModelChanges
+from safedpa.live.node import DiagnosisNode
+from safedpa.live.versions import Version, VersionFolder
+from safedpa.robot import DEFAULT_ROBOT
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.shipped import margin_for
 from safedpa_services.diagnosis.foretelling import foretell_with
@@ -69,7 +69,8 @@ def _folder(model: PhysicsModel) -> Path | None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = service_parser("safedpa-diagnosis")
-    parser.add_argument("--settings", default="car", metavar="FILE.toml", help="settings of the filter: file or name")
+    told = "settings of the filter: file or name"
+    parser.add_argument("--settings", default=DEFAULT_ROBOT, metavar="FILE.toml", help=told)
     parser.add_argument("--margin", default="", metavar="FILE.toml", help="of the model, as the filter has it")
     parser.add_argument("--versions", default="", metavar="FOLDER", help="keep the models that were agreed on there")
     return parser

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from safedpa.bus import VerdictMessage
-from safedpa.diagnosis.live.foresight import Foretell
 from safedpa.errors import InputError
+from safedpa.live.foresight import Foretell
 from safedpa.safety.margin_change import margin_change
 from safedpa.safety.margin_text import margin_from_text
 from safedpa.safety.settings import FilterSettings

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from safedpa.diagnosis.live.work import AbstractWorker, Outcome, Work
+from safedpa.live.work import AbstractWorker, Outcome, Work
+from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.diagnosis.work_files import read_outcome, write_work
 
 __all__ = ["ProcessWorker"]
@@ -35,7 +36,7 @@ class _Job:
 class ProcessWorker(AbstractWorker):
     """One process a work, one work a robot. A process that dies is started again, three times at most."""
 
-    def __init__(self, settings: str = "car", clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, settings: str = DEFAULT_ROBOT, clock: Callable[[], float] = time.monotonic) -> None:
         self._settings = settings
         self._clock = clock
         self._jobs: dict[str, _Job] = {}

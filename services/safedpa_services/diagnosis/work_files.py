@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from safedpa.diagnosis.live.work import Outcome, Work
 from safedpa.dynamics import parse_model
+from safedpa.live.work import Outcome, Work
 from safedpa.records.atomic import atomic_path
 from safedpa.records.run import Run, Stretch
 

@@ -13,11 +13,29 @@ import sys
 import threading
 from pathlib import Path
 
-from safedpa.diagnosis.live.work import Outcome, carried_out
-from safedpa_services.diagnosis.calibrating import calibrate_with
+from safedpa.adaptation import HistoryEstimator, LatentEstimator
+from safedpa.dynamics import LearnedBase, PhysicsModel
+from safedpa.live.work import Calibrate, Outcome, carried_out
+from safedpa.records.run import Run
+from safedpa.robot import DEFAULT_ROBOT
+from safedpa.safety.live_margin import live_margin
+from safedpa.safety.shipped import settings_named
 from safedpa_services.diagnosis.work_files import read_work, write_outcome
 
-__all__ = ["main"]
+__all__ = ["calibrate_with", "main"]
+
+
+def calibrate_with(settings: str) -> Calibrate:
+    """Calibration for the filter's settings (a file or a name), the latent estimated along as the adaptation does."""
+
+    def calibrate(model: PhysicsModel, run: Run, footprint: tuple[float, ...]) -> str:
+        learned = isinstance(model.base, LearnedBase) and model.base.weights.has("phi")
+        estimator = HistoryEstimator if learned else LatentEstimator
+        along = (lambda: estimator(model)) if model.latent_names else None
+        return live_margin(model, settings_named(settings), run, footprint, along)
+
+    return calibrate
+
 
 _LARGEST_NICENESS = 19
 
@@ -26,7 +44,7 @@ def main() -> None:
     """Reads the work, does it, writes the outcome."""
     parser = argparse.ArgumentParser(prog="safedpa-diagnosis-working")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--settings", default="car")
+    parser.add_argument("--settings", default=DEFAULT_ROBOT)
     options = parser.parse_args()
     _yield_to_everyone()
     writing = threading.Lock()

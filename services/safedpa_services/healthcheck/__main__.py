@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
 from safedpa_services.healthcheck.healthcheck import HealthCheck
 
 

@@ -7,8 +7,8 @@ import os
 import uuid
 
 from safedpa.bus import NO_ROBOT
+from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, lifetime, run_process
 from safedpa.bus.overview import FleetOverview
-from safedpa.bus.process import Stop, add_bus_options, bus_from, lifetime, run_process
 from safedpa.extras import need
 from safedpa_services.metrics.exporter import Exporter
 

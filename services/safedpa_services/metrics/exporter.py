@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from safedpa.bus import HEALTH, NO_ROBOT, HealthMessage
 from safedpa.bus.overview import FleetOverview
-from safedpa.bus.version import software_version
+from safedpa.bus.wire.version import software_version
 from safedpa.errors import InputError
 from safedpa_services.metrics.collector import FleetCollector
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from safedpa.bus.process import Stop, Urgency, run_process
+from safedpa.bus.loop.process import Stop, Urgency, run_process
 from safedpa_services.nodes import add_policy_options, policy
 from safedpa_services.serving import serve, service_parser
 

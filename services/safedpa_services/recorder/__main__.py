@@ -6,8 +6,8 @@ import argparse
 import os
 from pathlib import Path
 
-from safedpa.bus.process import Stop, bus_from, lifetime, run_process
-from safedpa.bus.setup import setup_message
+from safedpa.bus.loop.process import Stop, bus_from, lifetime, run_process
+from safedpa.bus.wire.setup import setup_message
 from safedpa_services.recorder.recorder import Recorder
 from safedpa_services.serving import service_parser
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from safedpa.bus import HEALTH, NO_ROBOT, SETUP, TOPICS, Bus, HealthMessage, Received, SetupMessage
 from safedpa.bus.log import log_event
-from safedpa.bus.version import software_version
+from safedpa.bus.wire.version import software_version
 from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
 

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from safedpa.bus import Bus, ZenohSettings, ZenohTransport
-from safedpa.bus.access import ROUTER, access_control, rate_limits, size_limits
 from safedpa.bus.log import log_event
-from safedpa.bus.process import Stop, Urgency, add_card_option, identity_from, run_process
+from safedpa.bus.loop.process import Stop, Urgency, add_card_option, identity_from, run_process
+from safedpa.bus.security.access import ROUTER, access_control, rate_limits, size_limits
 from safedpa.errors import InputError
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals
 from safedpa_services.router.router import Router, revoked_in

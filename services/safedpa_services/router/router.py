@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from safedpa.bus import HEALTH, NO_ROBOT, Bus, HealthMessage
-from safedpa.bus.access import ROLES, ROUTER
 from safedpa.bus.log import log_event
+from safedpa.bus.security.access import ROLES, ROUTER
 from safedpa.errors import SafedpaError
 from safedpa.limits import text_of_file
 from safedpa_services.router.refusals import Refusals

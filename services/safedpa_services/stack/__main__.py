@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable
 from functools import lru_cache
 
-from safedpa.bus.process import Stop, Urgency, run_process
+from safedpa.bus.loop.process import Stop, Urgency, run_process
 from safedpa.errors import InputError
 from safedpa_services.nodes import adaptation, add_filter_options, add_policy_options, policy, safety_filter
 from safedpa_services.serving import serve, service_parser

@@ -68,6 +68,7 @@ def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
         "late": robot.recent_ticks.share("watchdog", now),
         "sense_to_act_p50": p50,
         "sense_to_act_p99": p99,
+        "sources": robot.sources(),
         "diagnosis": robot.finding.stage if robot.finding else "",
         "models": {name: message.model for name, (message, _) in sorted(robot.health.items()) if message.model},
     }

@@ -51,6 +51,11 @@ def _model(row: Row) -> str:
     return str(models.get("safety_filter") or next(iter(models.values()), ""))
 
 
+def _sources(row: Row) -> str:
+    told = [f"{name} {'-' if age is None else f'{age:.2f}'}" for name, age in row["sources"].items()]
+    return " ".join(told)
+
+
 def _more(row: Row) -> str:
     if row["service"] != "recorder":
         return str(row["detail"])
@@ -79,6 +84,7 @@ _ROBOTS = (
     _Column("goals", 5, _number("goals", "d"), 165),
     _Column("hits", 4, _number("collisions", "d"), 172),
     _Column("model", 12, _model, 190, left=True),
+    _Column("sources, age s", 24, _sources, 215, left=True),
 )
 _SERVICES = (
     _Column("process", 14, lambda row: row["service"], left=True),

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from safedpa.bus.certificates import Card
+from safedpa.bus.security.certificates import Card
 
 __all__ = ["Child"]
 
@@ -47,6 +47,8 @@ class Child:
     """What it is told and other users of the machine must not read, as they can its arguments."""
     card: Card | None = None
     """Its certificate and key, which no other process shall see: handed to it by a pipe, at each start."""
+    further: Mapping[str, Card] = field(default_factory=dict)
+    """By the option that takes it: cards of other roles for which this one process speaks as well."""
 
     def __post_init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -68,11 +70,12 @@ class Child:
     def start(self) -> None:
         """Starts the process; a later call starts it anew."""
         command = [sys.executable, "-m", self.module, *self.arguments, "--supervised"]
-        with self.log.open("ab") as log, _handed(self.card) as descriptors:
-            command += [word for descriptor in descriptors for word in ("--card", str(descriptor))]
+        cards = {**({} if self.card is None else {"--card": self.card}), **self.further}
+        with self.log.open("ab") as log, _handed(cards) as descriptors:
+            command += [word for option, descriptor in descriptors.items() for word in (option, str(descriptor))]
             self._process = subprocess.Popen(
                 command,
-                pass_fds=descriptors,
+                pass_fds=tuple(descriptors.values()),
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
@@ -142,13 +145,11 @@ class Child:
 
 
 @contextlib.contextmanager
-def _handed(card: Card | None) -> Iterator[tuple[int, ...]]:
-    """The descriptor at which a process finds its card; this process closes its own when the other one has it."""
-    if card is None:
-        yield ()
-        return
-    descriptor = card.pipe()
-    try:
-        yield (descriptor,)
-    finally:
-        os.close(descriptor)
+def _handed(cards: Mapping[str, Card]) -> Iterator[dict[str, int]]:
+    """The descriptors at which a process finds its cards; this process closes its own when the other one has them."""
+    with contextlib.ExitStack() as closing:
+        descriptors = {}
+        for option, card in cards.items():
+            descriptors[option] = card.pipe()
+            closing.callback(os.close, descriptors[option])
+        yield descriptors

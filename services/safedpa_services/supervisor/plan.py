@@ -8,13 +8,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safedpa.bus import ZenohSettings
-from safedpa.bus.access import ROUTER, role_of_robot
+from safedpa.bus.security.access import ROUTER, role_of_robot
 from safedpa.errors import InputError
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.securing import OPERATOR, Wallet
 
 __all__ = ["Plan"]
 
+_POLICY = "policy"
+"""Whose certificate a robot's own policy shows for its wish."""
 _TOKEN_VARIABLE = "SAFEDPA_PAGE_TOKEN"
 
 
@@ -53,10 +55,14 @@ class Plan:
     change_after: float = 0.0
     """s until then, by the robot's clock."""
 
+    senses: bool = False
+    """Whether the robot has sensors of its own, and perception runs beside the loop."""
     robots: int = 1
     """How many drive side by side, each in a scene of its own, all served by the same services."""
     wallet: Wallet | None = None
     """A certificate and key for every role: everything goes through a router over mutual TLS; None: plain text."""
+    door: str = ""
+    """Where that router listens, if not at the endpoint to which the processes of this machine connect."""
 
     @property
     def recording(self) -> Path:
@@ -106,6 +112,8 @@ class Plan:
             ),
             self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
         ]
+        if self.senses:
+            children.insert(1, self._child("perception", "safedpa_services.perception", *self._scheduling))
         if self.diagnosis:
             kept = ("--versions", str(self.folder / "models"))
             children.append(
@@ -122,10 +130,10 @@ class Plan:
 
     def _router(self, wallet: Wallet) -> Child:
         """Starts first and ends last."""
-        bus = ("--fleet", self.fleet, "--listen", self.endpoint)
-        options = (*bus, "--robot", self.name, *self._scheduling)
-        log = self.folder / "router.log"
-        return Child("router", "safedpa_services.router", options, log, card=wallet.cards[ROUTER])
+        bus = ("--fleet", self.fleet, "--listen", self.door or self.endpoint)
+        shown, card = wallet.shown(ROUTER)
+        options = (*bus, *shown, "--robot", self.name, *self._scheduling)
+        return Child("router", "safedpa_services.router", options, self.folder / "router.log", card=card)
 
     def _workbench(self) -> Child:
         page = ("--model", self.model, "--out", str(self.folder / "workbench"), "--port", str(self.workbench_port))
@@ -148,7 +156,14 @@ class Plan:
         """How the supervisor itself joins: in plain text it is what the others connect to, else an operator."""
         if self.wallet is None:
             return ZenohSettings(listen=(self.endpoint,))
-        return ZenohSettings("client", (), (self.endpoint,), self.wallet.cards[OPERATOR])
+        return ZenohSettings("client", (), (self.endpoint,), self.wallet.identity(OPERATOR))
+
+    def gateway(self, file: Path, *, wishes: bool) -> Child:
+        """The robot's process where it speaks ROS 2: the gateway. ``wishes``: its own policy's topic is heard there."""
+        child = self._child("robot", "safedpa_services.ros_gateway", str(file))
+        if self.wallet is not None and self.wallet.cards and wishes:
+            child.further = {"--policy-card": self.wallet.cards[_POLICY]}
+        return child
 
     def robot_process(self, index: int = 0) -> Child:
         """The robot, or another one beside it, whose scene has the next seed."""
@@ -165,8 +180,8 @@ class Plan:
         bus = ["--fleet", self.fleet, "--connect", self.endpoint]
         card = None
         if self.wallet is not None:
-            role = role_of_robot(self.name) if name == "robot" else name
-            bus, card = [*bus, "--role", role], self.wallet.cards[role]
+            shown, card = self.wallet.shown(role_of_robot(self.name) if name == "robot" else name)
+            bus += shown
         log = self.folder / f"{name.replace(' ', '-')}.log"
         return Child(name, module, (*arguments, *bus), log, essential, heartbeat, card=card)
 

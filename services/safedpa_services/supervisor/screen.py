@@ -7,16 +7,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from rich.console import Console
-from rich.live import Live
-
 from safedpa_services.supervisor.child import Child
-from safedpa_services.supervisor.view import view_of
 from safedpa_services.supervisor.warnings import Warnings
 from safedpa_services.supervisor.watch import Watch
-from safedpa_services.terminal import Shown, terminal
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 __all__ = ["answers", "screen"]
 
@@ -39,11 +38,16 @@ def screen(
 
     The address of the ``page`` is told once it answers there.
     """
-    door = _Page(page)
-    console = terminal(stderr=True)
     if quiet:
         yield Warnings((robot, *services), folder).look
         return
+    from rich.live import Live  # here, so that whoever draws nothing does not wait for it at the start
+
+    from safedpa_services.supervisor.view import view_of
+    from safedpa_services.terminal import Shown, terminal
+
+    door = _Page(page)
+    console = terminal(stderr=True)
     if not console.is_terminal:
         for hint in hints:
             console.print(hint, soft_wrap=True)

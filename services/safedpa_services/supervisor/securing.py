@@ -1,4 +1,4 @@
-"""Throw-away certificates for a loop on one machine that runs as it would on several."""
+"""Certificates for a loop of one command: thrown away afterwards, or a person's own from a folder."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import final
 
-from safedpa.bus.access import ROUTER, check_names, roles_of
-from safedpa.bus.authority import HOSTS, Authority
-from safedpa.bus.certificates import Card, close_memory
+from safedpa.bus.security.access import ROUTER, check_names, roles_of
+from safedpa.bus.security.authority import HOSTS, Authority
+from safedpa.bus.security.certificates import Card, Certificates, close_memory
+from safedpa.errors import BusError, InputError
 from safedpa_services.supervisor.private_folder import private_folder
 
 __all__ = ["OPERATOR", "Wallet", "throw_away_certificates"]
@@ -23,10 +24,33 @@ _DAYS = 30.0
 @final
 @dataclass(frozen=True)
 class Wallet:
-    """A certificate and key for every role, in this process's memory; those of people alone are files too."""
+    """A certificate and key for every role, in this process's memory; those of people alone are files too.
+
+    Without ``cards`` all of them are a person's files, and each process reads its own: what is renewed there, or stands
+    in the router's ``revoked.txt``, is known while they run.
+    """
 
     folder: Path
-    cards: Mapping[str, Card] = field(repr=False)
+    cards: Mapping[str, Card] = field(default_factory=dict, repr=False)
+
+    def shown(self, role: str) -> tuple[tuple[str, ...], Card | None]:
+        """The options by which a process shows the certificate of its role, and the card that it is handed.
+
+        Raises InputError where the files of the role are not there.
+        """
+        if self.cards:
+            return ("--role", role), self.cards[role]
+        self.identity(role)
+        return ("--role", role, "--certificates", str(self.folder)), None
+
+    def identity(self, role: str) -> Card | Certificates:
+        """Who this process is where it takes that role. Raises InputError where its files are not there."""
+        if self.cards:
+            return self.cards[role]
+        try:
+            return Certificates(self.folder, role)
+        except BusError as error:
+            raise InputError(f"--certificates: {error}") from error
 
 
 @contextmanager

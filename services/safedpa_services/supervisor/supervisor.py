@@ -32,7 +32,8 @@ class Supervisor:
     """Runs the services and the robot until the robot ends by itself or ``stopped`` says so."""
 
     services: list[Child]
-    robot: Child
+    robot: Child | None
+    """None: a robot that is started by others, and whose end is not the services'."""
     watch: Watch
     stopped: Callable[[], bool]
     on_turn: Callable[[], None]
@@ -61,7 +62,7 @@ class Supervisor:
 
     @property
     def _robots(self) -> list[Child]:
-        return [self.robot, *(child for child, _ in self.others)]
+        return [*([] if self.robot is None else [self.robot]), *(child for child, _ in self.others)]
 
     @property
     def _watches(self) -> list[Watch]:
@@ -86,7 +87,7 @@ class Supervisor:
             for child in self._robots:
                 if child.exit_code not in (None, 0, 1):
                     self._revive(child)
-            code = self.robot.exit_code
+            code = None if self.robot is None else self.robot.exit_code
             if code in (0, 1):
                 self._await_others()
                 return code
@@ -111,7 +112,9 @@ class Supervisor:
 
     def _revive(self, child: Child) -> None:
         """Starts it anew. What it refuses now it will refuse again; but once the robot drives no drive ends by that."""
-        if child.exit_code != _BAD_INPUT or self.robot.pid != 0:
+        if child is self.robot and child.exit_code == _BAD_INPUT and "robot" not in self.watch.health:
+            raise SafedpaError(child.last_words())  # it never drove: nobody would hear why
+        if child.exit_code != _BAD_INPUT or any(robot.pid != 0 for robot in self._robots):
             child.restart_if_due()
         elif child.essential:
             raise SafedpaError(child.last_words())
@@ -139,7 +142,7 @@ class Supervisor:
 
     def _brake(self) -> None:
         """Has the filter brake while everything still runs; where it does not answer, the robot does so by itself."""
-        driving = [pair for pair in zip(self._robots, self._watches, strict=True) if _drives(pair[0])]
+        driving = [pair for pair in zip(self._robots, self._watches, strict=False) if _drives(pair[0])]
         braking = [pair for pair in driving if not self.hurried() and pair[1].stop_robot()]
         end = time.monotonic() + _BRAKING_SECONDS
         while braking and time.monotonic() < end and not self.hurried():

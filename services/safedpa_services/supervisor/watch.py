@@ -1,10 +1,17 @@
-"""What the supervisor hears on the bus: health of the services, verdicts, states; counted once per tick."""
+"""What the supervisor hears on the bus: health of the services, verdicts, states; counted once per tick.
+
+And what a finished loop amounts to, as one JSON document.
+"""
 
 from __future__ import annotations
 
+import json
 import time
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 from safedpa.bus import (
     FINDING,
@@ -20,11 +27,12 @@ from safedpa.bus import (
     StateMessage,
     VerdictMessage,
 )
-from safedpa.bus.requests import ORDER
+from safedpa.bus.wire.requests import ORDER
 from safedpa.errors import SafedpaError
 from safedpa.safety.standstill import Stand, note_standstill
+from safedpa_services.supervisor.child import Child
 
-__all__ = ["Watch"]
+__all__ = ["Watch", "summary_of"]
 
 _WHO = "'safedpa up', which is about to end"
 _ORDER_SECONDS = 0.5
@@ -100,3 +108,43 @@ class Watch:
             self.verdict = message
             self.verdicts[message.status] += 1
             note_standstill(self.standstills, message)
+
+
+_UNTOUCHED = ("passed", "disabled", "stopped")
+
+
+def summary_of(
+    robot_summary: Path,
+    verdicts: Counter[str],
+    children: list[Child],
+    health: dict[str, HealthMessage],
+    recording: Path,
+    standstills: Sequence[Stand] = (),
+    others: Mapping[str, Path] | None = None,
+) -> dict[str, Any]:
+    """The robot's own account, verdicts per status, stands, interventions, services with restarts, and the recording.
+
+    ``others``: by name, where further robots left theirs; they stand under ``robots``.
+    Raises SafedpaError when the robot left no account.
+    """
+    account = _account(robot_summary)
+    recorder = health.get("recorder")
+    failed = recorder.detail if recorder is not None and recorder.state == "failing" else None
+    return {
+        **account,
+        "verdicts": dict(sorted(verdicts.items())),
+        "standstills": list(standstills),
+        "interventions": sum(count for status, count in verdicts.items() if status not in _UNTOUCHED),
+        "services": [{"name": child.name, "pid": child.pid, "restarts": child.restarts} for child in children],
+        "recording": str(recording),
+        "recording_error": failed,
+        **({"robots": {name: _account(path) for name, path in others.items()}} if others else {}),
+    }
+
+
+def _account(path: Path) -> dict[str, Any]:
+    try:
+        account: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SafedpaError(f"the robot left no account of its run ({error}); see {path.parent}") from error
+    return account

@@ -14,11 +14,18 @@ from safedpa.limits import readable
 
 __all__ = ["RECORDINGS", "Shelf"]
 
-RECORDINGS = (".csv", ".parquet", ".mcap")
+RECORDINGS = (".csv", ".parquet", ".mcap", ".db3", ".bag", ".ulg")
+_RECORDING = f"a recording ({', '.join(RECORDINGS[:-1])} or {RECORDINGS[-1]})"
 _MODELS = (".toml",)
 _MOST_FILES = 1000
 _START_BYTES = 4096
-_MAGIC = {".parquet": b"PAR1", ".mcap": b"\x89MCAP0\r\n"}
+_MAGIC = {
+    ".parquet": b"PAR1",
+    ".mcap": b"\x89MCAP0\r\n",
+    ".db3": b"SQLite format 3\0",
+    ".bag": b"#ROSBAG V2.0\n",
+    ".ulg": b"ULog\x01\x12\x35",
+}
 
 
 class Shelf:
@@ -57,12 +64,12 @@ class Shelf:
 
     def recording(self, path: str) -> str:
         """The path of a recording. Raises RunError where it is outside, is none, or does not begin as one does."""
-        found = self._below(path, RECORDINGS, "a recording (.csv, .parquet or .mcap)")
+        found = self._below(path, RECORDINGS, _RECORDING)
         with found.open("rb") as file:
             start = file.read(_START_BYTES)
         magic = _MAGIC.get(found.suffix.lower())
         if (magic is None and (b"\0" in start or b"-----BEGIN" in start)) or not start.startswith(magic or b""):
-            raise self._refusal(path, "a recording (.csv, .parquet or .mcap)")
+            raise self._refusal(path, _RECORDING)
         return str(found)
 
     def model(self, name: str, shipped: Iterable[str]) -> str:

@@ -19,7 +19,7 @@ import urllib.request
 from importlib.util import find_spec
 from pathlib import Path
 
-from safedpa.bus.ports import free_port
+from safedpa.bus.transport.ports import free_port
 from safedpa.errors import SafedpaError
 
 __all__ = ["VIEWER_POLICY", "Viewer"]

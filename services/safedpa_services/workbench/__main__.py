@@ -6,7 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
-from safedpa.bus.process import Stop, bus_from, run_process
+from safedpa.bus.loop.process import Stop, bus_from, run_process
 from safedpa.extras import need
 from safedpa_services.serving import service_parser
 

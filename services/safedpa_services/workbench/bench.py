@@ -9,12 +9,11 @@ from typing import Any, Literal
 
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, SafedpaError
-from safedpa.systems.driven import why_not_driven
+from safedpa_services.driving import why_refused
 from safedpa_services.workbench import jobs
 from safedpa_services.workbench.recordings import Choice, loaded
-from safedpa_services.workbench.saving import STEPS, saved
+from safedpa_services.workbench.saving import STEPS, Decision, Kept, absolute, place_for, saved, write_session
 from safedpa_services.workbench.session import Session
-from safedpa_services.workbench.session_file import Decision, Kept, absolute, place_for, write_session
 from safedpa_services.workbench.worker import StoppedError, Worker
 
 __all__ = ["Bench", "News"]
@@ -254,7 +253,7 @@ class Bench:
         """What is to be known before Save: why ``safedpa up`` would refuse the model; empty where it would not."""
         if self.given is None or self.session is None:
             return ""
-        refusal = why_not_driven(self.given.system, self.given.system.name)
+        refusal = why_refused(self.given)
         return f"Save writes it, but 'safedpa up' will refuse it: {refusal}." if refusal else ""
 
     async def save(self) -> None:

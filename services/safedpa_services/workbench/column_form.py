@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from safedpa.records.bags.proposal import proposed
 from safedpa.records.column_map import DERIVATIONS, ColumnMap, DerivedColumn, SourceColumn
 from safedpa.records.units import UNITS
 from safedpa.systems import System
@@ -75,7 +76,7 @@ def _line_of(line: Line, column: SourceColumn | DerivedColumn | None) -> Line:
         return replace(line, source=DERIVED, window=column.window, kept=column if column.of else None)
     if column is None:
         return line
-    kept = column if column.others or column.shift else None
+    kept = column if column.others or column.shift or column.hold else None
     source = f"{column.join} of {', '.join(column.sources)}" if column.others else column.source
     unit, flip = column.unit or "", column.flip
     return replace(line, source=source, unit=unit, scale=column.scale, offset=column.offset, flip=flip, kept=kept)
@@ -83,6 +84,8 @@ def _line_of(line: Line, column: SourceColumn | DerivedColumn | None) -> Line:
 
 def guessed(system: System, names: Sequence[str]) -> list[Line]:
     """The form with the columns whose names say what they hold; each column once."""
+    if any(":@" in name for name in names):
+        return _guessed_of_topics(system, names)
     free = list(names)
     lines = []
     for line in _empty(system):
@@ -94,6 +97,15 @@ def guessed(system: System, names: Sequence[str]) -> list[Line]:
         else:
             lines.append(replace(line, source=DERIVED) if line.derivation else line)
     return lines
+
+
+def _guessed_of_topics(system: System, names: Sequence[str]) -> list[Line]:
+    """The same of a log of topics, whose columns are called /odom:pose.pose.position.x."""
+    found = proposed((*system.state_names, *system.action_names), [name for name in names if ":@" not in name])
+    first = next(iter(found.values()), "").rpartition(":")[0]
+    found["t"] = next((name for name in names if name == f"{first}:@header"), f"{first}:@receipt" if first else "")
+    empty = [replace(line, source=found.get(line.target, "")) for line in _empty(system)]
+    return [replace(line, source=DERIVED) if line.derivation and not line.source else line for line in empty]
 
 
 def map_text(system: System, lines: Sequence[Line]) -> str:
@@ -113,6 +125,7 @@ def _row(line: Line) -> str:
         names = ", ".join(map(_quoted, line.kept.sources))
         parts = [f'from = [{names}], join = "{line.kept.join}"' if line.kept.others else f"from = {names}"]
         parts += [f"shift = {line.kept.shift!r}"] if line.kept.shift else []
+        parts += [f"hold = {line.kept.hold!r}"] if line.kept.hold else []
     if line.unit and line.unit != line.si:
         parts.append(f"unit = {_quoted(line.unit)}")
     if line.scale != 1.0:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from safedpa.diagnosis.report import Candidate, Unexplained, Value
+from safedpa.diagnosis.document import Candidate, Unexplained, Value
 from safedpa.effects import effects_of
 
 __all__ = ["Card", "card_of", "numbers_of", "rest_sentence", "verdict_sentence"]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.diagnosis.comparison import Comparison
+from safedpa.compare.comparison import Comparison
 from safedpa_services.workbench.brush import ERROR, TIME, Brush, time_of, values_of, variables_of
 from safedpa_services.workbench.look import CONFIG, MAP_COLOURS, Look, axis, frame
 from safedpa_services.workbench.session import Session

@@ -10,6 +10,8 @@ from pathlib import Path
 from safedpa.errors import RunError, SafedpaError
 from safedpa.limits import limit, too_much
 from safedpa.records import ColumnMap, load_run
+from safedpa.records.bags import kind_of, topic_log
+from safedpa.records.bags.proposal import sources_of
 from safedpa.records.parquet_table import open_parquet
 from safedpa.systems import System
 
@@ -38,13 +40,15 @@ class Checked:
 
 
 def raw_rows(path: str | Path, count: int = 5) -> RawRows:
-    """The first rows of a CSV or Parquet file; raises RunError when it cannot be read."""
+    """The first rows of a table, the fields of a log of topics; raises RunError when it cannot be read."""
     path = Path(path)
     if not path.is_file():
         raise RunError(f"{path}: no such file; wanted a recording (.csv, .parquet or .mcap)")
     try:
         with path.open("rb") as file:
             start = file.read(8)
+        if kind_of(path) == "topics":
+            return RawRows(tuple(sources_of(topic_log(path).topics().values(), clocks=True)), ())
         if start.startswith(b"\x89MCAP"):
             return RawRows((), ())
         return _parquet(path, count) if start.startswith(b"PAR1") else _csv(path, count)

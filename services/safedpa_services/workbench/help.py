@@ -32,5 +32,5 @@ def show_keys() -> None:
     """Opens the list."""
     with ui.dialog(value=True).props("aria-label=Keys") as dialog, ui.card():
         rows = "".join(f"<dt>{key}</dt><dd>{what}</dd>" for key, what in KEYS.items())
-        ui.html(f'<h2 style="margin:0 0 8px;font-size:16px">Keys</h2><dl class="keys">{rows}</dl>', sanitize=False)
+        ui.html(f'<div class="dialog-title"><h2>Keys</h2></div><dl class="keys">{rows}</dl>', sanitize=False)
         action("Close", dialog.close, main=True).props("autofocus")

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from safedpa.diagnosis.comparison import EVERY, Comparison, compare_model
-from safedpa.diagnosis.report import Candidate, Experiment, Unexplained, Value
-from safedpa.diagnosis.rollout_error import RolloutError, rollout_error
+from safedpa.compare.comparison import EVERY, Comparison, compare_model
+from safedpa.compare.rollout_error import RolloutError, rollout_error
+from safedpa.diagnosis.document import Candidate, Experiment, Unexplained, Value
 from safedpa.diagnosis.stepwise import Proposal, Step, first_step, proposal, with_candidate
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run

@@ -12,14 +12,22 @@ from typing import Any
 from nicegui import events, ui
 
 from safedpa.bus import Answer, Request
+from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.workbench.browser import answer_of, wishes_dark
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
-from safedpa_services.workbench.figures_live import error_figure, evidence_figure, field_figure
 from safedpa_services.workbench.help import show_keys
 from safedpa_services.workbench.live_book import RobotBook
-from safedpa_services.workbench.live_cards import live_cards
 from safedpa_services.workbench.live_link import LiveLink, Told
-from safedpa_services.workbench.live_panels import change_lines, driven_lines, error_bars, field_legend
+from safedpa_services.workbench.live_panels import (
+    change_lines,
+    driven_lines,
+    error_bars,
+    error_figure,
+    evidence_figure,
+    field_figure,
+    field_legend,
+    live_cards,
+)
 from safedpa_services.workbench.look import DARK, LIGHT
 from safedpa_services.workbench.panel_candidates import CandidatesPanel
 from safedpa_services.workbench.replay_link import ReplayLink
@@ -197,7 +205,7 @@ class LivePage:
         if state == self._drawn:
             return
         self._drawn = state
-        kind = str((book.report or {}).get("robot", "car"))
+        kind = str((book.report or {}).get("robot", DEFAULT_ROBOT))
         cards, experiment = live_cards(kind, book.report, self._accepted)
         note = "" if cards else "Nothing to decide: candidates stand here once a finding was searched."
         self._candidates.show_cards(cards, experiment, note)

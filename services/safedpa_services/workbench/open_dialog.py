@@ -1,29 +1,31 @@
-"""The dialog that chooses a model, recordings, and how their columns are read."""
+"""The dialog that chooses a model, recordings, and how their columns are read: a line for each quantity."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from nicegui import events, ui
 
+from safedpa.disk import why_not_written
 from safedpa.dynamics import PhysicsModel, load_model, shipped_models
 from safedpa.errors import SafedpaError
-from safedpa.limits import limit
+from safedpa.limits import limit, readable
 from safedpa.records import ColumnMap, load_column_map
+from safedpa.records.atomic import atomic_path
 from safedpa.records.column_map import native_map
 from safedpa.records.column_map_file import shipped_column_maps
 from safedpa_services.web.shelf import RECORDINGS, Shelf
-from safedpa_services.workbench.column_form import Line, guessed, lines_of, map_text
-from safedpa_services.workbench.columns_table import ColumnsTable
+from safedpa_services.workbench.column_form import DERIVED, Line, guessed, lines_of, map_text, units_for
 from safedpa_services.workbench.elements import action, escaped, named, on_change_of, text
 from safedpa_services.workbench.file_preview import Checked, RawRows, checked, raw_rows
 from safedpa_services.workbench.recordings import Choice, Made
 
-__all__ = ["OpenDialog"]
+__all__ = ["ColumnsTable", "OpenDialog"]
 
 _GUESSED = "guessed from the names"
 _NATIVE = "native names"
@@ -34,8 +36,25 @@ _NAME_UPLOAD = """(node) => {
   input.setAttribute('tabindex', '0');
   const sign = input.closest('a');
   if (sign) { sign.removeAttribute('role'); sign.removeAttribute('tabindex'); sign.removeAttribute('href'); }
+  window.takeRecordings = (files) => node.component.refs.qRef.addFiles(files);
+  if (window.droppedRecordings) { window.takeRecordings(window.droppedRecordings); window.droppedRecordings = null; }
 }"""
-"""The framework draws a link around the control; the control itself is what the keyboard reaches."""
+"""The framework draws a link around the control; the control itself is what the keyboard reaches. And it takes what was
+dropped beside it, or before the dialog was there."""
+_DROPS = """<script>
+document.addEventListener('dragover', (event) => {
+  if ([...event.dataTransfer.types].includes('Files')) event.preventDefault();
+});
+document.addEventListener('drop', (event) => {
+  if (event.defaultPrevented || !event.dataTransfer.files.length) return;
+  event.preventDefault();
+  const files = [...event.dataTransfer.files];
+  if (document.querySelector('.q-uploader')) { window.takeRecordings(files); return; }
+  window.droppedRecordings = files;
+  emitEvent('recordings_dropped');
+});
+</script>"""
+"""A browser shows a file that is dropped on a page in the place of that page; here the dialog takes it instead."""
 
 
 class OpenDialog:
@@ -46,6 +65,8 @@ class OpenDialog:
         self._choice = Choice()
         self._raw = RawRows((), ())
         self._uploads = out / "uploads"
+        ui.add_head_html(_DROPS)
+        ui.on("recordings_dropped", self._dropped)
         with ui.dialog().props("aria-label=Open") as self._dialog, ui.card().classes("wide"):
             with ui.element("div").classes("row dialog-title"):
                 text("Open a model and recordings", tag="h2")
@@ -63,13 +84,15 @@ class OpenDialog:
             self._horizon = ui.number("Horizon [s]", value=1.0, min=0.05, max=60.0, step=0.1)
             self._horizon.props("dense outlined").style("width: 110px")
         with ui.element("div").classes("row").style("width: 100%; align-items: flex-start"):
-            self._paths = ui.textarea("Recordings on this machine, one path or pattern a line (.csv .parquet .mcap)")
+            self._paths = ui.textarea(f"Recordings here, one path or pattern a line ({' '.join(RECORDINGS)})")
             self._paths.props("dense outlined autogrow").style("flex: 1").on("blur", self._refresh)
             upload = ui.upload(label="or drag them here", multiple=True, auto_upload=True, on_upload=self._uploaded)
+            upload.on_rejected(self._rejected)
             upload.props(f"max-file-size={limit('upload_bytes')} max-files={limit('uploads')}")
-            upload.props('flat bordered accept=".csv,.parquet,.mcap" aria-label="upload recordings"')
+            upload.props(f'flat bordered accept="{",".join(RECORDINGS)}" aria-label="upload recordings"')
             upload.style("width: 250px; max-height: 110px")
             on_change_of(upload, _NAME_UPLOAD)
+        self._taken = text("", "fine", "div").props("role=status aria-live=polite")
 
     def _columns(self) -> None:
         with ui.element("div").classes("row").style("width: 100%"):
@@ -98,6 +121,18 @@ class OpenDialog:
         self._dialog.open()
         self._refresh()
 
+    def _rejected(self) -> None:
+        """The browser itself did not send a file."""
+        most = f"{limit('upload_bytes') / 1e6:.0f} MB"
+        self._say(
+            f"Not taken: wanted recordings ({' '.join(RECORDINGS)}) of at most {most}, {limit('uploads')} at most"
+        )
+
+    def _dropped(self) -> None:
+        """Files were dropped on the page while the dialog was closed: it opens, and takes them once it is drawn."""
+        if not self.is_open:
+            self.show(self._choice)
+
     async def _uploaded(self, event: events.UploadEventArguments) -> None:
         """Keeps the file in the folder of sessions: a session that goes on later needs its recordings."""
         ending = Path(event.file.name).suffix.lower()
@@ -113,12 +148,14 @@ class OpenDialog:
             self._uploads.mkdir(mode=0o700, parents=True, exist_ok=True)
             await event.file.save(path)
         except OSError as error:
-            self._say(
-                f"{event.file.name}: cannot be kept in {self._uploads} ({error.strerror}); make room or choose --out"
-            )
+            with suppress(OSError):  # part of it
+                path.unlink()
+            why = why_not_written(error)
+            self._say(f"{event.file.name}: cannot be kept in {self._uploads} ({why}), or choose another --out")
             return
         self._shelf = self._shelf.with_folder(self._uploads)
         self._paths.value = "\n".join([*str(self._paths.value or "").splitlines(), str(path)])
+        self._taken.set_content(escaped(f"Uploaded: {event.file.name}, {path.stat().st_size / 1e6:.2g} MB, to {path}"))
         self._refresh()
 
     def _files_named(self) -> list[str]:
@@ -256,9 +293,9 @@ class OpenDialog:
         path = self._out / "columns.toml"
         try:
             self._made(model)
-            self._out.mkdir(parents=True, exist_ok=True)
-            path.write_text(map_text(model.system, self._table.lines), encoding="utf-8")
-        except (SafedpaError, OSError) as error:
+            with atomic_path(path) as temporary:
+                temporary.write_text(map_text(model.system, self._table.lines), encoding="utf-8")
+        except SafedpaError as error:
             self._say(str(error))
             return
         ui.notify(f"Written: {path}", type="positive")
@@ -273,3 +310,66 @@ def _table(names: list[str], rows: Any) -> str:
     head = "".join(f"<th>{escaped(name)}</th>" for name in names)
     body = "".join("<tr>" + "".join(f"<td>{value:.4g}</td>" for value in row) + "</tr>" for row in rows)
     return f"<table><tr>{head}</tr>{body}</table>"
+
+
+class ColumnsTable:
+    """Source, unit, scale, offset and sign of every quantity; tells when one of them was changed."""
+
+    def __init__(self, on_change: Callable[[], None]) -> None:
+        self._on_change = on_change
+        self.lines: list[Line] = []
+        self._raw = RawRows((), ())
+        self._grid = ui.element("div").classes("map-grid")
+
+    def show(self, lines: list[Line], raw: RawRows) -> None:
+        """Draws the form anew."""
+        self.lines, self._raw = list(lines), raw
+        self._grid.clear()
+        if not lines:
+            return
+        with self._grid:
+            for title in ("quantity", "column of the file", "its unit", "times", "plus [SI]", "flip", "first values"):
+                text(title, "head")
+            for index, line in enumerate(lines):
+                self._line(index, line)
+
+    def _line(self, index: int, line: Line) -> None:
+        text(f"{line.target} [{line.si}]")
+        columns = [*([DERIVED] if line.derivation or line.source == DERIVED else []), *self._raw.names]
+        if line.source and line.source not in columns:
+            columns.append(line.source)
+        self._choice(index, "source", columns, line.source or None, f"column for {line.target}")
+        units = units_for(line.si)
+        self._choice(index, "unit", units, line.unit or line.si, f"unit of {line.target}")
+        self._number(index, "scale", line.scale, f"factor of {line.target}")
+        self._number(index, "offset", line.offset, f"offset of {line.target}")
+        box = ui.checkbox(value=line.flip, on_change=lambda e: self._changed(index, "flip", bool(e.value)))
+        box.props(f'dense aria-label="flip the sign of {line.target}"')
+        text(self._first_values(line.source), "quiet one-line")
+
+    def _choice(self, index: int, field: str, options: list[str], value: str | None, title: str) -> None:
+        known = value if value in options else None
+        shown = {option: readable(option, limit("name_letters")) for option in options}  # a bag's topics among them
+        box = ui.select(shown, value=known, on_change=lambda e: self._changed(index, field, str(e.value or "")))
+        named(box.props("dense outlined options-dense").classes("flat"), title)
+
+    def _number(self, index: int, field: str, value: float, title: str) -> None:
+        box = ui.number(value=value, on_change=lambda e: self._changed(index, field, e.value))
+        named(box.props("dense outlined debounce=400").classes("flat"), title)
+
+    def _changed(self, index: int, field: str, value: Any) -> None:
+        if value is None:
+            return
+        change: dict[str, Any] = {field: float(value) if field in ("scale", "offset") else value}
+        if field == "source":
+            change["kept"] = None
+        self.lines[index] = replace(self.lines[index], **change)
+        if field == "source":
+            self.show(self.lines, self._raw)
+        self._on_change()
+
+    def _first_values(self, source: str) -> str:
+        if source not in self._raw.names:
+            return ""
+        at = self._raw.names.index(source)
+        return ", ".join(row[at][:9] for row in self._raw.rows[:3] if at < len(row))

@@ -23,8 +23,8 @@ from safedpa_services.workbench.panel_fall import FallPanel
 from safedpa_services.workbench.panel_path import PathPanel
 from safedpa_services.workbench.panel_where import WherePanel
 from safedpa_services.workbench.rerun_view import RerunDoor
+from safedpa_services.workbench.saving import SESSION_FILE
 from safedpa_services.workbench.session import Session
-from safedpa_services.workbench.session_file import NAME as SESSION_FILE
 
 __all__ = ["Page"]
 

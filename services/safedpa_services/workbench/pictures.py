@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from safedpa.bus.ports import free_port
+from safedpa.bus.transport.ports import free_port
 from safedpa.errors import SafedpaError
 
 __all__ = ["browser_at_hand", "photograph", "take_pictures"]

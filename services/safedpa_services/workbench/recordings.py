@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from safedpa.diagnosis.comparison import with_distinct_names
+from safedpa.compare.comparison import with_distinct_names
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.records import ColumnMap, load_column_map, load_run
 from safedpa.records.column_map_file import parse_column_map

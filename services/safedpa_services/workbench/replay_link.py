@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from safedpa.bus import Answer, Message, Received, Request
-from safedpa.bus.topics import topic_of
+from safedpa.bus.wire.topics import topic_of
 from safedpa.errors import RunError
 from safedpa.records import read_messages
 from safedpa_services.workbench.live_book import LiveBook

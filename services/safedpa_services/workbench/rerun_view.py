@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import shutil
 import tempfile
 import urllib.parse
 from pathlib import Path
@@ -14,9 +15,9 @@ from fastapi import Response
 from fastapi.responses import FileResponse
 from nicegui import app
 
-from safedpa.diagnosis.rollout import rollout
-from safedpa.diagnosis.where import PLACE
-from safedpa.diagnosis.windows import Floats, Windows
+from safedpa.compare.rollout import rollout
+from safedpa.compare.where import PLACE
+from safedpa.compare.windows import Floats, Windows
 from safedpa.errors import RecordingError, SafedpaError
 from safedpa_services.web.viewer import VIEWER_POLICY, Viewer
 from safedpa_services.workbench.session import Session
@@ -31,6 +32,15 @@ _COLOURS = ((216, 94, 0), (138, 148, 160), (0, 114, 178))
 _MEASURED = (200, 200, 200)
 
 
+_ROOM_BYTES = 64 << 20
+"""A view has some MB; the library that writes it does not say that the disk is full."""
+
+
+def _require_room(path: Path) -> None:
+    if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
+        raise RecordingError(f"{path.parent}: cannot be written (the disk is full: make room)")
+
+
 def write_view(session: Session, path: Path) -> None:
     """Writes measured and predicted states of the chosen run, from the chosen start on, started anew each horizon.
 
@@ -41,6 +51,7 @@ def write_view(session: Session, path: Path) -> None:
     import rerun.blueprint as rrb
 
     windows = _from_start(session)
+    _require_room(path)
     stream = rr.RecordingStream("safedpa workbench")
     try:
         stream.set_sinks(rr.FileSink(path))

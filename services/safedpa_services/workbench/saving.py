@@ -1,21 +1,43 @@
-"""What the engineer takes away: the model with its final numbers, and the filter's margin for it."""
+"""What stays on the disk: the model with its final numbers, the filter's margin for it, and the session.
+
+A session is what was opened and decided, as a small file beside what Save writes: with it the work goes on after any
+end.
+"""
 
 from __future__ import annotations
 
 import datetime
+import json
 import pickle
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from safedpa.diagnosis.stepwise import Step, with_final
+from safedpa.disk import why_not_written
 from safedpa.dynamics import LearnedBase, PhysicsModel, save_model
 from safedpa.errors import InputError
+from safedpa.limits import parse_json, readable, text_of_file
+from safedpa.records.atomic import atomic_path
 from safedpa.records.run import Run
+from safedpa.robot import robot_like
 from safedpa.safety.run_calibration import calibration_from_runs
-from safedpa.safety.shipped import settings_named
+from safedpa_services.driving import drive_command, why_refused
+from safedpa_services.workbench.recordings import Choice, Made
 
-__all__ = ["STEPS", "saved"]
+__all__ = [
+    "SESSION_FILE",
+    "STEPS",
+    "Decision",
+    "Kept",
+    "absolute",
+    "newest_in",
+    "place_for",
+    "read_session",
+    "saved",
+    "write_session",
+]
 
 STEPS = (
     (0.0, "Saving: fits the final numbers along whole recordings"),
@@ -28,7 +50,7 @@ _COVERAGE = 0.99
 
 
 def saved(step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, tell: Callable[[float], None]) -> str:
-    """Writes model.toml, and margin.toml for a car that the filter can drive; says what was written.
+    """Writes model.toml, and margin.toml for a robot that a margin can be had for from logs; says what was written.
 
     Added parameters are fixed, those that the given file calls free stay free. Raises InputError where the folder
     cannot be written to.
@@ -44,10 +66,11 @@ def saved(step: bytes, runs: Sequence[Run], given: PhysicsModel, folder: Path, t
         margin = _margin(model, runs, folder / "margin.toml")
     except OSError as error:
         raise InputError(
-            f"{folder}: cannot be written to ({error.strerror}); choose another folder with --out"
+            f"{folder}: cannot be written to ({why_not_written(error)}); choose another folder with --out"
         ) from error
-    also = f" and margin.toml: safedpa up --model {folder / 'model.toml'} --margin {margin}" if margin else ""
-    return f"Held-out error {final.error.value:.3g}. Written: {folder / 'model.toml'}{also}"
+    written = f"{folder / 'model.toml'}{' and margin.toml' if margin else ''}"
+    driven = "" if why_refused(model) else f": {drive_command(model, folder / 'model.toml', margin)}"
+    return f"Held-out error {final.error.value:.3g}. Written: {written}{driven}"
 
 
 def _as_given(model: PhysicsModel, given: PhysicsModel) -> PhysicsModel:
@@ -56,14 +79,131 @@ def _as_given(model: PhysicsModel, given: PhysicsModel) -> PhysicsModel:
 
 
 def _margin(model: PhysicsModel, runs: Sequence[Run], path: Path) -> Path | None:
-    """Writes the margin; None for a robot that the filter does not drive, or too few transitions at its period."""
+    """Writes the margin; None for a robot whose margin logs do not tell, or too few transitions at its period."""
     path.unlink(missing_ok=True)  # of an earlier model
-    if isinstance(model.base, LearnedBase) or model.system.action_names != ("target_speed", "steer"):
+    robot = robot_like(model.system)
+    if isinstance(model.base, LearnedBase) or robot is None or not robot.calibrates_from_logs:
         return None
     try:
         today = datetime.date.today().isoformat()
-        calibration = calibration_from_runs(model, settings_named("car"), runs, _COVERAGE, today)
+        calibration = calibration_from_runs(model, robot.settings(), runs, _COVERAGE, today)
     except InputError:  # the filter's settings stand in for it
         return None
     calibration.save(path)
     return path
+
+
+SESSION_FILE = "session.json"
+Decision = tuple[str, str]
+"""("added" or "rejected", effect)."""
+_FORMAT = 1
+_DONE = ("added", "rejected")
+_MOST_FOLDERS = 1000
+
+
+@dataclass(frozen=True)
+class Kept:
+    """One session: what was opened, and the decisions in their order."""
+
+    choice: Choice
+    decisions: tuple[Decision, ...] = ()
+
+
+def read_session(path: Path) -> Kept:
+    """Raises InputError for what is no session, naming the key."""
+    try:
+        document = parse_json(text_of_file(path, "json_bytes"))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); wanted the {SESSION_FILE} of a workbench"
+        ) from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}; wanted the {SESSION_FILE} of a workbench") from error
+    if not isinstance(document, dict) or document.get("format") != _FORMAT:
+        raise InputError(
+            f"{path}: wanted a session of the workbench with format = {_FORMAT}, as it writes {SESSION_FILE}"
+        )
+    try:
+        runs = tuple(str(run) for run in document["runs"])
+        decisions = tuple((str(item["do"]), str(item["effect"])) for item in document["decisions"])
+        choice = Choice(str(document["model"]), runs, _columns(document["columns"]), float(document["horizon"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path}: {type(error).__name__} at {error}; wanted model, runs, horizon, decisions"
+        ) from error
+    wrong = next((do for do, _ in decisions if do not in _DONE), None)
+    if wrong is not None:
+        raise InputError(f"{path}: decision '{readable(wrong, 40)}'; wanted {' or '.join(_DONE)}")
+    return Kept(choice, decisions)
+
+
+def write_session(kept: Kept, folder: Path) -> None:
+    """Writes session.json, whole or not at all. Raises RecordingError where the folder cannot be written to."""
+    columns = kept.choice.columns
+    document = {
+        "format": _FORMAT,
+        "model": kept.choice.model,
+        "runs": list(kept.choice.runs),
+        "columns": {"text": columns.text, "beside": columns.beside} if isinstance(columns, Made) else columns,
+        "horizon": kept.choice.horizon,
+        "decisions": [{"do": do, "effect": effect} for do, effect in kept.decisions],
+    }
+    with atomic_path(folder / SESSION_FILE) as temporary:
+        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _columns(told: Any) -> str | Made | None:
+    if told is None or isinstance(told, str):
+        return told
+    return Made(str(told["text"]), str(told["beside"]))
+
+
+def place_for(base: Path, choice: Choice) -> tuple[Path, tuple[Decision, ...]]:
+    """The first of ``base``, ``base-2``, ... that holds the session of this choice, with what was decided in it, or
+    nothing of another one."""
+    wanted = absolute(choice)
+    for folder in _folders(base):
+        path = folder / SESSION_FILE
+        if not path.is_file():
+            if not (folder / "model.toml").exists():
+                return folder, ()
+        elif (decisions := _decisions(path, wanted)) is not None:
+            return folder, decisions
+    raise InputError(
+        f"{base}: {_MOST_FOLDERS} sessions of other recordings lie there; choose another folder with --out"
+    )
+
+
+def newest_in(base: Path) -> Path | None:
+    """The session that was written last in ``base``, ``base-2``, ...; None where there is none."""
+    found = []
+    for folder in _folders(base):
+        if not folder.is_dir():
+            break
+        found += [folder / SESSION_FILE] if (folder / SESSION_FILE).is_file() else []
+    return max(found, key=lambda path: path.stat().st_mtime, default=None)
+
+
+def absolute(choice: Choice) -> Choice:
+    """The same with the paths of files that exist made absolute; names that ship stay names."""
+
+    def whole(name: str) -> str:
+        return str(Path(name).resolve()) if Path(name).is_file() else name
+
+    columns = whole(choice.columns) if isinstance(choice.columns, str) else choice.columns
+    columns = replace(columns, beside=whole(columns.beside)) if isinstance(columns, Made) else columns
+    return replace(choice, model=whole(choice.model), runs=tuple(map(whole, choice.runs)), columns=columns)
+
+
+def _decisions(path: Path, choice: Choice) -> tuple[Decision, ...] | None:
+    """What was decided in the session of this choice; None in that of another one."""
+    try:
+        kept = read_session(path)
+    except InputError:
+        return None
+    return kept.decisions if kept.choice == choice else None
+
+
+def _folders(base: Path) -> Iterator[Path]:
+    yield base
+    yield from (base.with_name(f"{base.name}-{number}") for number in range(2, _MOST_FOLDERS + 1))

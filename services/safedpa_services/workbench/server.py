@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import socket
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import click
 from nicegui import Client, app, ui
 
 from safedpa.bus import Bus
-from safedpa.bus.process import Stop
+from safedpa.bus.loop.process import Stop
 from safedpa.errors import InputError
-from safedpa.limits import limit
+from safedpa.limits import limit, readable
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
-from safedpa_services.web.quiet import keep_tracebacks_in
 from safedpa_services.web.shelf import Shelf
 from safedpa_services.web.showing import show
 from safedpa_services.workbench.bench import Bench
@@ -63,7 +65,7 @@ def serve(
     style = (files("safedpa_services.workbench") / "page.css").read_text(encoding="utf-8")
     link = None if bus is None else (ReplayLink(bus) if isinstance(bus, Path) else LiveLink(bus))
     door, choice = RerunDoor(), bench.choice
-    keep_tracebacks_in(bench.out / "workbench.log")
+    _keep_tracebacks_in(bench.out / "workbench.log")
     shelf = Shelf.of((*choice.runs, *([choice.model] if Path(choice.model).is_file() else [])), serving.folders)
     app.add_middleware(Guard, door=serving.door)
 
@@ -155,3 +157,43 @@ def chosen_port(host: str, port: int | None) -> int:
                 continue
             return number
     raise InputError(f"--port: {DEFAULT_PORT} to {DEFAULT_PORT + _MOST_PORTS - 1} are all taken; name another one")
+
+
+_LONGEST = 300
+_MOST_BYTES = 4_000_000
+_LEFT = ("No response returned.",)
+"""What the web framework says where a browser hangs up before its answer: nobody needs to hear of that."""
+
+
+def _keep_tracebacks_in(path: Path) -> None:
+    """From now on every log record of this process that has a traceback is one line, and the traceback is in ``path``.
+
+    The file is made at the first one; what does not fit into 4 MB is not kept.
+    """
+    plain = logging.getLogRecordFactory()
+
+    def made(*arguments: Any, **options: Any) -> logging.LogRecord:
+        record = plain(*arguments, **options)
+        error = record.exc_info[1] if isinstance(record.exc_info, tuple) else None
+        if error is None and isinstance(record.msg, BaseException):
+            error = record.msg
+        if error is None:
+            return record
+        record.browser_left = str(error) in _LEFT or isinstance(error, ConnectionError)
+        _keep(path, error)
+        said = readable(f"{type(error).__name__}: {' '.join(str(error).split())}", _LONGEST)
+        record.msg, record.args = f"the page goes on after an error ({said}); more in {path}", ()
+        record.exc_info = record.exc_text = None
+        return record
+
+    logging.setLogRecordFactory(made)
+    logging.getLogger("uvicorn.error").addFilter(lambda record: not getattr(record, "browser_left", False))
+
+
+def _keep(path: Path, error: BaseException) -> None:
+    with contextlib.suppress(OSError):
+        if path.exists() and path.stat().st_size > _MOST_BYTES:
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(time.strftime("%Y-%m-%d %H:%M:%S\n") + "".join(traceback.format_exception(error)) + "\n")

@@ -9,13 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.diagnosis.comparison import Comparison
-from safedpa.diagnosis.report import Candidate
-from safedpa.diagnosis.summary import where_sentence
+from safedpa.compare.comparison import Comparison
+from safedpa.compare.summary import where_sentence
+from safedpa.diagnosis.document import Candidate
 from safedpa.errors import InputError
 from safedpa.records.run import Run
-from safedpa_services.workbench.brush import Brush, Inside, inside_of
-from safedpa_services.workbench.error_map import ErrorMap, default_axes, error_map
+from safedpa_services.workbench.brush import Brush, ErrorMap, Inside, default_axes, error_map, inside_of
 from safedpa_services.workbench.evidence import Card, card_of, rest_sentence, verdict_sentence
 from safedpa_services.workbench.jobs import Found, Version
 

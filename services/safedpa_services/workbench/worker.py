@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from safedpa.disk import why_not_written
 from safedpa.errors import SafedpaError
 
 __all__ = ["StoppedError", "Worker"]
@@ -90,9 +91,12 @@ def _serve(connection: Connection) -> None:
 def _done(job: Job, arguments: tuple[Any, ...], connection: Connection) -> tuple[str, Any]:
     try:
         return "done", job(*arguments, lambda share: connection.send(("told", share)))
-    except OSError:
+    except ConnectionError:  # the page's process is gone
         raise
     except SafedpaError as error:
         return "failed", error
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return "failed", SafedpaError(f"{where}cannot be written or read ({why_not_written(error)})")
     except Exception as error:  # noqa: BLE001  the page says what went wrong and goes on
         return "failed", SafedpaError(f"the computation failed: {type(error).__name__}: {error}")

@@ -27,8 +27,8 @@ from safedpa.bus import (
     Outputs,
     StateMessage,
 )
-from safedpa.bus.apart import AbstractTicket
-from safedpa.bus.model_versions import ModelVersions
+from safedpa.bus.loop.apart import AbstractTicket
+from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
 from safedpa.dynamics.offered import offered_model
 from safedpa.errors import InputError, MessageError

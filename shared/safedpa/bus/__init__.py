@@ -1,10 +1,14 @@
 """The bus: one table of topics, typed messages, transport over Zenoh or in memory, and the loop of every service."""
 
-from safedpa.bus.bus import Bus
-from safedpa.bus.codec import decode, encode
-from safedpa.bus.inbox import Inbox, Received, Refused
-from safedpa.bus.memory_transport import MemoryBroker, MemoryTransport
-from safedpa.bus.messages import (
+from safedpa.bus.loop.node import AbstractNode, Inputs, Outputs, Stale
+from safedpa.bus.loop.service import NO_ROBOT, ServiceLoop
+from safedpa.bus.transport.bus import Bus
+from safedpa.bus.transport.inbox import Inbox, Received, Refused
+from safedpa.bus.transport.memory_transport import MemoryBroker, MemoryTransport
+from safedpa.bus.transport.transport import AbstractTransport
+from safedpa.bus.transport.zenoh_transport import ZenohSettings, ZenohTransport
+from safedpa.bus.wire.codec import decode, encode
+from safedpa.bus.wire.messages import (
     ActionMessage,
     AskedMessage,
     ComputedMessage,
@@ -13,24 +17,26 @@ from safedpa.bus.messages import (
     LatentMessage,
     Message,
     ModelMessage,
+    ScanMessage,
     SetupMessage,
     StateMessage,
+    SurroundingsMessage,
     TakeoverMessage,
     VerdictMessage,
     WishMessage,
 )
-from safedpa.bus.node import AbstractNode, Inputs, Outputs, Stale
-from safedpa.bus.requests import Answer, Request, request_key
-from safedpa.bus.service import NO_ROBOT, ServiceLoop
-from safedpa.bus.topics import (
+from safedpa.bus.wire.requests import Answer, Request, request_key
+from safedpa.bus.wire.topics import (
     ACTION,
     ASKED,
     FINDING,
     HEALTH,
     LATENT,
     MODEL,
+    SCAN,
     SETUP,
     STATE,
+    SURROUNDINGS,
     TAKEOVER,
     TOPICS,
     VERDICT,
@@ -39,8 +45,6 @@ from safedpa.bus.topics import (
     key_of,
     topic_of,
 )
-from safedpa.bus.transport import AbstractTransport
-from safedpa.bus.zenoh_transport import ZenohSettings, ZenohTransport
 
 __all__ = [
     "ACTION",
@@ -50,8 +54,10 @@ __all__ = [
     "LATENT",
     "MODEL",
     "NO_ROBOT",
+    "SCAN",
     "SETUP",
     "STATE",
+    "SURROUNDINGS",
     "TAKEOVER",
     "TOPICS",
     "VERDICT",
@@ -76,10 +82,12 @@ __all__ = [
     "Received",
     "Refused",
     "Request",
+    "ScanMessage",
     "ServiceLoop",
     "SetupMessage",
     "Stale",
     "StateMessage",
+    "SurroundingsMessage",
     "TakeoverMessage",
     "Topic",
     "VerdictMessage",

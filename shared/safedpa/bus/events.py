@@ -36,6 +36,7 @@ KINDS = MappingProxyType(
         "recorder.lost": "The recorder could not keep up; says how many messages are missing.",
         "router.open": "The router accepts connections.",
         "bus.plain_text": "The bus can be reached from other machines without certificates.",
+        "bus.unclosed": "A process ends, and its session with the bus did not close in time; its links end with it.",
         "bus.key_exposed": "A private key can be read by every user of the machine.",
         "bus.twice": "Two connect with one certificate; one of them may not be who it says.",
         "bus.joined": "Somebody connects to the router with a certificate.",

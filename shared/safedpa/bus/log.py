@@ -22,6 +22,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from safedpa.limits import printable
+
 __all__ = ["EventLog", "counted_events", "log_event"]
 
 _LEAST_SECONDS = 1.0
@@ -143,7 +145,7 @@ def _short(value: Any) -> Any:
 
 def _on_one_line(value: Any) -> str:
     """Readable and on one line whatever an attacker put into a name."""
-    return "".join(character if character.isprintable() else "?" for character in str(value))
+    return printable(str(value))
 
 
 _LOG = EventLog()

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from safedpa.diagnosis.condition_screen import begun_law
 from safedpa.diagnosis.condition_words import conditions_of
-from safedpa.diagnosis.evidence import evidence_at, shown_of
-from safedpa.diagnosis.final_numbers import with_final_numbers
-from safedpa.diagnosis.fitted_values import values_of
-from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.heldout import HeldoutError, error_with
-from safedpa.diagnosis.readiness import prepared
-from safedpa.diagnosis.report import Value
-from safedpa.diagnosis.search import begun
-from safedpa.diagnosis.shooting import Shooting
-from safedpa.diagnosis.trial import Trial, trial_of, tried, with_start
+from safedpa.diagnosis.document import Value
+from safedpa.diagnosis.fit.evidence import evidence_at, shown_of
+from safedpa.diagnosis.fit.fitted_values import values_of
+from safedpa.diagnosis.fit.heldout import HeldoutError, error_with
+from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.readiness import prepared
+from safedpa.diagnosis.fit.shooting import Shooting
+from safedpa.diagnosis.fit.trial import Trial, trial_of, tried, with_start
+from safedpa.diagnosis.search.condition_screen import begun_law
+from safedpa.diagnosis.search.final_numbers import with_final_numbers
+from safedpa.diagnosis.search.search import begun
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect, Varies, Where, conditioned, effect
 from safedpa.errors import InputError, RunError

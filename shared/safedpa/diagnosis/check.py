@@ -8,10 +8,10 @@ from typing import Any
 
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
 from safedpa.diagnosis.diagnose import library_for
-from safedpa.diagnosis.evidence import evidence_at
-from safedpa.diagnosis.readiness import judgeable, prepared
-from safedpa.diagnosis.report import Detectable
-from safedpa.diagnosis.search import begun
+from safedpa.diagnosis.document import Detectable
+from safedpa.diagnosis.fit.evidence import evidence_at
+from safedpa.diagnosis.fit.readiness import judgeable, prepared
+from safedpa.diagnosis.search.search import begun
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from safedpa.diagnosis.report import Condition
+from safedpa.diagnosis.document import Condition
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import Conditioned, Varies, Where
 

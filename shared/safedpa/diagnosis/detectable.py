@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from safedpa.diagnosis.experiment_choice import telling_manoeuvres
-from safedpa.diagnosis.heldout import HeldoutError
-from safedpa.diagnosis.judging import FALL, LIKELY, LITTLE_FALL, SURE, VERY_SURE
-from safedpa.diagnosis.report import Detectable
-from safedpa.diagnosis.rollout_error import change_scale
-from safedpa.diagnosis.second_opinion import CERTAIN, CORNERED
-from safedpa.diagnosis.shooting import Shooting
-from safedpa.diagnosis.trial import Trial, deviate_of, with_start
-from safedpa.diagnosis.windows import Floats
+from safedpa.compare.rollout_error import change_scale
+from safedpa.compare.windows import Floats
+from safedpa.diagnosis.document import Detectable
+from safedpa.diagnosis.experiment.choice import telling_manoeuvres
+from safedpa.diagnosis.fit.heldout import HeldoutError
+from safedpa.diagnosis.fit.shooting import Shooting
+from safedpa.diagnosis.fit.trial import Trial, deviate_of, deviates_of, with_start
+from safedpa.diagnosis.search.judgement import FALL, LIKELY, LITTLE_FALL, SURE, VERY_SURE
+from safedpa.diagnosis.search.second_opinion import CERTAIN, CORNERED
 from safedpa.effects import AbstractEffect
 from safedpa.effects.parameter import Parameter
 
@@ -195,13 +195,9 @@ def _sure(squares: Floats, products: Floats, enough: float, shooting: Shooting) 
     """Whether the gain passes whatever side the residual of each block is on, nearly always."""
     if deviate_of(squares, shooting) <= enough:
         return False
-    random, missed = np.random.default_rng(5), 0
-    for _ in range(_TURNED):
-        sides = random.choice([-1.0, 1.0], int(shooting.block.max()) + 1)
-        missed += deviate_of(squares + sides[shooting.block] * products, shooting) <= enough
-        if missed > _MISSED:
-            return False
-    return True
+    sides = np.random.default_rng(5).choice([-1.0, 1.0], (_TURNED, int(shooting.block.max()) + 1))
+    missed = deviates_of(squares + sides[:, shooting.block] * products, shooting) <= enough
+    return int(missed.sum()) <= _MISSED
 
 
 def _taken(moved: _Moved) -> bool:

@@ -8,24 +8,24 @@ from typing import Any
 
 import numpy as np
 
+from safedpa.compare.naive import naive_errors
+from safedpa.compare.summary import worst_bins
+from safedpa.compare.where import PLACE
 from safedpa.diagnosis.addition import Addition, add_effect
-from safedpa.diagnosis.by_name import Names
-from safedpa.diagnosis.closest import closest_effects, likely_effects, nearest_effects
 from safedpa.diagnosis.condition_words import conditions_of
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
-from safedpa.diagnosis.evidence import Evidence, evidence_at, evidence_beside, shown_of
-from safedpa.diagnosis.experiment_choice import chosen_experiment
-from safedpa.diagnosis.fitted_values import values_of
-from safedpa.diagnosis.heldout import Heldout, error_with
-from safedpa.diagnosis.naive import naive_errors
-from safedpa.diagnosis.patch import in_one_room
-from safedpa.diagnosis.readiness import MOST_ROWS, Judgeable, judgeable, prepared, row_of
-from safedpa.diagnosis.remaining import formula_instead, remaining
-from safedpa.diagnosis.report import Candidate, Detectable, Experiment, Report, Unexplained, Value, Verdict
-from safedpa.diagnosis.search import Judged, Search, Tell, searched
-from safedpa.diagnosis.stages import Told, stages_of
-from safedpa.diagnosis.summary import worst_bins
-from safedpa.diagnosis.where import PLACE
+from safedpa.diagnosis.document import Candidate, Detectable, Experiment, Report, Unexplained, Value, Verdict
+from safedpa.diagnosis.experiment.choice import chosen_experiment
+from safedpa.diagnosis.fit.evidence import Evidence, evidence_at, evidence_beside, shown_of
+from safedpa.diagnosis.fit.fitted_values import values_of
+from safedpa.diagnosis.fit.heldout import Heldout, error_with
+from safedpa.diagnosis.fit.readiness import MOST_ROWS, Judgeable, judgeable, prepared, row_of
+from safedpa.diagnosis.remains.by_name import Names
+from safedpa.diagnosis.remains.remaining import formula_instead, remaining
+from safedpa.diagnosis.search.closest import closest_effects, doubtful_effects, likely_effects, nearest_effects
+from safedpa.diagnosis.search.patch import in_one_room
+from safedpa.diagnosis.search.search import Judged, Search, Tell, searched
+from safedpa.diagnosis.search.stages import Told, stages_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect, effects_of
 from safedpa.records.run import Finding, Run
@@ -72,11 +72,12 @@ def diagnose(
     usable.quality.extend([*_too_bad(search), *_rooms(evidence)])
     found = _rest_of(search, judge, Names(search, library, evidence.heldout))
     sizes = with_manoeuvres(_sizes(search, library), search.current, library) if judge.enough else ()
+    doubtful = doubtful_effects(search)
     told, final = stages_of(search, evidence.heldout, shown), values_of(search.current, search.shooting)
     return Report(
         robot=model.system.name,
         horizon=horizon,
-        verdict=_verdict(search, found, judge, sizes),
+        verdict=_verdict(search, found, judge, sizes) if not doubtful else "undecided",
         added=tuple(search.added),
         stages=tuple(told.stages),
         candidates=_candidates(search, evidence.heldout, shown, told, final),
@@ -87,9 +88,9 @@ def diagnose(
         parameters=final,
         models=tuple(told.models),
         closest=closest_effects(
-            found.likely,
+            [*doubtful, *found.likely],
             search,
-            [values_of(item.trial, search.shooting) for item in found.likely],
+            [values_of(item.trial, search.shooting) for item in [*doubtful, *found.likely]],
             sizes,
             np.maximum(search.current.fit.scale, 1e-9),
         ),
@@ -198,7 +199,7 @@ def candidate_of(item: Judged, search: Search) -> Candidate:
 
 
 def _where(model: PhysicsModel, runs: Sequence[Run], horizon: float) -> tuple[dict[str, Any], ...]:
-    from safedpa.diagnosis.comparison import EVERY, compare_model
+    from safedpa.compare.comparison import EVERY, compare_model
 
     seconds = sum(run.duration for run in runs)
     comparison = compare_model(model, runs, horizon, every=max(EVERY, seconds / 1500))

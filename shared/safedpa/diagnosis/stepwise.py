@@ -12,18 +12,18 @@ from functools import cached_property
 
 import numpy as np
 
+from safedpa.compare.rollout_error import rollout_error
 from safedpa.diagnosis.diagnose import candidate_of, experiment_for, library_for
-from safedpa.diagnosis.evidence import evidence_at, shown_of
-from safedpa.diagnosis.final_numbers import with_final_numbers
-from safedpa.diagnosis.fitted_values import values_of
-from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.readiness import judgeable, prepared
-from safedpa.diagnosis.remaining import remaining
-from safedpa.diagnosis.report import Candidate, Experiment, Unexplained, Value
-from safedpa.diagnosis.rollout_error import rollout_error
-from safedpa.diagnosis.search import Search, accept, addition, begun
-from safedpa.diagnosis.trial import trial_of, tried_in_turn
+from safedpa.diagnosis.document import Candidate, Experiment, Unexplained, Value
+from safedpa.diagnosis.fit.evidence import evidence_at, shown_of
+from safedpa.diagnosis.fit.fitted_values import values_of
+from safedpa.diagnosis.fit.heldout import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.readiness import judgeable, prepared
+from safedpa.diagnosis.fit.trial import trial_of, tried_in_turn
+from safedpa.diagnosis.remains.remaining import remaining
+from safedpa.diagnosis.search.final_numbers import with_final_numbers
+from safedpa.diagnosis.search.search import Search, accept, addition, begun
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, did_you_mean
 from safedpa.records.run import Run

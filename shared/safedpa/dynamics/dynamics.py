@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import Any
 
 from safedpa.systems import System
 
-__all__ = ["AbstractDynamics", "Array"]
+__all__ = ["AbstractDynamics", "Array", "RunClock"]
 
 Array = Any
 """A numpy array or a torch tensor; what comes out is of the kind that went in."""
@@ -82,3 +83,14 @@ class AbstractDynamics(ABC):
     def slopes(self, state: Array, latent: Array | None, around: Array, memory: Any) -> Array:
         """g (..., states, actions) of ``affine`` about the action ``around``, for who needs no f."""
         return self.affine(state, latent, around=around, memory=memory)[1]
+
+
+@dataclass
+class RunClock:
+    """At what time of its run a model is asked, for who asks it tick by tick: filter, estimator, policy.
+
+    Seconds since the start of the run, 0 until somebody says; what a call says as ``time`` counts from there.
+    Who serves several robots with one model sets it anew before each question.
+    """
+
+    seconds: float = 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -19,8 +18,8 @@ from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.law import Varies, Where, law_of
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter
-from safedpa.errors import InputError, ModelFileError, did_you_mean, near_files
-from safedpa.limits import limit, parse_toml, text_of_file, too_much
+from safedpa.errors import InputError, ModelFileError
+from safedpa.limits import finite_number, limit, parse_toml, refuse_unknown, text_of_file_or_shipped, too_much
 from safedpa.networks import load_weights, save_weights
 
 __all__ = ["FORMAT", "load_model", "parse_model", "save_model", "shipped_models", "write_model"]
@@ -37,18 +36,7 @@ def load_model(source: str | Path) -> PhysicsModel:
 
     Raises ModelFileError naming the file and the key.
     """
-    path = Path(source)
-    shipped = shipped_models()
-    if not path.exists() and path.stem in shipped and path.parent == Path():
-        path = shipped[path.stem]
-    try:
-        text = text_of_file(path, "toml_bytes")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ModelFileError(
-            f"{source}: cannot be read ({reason}); {near_files(path, shipped)}wanted a model file, or one of "
-            f"{', '.join(shipped)}"
-        ) from error
+    path, text = text_of_file_or_shipped(source, shipped_models(), "a model file", ModelFileError)
     try:
         return parse_model(text, path.parent)
     except ModelFileError as error:
@@ -71,7 +59,7 @@ def parse_model(text: str, folder: Path | None = None) -> PhysicsModel:
         table = parse_toml(text)
     except InputError as error:
         raise ModelFileError(str(error)) from error
-    _refuse_unknown(table, _TOP, "")
+    refuse_unknown(table, _TOP, "", ModelFileError)
     if table.get("format") != FORMAT:
         got = f"got {table['format']!r}" if "format" in table else "missing"
         raise ModelFileError(f"format: {got}, wanted {FORMAT}; this program reads no other")
@@ -184,7 +172,7 @@ def _base(robot: Any, table: Mapping[str, Any]) -> AbstractBase:
 def _learned(nominal: AbstractBase, table: Any, folder: Path, period: float) -> LearnedBase:
     if not isinstance(table, dict) or not isinstance(table.get("weights"), str):
         raise ModelFileError("networks.weights: missing; wanted the name of a safetensors file beside the model file")
-    _refuse_unknown(table, _NETWORKS, "networks.")
+    refuse_unknown(table, _NETWORKS, "networks.", ModelFileError)
     try:
         weights = load_weights(folder / table["weights"])
     except InputError as error:
@@ -234,7 +222,7 @@ def _effect(base: AbstractBase, entry: Mapping[str, Any]) -> AbstractEffect:
 def _settings(
     owner: str, parameters: tuple[Parameter, ...], table: Mapping[str, Any], other_keys: tuple[str, ...]
 ) -> dict[str, Setting]:
-    _refuse_unknown(table, (*other_keys, *(parameter.name for parameter in parameters)), f"{owner}.")
+    refuse_unknown(table, (*other_keys, *(parameter.name for parameter in parameters)), f"{owner}.", ModelFileError)
     found = {}
     for parameter in parameters:
         path = f"{owner}.{parameter.name}"
@@ -249,7 +237,7 @@ def _settings(
 
 def _setting(path: str, parameter: Parameter, entry: Any) -> Setting:
     table = entry if isinstance(entry, dict) else {"value": entry}
-    _refuse_unknown(table, _PARAMETER_KEYS, f"{path}.")
+    refuse_unknown(table, _PARAMETER_KEYS, f"{path}.", ModelFileError)
     unit = table.get("unit", parameter.unit)
     if unit != parameter.unit:
         raise ModelFileError(f"{path}.unit: got '{unit}', wanted '{parameter.unit}'; convert the value")
@@ -269,13 +257,5 @@ def _period(table: Mapping[str, Any]) -> float:
 
 
 def _number(path: str, unit: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        in_unit = "without unit" if unit in ("1", "") else f"in {unit}"
-        raise ModelFileError(f"{path}: got {value!r}, wanted a finite number {in_unit}")
-    return float(value)
-
-
-def _refuse_unknown(table: Mapping[str, Any], known: tuple[str, ...], prefix: str) -> None:
-    for key in table:
-        if key not in known:
-            raise ModelFileError(f"{prefix}{key}: unknown key; {did_you_mean(key, known)}")
+    in_unit = "without unit" if unit in ("1", "") else f"in {unit}"
+    return finite_number(path, value, f"a finite number {in_unit}", ModelFileError)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 import os
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +16,7 @@ from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.bases import add_base
 from safedpa.effects.library import add_effects, module_from
 from safedpa.errors import InputError
+from safedpa.installed import brought_under
 from safedpa.operations import FLOATS
 from safedpa.robot import AbstractRobot, add_robot
 from safedpa.systems import System, add_system, systems
@@ -68,7 +68,7 @@ def _loaded_once(name: str) -> tuple[str, ...]:
 @cache
 def _entry_points_once() -> None:
     """Systems and bases of installed modules; their effects are in the library already."""
-    for entry in entry_points(group="safedpa.effects"):
+    for entry in brought_under("safedpa.effects"):
         module = entry.load()
         for item in _systems_in(module):
             add_system(item)

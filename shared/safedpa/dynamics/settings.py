@@ -10,7 +10,7 @@ from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError, did_you_mean
 
-__all__ = ["LATENT_PREFIX", "Setting", "base_default", "check_effects", "check_settings", "wanted"]
+__all__ = ["LATENT_PREFIX", "Setting", "base_default", "check_effects", "check_settings", "check_values", "wanted"]
 
 LATENT_PREFIX = "latent_"
 """Names of a learned latent's entries among the base's parameters: latent_0, latent_1, ..."""
@@ -61,12 +61,19 @@ def check_effects(base: AbstractBase, effects: Sequence[AbstractEffect]) -> None
 
 def check_settings(parameters: Mapping[str, Parameter], settings: Mapping[str, Setting]) -> None:
     """Raises ModelFileError when a parameter is missing, unknown, out of bounds or not a number."""
+    for path, parameter in parameters.items():
+        if path not in settings:
+            check_values(parameters, settings)  # a path that is mistyped is missing as well
+            raise ModelFileError(f"{path}: missing; give a number, {wanted(parameter)}")
+    check_values(parameters, settings)
+
+
+def check_values(parameters: Mapping[str, Parameter], settings: Mapping[str, Setting]) -> None:
+    """Raises ModelFileError when a parameter is unknown, out of bounds or not a number."""
     for path in settings:
         if path not in parameters:
             raise ModelFileError(f"{path}: unknown parameter; {did_you_mean(path, parameters)}")
-    for path, parameter in parameters.items():
-        if path not in settings:
-            raise ModelFileError(f"{path}: missing; give a number, {wanted(parameter)}")
-        value = settings[path].value
-        if not parameter.low <= value <= parameter.high:  # refuses NaN as well
-            raise ModelFileError(f"{path}: got {value:g}, wanted {wanted(parameter)}")
+    for path, setting in settings.items():
+        parameter = parameters[path]
+        if not parameter.low <= setting.value <= parameter.high:  # refuses NaN as well
+            raise ModelFileError(f"{path}: got {setting.value:g}, wanted {wanted(parameter)}")

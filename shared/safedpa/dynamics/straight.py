@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
 from typing import Any, final
 
-from safedpa.dynamics.straight_tangent import StraightTangent, compiled_tangent
-from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations
+from safedpa.dynamics.tangent import StraightTangent, compiled_tangent
+from safedpa.equations.tape import FLOAT_FORMS, FUNCTIONS, Recorded, Tape, name_of
+from safedpa.operations import COMPLEX, FLOATS, NUMPY, Operations, Scalar, half_angled
 
 __all__ = [
     "Equations",
@@ -26,6 +26,7 @@ __all__ = [
     "StraightSteps",
     "called",
     "is_recorded",
+    "paced",
     "straight_arrays",
     "straight_sensitivity",
     "straight_step",
@@ -42,106 +43,8 @@ _WORTHWHILE = 200
 _MOST_PERIODS = 8
 """Services see one period; recordings with irregular sampling see any number."""
 
-_FLOAT_FORMS = {
-    "absolute": "abs({0})",
-    "sign": "float(({0} > 0) - ({0} < 0))",
-    "minimum": "({1} if {1} < {0} else {0})",
-    "maximum": "({1} if {1} > {0} else {0})",
-    "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
-    "where": "({1} if {0} else {2})",
-}
-"""What the table of floats does, without a call; the other functions are called under their names."""
-
 _DEEPEST = 40
 """Brackets in one expression: Python's own parser takes no more than 200 within each other."""
-
-_FUNCTIONS = tuple(field.name for field in fields(Operations))
-
-
-class _NotStraightError(TypeError):
-    """The equations ask for the value of a number while they are recorded."""
-
-
-@final
-class _Tape:
-    """What was done so far: one line for each operation, the same operation on the same numbers only once."""
-
-    def __init__(self) -> None:
-        self.lines: list[tuple[str, str, tuple[str, ...]]] = []
-        """(name, form, operands); the form has a place for each operand, or is a function's name."""
-        self.calls: dict[str, Callable[..., Any]] = {}
-        """Functions that are no arithmetic, such as networks, by the name that they are called under."""
-        self._known: dict[tuple[str, tuple[str, ...]], _Recorded] = {}
-
-    def record(self, form: str, *operands: Any) -> _Recorded:
-        names = tuple(_written(operand) for operand in operands)
-        if (form, names) not in self._known:
-            name = f"n{len(self.lines)}"
-            self.lines.append((name, form, names))
-            self._known[form, names] = _Recorded(self, name)
-        return self._known[form, names]
-
-    def call(self, function: Callable[..., Any], operands: Sequence[Any], count: int) -> list[_Recorded]:
-        """The ``count`` results of a function of all ``operands``, called as it is."""
-        name = f"call{len(self.calls)}"
-        self.calls[name] = function
-        results = self.record(f"{name}({', '.join(f'{{{index}}}' for index in range(len(operands)))})", *operands)
-        return [self.record(f"{{0}}[{index}]", results) for index in range(count)]
-
-    def keep(self, results: Iterable[str]) -> None:
-        """Forgets the lines that no result needs: where x goes within a period, say, if nothing depends on x."""
-        needed, kept = set(results), []
-        for line in reversed(self.lines):
-            if line[0] in needed:
-                needed.update(line[2])
-                kept.append(line)
-        self.lines = kept[::-1]
-
-    def operations(self) -> Operations:
-        """A table whose functions write themselves down."""
-        table = {name: lambda *operands, name=name: self.record(name, *operands) for name in _FUNCTIONS}
-        return Operations(**table)
-
-
-@final
-class _Recorded:
-    """A number that is not known yet, by the name of the variable that will hold it."""
-
-    def __init__(self, tape: _Tape, name: str) -> None:
-        self.tape, self.name = tape, name
-
-    def __bool__(self) -> bool:
-        raise _NotStraightError("the equations branch on a number")
-
-    def __float__(self) -> float:
-        raise _NotStraightError("the equations turn a number into a float")
-
-    __int__ = __index__ = __float__
-    __hash__ = None  # type: ignore[assignment]
-
-    def __neg__(self) -> _Recorded:
-        return self.tape.record("-{0}", self)
-
-    def __pos__(self) -> _Recorded:
-        return self.tape.record("+{0}", self)
-
-    def __abs__(self) -> _Recorded:
-        return self.tape.record("abs({0})", self)
-
-
-def _binary(form: str, *, swapped: bool = False) -> Callable[[_Recorded, Any], _Recorded]:
-    def operation(self: _Recorded, other: Any) -> _Recorded:
-        first, second = (other, self) if swapped else (self, other)
-        return self.tape.record(form, first, second)
-
-    return operation
-
-
-for _name, _sign in {"add": "+", "sub": "-", "mul": "*", "truediv": "/", "pow": "**"}.items():
-    setattr(_Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
-    setattr(_Recorded, f"__r{_name}__", _binary(f"{{0}} {_sign} {{1}}", swapped=True))
-for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}.items():
-    setattr(_Recorded, f"__{_name}__", _binary(f"{{0}} {_sign} {{1}}"))
 
 
 def called(function: Callable[..., Sequence[Any]], operands: Sequence[Any], count: int) -> Sequence[Any]:
@@ -150,22 +53,13 @@ def called(function: Callable[..., Sequence[Any]], operands: Sequence[Any], coun
     For what is no arithmetic on single numbers, such as a network. It gets the same floats whenever the equations run,
     so its operands must not depend on the action.
     """
-    tape = next((operand.tape for operand in operands if isinstance(operand, _Recorded)), None)
+    tape = next((operand.tape for operand in operands if isinstance(operand, Recorded)), None)
     return function(*operands) if tape is None else tape.call(function, operands, count)
 
 
 def is_recorded(number: Any) -> bool:
     """Whether it is not known yet, because equations are being recorded."""
-    return isinstance(number, _Recorded)
-
-
-def _written(operand: Any) -> str:
-    """The variable's name, or the constant exactly as it is."""
-    if isinstance(operand, _Recorded):
-        return operand.name
-    if isinstance(operand, bool) or not isinstance(operand, (float, int)):
-        raise _NotStraightError(f"got a {type(operand).__name__} among numbers")
-    return f"({operand!r})" if isinstance(operand, int) else f"({float(operand)!r})"
+    return isinstance(number, Recorded)
 
 
 Straight = tuple[StraightStep, StraightStep, StraightTangent]
@@ -229,7 +123,7 @@ def straight_step(
         return None
     tape, head, names = taped
     return (
-        _compiled(head, tape, names, _FLOAT_FORMS, FLOATS),
+        _compiled(head, tape, names, FLOAT_FORMS, FLOATS),
         _compiled(head, tape, names, {}, COMPLEX),
         compiled_tangent(head, tape.lines, tape.calls, names, [f"a{index}" for index in range(len(actions))]),
     )
@@ -249,6 +143,21 @@ def straight_arrays(
     return _compiled(head, tape, names, {}, NUMPY, freeing=True)
 
 
+def paced(equations_of: Callable[[float], Equations]) -> Equations:
+    """Equations whose last latent entry is the period, with sines and cosines from one tangent."""
+
+    def equations(
+        state: Sequence[Scalar],
+        action: Sequence[Scalar],
+        latent: Sequence[Scalar],
+        time: Scalar,
+        operations: Operations,
+    ) -> Sequence[Scalar]:
+        return equations_of(latent[-1])(state, action, latent[:-1], time, half_angled(operations))
+
+    return equations
+
+
 def straight_sensitivity(
     equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
 ) -> StraightTangent | None:
@@ -266,16 +175,16 @@ def straight_sensitivity(
 
 def _taped(
     equations: Equations, states: Sequence[str], actions: Sequence[str], latents: Sequence[str]
-) -> tuple[_Tape, list[str], list[str]] | None:
+) -> tuple[Tape, list[str], list[str]] | None:
     """What the equations do, the lines that name their arguments, and the names of what comes out."""
-    tape = _Tape()
+    tape = Tape()
     state, action, latent = (
-        [_Recorded(tape, f"{letter}{index}") for index in range(len(names))]
+        [Recorded(tape, f"{letter}{index}") for index in range(len(names))]
         for letter, names in (("s", states), ("a", actions), ("z", latents))
     )
     try:
-        after = equations(state, action, latent, _Recorded(tape, "time"), tape.operations())
-        names = [_written(entry) for entry in after]
+        after = equations(state, action, latent, Recorded(tape, "time"), tape.operations())
+        names = [name_of(entry) for entry in after]
     except TypeError:  # among them what a recorded number cannot do
         return None
     head = [
@@ -288,7 +197,7 @@ def _taped(
 
 def _compiled(
     head: Sequence[str],
-    tape: _Tape,
+    tape: Tape,
     after: Sequence[str],
     forms: Mapping[str, str],
     table: Operations,
@@ -312,7 +221,7 @@ def _compiled(
             lines.append(f"del {', '.join(sorted(spent))}")
     lines.append(f"return [{', '.join(after)}]")
     scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **tape.calls}
-    scope.update({name: getattr(table, name) for name in _FUNCTIONS})
+    scope.update({name: getattr(table, name) for name in FUNCTIONS})
     exec("\n    ".join(lines), scope)  # arithmetic on names of our own, nothing from outside
     step: StraightStep = scope["step"]
     return step
@@ -320,11 +229,11 @@ def _compiled(
 
 def _term(form: str, operands: Sequence[str], forms: Mapping[str, str]) -> str:
     """One operation as Python has it."""
-    written = forms.get(form) if form in _FUNCTIONS else form
+    written = forms.get(form) if form in FUNCTIONS else form
     return f"{form}({', '.join(operands)})" if written is None else written.format(*operands)
 
 
-def _used_once(tape: _Tape, after: Sequence[str]) -> set[str]:
+def _used_once(tape: Tape, after: Sequence[str]) -> set[str]:
     """Variables that one line alone needs, and always: that line may hold the operation itself.
 
     A quarter of the time was storing such numbers and loading them again. A form with a branch in it may need an
@@ -332,7 +241,7 @@ def _used_once(tape: _Tape, after: Sequence[str]) -> set[str]:
     """
     uses = Counter(operand for _, _, operands in tape.lines for operand in operands)
     branching = {
-        operand for _, form, operands in tape.lines if " if " in _FLOAT_FORMS.get(form, form) for operand in operands
+        operand for _, form, operands in tape.lines if " if " in FLOAT_FORMS.get(form, form) for operand in operands
     }
     twice = {operand for _, form, operands in tape.lines if form == "sign" for operand in operands}
     return {name for name, count in uses.items() if count == 1} - branching - twice - set(after)

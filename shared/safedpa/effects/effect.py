@@ -88,7 +88,7 @@ class AbstractEffect(ABC):
     Class attributes, all of them required:
 
     - ``name``: as in model files and reports;
-    - ``robot``: name of the system that it belongs to;
+    - ``robot``: name of the system that it belongs to; empty for one that no file can name;
     - ``stage``: when it applies;
     - ``equation``: one line a person can read;
     - ``parameters``: its numbers;

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
+from typing import final
 
-from safedpa.effects.effect import AbstractEffect
+from safedpa.effects.effect import AbstractEffect, Context, Named, RateEffect, Stage
+from safedpa.effects.friction import direction_of
 from safedpa.effects.general_commands import (
     ChannelDeadZone,
     ChannelDelay,
@@ -14,11 +16,99 @@ from safedpa.effects.general_commands import (
     ChannelLimit,
     ChannelOffset,
 )
-from safedpa.effects.general_rates import StateDrag, StateFriction, StatePush, StateQuadraticDrag
+from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
 from safedpa.systems import System, Variable
 
-__all__ = ["general_effects"]
+__all__ = ["StateDrag", "StateEffect", "StateFriction", "StatePush", "StateQuadraticDrag", "general_effects"]
+
+_REST = 0.02
+"""Of what is usual: below it a state counts as nearly at rest."""
+
+
+class StateEffect(RateEffect):
+    """An effect on d(``state``)/dt, called ``{state}_{kind}``; ``size`` is what is usual of the state, in its unit."""
+
+    stage = Stage.RESISTANCE
+
+    def __init__(self, robot: str, state: str, kind: str, equation: str, parameter: Parameter, size: float) -> None:
+        self.robot: str = robot  # type: ignore[misc]
+        self.state, self.size = state, size
+        self.name: str = f"{state}_{kind}"  # type: ignore[misc]
+        self.equation: str = f"d({state})/dt {equation.replace('v', state)}"  # type: ignore[misc]
+        self.parameters: tuple[Parameter, ...] = (parameter,)  # type: ignore[misc]
+
+    def _less(self, rates: Named, loss: object) -> Named:
+        return {**rates, self.state: rates[self.state] - loss}
+
+
+@final
+class StateDrag(StateEffect):
+    """dv/dt -= coefficient v."""
+
+    signature = "a residual against the motion, in proportion to it"
+    source = "linear damping; Khalil, Nonlinear Systems, 3rd ed., section 1.2"
+
+    def __init__(self, robot: str, state: str, size: float) -> None:
+        super().__init__(
+            robot, state, "drag", "-= coefficient v", Parameter("coefficient", "1/s", 0.0, 50.0, 0.3), size
+        )
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        return self._less(rates, parameters["coefficient"] * context.state[self.state])
+
+
+@final
+class StateQuadraticDrag(StateEffect):
+    """dv/dt -= coefficient |v| v."""
+
+    signature = "a residual against the motion that grows with its square"
+    source = "Hoerner, Fluid-Dynamic Drag, 1965, ch. 1"
+
+    def __init__(self, robot: str, state: str, unit: str, size: float) -> None:
+        each = "1/m" if unit == "m/s" else f"1/s/({unit})"
+        parameter = Parameter("coefficient", each, 0.0, 50.0 / size, 0.3 / size)
+        super().__init__(robot, state, "quadratic_drag", "-= coefficient |v| v", parameter, size)
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        value = context.state[self.state]
+        return self._less(rates, parameters["coefficient"] * context.operations.absolute(value) * value)
+
+
+@final
+class StateFriction(StateEffect):
+    """dv/dt -= deceleration sign(v), the sign rounded off near rest."""
+
+    stage = Stage.WEIGHT
+    signature = "a residual of one size against the motion, which changes sign with it"
+    source = "Armstrong-Helouvry et al., A survey of models with friction, Automatica 30, 1994, section 2"
+
+    def __init__(self, robot: str, state: str, unit: str, size: float) -> None:
+        each = "m/s2" if unit == "m/s" else "rad/s2" if unit == "rad/s" else f"({unit})/s"
+        parameter = Parameter("deceleration", each, 0.0, 20.0 * size, 0.3 * size)
+        super().__init__(robot, state, "friction", "-= deceleration sign(v)", parameter, size)
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        deceleration = parameters["deceleration"]
+        direction = direction_of(context.state[self.state], deceleration, _REST * self.size, context)
+        return self._less(rates, deceleration * direction)
+
+
+@final
+class StatePush(StateEffect):
+    """dv/dt += push."""
+
+    signature = "a residual of one size and sign, whatever the state and the action"
+    source = "a constant disturbance; Astrom and Murray, Feedback Systems, 2nd ed., ch. 7"
+
+    def __init__(self, robot: str, state: str, unit: str, size: float) -> None:
+        each = "m/s2" if unit == "m/s" else "rad/s2" if unit == "rad/s" else f"({unit})/s"
+        super().__init__(
+            robot, state, "push", "+= push", Parameter("push", each, -20.0 * size, 20.0 * size, 0.2 * size), size
+        )
+
+    def modify(self, rates: Named, parameters: Named, context: Context) -> Named:  # noqa: D102
+        return {**rates, self.state: rates[self.state] + parameters["push"]}
 
 
 def general_effects(system: System, moving: Mapping[str, float] | None = None) -> tuple[AbstractEffect, ...]:

@@ -9,13 +9,13 @@ import pkgutil
 import sys
 from collections.abc import Iterator
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 
 from safedpa.effects.effect import AbstractEffect
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import InputError, did_you_mean
+from safedpa.installed import brought_under
 from safedpa.robot import AbstractRobot
 from safedpa.robot import robots as robots_declared
 from safedpa.systems import systems
@@ -28,7 +28,7 @@ _own: dict[tuple[str, str], AbstractEffect] = {}
 
 def effects_of(robot: str) -> dict[str, AbstractEffect]:
     """Every effect of one robot, by name, in alphabetical order."""
-    merged = {**_shipped(), **_own}
+    merged = {**_shipped(robot), **_own}
     return {name: item for (owner, name), item in sorted(merged.items()) if owner == robot}
 
 
@@ -72,7 +72,7 @@ def add_effects(module: ModuleType, path: Path) -> list[AbstractEffect]:
     found = list(_effects_in(module))
     for item in found:
         _check_declaration(item, path)
-        if (item.robot, item.name) in _shipped():
+        if (item.robot, item.name) in _shipped(item.robot):
             raise InputError(
                 f"{path}: effect '{item.name}' of robot '{item.robot}' exists already; choose another name"
             )
@@ -93,11 +93,12 @@ def _check_declaration(item: AbstractEffect, path: Path) -> None:
         raise InputError(f"{label}: parameters: got {item.parameters!r}, wanted a tuple of Parameter(...)")
 
 
-def _shipped() -> dict[tuple[str, str], AbstractEffect]:
-    """What robots and installed modules declare."""
+def _shipped(wanted: str = "") -> dict[tuple[str, str], AbstractEffect]:
+    """What robots and installed modules declare: all of it, or at least what is of one robot."""
     found = dict(_of_entry_points())
     for robot in robots_declared().values():
-        found.update(_of_robot(robot))
+        if not wanted or wanted == robot.name or not robot.effects_of_its_own:
+            found.update(_of_robot(robot))
     return found
 
 
@@ -108,7 +109,7 @@ def _of_robot(robot: AbstractRobot) -> dict[tuple[str, str], AbstractEffect]:
 
 @cache
 def _of_entry_points() -> dict[tuple[str, str], AbstractEffect]:
-    points = entry_points(group="safedpa.effects")
+    points = brought_under("safedpa.effects")
     return {(item.robot, item.name): item for entry in points for item in _effects_in(entry.load())}
 
 

@@ -7,12 +7,13 @@ one line that says which limit was passed, in a time and a memory that do not de
 from __future__ import annotations
 
 from safedpa.limits.archive import check_archive
+from safedpa.limits.numbers import finite_number, whole_number
 from safedpa.limits.plain_model import check_plain_model
-from safedpa.limits.readable import readable
-from safedpa.limits.reading import file_of_at_most, text_of_file
+from safedpa.limits.readable import printable, readable
+from safedpa.limits.reading import file_of_at_most, text_of_file, text_of_file_or_shipped
 from safedpa.limits.table import TABLE, VARIABLE, Limit, LimitError, limit, too_much
 from safedpa.limits.tensors import check_tensor_file
-from safedpa.limits.text import parse_json, parse_toml
+from safedpa.limits.text import parse_json, parse_toml, refuse_unknown
 
 __all__ = [
     "TABLE",
@@ -23,10 +24,15 @@ __all__ = [
     "check_plain_model",
     "check_tensor_file",
     "file_of_at_most",
+    "finite_number",
     "limit",
     "parse_json",
     "parse_toml",
+    "printable",
     "readable",
+    "refuse_unknown",
     "text_of_file",
+    "text_of_file_or_shipped",
     "too_much",
+    "whole_number",
 ]

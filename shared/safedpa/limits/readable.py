@@ -6,7 +6,7 @@ import unicodedata
 
 from safedpa.limits.table import limit
 
-__all__ = ["readable"]
+__all__ = ["printable", "readable"]
 
 _KINDS = frozenset(("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
 """Unicode's control, format (with those that turn the direction), surrogate, private, unassigned; ends of lines."""
@@ -22,6 +22,11 @@ def readable(text: str, longest: int | None = None) -> str:
     if not (shown.isascii() and shown.isprintable()):
         shown = "".join(_visible(sign) if unicodedata.category(sign) in _KINDS else sign for sign in shown)
     return shown if len(text) <= most else f"{shown}... ({len(text)} letters)"
+
+
+def printable(text: str, but: str = "", also: str = "") -> str:
+    """The text at its own width: ``?`` for each character that is not printed, and each of ``but``; ``also`` stays."""
+    return "".join(sign if (sign.isprintable() or sign in also) and sign not in but else "?" for sign in text)
 
 
 def _visible(sign: str) -> str:

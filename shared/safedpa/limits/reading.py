@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Mapping
 from pathlib import Path
 
-from safedpa.errors import InputError
+from safedpa.errors import InputError, near_files
 from safedpa.limits.table import limit, too_much
 
-__all__ = ["file_of_at_most", "text_of_file"]
+__all__ = ["file_of_at_most", "text_of_file", "text_of_file_or_shipped"]
 
 
 def file_of_at_most(path: Path, name: str) -> bytes:
@@ -36,3 +37,23 @@ def file_of_at_most(path: Path, name: str) -> bytes:
 def text_of_file(path: Path, name: str) -> str:
     """The same as text in UTF-8; raises UnicodeDecodeError besides."""
     return file_of_at_most(path, name).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def text_of_file_or_shipped(
+    source: str | Path, shipped: Mapping[str, Path], wanted: str, error: type[InputError] = InputError
+) -> tuple[Path, str]:
+    """A TOML file and its text: the one named, or one that ships, by its name with or without ``.toml``.
+
+    Raises ``error`` that says what was ``wanted``, and InputError as ``text_of_file`` does.
+    """
+    path = Path(source)
+    if not path.exists() and path.stem in shipped and path.parent == Path():
+        path = shipped[path.stem]
+    try:
+        return path, text_of_file(path, "toml_bytes")
+    except (OSError, UnicodeDecodeError) as problem:
+        reason = getattr(problem, "strerror", None) or str(problem)
+        raise error(
+            f"{source}: cannot be read ({reason}); {near_files(path, shipped)}wanted {wanted}, or one of "
+            f"{', '.join(shipped)}"
+        ) from problem

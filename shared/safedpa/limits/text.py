@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from collections.abc import Collection, Iterable
 from functools import lru_cache
 from typing import Any
 
-from safedpa.errors import InputError
+from safedpa.errors import InputError, did_you_mean
 from safedpa.limits.table import limit, too_much
 
-__all__ = ["parse_json", "parse_toml"]
+__all__ = ["parse_json", "parse_toml", "refuse_unknown"]
 
 _TOML = r"[\"'#\[\]{}.\n=,]"
 _OPENING, _CLOSING = frozenset("[{"), frozenset("]}")
@@ -45,6 +46,15 @@ def parse_json(text: str | bytes) -> Any:
         return json.loads(text, parse_int=_integer)
     except (ValueError, RecursionError) as error:
         raise InputError(f"not JSON: {_words(error)}") from error
+
+
+def refuse_unknown(
+    table: Iterable[str], known: Collection[str], prefix: str = "", error: type[InputError] = InputError
+) -> None:
+    """Raises ``error`` naming the first key of a table that is none of those known, with what stands before it."""
+    for key in table:
+        if key not in known:
+            raise error(f"{prefix}{key}: unknown key; {did_you_mean(key, known)}")
 
 
 def _check_bytes(text: str, name: str) -> None:

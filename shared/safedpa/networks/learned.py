@@ -1,20 +1,28 @@
-"""The learned control-affine dynamics x' = f(x, z) + g(x, z) a and the environment encoder z = mu(e)."""
+"""The learned control-affine dynamics x' = f(x, z) + g(x, z) a and the environment encoder z = mu(e).
+
+The drift f and the control matrix g look at the same input and are evaluated together. Their first layers are one
+matrix, their last ones too, so that a sum of both outputs costs nothing. Every layer's bias is one more column, whose
+input is 1; the first layer hands the 1 on. Nothing is allocated in a call.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, final
+import struct
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.errors import InputError
 from safedpa.networks.frame import frame_of
 from safedpa.networks.layers import Layer, dense_stack, layers_of
-from safedpa.networks.paired import Paired
 from safedpa.networks.plain_rows import world_row
 from safedpa.networks.weights import Weights
 
-__all__ = ["LearnedNetworks"]
+__all__ = ["LearnedNetworks", "Paired"]
 
 Values = NDArray[np.float64]
 
@@ -110,3 +118,145 @@ def _unscaled(layers: Sequence[Layer], middle: Values, scale: Values) -> list[La
     weight = first.weight.astype(np.float64)
     weight[:, : len(scale)] /= scale
     return [Layer(weight, first.bias - weight[:, : len(scale)] @ middle), *others]
+
+
+Rows = NDArray[np.float32]
+
+_PAD = 16
+"""Columns behind the units of each network: the 1, then zeros, so that rows begin on borders of the memory's lines."""
+_CHUNK = 128
+"""Inputs at a time: what lies between the layers stays in the processor's cache."""
+_ZERO = np.zeros((), dtype=np.float32)
+
+
+class _Middle(NamedTuple):
+    """One network's share of a hidden layer: its columns before and after, and the matrix (before, after) between."""
+
+    before: slice
+    after: slice
+    matrix: Rows
+
+
+@final
+class Paired:
+    """y = M [F(x); G(x)] for two networks with ReLU and a matrix M (outputs, outputs of F + outputs of G).
+
+    ``one`` takes a single input, ``many`` any number. Raises InputError when F and G do not have equally many layers,
+    two at least.
+    """
+
+    def __init__(self, first: Sequence[Layer], second: Sequence[Layer], mix: NDArray[np.float64]) -> None:
+        if len(first) != len(second) or len(first) < 2:
+            raise InputError(f"weights: f has {len(first)} layers, g has {len(second)}; wanted as many, two at least")
+        pairs = list(zip(first, second, strict=True))
+        self._enter = np.concatenate([_entering(layer) for layer in pairs[0]], axis=1)
+        self._middle = [_middle(*pair) for pair in pairs[1:-1]]
+        self._leave = _leaving(*pairs[-1], mix)
+        self._work = _Work(self._enter, self._middle, self._leave)
+
+    def one(self, values: Sequence[float]) -> Rows:
+        """y (outputs,) for x (inputs,), as plain numbers or an array; the next call overwrites it."""
+        work = self._work
+        work.input[0, :-1] = values
+        work.run()
+        return work.output
+
+    def plain_of_one(self, values: Sequence[float]) -> list[float]:
+        """``one`` for plain numbers, which are put in and taken out without an array."""
+        work = self._work
+        try:
+            work.put(work.first, 0, *values)
+        except (OverflowError, struct.error):  # beyond float32, or of another number: as an array takes it
+            work.input[0, :-1] = values
+        work.run()
+        return list(work.take(work.last))
+
+    def many(self, inputs: NDArray[np.floating]) -> Rows:
+        """y (n, outputs) for x (n, inputs)."""
+        work, outputs = self._work, np.empty((len(inputs), self._leave.shape[1]), dtype=np.float32)
+        for start in range(0, len(inputs), _CHUNK):
+            part = inputs[start : start + _CHUNK]
+            count = len(part)
+            x = work.input[:count]
+            x[:, :-1] = part
+            hidden = np.matmul(x, self._enter, out=work.hidden[0][:count])
+            np.maximum(hidden, _ZERO, out=hidden)
+            for middle, buffer in zip(self._middle, work.hidden[1:], strict=True):
+                following = buffer[:count]
+                for before, after, matrix in middle:
+                    np.matmul(hidden[:, before], matrix, out=following[:, after])
+                hidden = np.maximum(following, _ZERO, out=following)
+            np.matmul(hidden, self._leave, out=outputs[start : start + count])
+        return outputs
+
+
+class _Work(threading.local):
+    """What lies between the layers; of each thread its own, for numpy lets others run during a product."""
+
+    def __init__(self, enter: Rows, middle: Sequence[tuple[_Middle, _Middle]], leave: Rows) -> None:
+        widths = [enter.shape[1], *(right.after.stop + _PAD for _, right in middle)]
+        self.input = np.ones((_CHUNK, len(enter)), dtype=np.float32)
+        self.hidden = [np.zeros((_CHUNK, width), dtype=np.float32) for width in widths]
+        for (left, right), buffer in zip(middle, self.hidden[1:], strict=True):
+            buffer[:, left.after.stop] = buffer[:, right.after.stop] = 1.0
+        self.output: Rows = np.zeros(leave.shape[1], dtype=np.float32)
+        self.steps = self._steps_of_one(enter, middle, leave)
+        self.put, self.take = (
+            struct.Struct(f"{len(enter) - 1}f").pack_into,
+            struct.Struct(f"{leave.shape[1]}f").unpack_from,
+        )
+        self.first, self.last = self.input[0].data.cast("B"), self.output.data.cast("B")
+
+    def run(self) -> None:
+        """All products for the one input that lies in ``input``."""
+        for step in self.steps:
+            step()
+
+    def _steps_of_one(
+        self, enter: Rows, middle: Sequence[tuple[_Middle, _Middle]], leave: Rows
+    ) -> list[Callable[[], Any]]:
+        """The products for one input, and what cuts off below zero each layer that is complete."""
+        rows = [buffer[0] for buffer in self.hidden]
+        steps = [partial(self.input[0].dot, enter, rows[0]), _cut(rows[0])]
+        for (left, right), before, after in zip(middle, rows, rows[1:], strict=False):
+            for network in (left, right):
+                steps.append(partial(before[network.before].dot, network.matrix, after[network.after]))
+            steps.append(_cut(after))
+        return [*steps, partial(rows[-1].dot, leave, self.output)]
+
+
+def _cut(whole: Rows) -> partial[Any]:
+    """Of the same shape as the layer, zeros are compared faster than one zero."""
+    return partial(np.maximum, whole, np.zeros_like(whole), out=whole)
+
+
+def _entering(layer: Layer) -> Rows:
+    """(inputs + 1, units + pad) of a first layer: the column behind the units makes the 1 of its 1."""
+    units, inputs = layer.weight.shape
+    matrix = np.zeros((inputs + 1, units + _PAD), dtype=np.float32)
+    matrix[:-1, :units], matrix[-1, :units], matrix[-1, units] = layer.weight.T, layer.bias, 1.0
+    return matrix
+
+
+def _middle(first: Layer, second: Layer) -> tuple[_Middle, _Middle]:
+    start_before = first.weight.shape[1] + _PAD
+    start_after = len(first.weight) + _PAD
+    made = []
+    for layer, before, after in ((first, 0, 0), (second, start_before, start_after)):
+        units, inputs = layer.weight.shape
+        matrix = np.zeros((inputs + _PAD, units), dtype=np.float32)
+        matrix[:inputs], matrix[inputs] = layer.weight.T, layer.bias
+        made.append(_Middle(slice(before, before + inputs + _PAD), slice(after, after + units), matrix))
+    return made[0], made[1]
+
+
+def _leaving(first: Layer, second: Layer, mix: NDArray[np.float64]) -> Rows:
+    """(units of both with their pads, outputs) of the last layers and what is made of their outputs."""
+    blocks, start = [], 0
+    for layer in (first, second):
+        share = mix[:, start : start + len(layer.weight)]
+        start += len(layer.weight)
+        block = np.zeros((layer.weight.shape[1] + _PAD, len(mix)))
+        block[:-_PAD], block[-_PAD] = (share @ layer.weight).T, share @ layer.bias
+        blocks.append(block)
+    return np.concatenate(blocks).astype(np.float32)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError, did_you_mean
-from safedpa.limits import check_tensor_file, parse_json
+from safedpa.limits import check_tensor_file, parse_json, refuse_unknown
 
 __all__ = ["FORMAT", "STRIDE", "Description", "EnvironmentEntry", "Weights", "load_weights", "save_weights"]
 
@@ -61,9 +61,7 @@ class Description:
         if not isinstance(table, dict) or table.pop("format", None) != FORMAT:
             raise InputError(f"description: wanted format {FORMAT}; this program reads no other")
         known = Description.__dataclass_fields__
-        for key in table:
-            if key not in known:
-                raise InputError(f"description.{key}: unknown key; {did_you_mean(key, known)}")
+        refuse_unknown(table, known, "description.")
         try:
             entries = tuple(EnvironmentEntry(**entry) for entry in table.pop("environment", ()))
             states, actions = (tuple(table.pop(name)) for name in ("states", "actions"))

@@ -2,21 +2,63 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping
-from typing import Protocol
+from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage
-from safedpa.dynamics import LearnedBase, PhysicsModel
+from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
+from safedpa.dynamics.settings import LATENT_PREFIX
 from safedpa.errors import InputError, did_you_mean
 from safedpa.policy.learned import LearnedPolicy
-from safedpa.policy.network_latent import NetworkLatent
-from safedpa.policy.random_wishes import RandomWishes
 from safedpa.robot import AbstractRobot, robot_like
 
-__all__ = ["Controller", "controller_for"]
+__all__ = ["Controller", "NetworkLatent", "RandomWishes", "controller_for"]
+
+
+@final
+class RandomWishes:
+    """Uniform over the actuators' bounds, drawn anew in each tick; of robots that declare none over the system's.
+
+    The generator's seed is the tick with the state's bytes: so a drive in lockstep repeats, also where this process was
+    started anew in between, and two robots in different states wish for different actions.
+    """
+
+    def __init__(self, model: AbstractDynamics) -> None:
+        system = model.system
+        robot = robot_like(system)
+        bounds = () if robot is None else robot.wish_range
+        if len(bounds) != len(system.action):
+            bounds = tuple(zip(system.action_low.tolist(), system.action_high.tolist(), strict=True))
+        self._low, self._high = np.array(bounds).T
+
+    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """The action (actions,) and the controller's name; no latent is needed."""
+        del latent
+        count = len(state.values)
+        seed = struct.unpack(f"<{2 * count}I", struct.pack(f"<{count}d", *state.values))
+        drawn = np.random.default_rng([state.tick, *seed]).uniform(self._low, self._high)
+        return tuple(drawn.tolist()), "random"
+
+
+@final
+class NetworkLatent:
+    """Hands a learned policy the entries of the latent that its networks know.
+
+    Effects that were added to a learned model, by a diagnosis say, may have free parameters of their own.
+    """
+
+    def __init__(self, policy: LearnedPolicy, model: PhysicsModel) -> None:
+        self._policy = policy
+        names = model.latent_names
+        self._entries = [index for index, path in enumerate(names) if path.startswith(f"base.{LATENT_PREFIX}")]
+
+    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """As the policy, with the model's latent (latents,)."""
+        return self._policy.wish(state, None if latent is None else latent[self._entries])
 
 
 class Controller(Protocol):

@@ -26,8 +26,8 @@ from safedpa.bus import (
     Topic,
     WishMessage,
 )
-from safedpa.bus.apart import AbstractTicket
-from safedpa.bus.model_versions import ModelVersions
+from safedpa.bus.loop.apart import AbstractTicket
+from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.dynamics.offered import offered_model
 from safedpa.policy.controller import Controller, controller_for

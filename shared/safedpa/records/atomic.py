@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
+from safedpa.disk import why_not_written
 from safedpa.errors import RecordingError
 
 __all__ = ["atomic_path"]
@@ -25,9 +26,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
         raise RecordingError(
-            f"{path}: cannot be written ({reason}); nothing was changed there; choose another place"
+            f"{path}: cannot be written ({why_not_written(error)}); nothing was changed there; choose another place"
         ) from error
     finally:
         with suppress(OSError):  # the folder may be what is missing

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from safedpa.systems import System
 
@@ -41,7 +41,7 @@ class SourceColumn:
     """
 
     source: str
-    """The raw column; the first of several that are joined."""
+    """The raw column, of a log of topics ``/odom:pose.pose.position.x``; the first of several that are joined."""
     unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
@@ -51,6 +51,8 @@ class SourceColumn:
     """Further raw columns; what is joined is raw, before unit, scale and offset."""
     join: str = ""
     """One of JOINS where there are ``others``."""
+    hold: float | None = None
+    """s; of a log of topics: how old a message may be that a row of another topic still takes; None: the usual."""
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -114,6 +116,8 @@ class ColumnMap:
 
     keep: tuple[str, ...] = ()
     """Kinds of findings of which the rows are kept all the same."""
+    frames: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """By topic: the ``frame_id`` and ``child_frame_id`` that its messages must have."""
 
     @property
     def sources(self) -> tuple[str, ...]:

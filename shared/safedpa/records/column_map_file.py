@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from safedpa.errors import ColumnMapError, InputError, did_you_mean, near_files
-from safedpa.limits import parse_toml, text_of_file
+from safedpa.errors import ColumnMapError, InputError, did_you_mean
+from safedpa.limits import finite_number, parse_toml, refuse_unknown, text_of_file_or_shipped, whole_number
 from safedpa.records.column_map import (
     DERIVATIONS,
     JOINS,
@@ -26,8 +25,21 @@ from safedpa.records.units import UNITS
 __all__ = ["load_column_map", "parse_column_map", "shipped_column_maps"]
 
 FORMAT = 1
-_TOP = ("format", "robot", "columns", "unwrap", "skip_first_rows", "skip_where", "tracked_point", "keep_period", "keep")
-_SOURCE_KEYS = ("from", "unit", "scale", "offset", "flip", "shift", "join")
+_TOP = (
+    "format",
+    "robot",
+    "columns",
+    "unwrap",
+    "skip_first_rows",
+    "skip_where",
+    "tracked_point",
+    "keep_period",
+    "keep",
+    "frames",
+)
+_SOURCE_KEYS = ("from", "topic", "field", "clock", "hold", "unit", "scale", "offset", "flip", "shift", "join")
+_CLOCKS = ("header", "receipt")
+_FRAMES = ("frame_id", "child_frame_id")
 _DERIVED_KEYS = ("derive", "window", "of")
 
 
@@ -36,18 +48,7 @@ def load_column_map(source: str | Path) -> ColumnMap:
 
     Raises ColumnMapError naming the file and the key.
     """
-    path = Path(source)
-    shipped = shipped_column_maps()
-    if not path.exists() and path.stem in shipped and path.parent == Path():
-        path = shipped[path.stem]
-    try:
-        text = text_of_file(path, "toml_bytes")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ColumnMapError(
-            f"{source}: cannot be read ({reason}); {near_files(path, shipped)}wanted a column map file, or one of "
-            f"{', '.join(shipped)}"
-        ) from error
+    path, text = text_of_file_or_shipped(source, shipped_column_maps(), "a column map file", ColumnMapError)
     try:
         return parse_column_map(text, path.stem)
     except ColumnMapError as error:
@@ -69,7 +70,7 @@ def parse_column_map(text: str, name: str = "map") -> ColumnMap:
         table = parse_toml(text)
     except InputError as error:
         raise ColumnMapError(str(error)) from error
-    _refuse_unknown(table, _TOP, "")
+    refuse_unknown(table, _TOP, "", ColumnMapError)
     if table.get("format") != FORMAT:
         raise ColumnMapError(f"format: got {table.get('format')!r}, wanted {FORMAT}; this program reads no other")
     columns = _columns(table.get("columns"))
@@ -83,6 +84,7 @@ def parse_column_map(text: str, name: str = "map") -> ColumnMap:
         tracked_point=_tracked_point(table.get("tracked_point")),
         keep_period=_positive("keep_period", table["keep_period"]) if "keep_period" in table else None,
         keep=_keep(table.get("keep", [])),
+        frames=_frames(table.get("frames", {})),
     )
 
 
@@ -102,7 +104,7 @@ def _columns(table: Any) -> dict[str, SourceColumn | DerivedColumn]:
             targets[column.source] = target
     for target, column in columns.items():
         _check_derivation(target, column, columns)
-    return columns
+    return _with_time(columns)
 
 
 def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
@@ -112,15 +114,16 @@ def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
         raise ColumnMapError(f'{key}: got {entry!r}, wanted a column\'s name or a table like {{ from = "name" }}')
     if "derive" in table:
         return _derived(key, table)
-    _refuse_unknown(table, (*_SOURCE_KEYS, "derive"), f"{key}.")
+    refuse_unknown(table, (*_SOURCE_KEYS, "derive"), f"{key}.", ColumnMapError)
     unit = table.get("unit")
     if unit is not None and _text(f"{key}.unit", unit, "a unit's name") not in UNITS:
         raise ColumnMapError(f"{key}.unit: unknown unit '{unit}'; {did_you_mean(unit, UNITS)}")
     scale = _number(f"{key}.scale", table.get("scale", 1.0))
     if scale == 0.0:
         raise ColumnMapError(f"{key}.scale: got 0, wanted another number; 0 would erase the column")
-    source, others, join = _joined(key, table)
+    source, others, join = _of_topic(key, table) if "topic" in table else _joined(key, table)
     return SourceColumn(
+        hold=_positive(f"{key}.hold", table["hold"]) if "hold" in table else None,
         source=source,
         others=others,
         join=join,
@@ -130,6 +133,45 @@ def _column(target: str, entry: Any) -> SourceColumn | DerivedColumn:
         flip=_boolean(f"{key}.flip", table.get("flip", False)),
         shift=_number(f"{key}.shift", table.get("shift", 0.0)),
     )
+
+
+def _of_topic(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
+    """A field of a topic, or its clock, as one raw column."""
+    topic = _text(f"{key}.topic", table["topic"], "a topic's name")
+    for other in ("from", "join"):
+        if other in table:
+            raise ColumnMapError(
+                f"{key}.{other}: got it beside a topic; write 'from' = \"{topic}:FIELD\", or leave it out"
+            )
+    clock = table.get("clock")
+    if ("field" in table) == (clock is not None):
+        raise ColumnMapError(
+            f'{key}: wanted a field of the topic, or for t clock = "header" or "receipt", and not both'
+        )
+    if clock is None:
+        return f"{topic}:{_text(f'{key}.field', table['field'], 'a field of the topic')}", (), ""
+    if clock not in _CLOCKS or key != "columns.t":
+        raise ColumnMapError(f"{key}.clock: got {clock!r}, wanted {' or '.join(_CLOCKS)}, and for t alone")
+    return f"{topic}:@{clock}", (), ""
+
+
+def _with_time(columns: dict[str, SourceColumn | DerivedColumn]) -> dict[str, SourceColumn | DerivedColumn]:
+    """Of a map of topics that names no time: the stamps of the first one's messages."""
+    first = next((item for item in columns.values() if isinstance(item, SourceColumn)), None)
+    topic = "" if first is None else first.source.rpartition(":")[0]
+    return columns if "t" in columns or not topic else {"t": SourceColumn(f"{topic}:@stamp"), **columns}
+
+
+def _frames(table: Any) -> dict[str, dict[str, str]]:
+    if not isinstance(table, dict):
+        raise ColumnMapError(f'frames: got {table!r}, wanted tables like [frames."/odom"]')
+    found = {}
+    for topic, entry in table.items():
+        if not isinstance(entry, dict):
+            raise ColumnMapError(f"frames.{topic}: got {entry!r}, wanted a table with {' and '.join(_FRAMES)}")
+        refuse_unknown(entry, _FRAMES, f"frames.{topic}.", ColumnMapError)
+        found[topic] = {key: _text(f"frames.{topic}.{key}", value, "a frame's name") for key, value in entry.items()}
+    return found
 
 
 def _joined(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
@@ -148,7 +190,7 @@ def _joined(key: str, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], s
 
 
 def _derived(key: str, table: Mapping[str, Any]) -> DerivedColumn:
-    _refuse_unknown(table, _DERIVED_KEYS, f"{key}.")
+    refuse_unknown(table, _DERIVED_KEYS, f"{key}.", ColumnMapError)
     derive = _text(f"{key}.derive", table["derive"], "what to derive")
     if derive not in (*DERIVATIONS, SLOPE):
         raise ColumnMapError(f"{key}.derive: got '{derive}'; {did_you_mean(derive, (*DERIVATIONS, SLOPE))}")
@@ -191,7 +233,7 @@ def _skip_where(entries: Any) -> tuple[SkipRows, ...]:
     if not isinstance(rules, list) or not all(isinstance(rule, dict) for rule in rules):
         raise ColumnMapError(f'skip_where: got {entries!r}, wanted {{ column = "name", equals = 0.0 }}')
     for rule in rules:
-        _refuse_unknown(rule, ("column", "equals"), "skip_where.")
+        refuse_unknown(rule, ("column", "equals"), "skip_where.", ColumnMapError)
     return tuple(
         SkipRows(
             _text("skip_where.column", rule.get("column"), "a column's name"),
@@ -215,7 +257,7 @@ def _tracked_point(table: Any) -> TrackedPoint | None:
         return None
     if not isinstance(table, dict):
         raise ColumnMapError(f"tracked_point: got {table!r}, wanted a table with ahead, left [m] and yaw_offset [rad]")
-    _refuse_unknown(table, ("ahead", "left", "yaw_offset"), "tracked_point.")
+    refuse_unknown(table, ("ahead", "left", "yaw_offset"), "tracked_point.", ColumnMapError)
     return TrackedPoint(**{key: _number(f"tracked_point.{key}", value) for key, value in table.items()})
 
 
@@ -226,9 +268,7 @@ def _text(key: str, value: Any, wanted: str) -> str:
 
 
 def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ColumnMapError(f"{key}: got {value!r}, wanted a finite number")
-    return float(value)
+    return finite_number(key, value, error=ColumnMapError)
 
 
 def _positive(key: str, value: Any) -> float:
@@ -239,18 +279,13 @@ def _positive(key: str, value: Any) -> float:
 
 
 def _count(key: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ColumnMapError(f"{key}: got {value!r}, wanted a whole number, 0 or more")
-    return value
+    wanted = "a whole number, 0 or more"
+    if whole_number(key, value, wanted, ColumnMapError) < 0:
+        raise ColumnMapError(f"{key}: got {value!r}, wanted {wanted}")
+    return int(value)
 
 
 def _boolean(key: str, value: Any) -> bool:
     if not isinstance(value, bool):
         raise ColumnMapError(f"{key}: got {value!r}, wanted true or false")
     return value
-
-
-def _refuse_unknown(table: Mapping[str, Any], known: tuple[str, ...], prefix: str) -> None:
-    for key in table:
-        if key not in known:
-            raise ColumnMapError(f"{prefix}{key}: unknown key; {did_you_mean(key, known)}")

@@ -1,4 +1,8 @@
-"""Do the columns agree with each other? Speed with the change of position, heading with the direction of motion."""
+"""Do the columns agree with each other, in size, in sign and in time?
+
+Speed with the change of position, heading with the direction of motion, what is driven with the command that drives it;
+and whether a channel comes late beside what it should be the rate of.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,164 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.records.apply_map import Rows
-from safedpa.records.derive import slope
+from safedpa.records.derive import Vector, slopes_within
 from safedpa.records.run import Finding, Stretch
+from safedpa.records.sampling import hold_rows
 from safedpa.records.sentences import finding
 from safedpa.systems import System
 
-__all__ = ["consistency_findings"]
+__all__ = ["consistency_findings", "drive_findings", "late_findings"]
+
+_FARTHEST = 1.0
+"""s that are looked at, to either side."""
+_SAME = 0.9
+"""Correlation at the best shift, without which two channels do not say the same."""
+_BETTER = 0.02
+"""By which it has to be better than without a shift."""
+_SEVERE = 0.15
+"""s, and twice what a channel is held, from which nothing is judged before it is aligned."""
+_TOLD = 0.05
+"""s from which it is said at all."""
+
+
+def late_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
+    """Measured rates that come later, or earlier, than the change of what they are the rate of; nothing is cut."""
+    found = []
+    for name, said, seen in _rates_beside_slopes(rows, stretches, system, measured):
+        late = _lateness(rows.t, said, seen)
+        if late is None or abs(late[0]) < _TOLD:
+            continue
+        seconds, best, now = late
+        held = hold_rows(said[np.isfinite(said)]) * _period(rows.t)
+        side = "late" if seconds > 0 else "early"
+        kind = "time_offset" if abs(seconds) >= max(_SEVERE, 2.0 * held) else "slightly_late"
+        text = (
+            f"{name} comes {abs(seconds):.2f} s {side} against the change of what it is the rate of (correlation "
+            f"{best:.3f} when it is shifted, {now:.3f} as it is)"
+        )
+        done = f"align it with shift = {seconds:.2f} for {name} in a column map"
+        found.append(finding(kind, text, done=done))
+    return found
+
+
+def _rates_beside_slopes(
+    rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]
+) -> list[tuple[str, Vector, Vector]]:
+    """(name of a measured rate, its values, the slope that it should be)."""
+    names, states = system.state_names, rows.states
+    if {"x", "y", "yaw", "speed"} <= set(names):
+        index = names.index("speed")
+        x, y, yaw = (states[:, names.index(name)] for name in ("x", "y", "yaw"))
+        along = slopes_within(rows.t, x, stretches, _WINDOW) * np.cos(yaw) + slopes_within(
+            rows.t, y, stretches, _WINDOW
+        ) * np.sin(yaw)
+        return [("speed", states[:, index], along)] if measured[index] else []
+    found = []
+    for at, variable in enumerate(system.state):
+        for index, rate in enumerate(system.state):
+            if rate.unit == f"{variable.unit}/s" and measured[index] and measured[at]:
+                found.append((rate.name, states[:, index], slopes_within(rows.t, states[:, at], stretches, _WINDOW)))
+    return found
+
+
+def _lateness(t: Vector, said: Vector, seen: Vector) -> tuple[float, float, float] | None:
+    """(seconds by which ``said`` comes after ``seen``, correlation then, correlation as it is); None where unclear."""
+    period = _period(t)
+    if not period > 0.0:
+        return None
+    most = max(1, round(_FARTHEST / period))
+    step = max(1, most // 40)
+    shifts = np.unique(np.concatenate([np.arange(-most, most + 1, step), [0]]))
+    values = np.array([_correlation_when_shifted(said, seen, int(shift)) for shift in shifts])
+    best = int(np.nanargmax(values)) if np.isfinite(values).any() else -1
+    if best < 0 or values[best] < _SAME:
+        return None
+    around = np.arange(shifts[best] - step, shifts[best] + step + 1)
+    finer = np.array([_correlation_when_shifted(said, seen, int(shift)) for shift in around])
+    top = int(np.nanargmax(finer))
+    now = _correlation_when_shifted(said, seen, 0)
+    if finer[top] < now + _BETTER or abs(around[top]) >= most:
+        return None
+    return float(around[top]) * period, float(finer[top]), now
+
+
+def _period(t: Vector) -> float:
+    """Usual seconds between rows; 0 where there are none."""
+    steps = np.diff(t[np.isfinite(t)])
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _correlation_when_shifted(said: Vector, seen: Vector, shift: int) -> float:
+    """Of said[k + shift] with seen[k]."""
+    if abs(shift) > len(said) - _FEWEST:
+        return float("nan")
+    if shift >= 0:
+        one, other = said[shift:], seen[: len(seen) - shift]
+    else:
+        one, other = said[:shift], seen[-shift:]
+    good = np.isfinite(one) & np.isfinite(other)
+    if good.sum() < _FEWEST or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
+        return float("nan")
+    return float(np.corrcoef(one[good], other[good])[0, 1])
+
+
+_DRIVES = {"throttle": "speed", "target_speed": "speed", "torque": "rate"}
+"""Actions, and the state that grows with them."""
+_FEWEST = 100
+_AGAINST = 0.5
+"""Partial correlation from which it certainly goes against the command."""
+_CLEAR = 0.3
+"""Partial correlation from which a delay shows anything."""
+
+
+def drive_findings(rows: Rows, stretches: list[Stretch], system: System) -> list[Finding]:
+    """Actions that slow down what they should drive: d(state)/dt on action, state and constant; nothing is cut.
+
+    The action is correlated with what the rest leaves, at delays of up to half a second. Drags, gains, lags and loads
+    change the size, and never the sign.
+    """
+    found = []
+    for index, variable in enumerate(system.action):
+        driven = _DRIVES.get(variable.name)
+        if driven not in system.state_names:
+            continue
+        value = _partial(rows, stretches, rows.actions[:, index], system, driven)
+        if value < -_AGAINST:
+            text = f"{driven} falls as {variable.name} rises (correlation {value:.2f} beside what else drives it)"
+            done = f"flip {variable.name} in a column map"
+            found.append(finding("opposite_sign", text, done=done))
+    return found
+
+
+def _partial(rows: Rows, stretches: list[Stretch], action: Vector, system: System, driven: str) -> float:
+    """Partial correlation of the slope of a state with an earlier action, of the sign that shows first."""
+    at = system.state_names.index(driven)
+    slopes = slopes_within(rows.t, rows.states[:, at], stretches, _WINDOW)
+    angles = [np.sin(rows.states[:, index]) for index, item in enumerate(system.state) if item.angle]
+    beside = np.column_stack([rows.states[:, at], np.ones(len(rows.t)), *angles])
+    steps = np.diff(rows.t[np.isfinite(rows.t)])
+    period = float(np.median(steps)) if len(steps) else 1.0
+    most = max(0, round(_LATEST / max(period, 1e-6)))
+    values = [_beside(slopes, action, beside, shift) for shift in range(0, most + 1, max(1, most // 10))]
+    # what comes late by half a swing goes against anything: the first delay at which anything shows has the sign
+    first = next((value for value in values if abs(value) > _CLEAR), 0.0)
+    return min(values) if first < 0.0 else max(first, 0.0)
+
+
+def _beside(slopes: Vector, action: Vector, beside: NDArray[np.float64], shift: int) -> float:
+    """Partial correlation of slopes[k + shift] with action[k] beside some columns (rows, columns) at k + shift."""
+    count = len(slopes) - shift
+    if count < _FEWEST:
+        return 0.0
+    wanted, command, columns = slopes[shift:], action[:count], beside[shift:]
+    good = np.isfinite(wanted) & np.isfinite(command) & np.isfinite(columns).all(axis=1)
+    if good.sum() < _FEWEST or not np.ptp(command[good]) > 1e-9:
+        return 0.0
+    both = np.column_stack([wanted[good], command[good]])
+    left = both - columns[good] @ np.linalg.lstsq(columns[good], both, rcond=None)[0]
+    size = float(np.sqrt((left[:, 0] ** 2).sum() * (left[:, 1] ** 2).sum()))
+    return float(left[:, 0] @ left[:, 1]) / size if size > 1e-12 else 0.0
+
 
 _WINDOW = 0.2
 """s over which slopes are taken; long enough for noise, short against a robot's motion."""
@@ -41,20 +197,18 @@ _MISTAKES = (
 )
 """Slope of the position over the measured speed, and the unit in which the speed then probably is."""
 
-Vector = NDArray[np.float64]
-
 
 def consistency_findings(rows: Rows, stretches: list[Stretch], system: System, measured: list[bool]) -> list[Finding]:
     """What does not fit together; nothing is cut for it."""
     names = system.state_names
     if {"x", "y", "yaw", "speed"} <= set(names):
         found = _car(rows, stretches, names, measured[names.index("speed")])
-        return found + (_steering(rows, stretches, system) if not found else [])
+        return found or _steering(rows, stretches, system) + _turning(rows, stretches, names, measured)
     if {"angle", "rate"} <= set(names):
         angle, rate = (rows.states[:, names.index(name)] for name in ("angle", "rate"))
-        moved = _slopes(rows.t, angle, stretches)
+        moved = slopes_within(rows.t, angle, stretches, _WINDOW)
         found = _scale("rate", "angle", rate, moved) if measured[names.index("rate")] else []
-        return found + _upright(angle, moved, _slopes(rows.t, moved, stretches), rows.actions)
+        return found + _upright(angle, moved, slopes_within(rows.t, moved, stretches, _WINDOW), rows.actions)
     return []
 
 
@@ -82,7 +236,7 @@ def _steering(rows: Rows, stretches: list[Stretch], system: System) -> list[Find
         return []
     speed, yaw = (rows.states[:, system.state_names.index(name)] for name in ("speed", "yaw"))
     steer = rows.actions[:, system.action_names.index("steer")]
-    turning, asked = _slopes(rows.t, yaw, stretches), speed * np.tan(np.clip(steer, -1.5, 1.5))
+    turning, asked = slopes_within(rows.t, yaw, stretches, _WINDOW), speed * np.tan(np.clip(steer, -1.5, 1.5))
     good = np.isfinite(turning) & np.isfinite(asked)
     moved = [float(np.std(values[good])) if good.any() else 0.0 for values in (steer, asked, turning)]
     if int(good.sum()) < _FEWEST_STEERED or min(moved) < _STEERED:
@@ -100,6 +254,17 @@ def _steering(rows: Rows, stretches: list[Stretch], system: System) -> list[Find
     return []
 
 
+def _turning(rows: Rows, stretches: list[Stretch], names: tuple[str, ...], measured: list[bool]) -> list[Finding]:
+    """Does the heading turn at the measured rate? A gyroscope counts the other way round as easily, or in degrees."""
+    if "turn_rate" not in names or not measured[names.index("turn_rate")]:
+        return []
+    yaw, rate = (rows.states[:, names.index(name)] for name in ("yaw", "turn_rate"))
+    known = rate[np.isfinite(rate)]
+    if len(known) < _FEWEST_ROWS or float(known.std()) < _STEERED:
+        return []
+    return _scale("turn_rate", "yaw", rate, slopes_within(rows.t, yaw, stretches, _WINDOW))
+
+
 def _correlation(one: Vector, other: Vector) -> float:
     good = np.isfinite(one) & np.isfinite(other)
     if int(good.sum()) < _FEWEST_ROWS or not (np.ptp(one[good]) > 0 and np.ptp(other[good]) > 0):
@@ -107,20 +272,9 @@ def _correlation(one: Vector, other: Vector) -> float:
     return float(np.corrcoef(one[good], other[good])[0, 1])
 
 
-def _slopes(t: Vector, values: Vector, stretches: list[Stretch]) -> Vector:
-    """Derivative within stretches, NaN elsewhere."""
-    result = np.full(len(t), np.nan)
-    for stretch in stretches:
-        part = slice(stretch.start, stretch.stop)
-        inner = np.flatnonzero(np.isfinite(values[part])) + stretch.start
-        if len(inner) > 2:
-            result[inner] = slope(t[inner], values[inner], _WINDOW)
-    return result
-
-
 def _car(rows: Rows, stretches: list[Stretch], names: tuple[str, ...], speed_measured: bool) -> list[Finding]:
     x, y, yaw, speed = (rows.states[:, names.index(name)] for name in ("x", "y", "yaw", "speed"))
-    along_x, along_y = _slopes(rows.t, x, stretches), _slopes(rows.t, y, stretches)
+    along_x, along_y = slopes_within(rows.t, x, stretches, _WINDOW), slopes_within(rows.t, y, stretches, _WINDOW)
     course_speed = np.hypot(along_x, along_y)
     moving = np.isfinite(course_speed)
     moving &= course_speed > max(0.05, 0.1 * float(np.quantile(course_speed[moving], 0.9)) if moving.any() else 0.0)

@@ -217,6 +217,8 @@ def _numbers_of_texts(
     cells = {name: _pointed(texts.column(name).to_pylist(), layout.point) for name in wanted}
     bad = min((_first_bad(cells[name]), name) for name in wanted)
     row, name = bad
+    if row == rows:  # blanks around a number, of a kind that the fast reader does not know
+        return {name: np.array([_number(cell) for cell in column]) for name, column in cells.items()}
     line = _line_of(row, malformed) + layout.before
     if row < rows - 1 or _ends_with_newline(path):
         raise RunError(
@@ -241,7 +243,12 @@ def _first_bad(cells: Sequence[str | None]) -> int:
 
 
 def _number(cell: str | None) -> float:
-    return float("nan") if cell is None or cell.strip() in _NULLS else float(cell)
+    """Raises ValueError for what is no number; Python would take 1_0 for ten, and digits of any script."""
+    if cell is None or cell.strip() in _NULLS:
+        return float("nan")
+    if "_" in cell or not cell.isascii():
+        raise ValueError(cell)
+    return float(cell)
 
 
 def _line_of(row: int, malformed: list[tuple[int, int]]) -> int:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Vector", "slope"]
+from safedpa.records.run import Stretch
+
+__all__ = ["Vector", "slope", "slopes_within"]
 
 Vector = NDArray[np.float64]
 
@@ -27,4 +29,13 @@ def slope(t: Vector, values: Vector, window: float) -> Vector:
         around = float(finite[0]) if len(finite) else 0.0  # large numbers cost digits
         change = np.convolve(values - around, weights, "valid")
         result[half : rows - half] = change / np.convolve(t - t[0], weights, "valid")
+    return result
+
+
+def slopes_within(t: Vector, values: Vector, stretches: list[Stretch], window: float) -> Vector:
+    """d(values)/dt at every row of some stretches, shape (rows,), each by itself; NaN outside, and for no number."""
+    result = np.full(len(t), np.nan)
+    for stretch in stretches:
+        inner = np.flatnonzero(np.isfinite(values[stretch.start : stretch.stop])) + stretch.start
+        result[inner] = slope(t[inner], values[inner], window)
     return result

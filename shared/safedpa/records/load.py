@@ -1,54 +1,62 @@
-"""One door for every recording: CSV, Parquet or MCAP to a run in SI units, with its bad stretches cut."""
+"""One door for every recording: tables, bags, flight logs to a run in SI units, with its bad stretches cut."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from safedpa.errors import ColumnMapError
+from safedpa.errors import ColumnMapError, RunError
 from safedpa.records.apply_map import check_map, mapped_rows
+from safedpa.records.bags import kind_of, read_log_table, topic_log
 from safedpa.records.column_map import ColumnMap, native_map
+from safedpa.records.quality import run_of_rows
 from safedpa.records.run import Run
-from safedpa.records.run_of_rows import run_of_rows
-from safedpa.records.table import Table, require_file
+from safedpa.records.table import Table
 from safedpa.systems import System
 
 __all__ = ["load_run"]
 
+_MOST_TOPICS = 8
+"""Topics that stand in an error; the command lists all."""
+
 
 def load_run(path: str | Path, system: System, columns: ColumnMap | None = None) -> Run:
-    """The run in a file: .csv, .parquet or .mcap by its ending, by its content when it has none of these.
+    """The run in a file or folder, whose kind its first bytes tell: a table, a bag, a flight log, a recording.
 
-    Without a column map the columns carry the native names: ``t`` [s] and those of the system's states and actions.
-    Time is that of the file. Raises RunError when the file cannot be used, with all findings when no stretch
-    of it can, and ColumnMapError when the map does not fit the system.
+    Without a column map the columns carry the native names: ``t`` [s] and those of the system's states and actions; a
+    log of topics needs one. Time is that of the file. Raises RunError when the file cannot be used, with all findings
+    when no stretch of it can, and ColumnMapError when the map does not fit the system.
     """
     path = Path(path)
     mapping = native_map(system) if columns is None else columns
     check_map(mapping, system)
-    require_file(path)
-    kind = _kind(path)
+    kind = kind_of(path)
     if kind == "mcap":
         if columns is not None:
             raise ColumnMapError(f"{columns.name}: {path} is a recording of the bus; leave the column map out")
         from safedpa.records.mcap_run import read_run_from_mcap
 
         return read_run_from_mcap(path, system)
-    table = _read(path, kind, mapping)
+    if kind == "topics" and columns is None:
+        raise RunError(_topics_told(path, system))
+    table = _read(path, kind, mapping, system)
     return run_of_rows(path, system, mapping, mapped_rows(table, mapping, system), table.findings)
 
 
-def _kind(path: Path) -> str:
-    suffix = path.suffix.lower().lstrip(".")
-    if suffix in ("csv", "parquet", "mcap"):
-        return suffix
-    with path.open("rb") as file:
-        start = file.read(8)
-    if start.startswith(b"\x89MCAP"):
-        return "mcap"
-    return "parquet" if start.startswith(b"PAR1") else "csv"
+def _topics_told(path: Path, system: System) -> str:
+    """One line: what a log of topics holds, and that it wants a map."""
+    log = topic_log(path)
+    topics = [topic for topic in log.topics().values() if topic.count]
+    said = "; ".join(f"{topic.name} ({topic.type}, {topic.rate:.0f} Hz)" for topic in topics[:_MOST_TOPICS])
+    more = f" and {len(topics) - _MOST_TOPICS} more" if len(topics) > _MOST_TOPICS else ""
+    return (
+        f"{path}: is a {log.kind} with {len(topics)} topics, and no map says which are whose: {said}{more}; "
+        f"'safedpa columns {path} --robot {system.name} > map.toml' proposes one, then --columns map.toml"
+    )
 
 
-def _read(path: Path, kind: str, mapping: ColumnMap) -> Table:
+def _read(path: Path, kind: str, mapping: ColumnMap, system: System) -> Table:
+    if kind == "topics":
+        return read_log_table(topic_log(path), mapping, system)
     if kind == "parquet":
         from safedpa.records.parquet_table import read_parquet_table
 

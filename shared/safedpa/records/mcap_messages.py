@@ -7,9 +7,9 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from safedpa.bus.codec import decode
-from safedpa.bus.messages import Message
-from safedpa.bus.topics import Topic, topic_of
+from safedpa.bus.wire.codec import decode
+from safedpa.bus.wire.messages import Message
+from safedpa.bus.wire.topics import Topic, topic_of
 from safedpa.errors import InputError, MessageError
 from safedpa.records.mcap_records import DamageError, records_of
 from safedpa.records.run import Finding

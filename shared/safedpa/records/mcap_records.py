@@ -20,7 +20,9 @@ __all__ = ["DamageError", "channels_at_end", "records_of"]
 
 _MAGIC = b"\x89MCAP0\r\n"
 _MOST_PASSED_OVER = 10_000
-"""Records of private kinds in one chunk."""
+"""Records of private kinds in one chunk, and those of them outside of chunks, with what is too short for its kind."""
+_SHORTEST, _FIRST_PRIVATE = 6, 0x80
+"""Bytes of the shortest record that is passed over (an empty index of messages); opcodes."""
 _HEAD = struct.Struct("<BQ")
 """Opcode and length of a record."""
 _MESSAGE = struct.Struct("<HIQQ")
@@ -94,11 +96,15 @@ def _records_in(file: IO[bytes], budget: _Budget, *, validate: bool) -> Iterator
     stream, most = ReadDataStream(file, calculate_crc=validate), limit("mcap_record_bytes")
     if validate:
         stream._crc = zlib.crc32(_MAGIC)
+    passed_over = 0
     while True:
         before = stream.checksum() if validate else 0
         opcode, length = stream.read1(), stream.read8()
         if length > most:
             raise ValueError(f"a record of {length} bytes")
+        passed_over += length < _SHORTEST or opcode >= _FIRST_PRIVATE
+        if opcode == 0 or passed_over > _MOST_PASSED_OVER:
+            raise ValueError("records that nobody knows")
         end = stream.count + length
         if opcode == Opcode.FOOTER:
             return

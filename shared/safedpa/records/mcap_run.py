@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.bus.messages import StateMessage, VerdictMessage
-from safedpa.bus.topics import STATE, VERDICT, topic_of
+from safedpa.bus.wire.messages import StateMessage, VerdictMessage
+from safedpa.bus.wire.topics import STATE, VERDICT, topic_of
 from safedpa.errors import RunError, did_you_mean
 from safedpa.records.apply_map import Rows
 from safedpa.records.column_map import native_map
 from safedpa.records.mcap_messages import read_messages
+from safedpa.records.quality import run_of_rows
 from safedpa.records.run import Finding, Run
-from safedpa.records.run_of_rows import run_of_rows
 from safedpa.systems import System
 
 __all__ = ["Recording", "VerdictRow", "read_recording", "read_run_from_mcap"]

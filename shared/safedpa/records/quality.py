@@ -1,4 +1,4 @@
-"""What is wrong with a recording: found, cut where needed, and said in sentences.
+"""From rows to a run: judged, cut, derived, thinned; what is wrong with a recording is said in sentences.
 
 Cut means: rows with defects end one stretch, the next begins behind them. Nothing is interpolated.
 """
@@ -7,27 +7,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.records.apply_map import Rows
+from safedpa.errors import RunError
+from safedpa.limits import readable
+from safedpa.records.apply_map import Rows, derive_states, keep_rows
+from safedpa.records.broken_channels import dead_rows, frozen_rows, jump_rows
 from safedpa.records.column_map import ColumnMap, SourceColumn
-from safedpa.records.consistency import consistency_findings
-from safedpa.records.degrees import degrees_for_radians
-from safedpa.records.driven import drive_findings
-from safedpa.records.frozen import dead_rows, frozen_rows
-from safedpa.records.held import held_findings
-from safedpa.records.jumps import jump_rows
-from safedpa.records.late import late_findings
-from safedpa.records.run import Finding, Stretch
-from safedpa.records.sampling import gap_rows, rates_finding, reset_rows, sampling_finding, without_repeats
+from safedpa.records.consistency import consistency_findings, drive_findings, late_findings
+from safedpa.records.run import Finding, Run, Stretch
+from safedpa.records.sampling import (
+    gap_rows,
+    held_findings,
+    rates_finding,
+    reset_rows,
+    sampling_finding,
+    without_repeats,
+)
 from safedpa.records.sentences import counted, finding
-from safedpa.records.values import constant_findings, not_a_number, out_of_bounds
-from safedpa.records.wrong_units import other_units
+from safedpa.records.values import constant_findings, degrees_for_radians, not_a_number, other_units, out_of_bounds
 from safedpa.systems import System
 
-__all__ = ["SHORTEST_STRETCH", "judged", "judged_whole"]
+__all__ = ["SHORTEST_STRETCH", "run_of_rows"]
 
 SHORTEST_STRETCH = 5
 """Rows; a shorter one says nothing about dynamics."""
@@ -38,7 +42,7 @@ _WRONG = ("swapped_columns", "opposite_sign", "unit_mistake", "yaw_inconsistent"
 """Findings with which columns are not what they seem."""
 
 
-def judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[Stretch], list[Finding]]:
+def _judged(rows: Rows, mapping: ColumnMap, system: System) -> tuple[Rows, list[Stretch], list[Finding]]:
     """Rows without repeats and with angles unwrapped, the stretches between defects, and what was found.
 
     ``breaks`` below are rows before which a stretch ends; ``bad`` are rows that belong to none.
@@ -98,7 +102,7 @@ def _said(rows: Rows, stretches: list[Stretch], system: System, measured: list[b
     return [*found, *late_findings(rows, stretches, system, measured)]
 
 
-def judged_whole(
+def _judged_whole(
     rows: Rows, stretches: list[Stretch], mapping: ColumnMap, system: System, before: Sequence[Finding]
 ) -> tuple[list[Stretch], list[Finding]]:
     """What needs every state, derived ones as well: commands that are dead, or drive the other way.
@@ -151,3 +155,32 @@ def _cut_finding(t: NDArray[np.float64], stretches: list[Stretch]) -> list[Findi
     remain = counted(len(stretches), "stretch remains", "stretches remain")
     text = f"{len(cut)} of {len(t)} rows ({share:.3g} %) were cut in all; {remain}"
     return [finding("cut", text, len(cut), t[cut[0]])]
+
+
+def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, findings: tuple[Finding, ...]) -> Run:
+    """The run that the rows of a file make: judged, cut, derived, thinned; raises RunError when nothing is left."""
+    if not len(rows.t):
+        raise RunError(f"{path}: no rows" + _listed(findings) + "; wanted at least two")
+    rows, stretches, found = _judged(rows, mapping, system)
+    rows, stretches, derived = derive_states(rows, stretches, mapping, system)
+    stretches, whole = _judged_whole(rows, stretches, mapping, system, found)
+    if mapping.keep_period is not None:
+        rows, stretches = keep_rows(rows, stretches, mapping.keep_period)
+    rows, stretches = _compact(rows, stretches)
+    every = (*findings, *found, *derived, *whole)
+    if not stretches:
+        raise RunError(f"{path}: no usable stretch of rows" + _listed(every))
+    return Run(readable(path.stem), system, rows.t, rows.states, rows.actions, tuple(stretches), every)
+
+
+def _compact(rows: Rows, stretches: list[Stretch]) -> tuple[Rows, list[Stretch]]:
+    """Only the rows within stretches, so that nobody meets the others by accident."""
+    lengths = [len(stretch) for stretch in stretches]
+    ends = np.cumsum(lengths, dtype=np.intp)
+    index = np.concatenate([np.arange(part.start, part.stop) for part in stretches] or [np.empty(0, dtype=np.intp)])
+    packed = [Stretch(int(end) - length, int(end)) for end, length in zip(ends, lengths, strict=True)]
+    return rows.taken(index), packed
+
+
+def _listed(findings: tuple[Finding, ...]) -> str:
+    return ": " + "; ".join(finding.message for finding in findings) if findings else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from safedpa.bus import LatentMessage, SetupMessage
-from safedpa.bus.setup import setup_message
+from safedpa.bus.wire.setup import setup_message
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model, shipped_models
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import InputError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -62,7 +63,9 @@ def _output_gaps(tape: Tape, service: str) -> Iterator[Gap]:
 def _behind(tape: Tape, service: str, topic: Topic) -> Iterator[Gap]:
     """Outputs behind the last recorded one that other services used."""
     last = {entry.message.epoch: entry.message.tick for entry in tape.computed[service]}
-    for epoch in sorted({epoch for epoch, _ in tape.absent(topic)}):
-        ticks = [tick for other, tick in tape.absent(topic) if other == epoch and tick > last.get(epoch, -1)]
-        if ticks:
-            yield Gap(service, epoch, last.get(epoch, -1), max(ticks) + 1, len(ticks))
+    behind: dict[int, list[int]] = defaultdict(list)
+    for epoch, tick in tape.absent(topic):
+        if tick > last.get(epoch, -1):
+            behind[epoch].append(tick)
+    for epoch, ticks in sorted(behind.items()):
+        yield Gap(service, epoch, last.get(epoch, -1), max(ticks) + 1, len(ticks))

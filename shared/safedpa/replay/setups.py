@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from safedpa.adaptation import AdaptationNode
@@ -63,4 +64,6 @@ def model_of_document(document: str, folders: tuple[Path, ...] = ()) -> PhysicsM
 def _own_folder(setup: SetupMessage) -> tuple[Path, ...]:
     """Where the model file of the service's options lies, if that is on this machine."""
     path = Path(str(options_of(setup).get("model", "")))
-    return (path.parent,) if path.suffix == ".toml" and path.is_file() else ()
+    with contextlib.suppress(OSError, ValueError):  # a name that no file can have
+        return (path.parent,) if path.suffix == ".toml" and path.is_file() else ()
+    return ()

@@ -5,16 +5,19 @@ Messages of one sender stand in a recording in the order in which they were sent
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import Any
 
-import msgpack
+import msgspec
 
 from safedpa.bus import (
     LATENT,
     NO_ROBOT,
+    SURROUNDINGS,
     VERDICT,
     WISH,
     ActionMessage,
@@ -25,6 +28,7 @@ from safedpa.bus import (
     ModelMessage,
     SetupMessage,
     StateMessage,
+    SurroundingsMessage,
     TakeoverMessage,
     Topic,
     VerdictMessage,
@@ -34,6 +38,7 @@ from safedpa.bus import (
 )
 from safedpa.errors import InputError, MessageError, RunError, did_you_mean
 from safedpa.limits import parse_json
+from safedpa.perception import PerceptionNode
 from safedpa.policy import PolicyNode
 from safedpa.records import Finding
 from safedpa.records.mcap_messages import read_payloads
@@ -49,13 +54,19 @@ _SENDERS: dict[type[Message], tuple[str, Topic]] = {
     LatentMessage: ("adaptation", LATENT),
     WishMessage: ("policy", WISH),
     VerdictMessage: ("safety_filter", VERDICT),
+    SurroundingsMessage: (PerceptionNode.name, SURROUNDINGS),
 }
 
 
 _INPUTS: dict[str, tuple[Topic, ...]] = {
     PolicyNode.name: PolicyNode.inputs,
-    SafetyFilterNode.name: SafetyFilterNode.inputs,
+    SafetyFilterNode.name: (*SafetyFilterNode.inputs, *SafetyFilterNode.senses),
 }
+
+
+_FIELDS = msgspec.msgpack.Decoder(dict[str, msgspec.Raw])
+_MOST_ANSWERS = 8
+"""To one tick, among which a repetition is looked for: two processes may race for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +99,8 @@ class Tape:
     fields: dict[type[Message], frozenset[str]] = field(default_factory=dict)
     """Which fields the recorded messages have: older programs had fewer."""
     findings: list[Finding] = field(default_factory=list)
+    _instances: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
+    """Of each service's processes that told their setup."""
 
     def add(self, at: int, message: Message) -> None:
         """Takes one message; repetitions are left out."""
@@ -96,7 +109,8 @@ class Tape:
             self.states.setdefault(stamp, message)
         elif isinstance(message, ActionMessage):
             known = self.actions.setdefault(stamp, [])
-            known += [] if message in known else [message]
+            if message not in known[-_MOST_ANSWERS:]:
+                known.append(message)
         elif isinstance(message, ComputedMessage):
             self._add_computed(at, message)
         elif isinstance(message, ModelMessage):
@@ -108,6 +122,7 @@ class Tape:
 
     def _add_computed(self, at: int, message: ComputedMessage) -> None:
         sender, topic = _SENDERS[type(message)]
+        message = self._with_a_trace_that_fits(sender, message)
         entries = self.computed[sender]
         if entries and entries[-1].message.publish_time == message.publish_time and entries[-1].message == message:
             return
@@ -115,11 +130,23 @@ class Tape:
         self.named[topic, message.epoch, message.tick, message.publish_time] = message
         self.newest[topic, message.epoch, message.tick] = message
 
+    def _with_a_trace_that_fits(self, sender: str, message: ComputedMessage) -> ComputedMessage:
+        """Without what it says of its inputs, where that is not one age and time for each: then nothing is known."""
+        rows, most = message.consumed, len(_INPUTS.get(sender, ()))
+        wanted = most - len(SafetyFilterNode.senses) if sender == SafetyFilterNode.name else most  # without sources
+        if not rows or (len(rows) in (wanted, most) and all(len(row) == 2 for row in rows)):
+            return message
+        text = f"{sender}: what it says of its inputs is not one age and time for each of {wanted}; left out"
+        if all(finding.message != text for finding in self.findings):
+            self.findings.append(Finding("unreadable_trace", text))
+        return replace(message, consumed=())
+
     def add_setup(self, at: int, setup: SetupMessage) -> None:
         """Takes what a process said of itself; settings that only older programs had are left out, and that is told."""
         known = self.setups.setdefault(setup.service, [])
-        if any(setup.instance == other.instance for _, other in known):
+        if setup.instance in self._instances[setup.service]:
             return
+        self._instances[setup.service].add(setup.instance)
         settings, gone = without_former_keys(setup.settings)
         known.append((at, replace(setup, settings=settings)))
         message = f"{', '.join(gone)}: recorded, but no settings any more; the filter of now has none of them"
@@ -134,7 +161,7 @@ class Tape:
                 continue
             index = inputs.index(topic)
             for message in (entry.message for entry in self.computed[service]):
-                if not message.consumed or message.consumed[index][1] == 0.0:
+                if index >= len(message.consumed) or message.consumed[index][1] == 0.0:
                     continue
                 age, published = message.consumed[index]
                 tick = message.tick - int(age)
@@ -174,7 +201,7 @@ def read_tape(runs: Sequence[Path], robot: str | None = None) -> Tape:
         else:
             tapes.setdefault(name, Tape(name, files)).add(at, message)
     tape = _chosen(files, {name: tape for name, tape in tapes.items() if tape.states}, robot, others)
-    tape.fields, tape.findings = fields, findings
+    tape.fields, tape.findings = fields, [*findings, *tape.findings]
     for at, name, setup in setups:
         if name == tape.robot or _serves(setup, tape.robot):
             tape.add_setup(at, setup)
@@ -223,7 +250,10 @@ def _messages(
 
 def _note_fields(fields: dict[type[Message], frozenset[str]], topic: Topic, payload: bytes) -> None:
     if topic.message not in fields:
-        fields[topic.message] = frozenset(msgpack.unpackb(payload))
+        try:
+            fields[topic.message] = frozenset(_FIELDS.decode(payload))  # which there are, whatever is in them
+        except (msgspec.DecodeError, UnicodeDecodeError):  # with fields beside ours whose names are no text
+            fields[topic.message] = frozenset(item.name for item in dataclass_fields(topic.message))
 
 
 def _chosen(files: tuple[Path, ...], tapes: dict[str, Tape], robot: str | None, others: set[str]) -> Tape:

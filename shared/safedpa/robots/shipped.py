@@ -17,6 +17,8 @@ __all__ = ["ShippedRobot"]
 class ShippedRobot(AbstractRobot):
     """A robot in a package ``safedpa.robots.NAME``."""
 
+    effects_of_its_own = True
+
     def effects(self) -> Iterable[AbstractEffect]:  # noqa: D102
         from safedpa.effects.library import effects_in_package
 
@@ -25,4 +27,4 @@ class ShippedRobot(AbstractRobot):
     def settings(self) -> FilterSettings:  # noqa: D102
         from safedpa.safety.shipped import settings_named
 
-        return settings_named(self.name)
+        return settings_named(self.settings_name)

@@ -1,48 +1,46 @@
-"""The safety filter: barriers, the quadratic program, the margin and the verdict."""
+"""The safety filter: barriers, the quadratic program, the margin and the verdict.
 
+What is named here is imported when it is asked for: a process that needs the settings alone loads no search.
+"""
+
+import importlib
+import warnings
 from typing import TYPE_CHECKING, Any
 
-from safedpa.safety.barrier import AbstractBarrier, Barriers
-from safedpa.safety.braking import Braking
-from safedpa.safety.calibration import MarginCalibration, calibrate_margin, one_step_errors
-from safedpa.safety.car_barriers import car_barriers
-from safedpa.safety.check_filter import check_filter
-from safedpa.safety.check_report import FilterIssue, FilterReport
-from safedpa.safety.corridor_barrier import CorridorBarrier
-from safedpa.safety.field_barrier import FieldBarrier
-from safedpa.safety.function_barrier import FunctionBarrier
-from safedpa.safety.higher_order_barrier import HigherOrderBarrier
-from safedpa.safety.inputs import Plausible
-from safedpa.safety.margin import OnlineMargin, smallest_sample, split_conformal_margin
-from safedpa.safety.obstacle_barrier import Footprint, ObstacleBarrier
-from safedpa.safety.pending_actions import PendingActions
-from safedpa.safety.prediction import Prediction
-from safedpa.safety.quadratic_program import QuadraticProgram, Solution
-from safedpa.safety.rollout_barrier import RolloutBarrier
-from safedpa.safety.safety_filter import SafetyFilter
-from safedpa.safety.settings import FilterSettings, load_settings, parse_settings, save_settings, write_settings
-from safedpa.safety.speed_barrier import SpeedBarrier
-from safedpa.safety.verdict import Status, Verdict
-
 if TYPE_CHECKING:
+    from safedpa.safety.barrier import AbstractBarrier, Barriers
+    from safedpa.safety.calibration import MarginCalibration, calibrate_margin, one_step_errors
+    from safedpa.safety.check_report import FilterIssue, FilterReport
+    from safedpa.safety.corridor_barrier import CorridorBarrier
+    from safedpa.safety.equation_barrier import AbstractEquationBarrier
+    from safedpa.safety.filter_check import check_filter
+    from safedpa.safety.function_barrier import FunctionBarrier
     from safedpa.safety.gymnasium_wrapper import GymnasiumSafetyFilter, GymnasiumVectorSafetyFilter
+    from safedpa.safety.higher_order_barrier import HigherOrderBarrier
+    from safedpa.safety.inputs import Plausible
+    from safedpa.safety.margin import OnlineMargin, smallest_sample, split_conformal_margin
+    from safedpa.safety.pending_actions import PendingActions
+    from safedpa.safety.prediction import Prediction
+    from safedpa.safety.quadratic_program import QuadraticProgram, Solution
+    from safedpa.safety.rollout_barrier import RolloutBarrier
+    from safedpa.safety.safety_filter import SafetyFilter
+    from safedpa.safety.settings import FilterSettings, load_settings, parse_settings, save_settings, write_settings
+    from safedpa.safety.speed_barrier import SpeedBarrier
+    from safedpa.safety.verdict import Status, Verdict
 
 __all__ = [
     "AbstractBarrier",
+    "AbstractEquationBarrier",
     "Barriers",
-    "Braking",
     "CorridorBarrier",
-    "FieldBarrier",
     "FilterIssue",
     "FilterReport",
     "FilterSettings",
-    "Footprint",
     "FunctionBarrier",
     "GymnasiumSafetyFilter",
     "GymnasiumVectorSafetyFilter",
     "HigherOrderBarrier",
     "MarginCalibration",
-    "ObstacleBarrier",
     "OnlineMargin",
     "PendingActions",
     "Plausible",
@@ -55,7 +53,6 @@ __all__ = [
     "Status",
     "Verdict",
     "calibrate_margin",
-    "car_barriers",
     "check_filter",
     "load_settings",
     "one_step_errors",
@@ -67,10 +64,49 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """The gymnasium wrappers, imported when they are asked for: gymnasium is optional."""
-    if name in ("GymnasiumSafetyFilter", "GymnasiumVectorSafetyFilter"):
-        from safedpa.safety import gymnasium_wrapper
+_HOMES = {
+    "barrier": "AbstractBarrier Barriers",
+    "calibration": "MarginCalibration calibrate_margin one_step_errors",
+    "check_report": "FilterIssue FilterReport",
+    "corridor_barrier": "CorridorBarrier",
+    "equation_barrier": "AbstractEquationBarrier",
+    "filter_check": "check_filter",
+    "function_barrier": "FunctionBarrier",
+    "gymnasium_wrapper": "GymnasiumSafetyFilter GymnasiumVectorSafetyFilter",
+    "higher_order_barrier": "HigherOrderBarrier",
+    "inputs": "Plausible",
+    "margin": "OnlineMargin smallest_sample split_conformal_margin",
+    "pending_actions": "PendingActions",
+    "prediction": "Prediction",
+    "quadratic_program": "QuadraticProgram Solution",
+    "rollout_barrier": "RolloutBarrier",
+    "safety_filter": "SafetyFilter",
+    "settings": "FilterSettings load_settings parse_settings save_settings write_settings",
+    "speed_barrier": "SpeedBarrier",
+    "verdict": "Status Verdict",
+}
+"""By module of this package, what of it is named here."""
+_HOME = {name: f"safedpa.safety.{module}" for module, names in _HOMES.items() for name in names.split()}
+_MOVED = {
+    "Braking": "safedpa.safety.braking",
+    "FieldBarrier": "safedpa.robots.car.barriers",
+    "Footprint": "safedpa.robots.car.barriers",
+    "ObstacleBarrier": "safedpa.robots.car.barriers",
+    "car_barriers": "safedpa.robots.car.barriers",
+}
+"""Where what was once asked for here is now."""
 
-        return getattr(gymnasium_wrapper, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __getattr__(name: str) -> Any:
+    """Imports what is asked for the first time; what has moved is told of."""
+    if name in _MOVED:
+        warnings.warn(f"safedpa.safety.{name} is now {_MOVED[name]}.{name}", DeprecationWarning, stacklevel=2)
+        return getattr(importlib.import_module(_MOVED[name]), name)
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = globals()[name] = getattr(importlib.import_module(_HOME[name]), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -8,7 +8,7 @@ from typing import final
 __all__ = ["AffineMotion"]
 
 _IMAGINARY = 1e-30
-"""As ``safedpa.dynamics.straight_tangent.IMAGINARY``: with it the slopes are those of complex steps to the last bit."""
+"""As ``_IMAGINARY`` of ``safedpa.dynamics.tangent``: with it the slopes are those of complex steps to the last bit."""
 
 
 @final

@@ -6,13 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from operator import is_
-from typing import Any, final, overload
+from typing import Any, NamedTuple, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.equations.chain_rule import chain_rule
 from safedpa.errors import InputError
-from safedpa.safety.chain_rule import chain_rule
 from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.remembered import Remembered
 
@@ -33,6 +33,9 @@ class AbstractBarrier(ABC):
 
     A filter refuses a model whose states are others.
     """
+    at_once: bool = False
+    """Whether one step may use up all of h, down to the margin, and not only the share eta of the settings: of a
+    barrier whose h counts on the worst already, and would hold a robot back from what is far from it."""
 
     @abstractmethod
     def values(self, state: Values) -> Values:
@@ -54,19 +57,46 @@ class AbstractBarrier(ABC):
         return np.asarray(numbers_returned("gradient of h", self.evaluate(state)[1]) @ directions)
 
 
+class _Order(NamedTuple):
+    """What follows from names and kinds of the parts of a stack alone."""
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    at_once: list[bool]
+    rows: Mapping[str, tuple[int, ...]]
+    runs: tuple[tuple[str, int], ...]
+    """Kind and number of barriers of each part."""
+
+    @classmethod
+    def of(cls, parts: Sequence[AbstractBarrier]) -> _Order:
+        runs = tuple((part.kind, len(part.names)) for part in parts)
+        rows: dict[str, list[int]] = {}
+        row = 0
+        for kind, count in runs:
+            rows.setdefault(kind, []).extend(range(row, row + count))
+            row += count
+        names = tuple(chain.from_iterable(part.names for part in parts))
+        kinds = tuple(chain.from_iterable([kind] * count for kind, count in runs))
+        at_once: list[bool] = list(chain.from_iterable([part.at_once] * len(part.names) for part in parts))
+        return cls(names, kinds, at_once, {kind: tuple(own) for kind, own in rows.items() if own}, runs)
+
+
 class AbstractStack(Sequence[AbstractBarrier]):
-    """Several barriers, side by side: h stacked in the order given; as a sequence, the barriers themselves."""
+    """Several barriers, side by side: h stacked in the order given; as a sequence, the barriers themselves.
 
-    def __init__(self, parts: Sequence[AbstractBarrier]) -> None:
+    ``like``: a stack whose parts have these names and kinds in this order; what follows from them alone is taken over.
+    """
+
+    def __init__(self, parts: Sequence[AbstractBarrier], like: AbstractStack | None = None) -> None:
         self.parts = tuple(parts)
-        self.names = tuple(chain.from_iterable(part.names for part in self.parts))
-        """(m,)."""
-        self.kinds = tuple(chain.from_iterable([part.kind] * len(part.names) for part in self.parts))
-        """(m,)."""
-
-        self.rows = {kind: tuple(row for row, own in enumerate(self.kinds) if own == kind) for kind in self.kinds}
+        order: _Order = _Order.of(self.parts) if like is None else like._order
+        self._order: _Order = order
+        self.names, self.kinds = order.names, order.kinds
+        """(m,) each."""
+        self.at_once: list[bool] = order.at_once
+        """(m,) whether one step may use up all of h."""
+        self.rows = order.rows
         """By kind of barrier: where its values stand."""
-        self._runs = [(part.kind, len(part.names)) for part in self.parts]
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -127,7 +157,7 @@ class AbstractStack(Sequence[AbstractBarrier]):
     def of_each(self, by_kind: Mapping[str, float], otherwise: float) -> list[float]:
         """(m,) the number that belongs to each barrier's kind."""
         numbers: list[float] = []
-        for kind, count in self._runs:
+        for kind, count in self._order.runs:
             numbers += [float(by_kind.get(kind, otherwise))] * count
         return numbers
 
@@ -169,7 +199,7 @@ class RememberingStack(AbstractStack):
     """
 
     def __init__(self, stack: AbstractStack) -> None:
-        super().__init__(stack.parts)
+        super().__init__(stack.parts, stack)
         self._stack = stack
         self._plain: dict[int, Remembered] = {}
 

@@ -1,4 +1,4 @@
-"""The safety filter for many cars at once, for simulation, training and evaluation.
+"""The safety filter for many robots at once, for simulation, training and evaluation.
 
 Every robot gets what ``SafetyFilter.decide`` would give it alone, to 1e-6: networks, barriers and the quadratic program
 run over arrays with the robots first. Whatever is out of the ordinary (an input that is not plausible, a program that
@@ -9,7 +9,7 @@ neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -18,13 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError
-from safedpa.robot import robot_like
-from safedpa.safety.batch_barriers import ManyScenes
-from safedpa.safety.batch_search import ManyConditions, ManyOutcomes, ManyPredictions, search_by_many
+from safedpa.safety.batch_search import ManyConditions, ManyOutcomes, search_by_many
+from safedpa.safety.compatibility import check_settings, known_kinds
 from safedpa.safety.inputs import Plausible
+from safedpa.safety.many_barriers import AbstractManyBarriers
+from safedpa.safety.many_predictions import AbstractManyPredictions, AffinePredictions, ManyPredictions
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.verdict import Status
+from safedpa.systems import System
 
 __all__ = ["STATUSES", "BatchFilter", "ManyVerdicts"]
 
@@ -33,12 +35,14 @@ Flags = NDArray[np.bool_]
 
 STATUSES = tuple(Status)
 """By their number in ``ManyVerdicts.status``."""
+_ACTIONS = 2
+"""The nearest point that keeps conditions is known in closed form in the plane."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class ManyVerdicts:
-    """What ``Verdict`` says of one decision, for many; all (robots,) but for ``action`` (robots, 2)."""
+    """What ``Verdict`` says of one decision, for many; all (robots,) but for ``action`` (robots, actions)."""
 
     action: Values
     status: NDArray[np.int8]
@@ -55,22 +59,68 @@ class ManyVerdicts:
 
 
 @final
-class BatchFilter:
-    """``decide`` for cars that share a model and settings. Raises InputError for a model of another robot."""
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """One moment of the robots; every array has them first."""
 
-    def __init__(self, model: PhysicsModel, settings: FilterSettings | None = None) -> None:
-        self.model, self.settings = model, settings or FilterSettings()
-        actions = len(self.settings.action_low)
-        robot = robot_like(model.system)
-        if robot is None or not robot.in_batches or actions != 2:
-            raise InputError(
-                f"model: got a '{model.system.name}' and {actions} actions, wanted a car and 2; filter it one by one"
-            )
-        if model.timed:
+    state: Values
+    wish: Values
+    latent: Values | None
+    barriers: AbstractManyBarriers
+    margins: Mapping[str, Values]
+    affine: tuple[Values, Values] | None
+    backup: Callable[[int], Any] | None
+
+    def predictions(self, model: PhysicsModel | None, which: NDArray[np.intp]) -> AbstractManyPredictions:
+        """Of the robots of these indices."""
+        if model is None:
+            assert self.affine is not None
+            return AffinePredictions(self.state[which], *(part[which] for part in self.affine))
+        return ManyPredictions(model, self.state[which], None if self.latent is None else self.latent[which])
+
+
+@final
+class BatchFilter:
+    """``decide`` for robots that share a model and settings, with barriers of any kind.
+
+    In place of a model its system alone: then every ``decide`` brings what is predicted, as f + g a of each robot.
+    Raises InputError for a model of another robot, of more than two actions, or one that depends on the time.
+    """
+
+    def __init__(self, model: PhysicsModel | System, settings: FilterSettings | None = None) -> None:
+        self.settings = settings or FilterSettings()
+        self.model = model if isinstance(model, PhysicsModel) else None
+        self._system = model.system if isinstance(model, PhysicsModel) else model
+        check_settings(self.settings, self._system)
+        if not 1 <= len(self.settings.action_low) <= _ACTIONS:
+            raise InputError(f"model: got {len(self.settings.action_low)} actions, wanted 1 or 2; filter it one by one")
+        if self.model is not None and self.model.timed:
             raise InputError(
                 "model: depends on the time since the start, which a batch does not have; filter one by one"
             )
-        self._one = SafetyFilter.for_model(model, self.settings)
+        self._kinds = {*known_kinds(), "default", *self.settings.epsilon}
+        self._turn: tuple[_Asked, int] | None = None
+        self._one = self._filter_of_one()
+
+    def _filter_of_one(self) -> SafetyFilter:
+        if self.model is not None:
+            return SafetyFilter.for_model(self.model, self.settings, backup=self._backup_of_one)
+        system = self._system
+        believed = Plausible(system.state_low, system.state_high, system.state_names)
+        return SafetyFilter(self._affine_of_one, None, self.settings, backup=self._backup_of_one, state_range=believed)
+
+    def _affine_of_one(self, state: Values) -> tuple[Values, Values]:
+        """What is known of the robot whose turn it is: of its present state, and of no other."""
+        del state
+        assert self._turn is not None
+        asked, robot = self._turn
+        assert asked.affine is not None
+        return asked.affine[0][robot], asked.affine[1][robot]
+
+    def _backup_of_one(self, state: Values | None) -> Values:
+        """The backup of the robot whose turn it is; the resting action where none was given or its state is unknown."""
+        own = None if self._turn is None or state is None else self._turn[0].backup
+        return self.settings.resting_action if own is None or self._turn is None else np.asarray(own(self._turn[1]))
 
     def decide(
         self,
@@ -78,79 +128,103 @@ class BatchFilter:
         wish: ArrayLike,
         latent: ArrayLike | None = None,
         *,
-        obstacles: ArrayLike,
-        footprint: ArrayLike,
-        field: ArrayLike | None = None,
+        barriers: AbstractManyBarriers,
         epsilon: Mapping[str, Any] | None = None,
+        affine: tuple[Values, Values] | None = None,
+        backup: Callable[[int], Any] | None = None,
     ) -> ManyVerdicts:
-        """Verdicts for states (robots, 4), wishes (robots, 2), latents (robots, latents).
+        """Verdicts for states (robots, states), wishes (robots, actions), latents (robots, latents).
 
-        ``obstacles`` (robots, m, 3), padded far away where a robot has fewer; ``footprint`` (3,) or (robots, 3);
-        ``field`` (4,) or (robots, 4); ``epsilon`` by kind of barrier: a number, or (robots,). Numbers that cannot be
-        believed end in the fallback of their own robot; raises InputError for wrong shapes and scenes that are none.
+        ``barriers`` around as many robots; ``epsilon`` by kind of barrier: a number, or (robots,); ``affine`` f
+        (robots, states) and g (robots, states, actions) where there is no model; ``backup`` gives the action (actions,)
+        of a robot, by its index, without a decision. Numbers that cannot be believed end in the fallback of their own
+        robot; raises InputError for wrong shapes, and for barriers that read other states.
         """
-        states, wishes = np.asarray(state, dtype=np.float64), np.asarray(wish, dtype=np.float64)
-        robots = len(states)
-        latents = None if latent is None else np.asarray(latent, dtype=np.float64)
-        _check("state", states, (robots, 4))
-        _check("wish", wishes, (robots, 2))
-        if latents is not None:
-            _check("latent", latents, (robots, len(self.model.latent_names)))
-        scenes = ManyScenes.of(self.settings, robots, obstacles, footprint, field)
-        margins = {kind: np.broadcast_to(value, robots) for kind, value in (epsilon or {}).items()}
-        verdicts = self._blank(robots)
-        ordinary = np.flatnonzero(self._ordinary(states, wishes, latents, margins))
-        if len(ordinary):
-            known = None if latents is None else latents[ordinary]
-            own = {kind: value[ordinary] for kind, value in margins.items()}
+        asked = self._asked(
+            np.asarray(state, dtype=np.float64), _array(wish), _array(latent), barriers, epsilon, affine, backup
+        )
+        verdicts = self._blank(len(asked.state))
+        ordinary = np.flatnonzero(self._ordinary(asked))
+        if len(ordinary) and barriers.kinds:
             with np.errstate(all="ignore"):  # numbers beyond all bounds are left to the filter of one robot
-                self._together(
-                    verdicts, ordinary, states[ordinary], wishes[ordinary], known, scenes.only(ordinary), own
-                )
+                self._together(verdicts, ordinary, asked)
         for robot in np.flatnonzero(verdicts.alone).tolist():
-            self._alone(verdicts, robot, states, wishes, latents, scenes, margins)
+            self._alone(verdicts, robot, asked)
         return verdicts
+
+    def _asked(
+        self,
+        state: Values,
+        wish: Any,
+        latent: Values | None,
+        barriers: AbstractManyBarriers,
+        epsilon: Mapping[str, Any] | None,
+        affine: tuple[Values, Values] | None,
+        backup: Callable[[int], Any] | None,
+    ) -> _Asked:
+        """What came in, of the right shapes. Raises InputError for others."""
+        robots, names = len(state), self._system.state_names
+        actions = len(self.settings.action_low)
+        _check("state", state, (robots, len(names)))
+        _check("wish", wish, (robots, actions))
+        if latent is not None and self.model is not None:
+            _check("latent", latent, (robots, len(self.model.latent_names)))
+        if len(barriers) != robots:
+            raise InputError(f"barriers: got those of {len(barriers)} robots, wanted {robots}")
+        if barriers.reads and barriers.reads != names[: len(barriers.reads)]:
+            raise InputError(
+                f"barriers: got those of {', '.join(barriers.reads)}, the model's states are {', '.join(names)}"
+            )
+        if (self.model is None) == (affine is None):
+            raise InputError(
+                "affine: wanted f and g of each robot where the filter has no model, and nothing where it has"
+            )
+        margins = {kind: np.broadcast_to(value, robots) for kind, value in (epsilon or {}).items()}
+        if affine is not None:
+            _check("f", affine[0], state.shape)
+            _check("g", affine[1], (*state.shape, actions))
+        return _Asked(state, wish, latent, barriers, margins, affine, backup)
 
     def _blank(self, robots: int) -> ManyVerdicts:
         slack, h_now, h_next = np.zeros((3, robots))
         status, alone = np.zeros(robots, dtype=np.int8), np.ones(robots, dtype=bool)
-        return ManyVerdicts(np.zeros((robots, 2)), status, slack, h_now, h_next, alone)
+        return ManyVerdicts(np.zeros((robots, len(self.settings.action_low))), status, slack, h_now, h_next, alone)
 
-    def _ordinary(self, state: Values, wish: Values, latent: Values | None, margins: Mapping[str, Values]) -> Flags:
+    def _ordinary(self, asked: _Asked) -> Flags:
         """Robots (robots,) whose inputs the filter of one robot would believe."""
         tools = self._one.tools
-        believed = np.full(len(state), self.settings.enabled)
-        for numbers, plausible in ((state, tools.state_range), (wish, tools.wish_range), (latent, tools.latent_range)):
+        believed = np.full(len(asked.state), self.settings.enabled)
+        pairs = (asked.state, tools.state_range), (asked.wish, tools.wish_range), (asked.latent, tools.latent_range)
+        for numbers, plausible in pairs:
             if numbers is not None:
                 believed &= _within(numbers, plausible)
             elif plausible is not None and len(plausible.names) > 0:
                 believed[:] = False
-        for value in margins.values():
-            believed &= np.isfinite(value) & (value >= 0.0)
+        for kind, value in asked.margins.items():  # a margin for what no barrier is would be no margin
+            usual = kind in self._kinds or kind in asked.barriers.kinds
+            believed &= usual and value.dtype.kind in "iuf" and np.isfinite(value) & (value >= 0.0)
         return believed
 
-    def _together(
-        self,
-        verdicts: ManyVerdicts,
-        which: NDArray[np.intp],
-        state: Values,
-        wish: Values,
-        latent: Values | None,
-        scenes: ManyScenes,
-        margins: Mapping[str, Values],
-    ) -> None:
+    def _together(self, verdicts: ManyVerdicts, which: NDArray[np.intp], asked: _Asked) -> None:
         """The verdicts of robots whose conditions can be kept; the others stay alone."""
-        settings = self.settings
-        h_now = scenes.values(state)
-        epsilon = self._epsilon(scenes, len(state), margins)
-        required, scale = (1.0 - settings.eta) * h_now + epsilon, np.maximum(np.abs(h_now), epsilon)
-        conditions = ManyConditions(settings, scenes, ManyPredictions(self.model, state, latent), required, scale)
+        settings, wish = self.settings, asked.wish[which]
+        barriers = asked.barriers if len(which) == len(asked.wish) else asked.barriers.only(which)
+        predictions = asked.predictions(self.model, which)
+        margins = {kind: value[which] for kind, value in asked.margins.items()}
+        state = predictions.state
+        h_now = barriers.values(state)
+        epsilon = self._epsilon(barriers, len(state), margins)
+        share = np.where(barriers.at_once or (False,), 0.0, 1.0 - settings.eta)  # of each row, or of all
+        required, scale = share * h_now + epsilon, np.maximum(np.abs(h_now), epsilon)
+        straight = np.zeros(len(state), dtype=bool)
+        conditions = ManyConditions(settings, barriers, predictions, required, scale, straight)
         within = np.minimum(np.maximum(wish, settings.low), settings.high)
         outcome = conditions.outcome(np.where(within == wish, wish, within))
         safe = (h_now >= 0.0).all(axis=1)
         kept = safe & conditions.kept(outcome)
         status = np.where((within == wish).all(axis=1), STATUSES.index(Status.passed), STATUSES.index(Status.corrected))
-        known = np.isfinite(h_now).all(axis=1) & np.isfinite(outcome.h_next).all(axis=1)
+        numbers = h_now, outcome.h_next, outcome.next_state
+        known = np.logical_and.reduce([np.isfinite(table).all(axis=1) for table in numbers])
         wrong = np.flatnonzero(known & safe & ~kept)
         if len(wrong):
             own = conditions.only(wrong)
@@ -177,25 +251,21 @@ class BatchFilter:
         verdicts.h_next[robots] = outcome.h_next.min(axis=1)[answered]
         verdicts.alone[robots] = False
 
-    def _epsilon(self, scenes: ManyScenes, robots: int, margins: Mapping[str, Values]) -> Values:
+    def _epsilon(self, barriers: AbstractManyBarriers, robots: int, margins: Mapping[str, Values]) -> Values:
         """(robots, rows)."""
         table: dict[str, Any] = {**self.settings.epsilon, **margins}
         otherwise = table.get("default", 0.0)
-        return np.stack([np.broadcast_to(table.get(kind, otherwise), robots) for kind in scenes.kinds], axis=1)
+        return np.stack([np.broadcast_to(table.get(kind, otherwise), robots) for kind in barriers.kinds], axis=1)
 
-    def _alone(
-        self,
-        verdicts: ManyVerdicts,
-        robot: int,
-        state: Values,
-        wish: Values,
-        latent: Values | None,
-        scenes: ManyScenes,
-        margins: Mapping[str, Values],
-    ) -> None:
-        own = None if latent is None else latent[robot]
-        epsilon = {kind: float(value[robot]) for kind, value in margins.items()}
-        found = self._one.decide(state[robot], wish[robot], own, barriers=scenes.one(robot), epsilon=epsilon)
+    def _alone(self, verdicts: ManyVerdicts, robot: int, asked: _Asked) -> None:
+        own = None if asked.latent is None else asked.latent[robot]
+        epsilon = {kind: value[robot].item() for kind, value in asked.margins.items()}
+        around = asked.barriers.one(robot)
+        self._turn = asked, robot
+        try:
+            found = self._one.decide(asked.state[robot], asked.wish[robot], own, barriers=around, epsilon=epsilon)
+        finally:
+            self._turn = None
         verdicts.action[robot], verdicts.status[robot] = found.action, STATUSES.index(found.status)
         verdicts.slack[robot], verdicts.h_now[robot], verdicts.h_next[robot] = found.slack, found.h_now, found.h_next
 
@@ -206,6 +276,10 @@ def _within(numbers: Values, plausible: Plausible | None) -> Flags:
     if plausible is not None and len(plausible.names) > 0:
         believed &= (numbers >= plausible.low) & (numbers <= plausible.high)
     return np.asarray(believed.all(axis=1))
+
+
+def _array(numbers: ArrayLike | None) -> Any:
+    return None if numbers is None else np.asarray(numbers, dtype=np.float64)
 
 
 def _check(what: str, numbers: Values, shape: tuple[int, ...]) -> None:

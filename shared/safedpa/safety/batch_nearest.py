@@ -1,4 +1,4 @@
-"""``nearest_kept`` for many robots at once: the same conditions taken in in the same order, the same certainty."""
+"""``NearestKept`` for many robots at once: the same conditions taken in in the same order, the same certainty."""
 
 from __future__ import annotations
 

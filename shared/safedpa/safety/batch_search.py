@@ -8,15 +8,16 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
-from safedpa.safety.batch_barriers import ManyScenes
 from safedpa.safety.batch_nearest import nearest_kept_by_many
 from safedpa.safety.conditions import NO_INFLUENCE, ROUNDING
+from safedpa.safety.many_barriers import AbstractManyBarriers
+from safedpa.safety.many_predictions import AbstractManyPredictions
+from safedpa.safety.retreat import STEP
 from safedpa.safety.search import DOUBTFUL, FAR, NEEDLESS, SERVED_WELL, overshot
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.tangent import MARK
 
-__all__ = ["ManyConditions", "ManyOutcomes", "ManyPredictions", "search_by_many"]
+__all__ = ["ManyConditions", "ManyOutcomes", "search_by_many"]
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -26,42 +27,9 @@ _TINY = 1e-300
 
 
 @final
-class ManyPredictions:
-    """x[t+1] = f + g a at the states (robots, 4) of a moment: networks are asked once, physics for every action."""
-
-    def __init__(self, model: AbstractDynamics, state: Values, latent: Values | None) -> None:
-        self._model, self.state, self._latent = model, state, latent
-        self._affine: tuple[Values, Values] | None = None
-        if isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase) and not model.effects:
-            known = np.zeros((len(state), 0)) if latent is None else latent
-            f, g = model.base.networks.increment(state, known)
-            self._affine = state + f, g
-
-    def only(self, which: Indices) -> ManyPredictions:
-        """Those of the robots of these indices."""
-        some = object.__new__(ManyPredictions)
-        some._model, some.state = self._model, self.state[which]
-        some._latent = None if self._latent is None else self._latent[which]
-        some._affine = None if self._affine is None else (self._affine[0][which], self._affine[1][which])
-        return some
-
-    def next_state(self, action: Values) -> Values:
-        """(robots, 4) under ``action`` (robots, 2)."""
-        if self._affine is not None:
-            return np.asarray(self._affine[0] + (self._affine[1] @ action[:, :, np.newaxis])[..., 0])
-        return np.asarray(self._model.step(self.state, action, self._latent))
-
-    def slopes(self, around: Values) -> Values:
-        """g (robots, 4, 2) about ``around`` (robots, 2)."""
-        if self._affine is not None:
-            return self._affine[1].copy()
-        return np.array(self._model.affine(self.state, self._latent, around=around)[1])
-
-
-@final
 @dataclass(frozen=True, eq=False)
 class ManyOutcomes:
-    """What the model predicts for one action (robots, 2) each; see ``Outcome``."""
+    """What the model predicts for one action (robots, actions) each; see ``Outcome``."""
 
     action: Values
     next_state: Values
@@ -87,21 +55,24 @@ class ManyConditions:
     """h_i(x[t+1]) >= required_i for every robot, with its barriers and its prediction."""
 
     settings: FilterSettings
-    scenes: ManyScenes
-    predictions: ManyPredictions
+    barriers: AbstractManyBarriers
+    predictions: AbstractManyPredictions
     required: Values
     """(robots, rows)."""
     scale: Values
     """(robots, rows), grows with every tangent."""
+    saturated: Flags
+    """(robots,) whether some slope was that of a chord, since the actuator saturates there."""
 
     def only(self, which: Indices) -> ManyConditions:
         """Those of the robots of these indices."""
         return ManyConditions(
             self.settings,
-            self.scenes.only(which),
+            self.barriers.only(which),
             self.predictions.only(which),
             self.required[which],
             self.scale[which],
+            self.saturated[which],
         )
 
     def tightest(self, found: ManyOutcomes) -> Values:
@@ -109,28 +80,34 @@ class ManyConditions:
         return np.asarray((found.residual / np.maximum(self.scale, _TINY)).min(axis=1))
 
     def distance(self, one: Values, other: Values) -> Values:
-        """(robots,) between actions (robots, 2), as ``QuadraticProgram.distance``."""
+        """(robots,) between actions (robots, actions), as ``QuadraticProgram.distance``."""
         weights = self.settings.weight_vector
         share = (one - other) / (self.settings.high - self.settings.low)
         return np.asarray(share**2 @ (weights / weights.max()))
 
     def kept(self, found: ManyOutcomes) -> Flags:
-        """(robots,) whether every condition holds, and every h is 0 or more."""
-        return np.asarray(((found.residual >= -ROUNDING * self.scale) & (found.h_next >= 0.0)).all(axis=1))
+        """(robots,) whether every condition holds, and every h is 0 or more, of what was foretold in finite numbers."""
+        rows = (found.residual >= -ROUNDING * self.scale) & (found.h_next >= 0.0) & np.isfinite(found.h_next)
+        return np.asarray(rows.all(axis=1) & np.isfinite(found.next_state).all(axis=1))
 
     def outcome(self, action: Values) -> ManyOutcomes:
-        """What ``action`` (robots, 2) leads to."""
+        """What ``action`` (robots, actions) leads to."""
         following = self.predictions.next_state(action)
-        h_next = self.scenes.values(following)
+        h_next = self.barriers.values(following)
         return ManyOutcomes(action, following, h_next, h_next - self.required)
 
     def slopes(self, about: ManyOutcomes, last: Values) -> Values:
-        """A (robots, rows, 2) of the conditions tangent at ``about``; ``last`` (robots, 4, 2) are the slopes of the
-        model that were used before, NaN where there are none, and become those that are used now."""
+        """A (robots, rows, actions) of the conditions tangent at ``about``.
+
+        ``last`` (robots, states, actions) are the slopes of the model that were used before, NaN where there are none,
+        and become those that are used now.
+        """
         g = self.predictions.slopes(about.action)
         reached, width = about.next_state, self.settings.high - self.settings.low
         noise = NO_INFLUENCE * np.maximum(np.abs(reached), np.abs(reached - self.predictions.state))
         silent = np.asarray((np.abs(g) * width <= noise[:, :, np.newaxis]).all(axis=1))
+        if not self.predictions.affine:
+            np.logical_or(self.saturated, silent.any(axis=1), out=self.saturated)
         for index in range(g.shape[2]):
             rows = np.flatnonzero(silent[:, index])
             if len(rows):
@@ -139,12 +116,12 @@ class ManyConditions:
                 fresh = rows[~known]
                 g[fresh, :, index] = self.only(fresh)._chords(about.only(fresh), index)
         last[:] = g
-        slopes = np.asarray(self.scenes.gradient(about.next_state) @ g)
+        slopes = self.barriers.along(about.next_state, g, width)
         np.maximum(self.scale, np.abs(slopes) @ width, out=self.scale)
         return slopes
 
     def _chords(self, about: ManyOutcomes, index: int) -> Values:
-        """(robots, 4) in place of a slope that vanishes: to the bound of the action that is further away."""
+        """(robots, states) in place of a slope that vanishes: to the bound of the action that is further away."""
         low, high = self.settings.low[index], self.settings.high[index]
         value, other = about.action[:, index], about.action.copy()
         other[:, index] = np.where(value - low > high - value, low, high)
@@ -158,7 +135,7 @@ def search_by_many(conditions: ManyConditions, wish: Values, start: ManyOutcomes
     the filter of one robot has to answer these.
     """
     settings, robots = conditions.settings, len(wish)
-    last = np.full((robots, 4, 2), np.nan)
+    last = np.full((*start.next_state.shape, wish.shape[1]), np.nan)
     A = conditions.slopes(start, last)
     about, before = start.only(np.arange(robots)), start.only(np.arange(robots))
     certain, plain = np.ones(robots, dtype=bool), np.zeros(robots, dtype=bool)
@@ -191,16 +168,33 @@ def _as_it_is(
 ) -> Flags:
     """(robots,) where ``search`` takes a solution that keeps all conditions without looking any further."""
     far = FAR * FAR
-    doubtful = (tightest > DOUBTFUL) & (conditions.distance(found.action, wish) > far)
+    doubtful = ((tightest > DOUBTFUL) | conditions.saturated) & (conditions.distance(found.action, wish) > far)
     moved = (conditions.distance(found.action, before.action) > far) & (index > 0)
-    return np.asarray((tightest <= NEEDLESS) & ~doubtful & ~moved)
+    return np.asarray((tightest <= NEEDLESS) & ~doubtful & ~moved & ~_retreating(conditions, wish, found))
+
+
+def _retreating(conditions: ManyConditions, wish: Values, found: ManyOutcomes) -> Flags:
+    """(robots,) where an entry of the solution is brought back towards the wish; see ``retreated``."""
+    low, high = conditions.settings.low, conditions.settings.high
+    away = np.clip(wish, low, high) - found.action
+    step = STEP * (high - low)
+    back = np.zeros(len(wish), dtype=bool)
+    for entry in range(wish.shape[1]):
+        far = np.flatnonzero(np.abs(away[:, entry]) > step[entry])
+        if len(far) == 0:
+            continue
+        nearer = found.action[far]
+        nearer[:, entry] += np.copysign(step[entry], away[far, entry])
+        own = conditions.only(far)
+        back[far] |= own.kept(own.outcome(nearer))
+    return back
 
 
 def _draw(conditions: ManyConditions, A: Values, which: Indices, about: ManyOutcomes, last: Values) -> None:
     """New slopes for the robots of these indices."""
     some, known = conditions.only(which), last[which]
     A[which] = some.slopes(about.only(which), known)
-    last[which], conditions.scale[which] = known, some.scale
+    last[which], conditions.scale[which], conditions.saturated[which] = known, some.scale, some.saturated
 
 
 def _posed(
@@ -221,11 +215,19 @@ def _posed(
     moved = reach > 0.0
     safe = np.where(moved, reach, 1.0)
     box = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    rows = _in_the_plane(A * width / safe[..., np.newaxis])
     robots = len(wish)
-    slopes = np.concatenate([A * width / safe[..., np.newaxis], np.broadcast_to(box, (robots, 4, 2))], axis=1)
+    slopes = np.concatenate([rows, np.broadcast_to(box, (robots, 4, 2))], axis=1)
     own = np.where(moved, limits / safe, -np.inf)  # a row that no action changes is none of the program's
     limits = np.concatenate([own, np.broadcast_to([0.0, -1.0, 0.0, -1.0], (robots, 4))], axis=1)
-    scaled = (wish - low) / width
-    point, certain = nearest_kept_by_many(slopes, limits, scaled, settings.weight_vector)
-    action = np.clip(low + width * np.where(certain[:, np.newaxis], point, 0.0), low, settings.high)
+    scaled, weights = _in_the_plane((wish - low) / width), np.resize(settings.weight_vector, 2)
+    point, certain = nearest_kept_by_many(slopes, limits, scaled, weights)
+    own = point[:, : len(low)]
+    action = np.clip(low + width * np.where(certain[:, np.newaxis], own, 0.0), low, settings.high)
     return conditions.outcome(action), certain
+
+
+def _in_the_plane(numbers: Values) -> Values:
+    """(..., 2) of numbers of two actions, or of one beside a second one that nothing depends on."""
+    missing = 2 - numbers.shape[-1]
+    return numbers if not missing else np.concatenate([numbers, np.zeros_like(numbers)], axis=-1)

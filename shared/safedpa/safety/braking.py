@@ -1,4 +1,4 @@
-"""How far a robot still moves when it brakes: the stretch that obstacle and field barriers look ahead."""
+"""How far a robot still moves when it brakes: the stretch that barriers of obstacles and walls look ahead."""
 
 from __future__ import annotations
 
@@ -7,8 +7,16 @@ from math import isfinite
 from typing import final
 
 from safedpa.errors import InputError
+from safedpa.operations import FLOATS, Operations, Scalar
 
-__all__ = ["Braking"]
+__all__ = ["Braking", "stopping_distance"]
+
+
+def stopping_distance(speed: Scalar, deceleration: Scalar, gain: Scalar, operations: Operations) -> Scalar:
+    """The signed stopping distance D [m] at ``speed`` [m/s]; see ``Braking``."""
+    corner, size = deceleration / gain, operations.absolute(speed)
+    far = corner / gain + (size * size - corner * corner) / (2.0 * deceleration)
+    return operations.where(size <= corner, speed / gain, operations.where(speed > 0.0, far, -far))
 
 
 @final
@@ -35,14 +43,4 @@ class Braking:
 
     def distance(self, speed: float) -> float:
         """D(speed) [m], with the sign of ``speed`` [m/s]."""
-        size = abs(speed)
-        corner = self.deceleration / self.gain
-        if size <= corner:
-            return speed / self.gain
-        size = corner / self.gain + (size * size - corner * corner) / (2.0 * self.deceleration)
-        return size if speed > 0.0 else -size
-
-    def slope(self, speed: float) -> float:
-        """d(D)/d(speed) [s] = max(1 / k, |speed| / b)."""
-        slow, quick = 1.0 / self.gain, abs(speed) / self.deceleration
-        return quick if quick > slow else slow
+        return float(stopping_distance(speed, self.deceleration, self.gain, FLOATS))

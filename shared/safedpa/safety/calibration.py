@@ -205,7 +205,7 @@ def one_step_errors(
         for part in barriers(row) if callable(barriers) else barriers:
             worst = (part.values(expected) - part.values(following[row])).max(initial=-np.inf)
             kept = errors.setdefault(part.kind, np.full(len(x), -np.inf))
-            kept[row] = max(kept[row], worst)
+            kept[row] = np.maximum(kept[row], worst)  # max() would lose a NaN
     if not errors:
         raise InputError("barriers: got none, wanted at least one")
     return {kind: np.where(np.isneginf(values), 0.0, values) for kind, values in errors.items()}

@@ -32,7 +32,7 @@ def condition_issues(checked: Checked, probes: list[Probe]) -> list[FilterIssue]
     missed: dict[int, tuple[float, str]] = {}
     for row in range(len(names)):
         broken = [probe for probe in probes if probe.inside and (probe.residuals[:, row] < 0.0).any()]
-        judged = [*[probe for probe in broken if not probe.kept], *broken][:_MOST_JUDGED]
+        judged = sorted(broken, key=lambda probe: probe.kept)[:_MOST_JUDGED]
         orders = [_order(checked, probe.state, row) for probe in judged]
         cases = [probe for probe in stuck if probe.residuals[:, row].max() < 0.0]
         if orders and min(orders) > _HIGHER:

@@ -16,10 +16,11 @@ from typing import Any, Final, final
 from safedpa.errors import InputError
 from safedpa.safety.affine_motion import AffineMotion
 from safedpa.safety.barrier import AbstractStack
+from safedpa.safety.not_finite import NotFiniteError
 from safedpa.safety.on_its_way import Along, Pending
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import Side
-from safedpa.safety.tangent import NotFiniteError, Tangent
+from safedpa.safety.tangent import Tangent
 
 __all__ = ["NO_INFLUENCE", "ROUNDING", "Conditions", "Outcome", "Plain"]
 
@@ -72,7 +73,8 @@ class Outcome:
 
 @final
 class Conditions:
-    """h_i(x[t+1]) >= (1 - eta) h_i(x[t]) + epsilon_i for every barrier i, at one state and latent.
+    """h_i(x[t+1]) >= (1 - eta) h_i(x[t]) + epsilon_i for every barrier i, at one state and latent; eta = 1 for those
+    that may be used up ``at_once``.
 
     ``sides`` (actions,) are lowest value, highest value and range of each action.
 
@@ -93,9 +95,8 @@ class Conditions:
         self.barriers, self._prediction = barriers, prediction
         plain = barriers.since(state).plain(len(state))
         self._plain: Any = plain
-        self._state, self._latent = state, latent
+        self._state, self._latent, self._sides = state, latent, sides
         self._memory = memory.memory if isinstance(memory, Pending) else memory
-        self._sides = sides
         self._widths: list[float] = [width for _, _, width in sides]
         h_now: list[float] = plain.heights(state)
         self.h_now = h_now
@@ -118,7 +119,7 @@ class Conditions:
         self.h_begin = h_now
         """(rows,) h where the action begins to act; several times the barriers where it is judged in several states."""
         self._motion: AffineMotion | None = prediction.affine_motion(self._state, latent) if prediction.affine else None
-        share = 1.0 - eta
+        share, at_once = 1.0 - eta, barriers.at_once
         if len(epsilon) != len(h_now):
             raise ValueError(f"{len(epsilon)} margins for {len(h_now)} barriers")
         required: list[float] = []
@@ -126,7 +127,7 @@ class Conditions:
         for index in range(len(h_now)):
             margin: float = epsilon[index]
             height = h_now[index]
-            required.append(share * height + margin)
+            required.append(margin if at_once[index % len(at_once)] else share * height + margin)
             if height < 0.0:
                 height = -height
             scales.append(height if height > margin else margin if margin > _TINY else _TINY)
@@ -135,6 +136,8 @@ class Conditions:
         """(m,) max(|h_i(x)|, epsilon_i)."""
         self.scales = scales
         """(m,) in the unit of each h; of what the actions can change as far as tangents were drawn."""
+        self.affine: bool = prediction.affine
+        """Whether the predicted state is affine in the action, which then saturates nowhere."""
         self.saturated: bool = False
         """Whether a tangent was drawn where an actuator saturates."""
         self._last_g: list[list[float]] | None = None

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from safedpa.equations import Given
 from safedpa.errors import InputError
-from safedpa.safety.barrier import AbstractBarrier
+from safedpa.operations import Operations, Scalar
+from safedpa.safety.equation_barrier import AbstractEquationBarrier
 
 __all__ = ["CorridorBarrier"]
 
-Values = NDArray[np.float64]
-
 
 @final
-class CorridorBarrier(AbstractBarrier):
+class CorridorBarrier(AbstractEquationBarrier):
     """h = (s - low, high - s), s = x_a + time x_r: where the angle is ``time`` [s] ahead, at its rate of now.
 
     The set {h >= 0, low <= x_a <= high} is invariant where h >= 0 is kept: d(x_a)/dt = (s - x_a) / time, so the angle
@@ -30,6 +28,7 @@ class CorridorBarrier(AbstractBarrier):
     """
 
     kind = "corridor"
+    numbers = 2
 
     def __init__(
         self,
@@ -48,15 +47,14 @@ class CorridorBarrier(AbstractBarrier):
         prefix = f"{name} " if name else ""
         self.names = (f"{prefix}lower edge", f"{prefix}upper edge")
         self.low, self.high, self.time = float(low), float(high), float(time)
-        self._angle, self._rate = 0 if angle is None else angle, 1 if rate is None else rate
+        self.shared, self.each = (self.time,), ((self.low, self.high),)
+        self.form = (0 if angle is None else angle, 1 if rate is None else rate)
         self.reads = ("angle", "rate") if angle is None and rate is None else ()
 
-    def values(self, state: Values) -> Values:  # noqa: D102
-        ahead = float(state[self._angle]) + self.time * float(state[self._rate])
-        return np.array((ahead - self.low, self.high - ahead))
-
-    def evaluate(self, state: Values) -> tuple[Values, Values]:  # noqa: D102
-        gradient = np.zeros((2, len(state)))
-        gradient[:, self._angle] = 1.0, -1.0
-        gradient[:, self._rate] = self.time, -self.time
-        return self.values(state), gradient
+    @staticmethod
+    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """How far s lies within both edges."""
+        low, high = given.each
+        angle, rate = given.form
+        ahead = given.state[angle] + given.shared[0] * given.state[rate]
+        return ahead - low, high - ahead

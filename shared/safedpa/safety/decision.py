@@ -11,20 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.car_stack import Stacks
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
 from safedpa.safety.inputs import Plausible, Unusable, checked_input, checked_names
-from safedpa.safety.lattice import lattice
+from safedpa.safety.lattice import NEARBY, around, lattice
 from safedpa.safety.least_unsafe import least_unsafe
 from safedpa.safety.margins_in_force import Margins
 from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.prediction import Prediction
 from safedpa.safety.program_rows import within
 from safedpa.safety.quadratic_program import QuadraticProgram
+from safedpa.safety.retreat import retreated
 from safedpa.safety.search import DecisionError, towards
 from safedpa.safety.search import search as _search
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.stacks import Stacks
 from safedpa.safety.verdict import Status, Verdict
 
 __all__ = ["Backup", "Decision", "Request", "Tools"]
@@ -182,17 +183,31 @@ class Decision:
         program, rounds = self._tools.program, self._tools.settings.relinearisations + 1
         found, solver = search(conditions, program, wish, asked, rounds)
         if found.kept:
-            return self._verdict(Status.corrected, found, "", solver)
+            return self._kept(conditions, wish, found, "", solver)
         backup = conditions.outcome(self._backup_action())
         spread = self._spread(conditions)
         other, solver = self._from_elsewhere(conditions, wish, asked, [backup, *spread])
         if other.kept:
-            return self._verdict(Status.corrected, other, "Found from another start than the wish.", solver)
-        best, said = self._least_unsafe(conditions, backup, [asked, found, other, *spread])
+            return self._kept(conditions, wish, other, "Found from another start than the wish.", solver)
+        nearby = self._nearby(conditions, [backup, found, other, *spread])
+        if nearby.kept:
+            other, solver = self._from_elsewhere(conditions, wish, asked, [nearby])
+            return self._kept(conditions, wish, other, "Found beside the least broken of many actions.", solver)
+        best, said = self._least_unsafe(conditions, backup, [asked, found, other, nearby, *spread])
         if best.kept:
             other, solver = self._from_elsewhere(conditions, wish, asked, [best])
-            return self._verdict(Status.corrected, other, "Found among the least unsafe actions.", solver)
+            return self._kept(conditions, wish, other, "Found among the least unsafe actions.", solver)
         return self._verdict(Status.relaxed, best, f"{self._worst(conditions, best)}{said}", solver)
+
+    def _kept(self, conditions: Conditions, wish: Action, found: Outcome, reason: str, solver: str) -> Verdict:
+        """Corrected to what was found, with no entry that might be a step nearer by itself; once posed from there."""
+        program = self._tools.program
+        back = retreated(conditions, program.sides, wish, found)
+        if back is not found:
+            again, _ = search(conditions, program, wish, back, 1)
+            nearer = again.kept and program.distance(again.action, wish) < program.distance(back.action, wish)
+            found = again if nearer else back
+        return self._verdict(Status.corrected, found, reason, solver)
 
     def _from_elsewhere(
         self, conditions: Conditions, wish: Action, asked: Outcome, known: Sequence[Outcome]
@@ -210,6 +225,25 @@ class Decision:
                 if one.kept and program.distance(one.action, wish) < program.distance(best.action, wish):
                     best, status = one, solver
         return best, status
+
+    def _nearby(self, conditions: Conditions, known: Sequence[Outcome]) -> Outcome:
+        """The least broken that is found by moving the least broken of ``known`` one entry at a time, less and less.
+
+        Where h bends, as at a standstill, no tangent tells what the other side is like.
+        """
+        sides = self._tools.program.sides
+        best = max([one for one in known if one.usable] or known, key=conditions.tightest)
+        most = conditions.tightest(best)
+        for share in NEARBY:
+            if best.kept:
+                break
+            for tried in [conditions.outcome(one) for one in around(sides, best.action, share)]:
+                if tried.usable and conditions.tightest(tried) > most:
+                    best, most = tried, conditions.tightest(tried)
+        if best.kept:
+            return best
+        found, _ = search(conditions, self._tools.program, best.action, best, 2)
+        return found
 
     def _violated(self, conditions: Conditions, asked: Outcome) -> Verdict:
         backup = conditions.outcome(self._backup_action())

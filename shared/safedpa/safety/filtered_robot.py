@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.bus import LATENT, Inputs, LatentMessage, StateMessage
+from safedpa.bus import LATENT, Inputs, LatentMessage, Stale, StateMessage, SurroundingsMessage
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.straight import StraightStep
 from safedpa.errors import InputError
@@ -19,12 +19,14 @@ from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.ceiling import Ceiling
 from safedpa.safety.found_delay import MOST, FoundDelay
 from safedpa.safety.held_model import HeldModel
+from safedpa.safety.inputs import Unusable, checked_input
 from safedpa.safety.margin_change import PhasedMargin
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import AbstractScene
 from safedpa.safety.scenes import scene_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.safety.standstill import Standstill, places_of
+from safedpa.safety.surroundings_ahead import moved_on
 from safedpa.safety.trail import LONGEST_AGE, Trail
 from safedpa.safety.verdict import Status, Verdict
 from safedpa.safety.watched_margin import WatchedMargin
@@ -41,6 +43,8 @@ _PATH_STEPS, _PATH_EVERY = 8, 4
 """The path is for those who look on, and five times a second is enough for them: told with every fourth tick, it costs
 a fleet a tenth less. The next state, which the watch over the margin needs, is told with every tick."""
 NO_BARRIERS = Barriers(())
+_EARLY, _OLD = -1e-6, 1.0
+"""s that a source's newest scan may be old, whatever perception allows: rounding, and as long as a latent."""
 
 
 class Decided(NamedTuple):
@@ -63,11 +67,9 @@ def _late(state: StateMessage, known: LatentMessage) -> bool:
 
 
 def _same_scene(one: StateMessage, other: StateMessage) -> bool:
-    return (one.obstacles, one.field, one.footprint, one.corridor) == (
-        other.obstacles,
-        other.field,
-        other.footprint,
-        other.corridor,
+    return not (one.sources or other.sources) and (
+        (one.obstacles, one.field, one.footprint, one.corridor, one.towed)
+        == (other.obstacles, other.field, other.footprint, other.corridor, other.towed)
     )
 
 
@@ -123,6 +125,8 @@ class FilteredRobot:
     """s from the newest state until its action acts: what the robot tells, or what was found where that is longer."""
     standing: Standstill = field(init=False)
     """How long it has stood, and whether an action failed to move it."""
+    sensed: tuple[int, frozenset[str]] = (-1, frozenset())
+    """Epoch, and the sources that were named in it."""
     way_out: WayOut = field(init=False)
 
     def __post_init__(self) -> None:
@@ -162,10 +166,64 @@ class FilteredRobot:
         """What a state tells before anything else is known."""
         self.model.clock.seconds = state.robot_time
         self.remember_actuators(state)
-        self.barriers = self.scene.of(state)
-        self.watch_margin(state)
+        self.scene.follow(state)
+        lost = self._lost(state)
+        if state.sources or lost:
+            self.barriers = lost or "surroundings (none has arrived)"
+        else:
+            self.barriers = self.scene.of(state)
+        if not state.sources:
+            self.watch_margin(state)
         self.standing.measure(state.values, state.period)
         self.prepared = (state.epoch, state.tick)
+
+    def see(self, state: StateMessage, seen: SurroundingsMessage | Stale) -> None:
+        """What is around a robot that names sources. What is amiss with one of them is told, and the backup acts."""
+        old = [age for age in seen.ages if not _EARLY <= age <= _OLD] if isinstance(seen, SurroundingsMessage) else []
+        if lost := self._lost(state):
+            self.barriers = lost
+        elif isinstance(seen, Stale):
+            self.barriers = f"surroundings ({seen.sentence})"
+        elif seen.amiss:
+            self.barriers = f"surroundings ({'; '.join(seen.amiss)})"
+        elif len(seen.ages) != len(state.sources):
+            self.barriers = f"surroundings (got the ages of {len(seen.ages)} sources, wanted {len(state.sources)})"
+        elif (seen.epoch, seen.tick) != (state.epoch, state.tick):
+            self.barriers = f"surroundings (of tick {seen.tick} of another moment, wanted tick {state.tick})"
+        elif old:
+            self.barriers = f"surroundings (a source is {old[0]:.2f} s old, wanted 0 to {_OLD:g} s)"
+        else:
+            self._look_around(state, seen)
+            return
+        self.watch_margin(state)
+
+    def _look_around(self, state: StateMessage, seen: SurroundingsMessage) -> None:
+        """The barriers of what is seen; once more where the margin widens by this very state, since more is near then.
+
+        Five misses together widen it at once by any factor.
+        """
+        late = self.until_action + self._dead_time()
+        ahead, before = moved_on(seen, late), self.margin.epsilon
+        self.barriers = self.scene.around(state, ahead, before, late)
+        self.watch_margin(state)
+        now = self.margin.epsilon
+        if any(now[kind] > before.get(kind, 0.0) for kind in now):
+            self.barriers = self.scene.around(state, ahead, now, late)
+
+    def _dead_time(self) -> float:
+        """s from where an action is put in force until it acts, by the model at the last latent."""
+        known = None if self.latent is None else self.latent.values
+        try:
+            return self.filter.tools.prediction.dead_time(known)
+        except (InputError, ValueError, ArithmeticError):  # the model refuses a number: the decision says so
+            return 0.0
+
+    def _lost(self, state: StateMessage) -> str:
+        """Whether a robot that named sources names them no longer: what they saw is there all the same."""
+        epoch, named = self.sensed
+        gone = named - set(state.sources) if epoch == state.epoch else frozenset()
+        self.sensed = state.epoch, frozenset(state.sources) | gone
+        return f"surroundings (the sources {', '.join(sorted(gone))} are no longer named)" if gone else ""
 
     def watch_margin(self, state: StateMessage) -> None:
         """Holds the last prediction against the measured state, and lets a new model's margin rise."""
@@ -183,7 +241,10 @@ class FilteredRobot:
     def foresee(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Rows:
         """``predicted``, kept for the next tick."""
         self.model.clock.seconds = state.robot_time  # in between, another robot may have asked
-        predicted, self.expected_memory = self.predicted(state, verdict, latent)
+        try:
+            predicted, self.expected_memory = self.predicted(state, verdict, latent)
+        except (InputError, ValueError, ArithmeticError):  # the model refuses a number: nothing is foreseen
+            predicted, self.expected_memory = (), None
         self._watch_delay(state, latent)
         if self.pending:
             self.trail.decided(None if latent is None else tuple(latent.tolist()))
@@ -215,13 +276,15 @@ class FilteredRobot:
         if known is None or known.epoch != state.epoch or _late(state, known):
             return None, ["the latent (none of the last second has arrived)"]
         latent = np.array(known.values)
-        self.scene.learn(latent)
+        if not isinstance(checked_input("latent", latent, self.filter.tools.latent_range), Unusable):
+            self.scene.learn(latent)  # what the filter refuses teaches the backup nothing either
         return latent, []
 
     def remember_way(self, former: FilteredRobot | None) -> None:
         """How far the robot was driven backwards, and what was sent, do not depend on who held the model until now."""
         self.former = None if former is None else former.trail
         if former is not None:
+            self.sensed = former.sensed
             self.scene.remember(former.scene)
 
     def remember_actuators(self, state: StateMessage) -> None:
@@ -304,19 +367,26 @@ class FilteredRobot:
     def out_of_the_layer(self, state: StateMessage, verdict: Verdict, latent: Values | None) -> Verdict:
         """Where no action keeps every condition: what leads out of the margin's layer (``WayOut``), if anything does.
 
-        Nothing where the action begins to act later: what the next ticks bring says nothing of it then.
+        Judged from where the action begins to act. Nothing where it is felt over more periods than one: what the next
+        ticks bring says nothing of it then.
         """
         barriers, known = self.barriers, None if latent is None else tuple(latent.tolist())
         prediction, values = self.filter.tools.prediction, tuple(state.values)
         wanted = verdict.wish is not None and self.way_out.wanted(verdict.status)
-        if isinstance(barriers, str) or not wanted or prediction.begin(values, known, self.pending) is not None:
+        wanted = wanted and not state.sources  # a manoeuvre of seconds is judged among what stands still
+        begin = None if isinstance(barriers, str) or not wanted else prediction.begin(values, known, self.pending)
+        if isinstance(barriers, str) or not wanted or not (begin is None or begin.at_once):
             self.way_out.forget()
             return verdict
+        path: Rows = ()
+        memory = self.memory
+        if begin is not None:
+            values, path, memory = begin.near, begin.path, begin.memory
 
         def ahead(action: Sequence[float]) -> Iterator[Sequence[float]]:
             reached: Sequence[float] = values
             with suppress(InputError, ValueError, ArithmeticError):  # the model refuses a number: nothing is known then
-                while isfinite(sum(reached := prediction.following(tuple(reached), action, known, self.memory))):
+                while isfinite(sum(reached := prediction.following(tuple(reached), action, known, memory))):
                     yield barriers.heights(reached)
 
         def fails(action: Sequence[float]) -> bool:
@@ -325,7 +395,11 @@ class FilteredRobot:
 
         margins = barriers.of_each(self.margin.epsilon, 0.0)
         here = Here(state.tick, state.period, barriers.heights(values), margins, ahead, fails)
-        return self.way_out.instead_of(verdict, here, self.standing.seconds if self.scene.quick else 0.0)
+        found = self.way_out.instead_of(verdict, here, self.standing.seconds if self.scene.quick else 0.0)
+        if found is verdict or not path:
+            return found
+        lowest = min(min(barriers.heights(passed)) for passed in path)  # what nobody can change any more
+        return replace(found, h_next=min(found.h_next, lowest))
 
     def _next(self, state: StateMessage, action: Values, latent: Values | None) -> Rows:
         """One predicted state under an action; empty where there is none."""
@@ -338,6 +412,19 @@ class FilteredRobot:
             return rows
         found, _ = model.held(np.array(state.values), action, self.memory, latent, 1, period=state.period)
         return tuple(map(tuple, found)) if np.isfinite(found).all() else ()
+
+    def last_resort(self, state: StateMessage) -> Values:
+        """What is left where a step raised: the scene's own backup at the last state that was told, else the resting
+        action, which lets a robot with a throttle roll."""
+        settings = self.filter.settings
+        try:
+            self.scene.follow(state)
+            action = None if self.scene.backup is None else np.asarray(self.scene.backup(None), dtype=np.float64)
+        except Exception:  # noqa: BLE001  whatever broke the step may break this too
+            action = None
+        if action is None or action.shape != settings.resting_action.shape or not np.isfinite(action).all():
+            return settings.resting_action
+        return np.clip(action, settings.low, settings.high)
 
     def standstill(self, verdict: Verdict) -> str:
         """Why it stands, once it has stood for long; empty before."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import isnan
 from typing import Any, final
 
 import numpy as np
@@ -10,6 +12,8 @@ from numpy.typing import NDArray
 __all__ = ["HighestProgram"]
 
 Values = NDArray[np.float64]
+Rows = Sequence[Sequence[float]] | Values
+Numbers = Sequence[float] | Values
 
 _ALWAYS = -1.0
 """Right-hand side of padding rows 0 >= -1."""
@@ -31,7 +35,7 @@ class HighestProgram:
         self._actions = actions
         self._workspaces: dict[int, _Workspace] = {}
 
-    def solve(self, slopes: Values, heights: Values, levels: Values) -> Values | None:
+    def solve(self, slopes: Rows, heights: Numbers, levels: Numbers) -> Values | None:
         """u (actions,) for slopes (m, actions), heights (m,) at u = 0, levels (m,), NaN of a free row; or None."""
         rows = len(slopes)
         size = 1 << (rows - 1).bit_length()
@@ -56,14 +60,16 @@ class _Workspace:
         low, high = np.array([*[0.0] * actions, -np.inf]), np.array([*[1.0] * actions, np.inf])
         self._solver.setup(hessian, cost, None, None, self._left, self._right, None, low, high)
 
-    def solve(self, slopes: Values, heights: Values, levels: Values) -> Values | None:
-        rows, free = len(slopes), np.isnan(levels)
-        self._left[:], self._right[:] = 0.0, _ALWAYS
-        self._left[:rows, :-1] = slopes
-        self._left[:rows, -1] = -1.0 * free
-        self._right[:rows] = np.clip(np.where(free, 0.0, levels) - heights, -_MOST, _MOST)
+    def solve(self, slopes: Rows, heights: Numbers, levels: Numbers) -> Values | None:
+        rows, right, marks = len(slopes), list[float](), list[float]()
+        for height, level in zip(heights, levels, strict=True):  # in plain numbers: numpy costs more for so few
+            free = isnan(level)
+            right.append(min(max((0.0 if free else level) - height, -_MOST), _MOST))
+            marks.append(-1.0 if free else 0.0)
+        self._left[:rows, :-1], self._left[:rows, -1], self._left[rows:] = slopes, marks, 0.0
+        self._right[:rows], self._right[rows:] = right, _ALWAYS
         self._solver.update(G=self._left, h_l=self._right)
         if self._solver.solve() != self._solved:
             return None
-        found: Values = np.clip(self._solver.result.x[:-1], 0.0, 1.0)
-        return found if np.isfinite(found).all() else None
+        found = [min(max(share, 0.0), 1.0) for share in self._solver.result.x.tolist()[:-1]]
+        return None if any(map(isnan, found)) else np.array(found)

@@ -11,22 +11,21 @@ prediction for it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from math import inf, isfinite, isnan, nan
 from typing import Final, final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from safedpa.safety.conditions import Conditions, Outcome
 from safedpa.safety.highest import HighestProgram
-from safedpa.safety.program_rows import within
+from safedpa.safety.lattice import NEARBY, around
+from safedpa.safety.not_finite import NotFiniteError
+from safedpa.safety.program_rows import Side, within
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError
-from safedpa.safety.tangent import NotFiniteError, Tangent
+from safedpa.safety.tangent import Tangent
 
 __all__ = ["TOLERANCE", "least_unsafe"]
 
-Values = NDArray[np.float64]
 Action = tuple[float, ...]
 
 TOLERANCE: Final = 2e-3
@@ -69,6 +68,16 @@ def least_unsafe(
 
 
 @final
+class _Seen:
+    """An outcome as it is compared with others, over the rows that actions move."""
+
+    def __init__(self, outcome: Outcome, heights: list[float], least: float, missing: float) -> None:
+        self.outcome, self.heights, self.least, self.missing = outcome, heights, least, missing
+        """``heights``: h_i(x+) / scale_i, no more than what is enough; the ``least`` of them, infinity if there is
+        none; ``missing``: the sum of what conditions miss, each as a share of its scale."""
+
+
+@final
 class _Lift:
     """One search. The scales stay as they are, so that heights can be compared."""
 
@@ -79,184 +88,340 @@ class _Lift:
         highest: HighestProgram,
         wish: Action,
         backup: Outcome,
-        usable: Sequence[Outcome],
+        usable: list[Outcome],
     ) -> None:
         self._conditions, self._program, self._highest = conditions, program, highest
-        self._low, self._range = program.low, program.range
-        self._safe = conditions.least_now >= 0.0
-        self._required = np.array(conditions.required)
-        reach = self._measured_reach(usable)
-        sizes = np.maximum(conditions.sizes, np.abs(usable[0].h_next))
-        self._moved = reach > _ROUNDING * sizes
-        """(rows,) which h the actions change."""
-        self._scales = np.where(self._moved, np.maximum(conditions.sizes, reach), sizes)
-        self._given = np.maximum(TOLERANCE * reach / self._scales, _ROUNDING)
-        self._decided = float((np.array(usable[0].h_next) / self._scales)[~self._moved].min(initial=np.inf))
-        """Least h_i(x+) / scale_i of those that no action moves."""
-        self._held = float((np.array(conditions.h_begin) / self._scales)[self._moved].min(initial=np.inf))
+        self._sides: tuple[Side, ...] = program.sides
+        self._safe: bool = conditions.least_now >= 0.0
+        self._rows: list[int] = []
+        """Those that the actions move; what follows is of them alone."""
+        self._scales: list[float] = []
+        self._given: list[float] = []
+        """What may be given away for the next aim, as a share of the scale."""
+        self._wanted: list[float] = []
+        """What the conditions require, as a share of the scale."""
+        self._most_given = _ROUNDING
+        self._decided = inf
+        """Least h_i(x+) / scale_i of the rows that no action moves."""
+        self._held = inf
         """Least height now."""
-        unkept = (np.array(conditions.h_begin) < 0.0) | (np.array(usable[0].residual) < -_ROUNDING * self._scales)
-        stuck = unkept & ~self._moved
+        stuck = self._divided(usable[0], self._measured_reach(usable))
         names = conditions.barriers.names
-        self.stuck: tuple[str, ...] = tuple([names[row % len(names)] for row in np.flatnonzero(stuck).tolist()])
-        self._wish = tuple(backup.action) if self.stuck else wish
+        self.stuck: tuple[str, ...] = tuple([names[row % len(names)] for row in stuck])
+        self._wish: Action = tuple(backup.action) if stuck else wish
 
-    def _measured_reach(self, usable: Sequence[Outcome]) -> Values:
+    def _measured_reach(self, usable: list[Outcome]) -> list[float]:
         """(rows,) what the actions change in h."""
-        reached = np.array([one.h_next for one in usable])
-        reach = np.asarray(reached.max(axis=0) - reached.min(axis=0))
+        reach: list[float] = []
+        for row in range(len(usable[0].h_next)):
+            low, high = inf, -inf
+            for one in usable:
+                height = one.h_next[row]
+                low = height if height < low else low
+                high = height if height > high else high
+            reach.append(high - low)
         if len(usable) >= _FEWEST:
             return reach
-        rows = self._conditions.linearised(usable[0]).all(len(usable[0].h_next))
-        return np.asarray(np.maximum(reach, np.abs(np.array(rows)) @ self._range))
+        tangents = self._conditions.linearised(usable[0]).all(len(reach))
+        for row in range(len(reach)):
+            change = 0.0
+            for column in range(len(self._sides)):
+                change += abs(tangents[row][column]) * self._sides[column][2]
+            reach[row] = max(reach[row], change)
+        return reach
 
-    def run(self, known: Sequence[Outcome]) -> Outcome:
+    def _divided(self, one: Outcome, reach: list[float]) -> list[int]:
+        """Divides the rows into those that actions move and the others; which of these are not well, whatever is done.
+
+        ``one`` outcome, all the same which, tells of a row that no action moves what becomes of it.
+        """
+        conditions, stuck = self._conditions, list[int]()
+        sizes, begin = conditions.sizes, conditions.h_begin
+        for row in range(len(reach)):
+            size = max(sizes[row], abs(one.h_next[row]))
+            moved = reach[row] > _ROUNDING * size
+            scale = max(sizes[row], reach[row]) if moved else size
+            given = max(TOLERANCE * reach[row] / scale, _ROUNDING)
+            self._most_given = max(self._most_given, given)
+            if moved:
+                self._rows.append(row)
+                self._scales.append(scale)
+                self._given.append(given)
+                self._wanted.append(conditions.required[row] / scale)
+                self._held = min(self._held, begin[row] / scale)
+                continue
+            self._decided = min(self._decided, one.h_next[row] / scale)
+            if begin[row] < 0.0 or one.residual[row] < -_ROUNDING * scale:
+                stuck.append(row)
+        return stuck
+
+    def run(self, known: list[Outcome]) -> Outcome:
         """The least unsafe of what is known and found.
 
         Where another barrier is the least whatever is done, the others need no more than their conditions; but where
         these cannot all be kept either, the least of them is raised as if there were no other.
         """
-        best = self._searched(known)
-        if np.isfinite(self._decided) and self._missing(best) > _TRUE:
-            self._decided = np.inf
-            best = self._searched([best, *known])
-        return best
+        best = self._searched([self._seen(one) for one in known])
+        if isfinite(self._decided) and best.missing > _TRUE:
+            self._decided = inf
+            best = self._searched([self._seen(one) for one in [best.outcome, *known]])
+        return best.outcome
 
-    def _searched(self, known: Sequence[Outcome]) -> Outcome:
-        best = self._best(known[0], known[1:])
+    def _seen(self, one: Outcome) -> _Seen:
+        h_next, residual, rows, scales, wanted = one.h_next, one.residual, self._rows, self._scales, self._wanted
+        heights: list[float] = []
+        least, missing, decided = inf, 0.0, self._decided
+        for place in range(len(rows)):
+            row, scale, enough = rows[place], scales[place], wanted[place]
+            height, rest = h_next[row] / scale, residual[row]
+            enough = decided if decided > enough else enough  # above it a row is no better
+            height = enough if height > enough else height
+            heights.append(height)
+            least = height if height < least else least
+            if rest < 0.0:
+                missing -= rest / scale
+        return _Seen(one, heights, least, missing)
+
+    def _tried(self, action: Action) -> _Seen:
+        return self._seen(self._conditions.outcome(action))
+
+    def _searched(self, known: list[_Seen]) -> _Seen:
+        best, exact = self._climbed(self._best(known))
+        if exact and self._conditions.affine:
+            return best
+        seen = self._aside(best)
+        upper = self._uppermost([best, *seen])
+        if upper is not best and self._gain(best, upper) >= 1.0:
+            seen.append(self._climbed(upper)[0])
+        return self._best([best, *seen])
+
+    def _climbed(self, best: _Seen) -> tuple[_Seen, bool]:
+        """The best that tangents lead to from there, and whether the last one foretold it."""
+        exact = False
         for _ in range(_ROUNDS):
-            if best.kept and self._safe:
+            if self._enough(best):
                 break
             about = best
             best, exact = self._improved(about)
             if exact or best is about or self._gain(about, best) < 1.0:
                 break
-        return best
+        return best, exact
 
-    def _improved(self, about: Outcome) -> tuple[Outcome, bool]:
+    def _enough(self, one: _Seen) -> bool:
+        """What keeps all is no longer a question of less or more."""
+        return self._safe and one.outcome.kept
+
+    def _aside(self, best: _Seen) -> list[_Seen]:
+        """What moving one entry at a time leads to, by less and less, each time from the uppermost so far."""
+        seen: list[_Seen] = []
+        for share in NEARBY:
+            if self._enough(best):
+                break
+            tried = [self._tried(one) for one in around(self._sides, best.outcome.action, share)]
+            best = self._uppermost([best, *tried])
+            seen += tried
+        return seen
+
+    def _uppermost(self, others: list[_Seen]) -> _Seen:
+        """One that keeps all; else the highest, of equals what breaks conditions least, of equals the first.
+
+        Nothing is given away for the wish yet, since a way that leads somewhere begins with little steps.
+        """
+        usable = [one for one in others if one.outcome.usable]
+        top = -inf
+        for one in usable:
+            if self._enough(one):
+                return one
+            top = one.least if one.least > top else top
+        high = [one for one in usable if one.least >= top - _TRUE]
+        fewest = min([one.missing for one in high])
+        return next(one for one in high if one.missing <= fewest + _TRUE)
+
+    def _improved(self, about: _Seen) -> tuple[_Seen, bool]:
         """A better outcome than ``about`` (or itself), and whether the tangent there foretold it."""
-        best, foretells = about, []
+        best, foretold, outcome = about, True, about.outcome
         try:
-            tangent = self._conditions.linearised(about)
+            tangent = self._conditions.linearised(outcome)
         except NotFiniteError:  # no slopes there
             return about, False
-        for proposed, foretold in self._proposals(tangent, about):
-            found = self._conditions.outcome(proposed)
-            true = found.usable and bool(np.abs(self._height(found) - foretold)[self._moved].max() <= _TRUE)
-            foretells.append(true)
-            better = self._best(best, [found])
+        proposals = self._proposals(tangent, outcome)
+        for proposed, heights in proposals:
+            found = self._tried(proposed)
+            true = found.outcome.usable and self._furthest_from(heights, found.outcome) <= _TRUE
+            foretold = foretold and true
+            better = self._best([best, found])
             if better is not found and not true:
-                between = [self._conditions.outcome(self._between(about, found, share)) for share in _STEPS]
-                better = self._best(better, between)
+                between = [self._tried(self._between(outcome, found.outcome, share)) for share in _STEPS]
+                better = self._best([better, *between])
             best = better
-        return best, bool(foretells) and all(foretells)
+        return best, foretold and len(proposals) > 0
 
-    def _proposals(self, tangent: Tangent, about: Outcome) -> Iterable[tuple[Action, Values]]:
+    def _furthest_from(self, heights: list[float], found: Outcome) -> float:
+        """By how much a height is another than foretold, at the most."""
+        most = 0.0
+        for place in range(len(heights)):
+            error = abs(found.h_next[self._rows[place]] / self._scales[place] - heights[place])
+            most = error if error > most else most
+        return most
+
+    def _proposals(self, tangent: Tangent, about: Outcome) -> list[tuple[Action, list[float]]]:
         """Actions with the heights that the tangent foretells: the highest one, then the nearest as high."""
-        slopes = np.array(tangent.all(len(about.h_next))) * self._range / self._scales[:, np.newaxis]
-        here = (np.array(about.action) - self._low) / self._range
-        heights = self._height(about) - slopes @ here
-        moved = self._moved & (np.abs(slopes).sum(axis=1) > 0.0)
-        if not moved.any():
-            return
-        found = self._levels(slopes, heights, moved)
-        if found is None:
-            return
-        u, levels = found
-        yield self._action(u), heights + slopes @ u
-        A, b = (slopes / self._range)[moved], (levels - heights)[moved]
-        solution = self._program.solve(A.tolist(), (b + A @ self._low).tolist(), self._wish)
-        if solution.solved:
-            action = within(solution.action, self._program.sides)
-            yield action, heights + slopes @ ((np.array(action) - self._low) / self._range)
+        slopes: list[list[float]] = []
+        bases: list[float] = []
+        rows = tangent.all(len(about.h_next)) if self._rows else []
+        for place in range(len(self._rows)):
+            row, scale = self._rows[place], self._scales[place]
+            slope, base = list[float](), about.h_next[row] / scale
+            for column in range(len(self._sides)):
+                low, _, width = self._sides[column]
+                step = rows[row][column] * width / scale
+                base -= step * ((about.action[column] - low) / width)
+                slope.append(step)
+            slopes.append(slope)
+            bases.append(base)
+        u, levels = self._levels(slopes, bases)
+        if not u:
+            return []
+        action = [side[0] + side[2] * share for side, share in zip(self._sides, u, strict=True)]
+        found = [(within(action, self._sides), _reached(slopes, bases, u))]
+        nearest = self._nearest(slopes, bases, levels)
+        if nearest is not None:
+            shares = [(value - side[0]) / side[2] for side, value in zip(self._sides, nearest, strict=True)]
+            found.append((nearest, _reached(slopes, bases, shares)))
+        return found
 
-    def _levels(self, slopes: Values, heights: Values, moved: NDArray[np.bool_]) -> tuple[Values, Values] | None:
-        """u (actions,), and the levels (rows,) that it holds: the highest, then the conditions."""
-        wanted = self._required / self._scales
-        levels, u = np.full(len(heights), np.nan), None
-        levels[~moved] = -np.inf
-        lowest, floor = self._decided, None
-        for _ in range(_LEVELS):
-            free = np.isnan(levels)
-            if not free.any():
+    def _nearest(self, slopes: list[list[float]], bases: list[float], levels: list[float]) -> Action | None:
+        """The action nearest to the wish that holds the levels; None where the program gives up."""
+        A: list[list[float]] = []
+        b: list[float] = []
+        for place in range(len(slopes)):
+            row, limit = list[float](), levels[place] - bases[place]
+            for column in range(len(self._sides)):
+                low, _, width = self._sides[column]
+                entry = slopes[place][column] / width
+                row.append(entry)
+                limit += entry * low
+            A.append(row)
+            b.append(limit)
+        solution = self._program.solve(A, b, self._wish)
+        return within(solution.action, self._sides) if solution.solved else None
+
+    def _levels(self, slopes: list[list[float]], bases: list[float]) -> tuple[list[float], list[float]]:
+        """u (actions,), and the levels (rows,) that it holds: the highest, then the conditions. Empty: none found."""
+        count, wanted, levels = len(bases), self._wanted, [nan] * len(bases)
+        floors, reached, u = list[float](), list[float](), list[float]()
+        for _ in range(_LEVELS if count else 0):
+            found = self._raised(slopes, bases, levels)
+            if not found:
                 break
-            which = moved & _matters(slopes, heights, levels)
-            found = self._highest.solve(slopes[which], heights[which], levels[which])
-            if found is None:
+            u, reached = found, _reached(slopes, bases, found)
+            least = min([reached[place] for place in range(count) if isnan(levels[place])])
+            given = self._given if least <= 0.0 else [min(most, least) for most in self._given]
+            lowest = min(self._decided, least)
+            first = not floors
+            if first:
+                floors = [self._lowered(lowest, 0.5 * most) for most in given]
+            left = False
+            for place in range(count):
+                if not isnan(levels[place]):
+                    continue
+                if reached[place] <= least + 0.5 * given[place]:
+                    level = self._lowered(least, 0.5 * given[place])
+                    if not first or self._decided <= least:  # the least of all is another: conditions are enough
+                        level = min(level, wanted[place])
+                    levels[place] = max(level, floors[place])
+                elif reached[place] < wanted[place]:
+                    left = True
+            if not left:
                 break
-            u = found
-            reached = heights + slopes @ u
-            least = float(reached[free].min())
-            given = 0.5 * (np.minimum(self._given, least) if least > 0.0 else self._given)
-            binding = free & (reached <= least + given)
-            level = self._lowered(least, given)
-            if floor is not None or lowest <= least:  # the least of all is another one: conditions are enough
-                level = np.minimum(level, wanted)
-            if floor is None:
-                floor = self._lowered(min(lowest, least), given)
-            levels[binding] = np.maximum(level, floor)[binding]
-            free = np.isnan(levels)
-            if (reached >= wanted)[free].all():
-                break
-        if u is None or floor is None:
-            return None
-        reached = heights + slopes @ u
-        free = np.isnan(levels)
-        levels[free] = np.minimum(np.maximum(wanted, floor), reached)[free]
+        for place in range(count if floors else 0):
+            if isnan(levels[place]):
+                levels[place] = min(max(wanted[place], floors[place]), reached[place])
         return u, levels
 
-    def _best(self, best: Outcome, others: Iterable[Outcome]) -> Outcome:
+    def _raised(self, slopes: list[list[float]], bases: list[float], levels: list[float]) -> list[float]:
+        """u (actions,) with the least of the free rows as high as it can be; empty where the program gives up."""
+        which = _matters(slopes, bases, levels)
+        found = self._highest.solve(
+            [slopes[place] for place in which], [bases[place] for place in which], [levels[place] for place in which]
+        )
+        if found is None:
+            return []
+        u: list[float] = found.tolist()
+        return u
+
+    def _best(self, others: list[_Seen]) -> _Seen:
         """The best: the highest, within the tolerance what breaks conditions least, then what is nearest the wish."""
-        compared = [one for one in (best, *others) if one.usable]
-        if self._safe:  # what keeps all is no longer a question of less or more
-            compared = [one for one in compared if one.kept] or compared
-        heights = [self._wanted_height(one) for one in compared]
-        level = self._lowered(max([float(rows.min(initial=np.inf)) for rows in heights]), self._given[self._moved])
-        good = [one for one, rows in zip(compared, heights, strict=True) if (rows >= level).all()]
-        missing = [self._missing(one) for one in good]
-        limit = min(missing) + float(self._given.max())
-        good = [one for one, short in zip(good, missing, strict=True) if short <= limit]
-        return min(good, key=lambda one: self._program.distance(one.action, self._wish))
+        compared = [one for one in others if one.outcome.usable]
+        if self._safe:
+            compared = [one for one in compared if one.outcome.kept] or compared
+        top = max([one.least for one in compared])
+        levels = [self._lowered(top, given) for given in self._given]
+        good = [one for one in compared if _reaches(one.heights, levels)]
+        limit = min([one.missing for one in good]) + self._most_given
+        best, least = good[0], inf
+        for one in good:
+            if one.missing <= limit:
+                away: float = self._program.distance(one.outcome.action, self._wish)
+                if away < least:
+                    best, least = one, away
+        return best
 
-    def _wanted_height(self, one: Outcome) -> Values:
-        """(rows moved,) h_i(x+) / scale_i; above the least of the others only up to what is required."""
-        enough = np.maximum(self._decided, self._required / self._scales)
-        return np.asarray(np.minimum(self._height(one), enough)[self._moved])
-
-    def _gain(self, about: Outcome, best: Outcome) -> float:
+    def _gain(self, about: _Seen, best: _Seen) -> float:
         """What was gained, as a share of what may be given away."""
-        higher = self._wanted_height(best).min(initial=np.inf) - self._wanted_height(about).min(initial=np.inf)
-        fewer = self._missing(about) - self._missing(best)
-        return float(max(higher, fewer) / self._given.max()) if np.isfinite(higher) else 0.0
+        higher, fewer = best.least - about.least, about.missing - best.missing
+        return max(higher, fewer) / self._most_given if isfinite(higher) else 0.0
 
-    def _lowered(self, height: float, given: Values) -> Values:
-        """(rows,) the least as good as ``height``: not below what the robot has now, nor below 0 where that is reached.
+    def _lowered(self, height: float, given: float) -> float:
+        """The least as good as ``height``: not below what the robot has now, nor below 0 where that is reached.
 
         Else what is given away would add up from one decision to the next. Missed by rounding alone is reached.
         """
         if -_TRUE < height <= 0.0:
-            return np.full(len(given), height)
+            return height
         kept = min(height, self._held) - _SLIGHT * given
-        return np.maximum(height - given if height < 0.0 else np.maximum(0.0, height - given), kept)
-
-    def _height(self, one: Outcome) -> Values:
-        """(rows,) h_i(x+) / scale_i."""
-        return np.asarray(np.array(one.h_next) / self._scales)
-
-    def _missing(self, one: Outcome) -> float:
-        """Sum over the rows moved of what their conditions miss, each as a share of its scale."""
-        return float(np.maximum(0.0, -np.array(one.residual) / self._scales)[self._moved].sum())
+        lowered = height - given
+        if height >= 0.0 and lowered < 0.0:
+            lowered = 0.0
+        return max(lowered, kept)
 
     def _between(self, one: Outcome, other: Outcome, share: float) -> Action:
         return tuple([a + share * (b - a) for a, b in zip(one.action, other.action, strict=True)])
 
-    def _action(self, u: Values) -> Action:
-        return within((self._low + self._range * u).tolist(), self._program.sides)
+
+def _reached(slopes: list[list[float]], bases: list[float], u: list[float]) -> list[float]:
+    """(rows,) base + slope . u."""
+    reached: list[float] = []
+    for place in range(len(bases)):
+        slope, height = slopes[place], bases[place]
+        for column in range(len(u)):
+            height += slope[column] * u[column]
+        reached.append(height)
+    return reached
 
 
-def _matters(slopes: Values, heights: Values, levels: Values) -> NDArray[np.bool_]:
-    """(rows,) which rows some u in [0, 1] makes the least free one, or takes below its level."""
-    lowest = heights + np.minimum(slopes, 0.0).sum(axis=1)
-    highest = heights + np.maximum(slopes, 0.0).sum(axis=1)
-    free = np.isnan(levels)
-    return np.asarray(lowest <= np.where(free, highest[free].min(), levels))
+def _reaches(heights: list[float], levels: list[float]) -> bool:
+    for place in range(len(levels)):  # noqa: SIM110 - a generator costs more when compiled
+        if heights[place] < levels[place]:
+            return False
+    return True
+
+
+def _matters(slopes: list[list[float]], bases: list[float], levels: list[float]) -> list[int]:
+    """Places of the rows that some u in [0, 1] makes the least free one, or takes below their level (NaN: free)."""
+    lowest, most = bases.copy(), inf
+    for place in range(len(bases)):
+        highest = bases[place]
+        for slope in slopes[place]:
+            if slope < 0.0:
+                lowest[place] += slope
+            else:
+                highest += slope
+        if isnan(levels[place]) and highest < most:
+            most = highest
+    matters: list[int] = []
+    for place in range(len(bases)):
+        level = levels[place]
+        if lowest[place] <= (most if isnan(level) else level):
+            matters.append(place)
+    return matters

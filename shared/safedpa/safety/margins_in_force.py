@@ -8,7 +8,7 @@ from numbers import Real
 from typing import Any, final
 
 from safedpa.errors import did_you_mean
-from safedpa.safety.barrier import AbstractStack, Barriers
+from safedpa.safety.barrier import AbstractStack
 from safedpa.safety.compatibility import known_kinds
 from safedpa.safety.search import DecisionError
 
@@ -17,11 +17,12 @@ __all__ = ["Margins"]
 
 @final
 class Margins:
-    """epsilon_i by the kind of barrier i; what the last decision had is kept for the same barriers and numbers."""
+    """epsilon_i by the kind of barrier i; what the last decision had is kept for the same kinds and numbers."""
 
     def __init__(self, settings: Mapping[str, float]) -> None:
         self._settings = settings
-        self._barriers: AbstractStack = Barriers(())
+        self._of: tuple[str, ...] = ()
+        """Kinds of the barriers of the last decision."""
         self._asked: dict[str, float] = {}
         self._known: tuple[list[float], float] | None = None
         self._kinds = {*known_kinds(), "default", *settings}
@@ -34,11 +35,11 @@ class Margins:
         """
         if type(asked) is not dict and not isinstance(asked, Mapping):
             raise DecisionError(f"margin epsilon is no table by kind of barrier, but {type(asked).__name__}")
-        if self._known is None or barriers is not self._barriers or asked != self._asked:
+        if self._known is None or barriers.kinds != self._of or asked != self._asked:
             self._known = None
             self._kinds.update(barriers.kinds)
             epsilon = self._checked(barriers, {**self._settings, **asked})
-            self._barriers, self._asked, self._known = barriers, dict(asked), (epsilon, max(epsilon))
+            self._of, self._asked, self._known = barriers.kinds, dict(asked), (epsilon, max(epsilon))
         return self._known
 
     def _checked(self, barriers: AbstractStack, margins: Mapping[str, Any]) -> list[float]:

@@ -1,6 +1,6 @@
-"""The nearest point that keeps linear conditions in the plane, in closed form where its optimality is certain.
+"""The nearest point of the unit square that keeps linear conditions, in closed form where its optimality is certain.
 
-    min  sum_j weight_j (u_j - wish_j)^2   subject to   a_i . u >= b_i
+    min  sum_j weight_j (u_j - wish_j)^2   subject to   a_i . u >= b_i,  0 <= u_j <= 1
 
 Conditions are taken in one by one, each time the one most broken: over those taken in, the optimum lies on the newest
 alone or in its corner with another one. A corner or foot is believed only if the Karush-Kuhn-Tucker conditions hold:
@@ -10,13 +10,9 @@ is the optimum over all of them, so what is returned is the minimiser, whatever 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final, final
 
-__all__ = ["KEPT", "MOST", "PARALLEL", "NearestKept", "Point", "Row", "nearest_kept"]
-
-Row = tuple[float, float, float]
-"""a_1, a_2, b."""
+__all__ = ["KEPT", "MOST", "PARALLEL", "NearestKept"]
 
 KEPT: Final = 1e-12
 """A condition broken by less is kept: rounding errors of a corner are a thousand times smaller."""
@@ -29,30 +25,17 @@ _UNIT_A: Final[list[float]] = [1.0, -1.0, 0.0, 0.0]
 _UNIT_B: Final[list[float]] = [0.0, 0.0, 1.0, -1.0]
 _UNIT_LIMIT: Final[list[float]] = [0.0, -1.0, 0.0, -1.0]
 
-Point = tuple[float, float]
-
-
-def nearest_kept(rows: Sequence[Row], wish: Point, weights: Point) -> Point | None:
-    """The minimiser; None where there is none, it is not found in a few steps, or a number is not finite."""
-    problem = NearestKept(wish[0], wish[1], weights[0], weights[1], unit=False)
-    for a, b, limit in rows:
-        problem.add(a, b, limit)
-    return (problem.x, problem.y) if problem.solve() else None
-
 
 @final
 class NearestKept:
-    """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``).
+    """One such problem: ``add`` its conditions, then ``solve``; the minimiser is (``x``, ``y``)."""
 
-    ``unit``: it begins with 0 <= x <= 1 and 0 <= y <= 1.
-    """
-
-    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float, *, unit: bool) -> None:
+    def __init__(self, wish_x: float, wish_y: float, weight_x: float, weight_y: float) -> None:
         self._wish_x, self._wish_y = wish_x, wish_y
         self._weight_x, self._weight_y = weight_x, weight_y
-        self._a: list[float] = _UNIT_A.copy() if unit else []
-        self._b: list[float] = _UNIT_B.copy() if unit else []
-        self._limit: list[float] = _UNIT_LIMIT.copy() if unit else []
+        self._a: list[float] = _UNIT_A.copy()
+        self._b: list[float] = _UNIT_B.copy()
+        self._limit: list[float] = _UNIT_LIMIT.copy()
         self._sum = 0.0
         self._taken: list[int] = []
         self.x, self.y = wish_x, wish_y
@@ -65,7 +48,7 @@ class NearestKept:
         self._sum += a + b + limit
 
     def solve(self) -> bool:
-        """Whether the minimiser was found."""
+        """Whether the minimiser was found: not where there is none, it takes many steps, or a number is not finite."""
         if self._sum - self._sum != 0.0:  # a number among them is not finite
             return False
         firsts, seconds, limits = self._a, self._b, self._limit

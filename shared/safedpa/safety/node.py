@@ -13,6 +13,7 @@ from safedpa.bus import (
     ACTION,
     LATENT,
     MODEL,
+    SURROUNDINGS,
     TAKEOVER,
     VERDICT,
     WISH,
@@ -26,12 +27,13 @@ from safedpa.bus import (
     Outputs,
     Stale,
     StateMessage,
+    SurroundingsMessage,
     Topic,
     VerdictMessage,
     WishMessage,
 )
-from safedpa.bus.apart import AbstractTicket
-from safedpa.bus.model_versions import ModelVersions
+from safedpa.bus.loop.apart import AbstractTicket
+from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.filtered_robot import NO_BARRIERS, Decided, FilteredRobot, too_late
@@ -60,6 +62,7 @@ class SafetyFilterNode(AbstractNode):
     inputs = (LATENT, WISH)
     outputs = (ACTION, VERDICT, TAKEOVER)
     listens = (MODEL,)
+    senses = (SURROUNDINGS,)
     share = 0.5
     # As the policy: a wish does not wait for news of a load. The watch over the margin sees what that costs.
     slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1}
@@ -123,6 +126,10 @@ class SafetyFilterNode(AbstractNode):
         if memory is None or memory.prepared != (state.epoch, state.tick):
             self.prepare(robot, state)
         memory = self._with_latent(robot, state, inputs)
+        if state.sources:
+            seen = inputs[SURROUNDINGS]
+            assert isinstance(seen, SurroundingsMessage | Stale)
+            memory.see(state, seen)
         wish = inputs[WISH]
         latent, stale = memory.usable_latent(state, inputs)
         absent = f"the wish ({wish.sentence})" if isinstance(wish, Stale) else ""
@@ -143,6 +150,10 @@ class SafetyFilterNode(AbstractNode):
         ordered = memory.ordered = self.orders.reason(robot)
         if ordered:
             verdict = memory.filter.stop(ordered, state.values, latent, stands=memory.scene.stands, **known)
+        elif state.sources and memory.scene.yields_to and not stale:
+            verdict = memory.filter.stop(
+                memory.scene.yields_to, state.values, latent, stands=memory.scene.stands, **known
+            )
         elif holds:
             verdict = memory.filter.hold(f"{absent} is stale", state.values, latent, **known)
         else:
@@ -202,14 +213,16 @@ class SafetyFilterNode(AbstractNode):
         return verdict.status in (Status.stopped, Status.fallback) and all(abs(speed) <= _STANDS for speed in speeds)
 
     def rescue(self, robot: str, state: StateMessage, reason: str) -> Outputs:
-        """The resting action, which needs neither model nor memory, and a verdict that says so.
+        """The backup of a robot that does not rest by itself, else the resting action, and a verdict that says so.
 
         What is remembered of the robot may be broken and begins anew, but for the margin, which may have been widened.
         """
         broken = self._robots.pop(robot, None)
         if broken is not None:
             self._broken[robot] = broken
-        verdict = resting_verdict(self._settings.resting_action, reason)
+        known = self._broken.get(robot)
+        action = self._settings.resting_action if known is None else known.last_resort(state)
+        verdict = resting_verdict(action, reason)
         return {ACTION: _action(state, tuple(verdict.action.tolist())), VERDICT: _report(state, verdict, ())}
 
     def forget(self, robot: str) -> None:  # noqa: D102
@@ -251,6 +264,8 @@ def _report(
     remarks = [memory.margin.remark] if memory and memory.margin.remark else []
     if memory and memory.until_action > state.until_action:
         remarks.append(memory.delay.remark)
+    if memory and state.sources and memory.scene.remark:
+        remarks.append(memory.scene.remark)
     stands = f" The robot has stood for {memory.standing.seconds:.1f} s. {standstill}." if memory and standstill else ""
     return VerdictMessage(
         epoch=state.epoch,

@@ -84,6 +84,11 @@ class Begin(NamedTuple):
     rows: int
     """Periods from ``near`` to the end of the period over which the action is judged, 1 or more."""
 
+    @property
+    def at_once(self) -> bool:
+        """Whether the action is felt from ``near`` on, and judged one period later: only the state is older."""
+        return self.waits == 0 and self.rows == 1
+
 
 @final
 class Along:
@@ -155,6 +160,10 @@ class Actuators:
                 self._known.clear()
             known = self._known[key] = self._responded(latent)
         return known
+
+    def dead_time(self, latent: Plain | None) -> float:
+        """s until the slowest channel begins to act, from the moment at which an action is put in force."""
+        return self.reach(latent).last * self._model.period
 
     def begin(self, state: Plain, latent: Plain | None, pending: Any) -> Begin | None:
         """Where an action begins to act that is chosen at ``state`` (states,), ``pending`` as a filter's ``memory``.

@@ -67,8 +67,9 @@ class Prediction:
         if self._physics is not None:
             self._physics.clock.seconds = seconds
 
-    def _seconds(self) -> float:
-        return 0.0 if self._physics is None else self._physics.clock.seconds
+    def dead_time(self, latent: tuple[float, ...] | None) -> float:
+        """s from where an action is put in force until its slowest channel begins to act; 0: at once, or not known."""
+        return 0.0 if self._actuators is None else self._actuators.dead_time(latent)
 
     def begin(self, state: tuple[float, ...], latent: tuple[float, ...] | None, memory: Any) -> Begin | None:
         """Where an action that is chosen at ``state`` begins to act; None: there and then."""
@@ -98,12 +99,10 @@ class Prediction:
 
         Raises ValueError or ArithmeticError for numbers that Python's math refuses.
         """
-        recorded = None if self._physics is None else self._physics.straight_sensitivity
-        return (
-            None
-            if recorded is None
-            else recorded(state, around, self._fixed if latent is None else latent, self._seconds())[1]
-        )
+        physics = self._physics
+        if physics is None or (recorded := physics.straight_sensitivity) is None:
+            return None
+        return recorded(state, around, self._fixed if latent is None else latent, physics.clock.seconds)[1]
 
     def affine_motion(self, state: tuple[float, ...], latent: tuple[float, ...] | None) -> AffineMotion | None:
         """All of ``following`` and ``slopes_of_one`` at this state; None: ask those.
@@ -126,9 +125,10 @@ class Prediction:
         self, state: tuple[float, ...], action: Sequence[float], latent: tuple[float, ...] | None, memory: Any
     ) -> list[float]:
         """``next_state`` for plain numbers. Raises InputError when the model returns another shape."""
-        if self._physics is not None and (step := self._physics.straight(self._physics.period)) is not None:
+        physics = self._physics
+        if physics is not None and (step := physics.straight(physics.period)) is not None:
             try:
-                return step(state, action, self._fixed if latent is None else latent, self._seconds())
+                return step(state, action, self._fixed if latent is None else latent, physics.clock.seconds)
             except (ValueError, ArithmeticError):  # numbers that Python's math refuses
                 pass
         free = None if latent is None else _unwritten(latent)
@@ -140,9 +140,10 @@ class Prediction:
         self, state: tuple[float, ...], around: Sequence[float], latent: tuple[float, ...] | None, memory: Any
     ) -> list[list[float]]:
         """``slopes`` for plain numbers. Raises InputError when the model returns another shape."""
-        if self._physics is not None and (tangent := self._physics.straight_tangent()) is not None:
+        physics = self._physics
+        if physics is not None and (tangent := physics.straight_tangent()) is not None:
             try:
-                return tangent(state, around, self._fixed if latent is None else latent, self._seconds())[1]
+                return tangent(state, around, self._fixed if latent is None else latent, physics.clock.seconds)[1]
             except (ValueError, ArithmeticError):
                 pass
         free = None if latent is None else _unwritten(latent)

@@ -7,7 +7,7 @@ from typing import Final
 
 from safedpa.safety.nearest import NearestKept
 
-__all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "within"]
+__all__ = ["ScaledRow", "Side", "apart", "breakable", "closest", "cornered", "within"]
 
 ScaledRow = tuple[list[float], float, int, float]
 """Slopes (actions,), limit, index and reach of a condition: slopes u >= limit, the slopes' sizes summing to 1.
@@ -75,13 +75,44 @@ def closest(
     if not single:
         base, _, reach = sides[1]
         weight, aside = weights[1], (wish[1] - base) / reach
-    problem = NearestKept((wish[0] - low) / width, aside, weights[0], weight, unit=True)
+    problem = NearestKept((wish[0] - low) / width, aside, weights[0], weight)
     for index in range(len(rows)):
         slopes, limit, _, _ = rows[index]
         problem.add(slopes[0], 0.0 if single else slopes[1], limit)
     if not problem.solve():
         return None
     return [low + width * problem.x] if single else [low + width * problem.x, base + reach * problem.y]
+
+
+def cornered(
+    rows: Sequence[ScaledRow],
+    wish: Sequence[float],
+    sides: tuple[Side, ...],
+    weights: Sequence[float],
+    linear: float,
+    quadratic: float,
+) -> list[int] | None:
+    """Of two actions: the corner of their range, 0 and 1 for lowest and highest, that is the minimiser with slack.
+
+    There a row misses s_i >= 0 and pulls with its price, linear + 2 quadratic s_i where s_i > 0 and nothing else; the
+    corner is the minimiser if the sum of all pulls, the wish's among them, leads out of the range or nowhere in every
+    entry: the Karush-Kuhn-Tucker conditions of a convex program. None: no corner is, or some price lies in between.
+    """
+    (low, _, width), (base, _, reach) = sides
+    x, y = (wish[0] - low) / width, (wish[1] - base) / reach
+    for right in range(2):
+        for upper in range(2):
+            across, along = 2.0 * weights[0] * (x - right), 2.0 * weights[1] * (y - upper)
+            for index in range(len(rows)):
+                slopes, limit, _, _ = rows[index]
+                missing = limit - slopes[0] * right - slopes[1] * upper
+                if missing > 0.0:
+                    price = linear + 2.0 * quadratic * missing
+                    across += price * slopes[0]
+                    along += price * slopes[1]
+            if (across >= 0.0 if right else across <= 0.0) and (along >= 0.0 if upper else along <= 0.0):
+                return [right, upper]
+    return None
 
 
 def within(action: Sequence[float], sides: tuple[Side, ...]) -> tuple[float, ...]:

@@ -8,7 +8,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.safety.program_rows import ScaledRow, Side, apart, breakable, closest, within
+from safedpa.safety.program_rows import ScaledRow, Side, apart, breakable, closest, cornered, within
 from safedpa.safety.solution import Solution
 
 __all__ = ["LINEAR", "QUADRATIC", "QuadraticProgram", "Solution"]
@@ -37,8 +37,9 @@ class QuadraticProgram:
     low_j), so that neither the rows' units nor the actions' matter. Always feasible: any a in its bounds with enough
     slack. Solved in the variables u = (a - low) / (high - low) of [0, 1]; rows that no action within the bounds can
     break are left out (exact: their slack is 0), as are those that no action changes. Of one or two actions the
-    solution without slack is found in closed form and taken where it proves to be the optimum. Else PIQP solves it, the
-    rows padded to a power of two, so that each of its workspaces is built once.
+    solution without slack is found in closed form and taken where it proves to be the optimum, and so is, of two, a
+    corner of their range with slack. Else PIQP solves it, the rows padded to a power of two, so that each of its
+    workspaces is built once.
     """
 
     def __init__(self, low: Values, high: Values, weights: Values) -> None:
@@ -60,25 +61,36 @@ class QuadraticProgram:
         action = self._without_slack(rows, wish) if len(self.sides) <= 2 else None
         if action is not None:
             return Solution(action, (0.0,) * len(b), True, "solved")
-        return self._with_slack(rows, wish, len(b))
+        return self._cornered(rows, wish, len(b)) or self._with_slack(rows, wish, len(b))
 
     def _without_slack(self, rows: Sequence[ScaledRow], wish: Sequence[float]) -> list[float] | None:
         """The minimiser in closed form, if it needs no slack; None: ask the solver."""
         return closest(rows, wish, self.sides, self._weights)
 
+    def _cornered(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution | None:
+        """The minimiser where it is a corner of two actions' range: what conditions out of reach mostly lead to."""
+        if len(self.sides) != 2:
+            return None
+        corner = cornered(rows, wish, self.sides, self._weights, LINEAR, QUADRATIC)
+        if corner is None:
+            return None
+        slack = [0.0] * count
+        for slopes, limit, index, reach in rows:
+            slack[index] = reach * max(0.0, limit - slopes[0] * corner[0] - slopes[1] * corner[1])
+        return Solution([side[upper] for side, upper in zip(self.sides, corner, strict=True)], slack, True, "solved")
+
     def _with_slack(self, rows: Sequence[ScaledRow], wish: Sequence[float], count: int) -> Solution:
         """The minimiser by PIQP; by a second, less exacting one where the first gives up."""
         actions = len(self.sides)
-        wanted = (np.array(wish) - self.low) / self.range
-        left, right = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
-        solved, status, solution = False, "not run", np.zeros(0)
+        wanted = [(value - low) / width for value, (low, _, width) in zip(wish, self.sides, strict=True)]
+        left, right = [row[0] for row in rows], [row[1] for row in rows]
         for accuracy in _ACCURACY:
             solved, status, solution = self._workspace(len(rows), accuracy).solve(left, right, wanted)
             if solved:
                 break
-        action: list[float] = (self.low + self.range * solution[:actions]).tolist()
+        action = [low + width * share for share, (low, _, width) in zip(solution[:actions], self.sides, strict=True)]
         slack = [0.0] * count
-        for value, (_, _, index, reach) in zip(solution[actions : actions + len(rows)].tolist(), rows, strict=True):
+        for value, (_, _, index, reach) in zip(solution[actions : actions + len(rows)], rows, strict=True):
             slack[index] = value * reach
         return Solution(action, slack, solved, status)
 
@@ -101,7 +113,7 @@ class _Workspace:
     def __init__(self, rows: int, weights: Values, accuracy: float) -> None:
         import piqp
 
-        self._actions, self._pull = len(weights), -2.0 * weights
+        self._actions, self._pull = len(weights), (-2.0 * weights).tolist()
         self._solved = piqp.PIQP_SOLVED
         self._solver: Any = piqp.DenseSolver()
         self._costs = np.concatenate([np.zeros(len(weights)), np.full(rows, LINEAR)])
@@ -115,14 +127,15 @@ class _Workspace:
         upper = np.concatenate([np.ones(len(weights)), np.full(rows, np.inf)])
         self._solver.setup(hessian, self._costs, None, None, self._left, self._right, None, np.zeros(len(upper)), upper)
 
-    def solve(self, left: Values, right: Values, wish: Values) -> tuple[bool, str, Values]:
+    def solve(self, left: list[list[float]], right: list[float], wish: list[float]) -> tuple[bool, str, list[float]]:
         """Whether it was solved, the solver's word, and (u, s) (actions + rows,)."""
         rows = len(right)
         self._slopes[:rows], self._slopes[rows:] = left, 0.0
         self._right[:rows], self._right[rows:] = right, _NO_CONDITION
-        self._costs[: self._actions] = self._pull * wish
+        self._costs[: self._actions] = [pull * wanted for pull, wanted in zip(self._pull, wish, strict=True)]
         self._solver.update(c=self._costs, G=self._left, h_l=self._right)
         status = self._solver.solve()
+        solution: list[float] = self._solver.result.x.tolist()
         if status == self._solved:
-            return True, "solved", self._solver.result.x
-        return False, str(status.name).removeprefix("PIQP_").lower().replace("_", " "), self._solver.result.x
+            return True, "solved", solution
+        return False, str(status.name).removeprefix("PIQP_").lower().replace("_", " "), solution

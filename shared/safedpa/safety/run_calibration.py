@@ -55,8 +55,8 @@ def calibration_from_runs(
     Actuators remember what was commanded before, as they do in the filter. ``footprint`` as in the message
     of the state; empty: the usual one.
     ``estimator`` makes what estimates the latent along each stretch; without one the model's own latent stands.
-    Raises InputError for a model that is of a robot that does not say how, settings of another one, or
-    too few transitions at the model's own period.
+    Raises InputError for a model that is of a robot that does not say how, settings of another one, too few transitions
+    at the model's own period, or predictions that are not finite.
     """
     robot = robot_like(model.system)
     draw = np.random.default_rng(0)
@@ -70,8 +70,8 @@ def calibration_from_runs(
     errors: dict[str, list[float]] = {}
     for before, predicted, after in _predictions(model, runs, estimator):
         for barrier in robot.barriers_around(before, settings, footprint, draw):
-            worst = float((barrier.values(predicted) - barrier.values(after)).max(initial=-np.inf))
-            errors.setdefault(barrier.kind, []).append(worst if np.isfinite(worst) else 0.0)
+            apart = barrier.values(predicted) - barrier.values(after)
+            errors.setdefault(barrier.kind, []).append(float(apart.max()))
     if not errors:
         raise InputError(f"margin: got no transition of {model.period:g} s, wanted runs at the model's period")
     found = {kind: np.array(values) for kind, values in errors.items()}

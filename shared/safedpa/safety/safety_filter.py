@@ -22,7 +22,6 @@ import numpy as np
 
 from safedpa.dynamics import AbstractDynamics, PhysicsModel
 from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.car_stack import Stacks
 from safedpa.safety.compatibility import (
     check_backup,
     check_barriers,
@@ -39,6 +38,7 @@ from safedpa.safety.prediction import Prediction
 from safedpa.safety.quadratic_program import QuadraticProgram
 from safedpa.safety.search import DecisionError
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.stacks import Stacks
 from safedpa.safety.verdict import Status, Verdict, resting_verdict
 
 __all__ = ["SafetyFilter"]

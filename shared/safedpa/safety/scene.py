@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.bus import StateMessage
+from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
 from safedpa.robot import AbstractRobot
-from safedpa.safety.barrier import AbstractStack, Barriers, RememberingStack
+from safedpa.safety.barrier import AbstractStack, RememberingStack
 from safedpa.safety.compatibility import check_reads
 from safedpa.safety.decision import Backup
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.stacks import stacked
 
 __all__ = ["MOST_OBSTACLES", "AbstractScene", "DeclaredScene"]
 
@@ -33,12 +35,36 @@ class AbstractScene(ABC):
     """Whether the backup action brings the robot to rest."""
     quick: bool = False
     """Whether its h is cheap enough to be asked at hundreds of states in a tick."""
+    yields_to: str = ""
+    """Who may be at the robot before it stands, as of the last ``around``: then the backup is taken at once, since what
+    moves by itself may not be dodged but by standing. Empty: nobody."""
+    remark: str = ""
+    """What a verdict has to say about the barriers of the last ``around``; empty: nothing."""
     backup: Backup | None = None
     """The backup action at a state; None: the resting action of the settings."""
 
     @abstractmethod
     def of(self, state: StateMessage) -> AbstractStack | str:
         """The barriers around this robot, or a sentence about what cannot be a scene of it."""
+
+    def around(
+        self,
+        state: StateMessage,
+        seen: SurroundingsMessage,
+        epsilon: Mapping[str, float] | None = None,
+        late: float = 0.0,
+    ) -> AbstractStack | str:
+        """The barriers around a robot that names sources, from what they see; or why there are none.
+
+        ``epsilon`` are the margins in force by kind, ``late`` [s] passes until an action acts: from both follows what
+        is too far to matter.
+        """
+        del seen, epsilon, late
+        return f"scene (sources {', '.join(state.sources)}: this robot has barriers for what is told alone)"
+
+    def follow(self, state: StateMessage) -> None:
+        """What a state tells of the robot's own way, whatever is around it; the same state twice changes nothing."""
+        del state
 
     def learn(self, latent: Values | None) -> None:
         """The latent that was used last; None: that of the model's file."""
@@ -62,6 +88,21 @@ class DeclaredScene(AbstractScene):
         self.stands = robot.stands
         self.backup = self._backup
 
+    def around(
+        self,
+        state: StateMessage,
+        seen: SurroundingsMessage,
+        epsilon: Mapping[str, float] | None = None,
+        late: float = 0.0,
+    ) -> AbstractStack | str:
+        """The barriers around a robot that names sources, from what they see; or why there are none.
+
+        ``epsilon`` are the margins in force by kind, ``late`` [s] passes until an action acts: from both follows what
+        is too far to matter.
+        """
+        del seen, epsilon, late
+        return f"scene (sources {', '.join(state.sources)}: this robot has barriers for what is told alone)"
+
     def learn(self, latent: Values | None) -> None:  # noqa: D102
         self._latent = latent
 
@@ -75,7 +116,7 @@ class DeclaredScene(AbstractScene):
             return f"scene ({error})"
         except Exception as error:  # noqa: BLE001 - a robot's own code may raise anything; the backup acts then
             return f"scene (barriers of robot '{self._robot.name}': {type(error).__name__}: {error})"
-        return RememberingStack(Barriers(parts))
+        return RememberingStack(stacked(parts))
 
     def _backup(self, state: Values | None) -> Any:
         """The resting action where the state is not known; the filter takes it as well where this raises."""

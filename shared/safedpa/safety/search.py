@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from safedpa.safety.conditions import Outcome, Plain
+from safedpa.safety.not_finite import NotFiniteError
 from safedpa.safety.program_rows import Side, within
 from safedpa.safety.solution import Solution
-from safedpa.safety.tangent import NotFiniteError
 
 __all__ = ["DOUBTFUL", "FAR", "NEEDLESS", "SAME", "SERVED_WELL", "DecisionError", "overshot", "search", "towards"]
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.barrier_setting import BarrierSetting
 from safedpa.errors import InputError, did_you_mean
-from safedpa.limits import parse_toml, text_of_file
-from safedpa.safety.braking import Braking
+from safedpa.limits import finite_number, parse_toml, text_of_file
+from safedpa.robot import DEFAULT_ROBOT, robot_named, robots
 
 __all__ = [
     "FilterSettings",
@@ -27,9 +28,7 @@ __all__ = [
 FORMAT = 1
 MARGINS = ("conformal", "drive", "theorem")
 """Names of margins in a calibration."""
-_DEFAULT_SYSTEM = "car"
-_DEFAULT_BOUNDS = {"action_low": (-0.6, -0.34), "action_high": (2.0, 0.34)}
-"""m/s and rad, of the default system."""
+_BOUNDS = ("action_low", "action_high")
 
 
 class _LeftOut(tuple[float, ...]):
@@ -42,10 +41,10 @@ _LEFT_OUT: tuple[float, ...] = _LeftOut()
 @final
 @dataclass(frozen=True)
 class FilterSettings:
-    """Numbers of the filter, checked at construction; the defaults fit the pymunk car at 20 Hz.
+    """Numbers of the filter, checked at construction; the defaults fit the usual robot.
 
-    Without bounds of the actions they are the car's, and ``system`` says so. Raises InputError naming the key, what was
-    got and what was wanted.
+    Without bounds of the actions they are that robot's, and ``system`` says so. Raises InputError naming the key, what
+    was got and what was wanted.
     """
 
     system: str = ""
@@ -61,28 +60,20 @@ class FilterSettings:
     """Which epsilon a filter with a calibration uses: its ``conformal`` (for a step), ``drive`` or ``theorem`` one, or
     this number."""
     action_low: tuple[float, ...] = _LEFT_OUT
-    """(actions,) hard actuator bounds; left out, the car's: -0.6 m/s, -0.34 rad."""
+    """(actions,) hard actuator bounds; left out, those of the usual robot."""
     action_high: tuple[float, ...] = _LEFT_OUT
-    """(actions,); left out, the car's: 2 m/s, 0.34 rad."""
+    """(actions,) likewise."""
     weights: tuple[float, ...] = ()
     """(actions,) > 0: cost of changing an action over its whole range; empty: all 1."""
     backup_action: tuple[float, ...] = ()
-    """(actions,) what is done when nothing can be computed; empty: 0 within the bounds (the car brakes straight)."""
+    """(actions,) what is done when nothing can be computed; empty: 0 within the bounds."""
     relinearisations: int = 3
     """How often the program is posed anew about its solution where the model is not affine in the action."""
     plausible_wish: float = 10.0
     """A wish that lies further outside the bounds than this many ranges is not believed."""
-    braking_deceleration: float = 2.0
-    """m/s2 that the robot can brake at least, with every load."""
-    braking_gain: float = 2.5
-    """1/s of its speed servo at least, with every load."""
-    clearance: float = 0.05
-    """m kept to obstacles and walls beyond the robot's own radius."""
-    speed_low: float = -0.8
-    """m/s; a little beyond the actuator's, so that driving at full speed is no conflict."""
-    speed_high: float = 2.2
-    corridor_seconds: float = 0.25
-    """How far ahead, at its rate of now, an angle must be within its corridor."""
+    barriers: Mapping[str, float] = field(default_factory=dict)
+    """What the robot's barriers take, by name (``AbstractRobot.barrier_settings``); what is left out has its default.
+    In a file they are keys beside the others."""
 
     def __post_init__(self) -> None:
         self._name_the_system()
@@ -93,12 +84,9 @@ class FilterSettings:
         if not isinstance(self.enabled, bool):
             raise InputError(f"enabled: got {self.enabled!r}, wanted true or false")
         self._check_actions()
-        for name in _POSITIVE:
-            _number(name, getattr(self, name), 0.0, math.inf, open_low=True)
+        object.__setattr__(self, "barriers", _barriers(self.system, self.barriers))
+        _number("plausible_wish", self.plausible_wish, 0.0, math.inf, open_low=True)
         _number("eta", self.eta, 0.0, 1.0, open_low=True)
-        _number("clearance", self.clearance, 0.0, math.inf)
-        _number("speed_low", self.speed_low, -math.inf, math.inf)
-        _number("speed_high", self.speed_high, self.speed_low, math.inf, open_low=True)
         if isinstance(self.relinearisations, bool) or not isinstance(self.relinearisations, int):
             raise InputError(f"relinearisations: got {self.relinearisations!r}, wanted a whole number")
         _number("relinearisations", self.relinearisations, 0, 20)
@@ -107,15 +95,16 @@ class FilterSettings:
         """Bounds that were left out are the default system's, and then these are its settings."""
         if not isinstance(self.system, str):
             raise InputError(f"system: got {self.system!r}, wanted the name of a system, or '' for one of your own")
-        missing = [name for name in _DEFAULT_BOUNDS if isinstance(getattr(self, name), _LeftOut)]
-        if missing and self.system not in ("", _DEFAULT_SYSTEM):
+        missing = [name for name in _BOUNDS if isinstance(getattr(self, name), _LeftOut)]
+        if missing and self.system not in ("", DEFAULT_ROBOT):
             raise InputError(
                 f"{missing[0]}: got none for the system '{self.system}', wanted its bounds: the defaults are those of "
-                f"the {_DEFAULT_SYSTEM}"
+                f"the {DEFAULT_ROBOT}"
             )
         for name in missing:
-            object.__setattr__(self, name, _DEFAULT_BOUNDS[name])
-            object.__setattr__(self, "system", _DEFAULT_SYSTEM)
+            own = robot_named(DEFAULT_ROBOT).wish_range
+            object.__setattr__(self, name, tuple(pair[_BOUNDS.index(name)] for pair in own))
+            object.__setattr__(self, "system", DEFAULT_ROBOT)
 
     def _check_actions(self) -> None:
         count = len(self.action_low)
@@ -135,10 +124,18 @@ class FilterSettings:
             if not low <= value <= high:
                 raise InputError(f"backup_action: got {value}, wanted {low} to {high}")
 
-    @property
-    def braking(self) -> Braking:
-        """The guaranteed braking ability."""
-        return Braking(self.braking_deceleration, self.braking_gain)
+    def barrier(self, name: str) -> float:
+        """A number of the barriers. Raises InputError where the robot of these settings has none of that name."""
+        if name in self.barriers:
+            return self.barriers[name]
+        known = {item.name: item for item in _declared(self.system)}
+        if name not in known:
+            raise InputError(f"settings of '{self.system}': no '{name}' among them; {did_you_mean(name, known)}")
+        return known[name].default
+
+    def with_barriers(self, **numbers: float) -> FilterSettings:
+        """The same with these numbers of the barriers."""
+        return replace(self, barriers={**self.barriers, **numbers})
 
     @property
     def low(self) -> NDArray[np.float64]:
@@ -165,12 +162,15 @@ class FilterSettings:
 _GONE = ("slack_tolerance", "slack_quadratic", "slack_linear")
 """Keys of former files: what they said in the unit of h is now told by each barrier's own scale."""
 
-_POSITIVE = (
-    "plausible_wish",
+_ONCE_IN_EVERY_FILE = (
     "braking_deceleration",
     "braking_gain",
+    "clearance",
     "corridor_seconds",
+    "speed_high",
+    "speed_low",
 )
+"""Keys that older programs wrote for every robot: of one that does not have them they said nothing, and say nothing."""
 
 
 def load_settings(path: str | Path) -> FilterSettings:
@@ -188,15 +188,52 @@ def load_settings(path: str | Path) -> FilterSettings:
 def parse_settings(text: str) -> FilterSettings:
     """Settings from a TOML text; keys left out keep their defaults. Raises InputError naming the key."""
     table = parse_toml(text)
-    known = [item.name for item in fields(FilterSettings)]
+    known = [item.name for item in fields(FilterSettings) if item.name != "barriers"]
     if table.pop("format", FORMAT) != FORMAT:
         raise InputError(f"format: wanted {FORMAT}; this program reads no other")
-    for key in table:
+    own = {item.name for item in _declared(_system_of(table))}
+    barriers = {key: table.pop(key) for key in list(table) if key in own and key not in known}
+    for key in list(table):
         if key in _GONE:
             raise InputError(f"{key}: no setting any more, tolerances follow from each barrier's scale; leave it out")
-        if key not in known:
-            raise InputError(f"{key}: unknown key; {did_you_mean(key, known)}")
-    return FilterSettings(**table)
+        if key in known:
+            continue
+        if key not in _ONCE_IN_EVERY_FILE:
+            raise InputError(f"{key}: unknown key; {did_you_mean(key, [*known, *own])}")
+        del table[key]
+    return FilterSettings(**table, barriers=barriers)
+
+
+def _system_of(table: Mapping[str, Any]) -> str:
+    """Whose barriers a file speaks of: without bounds it is the usual robot's."""
+    system = table.get("system", "")
+    return DEFAULT_ROBOT if not system and not any(name in table for name in _BOUNDS) else str(system)
+
+
+def _declared(system: str) -> tuple[BarrierSetting, ...]:
+    """What the barriers of a robot take; where nobody declared it, what those of any robot do."""
+    known = robots()
+    if system in known:
+        return known[system].barrier_settings
+    return tuple({item.name: item for robot in reversed(known.values()) for item in robot.barrier_settings}.values())
+
+
+def _barriers(system: str, given: Any) -> dict[str, float]:
+    """The numbers of the barriers, all of them where the robot is known."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"barriers: got {given!r}, wanted numbers by name")
+    declared = {item.name: item for item in _declared(system)}
+    for name in given:
+        if name not in declared:
+            raise InputError(f"{name}: no setting of the barriers of '{system}'; {did_you_mean(str(name), declared)}")
+    complete = {item.name: item.default for item in declared.values()} if system in robots() else {}
+    found = {**complete, **{name: declared[name].checked(value) for name, value in given.items()}}
+    for item in declared.values():
+        if item.above and item.name in found:
+            least = found.get(item.above, declared[item.above].default)
+            if found[item.name] <= least:
+                raise InputError(f"{item.name}: got {found[item.name]}, wanted more than {item.above} {least}")
+    return found
 
 
 def without_former_keys(text: str) -> tuple[str, list[str]]:
@@ -226,6 +263,8 @@ def write_settings(settings: FilterSettings) -> str:
         value = getattr(settings, item.name)
         if isinstance(value, tuple):
             lines.append(f"{item.name} = {list(value)!r}")
+        elif item.name == "barriers":
+            lines += [f"{name} = {number!r}" for name, number in value.items()]
         elif isinstance(value, Mapping):
             entries = ", ".join(f'"{kind}" = {number!r}' for kind, number in value.items())
             lines.append(f"{item.name} = {{ {entries} }}")
@@ -256,8 +295,7 @@ def _numbers(name: str, value: Any) -> tuple[float, ...]:
 
 
 def _number(name: str, value: Any, low: float, high: float, *, open_low: bool = False) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(f"{name}: got {value!r}, wanted a finite number")
+    finite_number(name, value)
     if not low <= value <= high or (open_low and value == low):
         above = "more than" if open_low else "at least"
         raise InputError(

@@ -24,7 +24,17 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier
 
-__all__ = ["ENDS", "Motion", "StoppingBarrier", "nearer_end", "stopping_action", "stopping_path", "stopping_room"]
+__all__ = [
+    "ALIKE",
+    "ENDS",
+    "NUDGE",
+    "Motion",
+    "StoppingBarrier",
+    "nearer_end",
+    "stopping_action",
+    "stopping_path",
+    "stopping_room",
+]
 
 Floats = NDArray[np.float64]
 
@@ -39,8 +49,9 @@ GAIN: Final = 12.0
 """1/s of the turning."""
 FAINT: Final = 0.05
 """m/s2 of wanted acceleration below which the turning fades: a robot at rest in still air need not turn."""
-_NUDGE = 1e-4
-_ALIKE = 1e-6
+NUDGE: Final = 1e-4
+"""Of each entry of the state, in its own unit: for the slopes."""
+ALIKE: Final = 1e-6
 """m; where either end leaves the same room the one that has less to turn is taken."""
 
 
@@ -59,6 +70,17 @@ class Motion:
     """rad/s of turning."""
     ahead: float = 0.0
     """m by which the position of the state, the centre of mass, lies ahead of the middle, whose room counts."""
+
+    def of(self, which: Any) -> Motion:
+        """The same for the robot of an index, or for those of several; a number that holds for all stays as it is."""
+        wind, drag, strongest = (np.asarray(part, dtype=np.float64) for part in (self.wind, self.drag, self.strongest))
+        return Motion(
+            wind[:, which] if wind.ndim > 1 else wind,
+            drag[which] if drag.ndim else drag,
+            strongest[which] if strongest.ndim else strongest,
+            self.fastest,
+            self.ahead,
+        )
 
 
 def stopping_action(state: Floats, motion: Motion, end: Floats) -> tuple[Floats, Floats]:
@@ -83,10 +105,10 @@ def _slowing(state: Floats, ahead: Floats, aside: Floats, motion: Motion, end: F
     return thrust, np.minimum(np.maximum(GAIN * error, -motion.fastest), motion.fastest)
 
 
-def nearer_end(state: Floats, motion: Motion) -> float:
-    """1 where the nose of one robot at ``state`` (5,) is nearer to where it has to push, else -1."""
+def nearer_end(state: Floats, motion: Motion) -> Any:
+    """1 where the nose at ``state`` (5,) or (5, robots) is nearer to where the robot has to push, else -1."""
     wanted = [-state[3 + axis] / STOP_SECONDS - motion.wind[axis] + motion.drag * state[3 + axis] for axis in (0, 1)]
-    return 1.0 if wanted[0] * np.cos(state[2]) + wanted[1] * np.sin(state[2]) >= 0.0 else -1.0
+    return np.where(wanted[0] * np.cos(state[2]) + wanted[1] * np.sin(state[2]) >= 0.0, 1.0, -1.0)
 
 
 def stopping_path(state: Floats, motion: Motion, end: Floats) -> Floats:
@@ -121,7 +143,10 @@ def _put_middle(place: Floats, state: Floats, ahead: Floats, aside: Floats, lies
 
 
 def stopping_room(path: Floats, hazards: Floats, radii: Floats) -> Floats:
-    """h (robots, hazards) [m] of paths (steps, 2, robots) among hazards (robots, hazards, 2) of those radii."""
+    """h (robots, hazards) [m] of paths (steps, 2, robots) among hazards (robots, hazards, 2).
+
+    ``radii`` (hazards,) or (robots, hazards).
+    """
     places = np.ascontiguousarray(hazards.transpose(2, 1, 0), dtype=path.dtype)
     nearest = np.full(places.shape[1:], np.inf, dtype=path.dtype)
     squares, part = np.empty_like(nearest), np.empty_like(nearest)
@@ -156,10 +181,10 @@ class StoppingBarrier(AbstractBarrier):
         room, end = self._best(state)
         around = np.repeat(state[:, np.newaxis], 10, axis=1)
         index = np.arange(5)
-        around[index, index] += _NUDGE
-        around[index, 5 + index] -= _NUDGE
+        around[index, index] += NUDGE
+        around[index, 5 + index] -= NUDGE
         rooms = self._rooms(around, np.full(10, end))
-        return room, (rooms[:5] - rooms[5:]).T / (2.0 * _NUDGE)
+        return room, (rooms[:5] - rooms[5:]).T / (2.0 * NUDGE)
 
     def best_end(self, state: Floats) -> float:
         """1 where the manoeuvre with the nose first leaves more room at ``state`` (5,), else -1."""
@@ -170,7 +195,7 @@ class StoppingBarrier(AbstractBarrier):
 
         rooms = [least_rooms(state, self._motion, float(end), self._places, self._radii) for end in ENDS]
         more = float(rooms[1].min() - rooms[0].min()) if self._radii.size else 0.0
-        best = int(more > 0.0) if abs(more) > _ALIKE else int(nearer_end(state, self._motion) < 0.0)
+        best = int(more > 0.0) if abs(more) > ALIKE else int(nearer_end(state, self._motion) < 0.0)
         return rooms[best], float(ENDS[best])
 
     def _rooms(self, states: Floats, end: Floats) -> Floats:

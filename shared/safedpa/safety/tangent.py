@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, isfinite
+from math import inf
 from typing import Any, Final, final
 
-from safedpa.errors import InputError
+from safedpa.safety.not_finite import NotFiniteError
 
-__all__ = ["MARK", "NotFiniteError", "Tangent"]
+__all__ = ["MARK", "Tangent"]
 
 Plain = Sequence[float]
 
@@ -18,10 +18,6 @@ _ROUNDING: Final = 1e-9
 MARK: Final = 1e-10
 """Share of a row's reach by which a solution shall exceed its condition: more than the rounding errors of the program's
 solution, so that it keeps the condition, not almost."""
-
-
-class NotFiniteError(InputError):
-    """Model or barrier have no finite slopes there: no tangent, though there may be one elsewhere."""
 
 
 @final
@@ -113,5 +109,6 @@ class Tangent:
 
 
 def _refuse_infinite(row: list[float]) -> None:
-    if not all(map(isfinite, row)):
-        raise NotFiniteError("gradient of h: got NaN or infinity, wanted finite numbers")
+    for value in row:
+        if value - value != 0.0:
+            raise NotFiniteError("gradient of h: got NaN or infinity, wanted finite numbers")

@@ -21,7 +21,6 @@ from safedpa.networks import frame_of
 from safedpa.robot import robot_like
 from safedpa.safety.margin import split_conformal_margin
 from safedpa.safety.settings import FilterSettings
-from safedpa.safety.theory_gradient import largest_gradients
 
 __all__ = ["RecordedBound", "Transitions", "own_errors", "recorded_bound"]
 
@@ -70,7 +69,7 @@ def recorded_bound(
     step = split_conformal_margin(steps, coverage)
     if not np.isfinite(step):
         raise InputError(f"transitions: got {len(steps)}, too few for a coverage of {coverage}; record more")
-    tables = [largest_gradients(settings, footprint, scale) for footprint in found.footprints]
+    tables = [robot.largest_gradients(settings, footprint, scale) for footprint in found.footprints]
     gradients = {kind: max(table[kind] for table in tables) for kind in tables[0]}
     constants = {
         "step": step,

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from safedpa.safety.barrier import AbstractBarrier, AbstractStack
 from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.car_stack import stacked
 from safedpa.safety.ceiling import NO_CEILING, Ceiling, Seen
 from safedpa.safety.margin import OnlineMargin
 from safedpa.safety.margin_change import PhasedMargin, least_by_kind
+from safedpa.safety.stacks import stacked
 from safedpa.safety.trail import Foretold
 
 __all__ = ["Seen", "WatchedMargin"]

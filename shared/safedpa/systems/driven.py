@@ -14,7 +14,8 @@ def why_not_driven(system: System, robot: str) -> str:
     is_ = f"a {system.name} with {', '.join(system.action_names)} (states {', '.join(system.state_names)})"
     if robot not in known:
         return f"{is_}, wanted one of {', '.join(known)}"
-    wanted = known[robot].system
-    if (system.name, system.state_names, system.action_names) == (robot, wanted.state_names, wanted.action_names):
+    driven = known[robot].of_system(system).system
+    if (system.name, system.state_names, system.action_names) == (robot, driven.state_names, driven.action_names):
         return ""
-    return f"{is_}, wanted a {robot} with {', '.join(wanted.action_names)} (states {', '.join(wanted.state_names)})"
+    wanted = " or ".join(", ".join(one.system.action_names) for one in (known[robot], *known[robot].variants))
+    return f"{is_}, wanted a {robot} with {wanted} (states {', '.join(driven.state_names)})"

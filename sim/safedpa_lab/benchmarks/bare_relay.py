@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.process import Stop, Urgency, run_process
+from safedpa.bus.loop.process import Stop, Urgency, run_process
 
 
 def work(options: argparse.Namespace, stop: Stop) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -11,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
-from safedpa.bus.ports import free_port
+from safedpa.bus.transport.ports import free_port
 from safedpa.errors import SafedpaError
 from safedpa_lab.benchmarks.hostile.offers import account_of_offers
 from safedpa_lab.benchmarks.usage import Usage, load_average, usage_of
@@ -78,7 +79,8 @@ def fleet_benchmark(trial: FleetTrial, tell: Callable[[int, int], None] = lambda
         moments = account.pop("moments")
         if trial.offers:
             fleet_rate = trial.rate * trial.robots
-            account["offers"] = account_of_offers(Path(folder) / _OFFERS, moments, fleet_rate)
+            files = [Path(folder) / _reference(core) for core in _cores()]
+            account["offers"] = account_of_offers(Path(folder) / _OFFERS, moments, fleet_rate, files)
     ticks = max(account["robot_ticks"], 1)
     return {
         "rate_hz": trial.rate,
@@ -142,7 +144,20 @@ def _children(trial: FleetTrial, folder: Path, begun: Path, summary: Path) -> li
         account = ("--account", str(folder / _OFFERS), "--stretch", repr(trial.offers))
         attack = ("--connect", endpoint, "--robots", str(trial.robots), *account, *scheduling)
         children.append(Child("offers", module, attack, folder / "offers.log"))
+        module = "safedpa_lab.benchmarks.reference"
+        for core in _cores():
+            about = ("--core", str(core), "--account", str(folder / _reference(core)), *scheduling)
+            children.append(Child(f"reference_{core}", module, about, folder / f"reference-{core}.log"))
     return children
+
+
+def _cores() -> list[int]:
+    """Each has a reference loop beside the fleet, to tell what the machine does from what an attack does."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
+
+
+def _reference(core: int) -> str:
+    return f"reference-{core}.json"
 
 
 @contextmanager

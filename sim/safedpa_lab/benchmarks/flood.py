@@ -13,8 +13,8 @@ import time
 
 import msgpack
 
-from safedpa.bus.process import Stop, run_process
-from safedpa.bus.zenoh_transport import ZenohSettings, ZenohTransport
+from safedpa.bus.loop.process import Stop, run_process
+from safedpa.bus.transport.zenoh_transport import ZenohSettings, ZenohTransport
 
 _PAUSE_SECONDS = 0.01
 

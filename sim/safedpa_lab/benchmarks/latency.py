@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.ports import free_port
+from safedpa.bus.transport.ports import free_port
 from safedpa.errors import SafedpaError
 from safedpa_services.supervisor.child import Child
 
-__all__ = ["bare_chain", "latency_benchmark", "real_loop"]
+__all__ = ["bare_chain", "bare_times", "latency_benchmark", "real_loop"]
 
 _HOPS = ("state", "latent", "wish", "action")
 _PAYLOAD = bytes(600)
@@ -59,6 +59,12 @@ def real_loop(seconds: float, rate: float) -> dict[str, float]:
 
 def bare_chain(seconds: float, rate: float) -> dict[str, float]:
     """The same number of processes and hops, handing on the same number of bytes."""
+    found = np.percentile(bare_times(seconds, rate), [50.0, 99.0, 99.9])
+    return {name: round(float(value), 1) for name, value in zip(("p50", "p99", "p999"), found, strict=True)}
+
+
+def bare_times(seconds: float, rate: float) -> list[float]:
+    """Microseconds from the first to the last of four hops through three processes, of each of ``rate`` a second."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     arrived = threading.Event()
     transport = ZenohTransport(ZenohSettings(listen=(endpoint,)))
@@ -74,8 +80,7 @@ def bare_chain(seconds: float, rate: float) -> dict[str, float]:
                 microseconds.append(1e6 * (time.perf_counter() - started))
             time.sleep(max(0.0, 1.0 / rate - (time.perf_counter() - started)))
     transport.close()
-    found = np.percentile(microseconds, [50.0, 99.0, 99.9])
-    return {name: round(float(value), 1) for name, value in zip(("p50", "p99", "p999"), found, strict=True)}
+    return microseconds
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from safedpa.records.atomic import atomic_path
 from safedpa_lab.benchmarks.results import Effort
 from safedpa_lab.benchmarks.rows import ROWS, measured
 from safedpa_lab.benchmarks.usage import load_average
+from safedpa_lab.provenance.record import KEY, provenance
 
 __all__ = ["chosen_rows", "machine", "read_document", "run_rows"]
 
@@ -71,7 +72,7 @@ def _one(name: str, effort: Effort) -> Document:
         found = {"name": name, "work": ROWS[name].work, "failed": f"{type(error).__name__}: {error}"}
     effort_name = "quick" if effort.quick else "full" if effort.full else "usual"
     about = {"effort": effort_name, "seconds": round(time.perf_counter() - began, 1)}
-    return {**found, **about, "load_average": [before, load_average()], "machine": machine()}
+    return {**found, **about, "load_average": [before, load_average()], "machine": machine(), KEY: provenance()}
 
 
 def read_document(file: Path) -> Document:

@@ -94,6 +94,39 @@ def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **o
         click.echo(f"largest fleet with at most 0.1 % late ticks at {trial.rate:g} Hz: {largest} robots")
 
 
+@command.command()
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--pairs", type=click.IntRange(1, 1000), default=20, show_default=True, help="drives of each, in turn")
+@click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=5.0, show_default=True, help="of each drive")
+@click.option("--most", type=float, metavar="RATIO", help="exit code 1 where the median ratio of a figure is above it")
+@_JSON
+@needs("sim")
+def against(folder: Path, pairs: int, seconds: float, most: float | None, *, as_json: bool) -> None:
+    """This checkout beside another one, such as an older commit in a git worktree: ratios of sense to act and start.
+
+    Short drives of the two in turn, with this Python, so that what the machine does meanwhile happens to both.
+    """
+    from safedpa.errors import SafedpaError
+    from safedpa_lab.benchmarks.against import against as compared
+    from safedpa_lab.benchmarks.against import checkout_of
+    from safedpa_services.progress import progress
+
+    ours, other = checkout_of(Path(__file__).parents[3]), checkout_of(folder)
+    with progress(f"{pairs} pairs of drives") as tell:
+        result = compared(ours, other, pairs, seconds, tell)
+    if as_json:
+        click.echo(json.dumps(result))
+    else:
+        for name, row in result["figures"].items():
+            click.echo(
+                f"{name:26} {row['ours']:9.4g} {row['unit']:2} beside {row['other']:9.4g} {row['unit']:2}   "
+                f"ratio {row['ratio']:.3f} (95 %: {row['interval'][0]:.3f} to {row['interval'][1]:.3f})"
+            )
+    over = [name for name, row in result["figures"].items() if most is not None and row["ratio"] > most]
+    if over:
+        raise SafedpaError(f"bench against {folder}: {', '.join(over)}: more than {most:g} times as long")
+
+
 @command.command(name="list")
 def list_rows() -> None:
     """The rows of `safedpa bench all`."""

@@ -25,11 +25,11 @@ from safedpa.dynamics import PhysicsModel, fingerprint
 from safedpa.errors import InputError
 from safedpa.networks import frame_of
 from safedpa.robots.car.car_scene import CarScene
+from safedpa.robots.car.theory_gradient import largest_gradients
 from safedpa.safety import FilterSettings
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin import smallest_sample, split_conformal_margin
-from safedpa.safety.theory_gradient import largest_gradients
 from safedpa_lab.experiments.car_drives import Drive
 from safedpa_lab.experiments.statistics import wilson_interval
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
 from safedpa_lab.experiments.car_table import table_markdown
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["MODEL_TITLES", "markdown_of", "write_report"]
 
@@ -27,7 +27,7 @@ def write_report(result: dict[str, Any], out: Path) -> None:
     from safedpa_lab.experiments.car_recording import write_recording
 
     out.mkdir(parents=True, exist_ok=True)
-    (out / "car.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out / "car.json", result)
     (out / "car.md").write_text(markdown_of(result), encoding="utf-8")
     write_figures(result, out)
     write_recording(result, out / "car.rrd")

@@ -26,8 +26,7 @@ from safedpa.safety.margin import smallest_sample
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_sim.closed_loop import Tick, drive
-from safedpa_sim.robots.core import CarRobot
-from safedpa_sim.robots.late_commands import LateCommands
+from safedpa_sim.robots.core import CarRobot, LateCommands
 from safedpa_sim.robots.scene import Scene
 
 __all__ = ["CHANNELS", "DelayedDrives", "Lateness", "delayed_drives", "margin_with_delay", "model_with_delay"]

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.fitting import fit
-from safedpa.diagnosis.heldout import error_with, heldout_of
-from safedpa.diagnosis.report import Report, as_document
-from safedpa.diagnosis.shooting import shooting_of
-from safedpa.diagnosis.trial import trial_of, tried, with_start
+from safedpa.diagnosis.document import Report, as_document
+from safedpa.diagnosis.fit.heldout import error_with, heldout_of
+from safedpa.diagnosis.fit.least_squares import fit
+from safedpa.diagnosis.fit.shooting import shooting_of
+from safedpa.diagnosis.fit.trial import trial_of, tried, with_start
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.effects import AbstractEffect, Where, conditioned, effect
 from safedpa.effects.law import law_of

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from safedpa.diagnosis.check import Check, checked
 from safedpa.diagnosis.diagnose import diagnose
+from safedpa.diagnosis.document import Report
 from safedpa.diagnosis.rehearsal import Rehearsed, rehearsal_of
-from safedpa.diagnosis.report import Report
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError
 from safedpa.records import load_run

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.diagnosis.fleet import Fleet, Options, diagnose_fleet, robots_in_folder
-from safedpa.diagnosis.fleet.workers import in_processes
+from safedpa.fleet import Fleet, Options, diagnose_fleet, robots_in_folder
+from safedpa.fleet.workers import in_processes
 from safedpa_lab.experiments.statistics import wilson_interval
 from safedpa_lab.hidden.fleet import fleet_truth, write_fleet
 
@@ -235,7 +235,7 @@ def _common_rows(result: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _group_line(group: Mapping[str, Any]) -> str:
-    from safedpa.diagnosis.fleet.story import group_title, numbers_text
+    from safedpa.fleet.story import group_title, numbers_text
 
     errors = [("" if value is None else f"{value:.3g}") for value in (group["error_before"], group["error_after"])]
     return f"| {group_title(group)} | {len(group['robots'])} | {numbers_text(group)} | {errors[0]} | {errors[1]} |"

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from safedpa.diagnosis.heldout import heldout_of
-from safedpa.diagnosis.search import begun
-from safedpa.diagnosis.shooting import shooting_of
+from safedpa.diagnosis.fit.heldout import heldout_of
+from safedpa.diagnosis.fit.shooting import shooting_of
+from safedpa.diagnosis.search.search import begun
 from safedpa.dynamics import load_model
 from safedpa.records import load_run
 from safedpa_lab.experiments.diagnosing import HORIZON

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
@@ -16,6 +15,7 @@ from typing import Any
 from safedpa.errors import InputError
 from safedpa_lab.experiments.hidden_summary import summary
 from safedpa_lab.hidden.judge import Found, Outcome
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["document_of", "read_outcomes", "write_document"]
 
@@ -49,9 +49,7 @@ def _row(item: Outcome) -> dict[str, Any]:
 
 def write_document(document: Mapping[str, Any], path: Path) -> None:
     """Writes the record whole or not at all: a reader never finds half of one."""
-    part = path.with_name(f"{path.name}.part")
-    part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    write_result(path, document)
 
 
 def read_outcomes(path: Path) -> tuple[list[Outcome], list[int]]:
@@ -75,7 +73,13 @@ def _outcome(row: Mapping[str, Any]) -> Outcome:
     for name in _LISTS:
         values[name] = tuple(values.get(name, ()))
     for name in ("error", "error_ratio", "seconds", "processor_seconds"):
-        values[name] = float("nan") if values[name] is None else float(values[name])
-    own = ("path", "value", "std", "truth")
-    values["parameters"] = tuple(Found(**{name: item[name] for name in own}) for item in row["parameters"])
+        values[name] = _number(values[name])
+    values["parameters"] = tuple(
+        Found(item["path"], *(_number(item[name]) for name in ("value", "std", "truth"))) for item in row["parameters"]
+    )
     return Outcome(**values)
+
+
+def _number(told: float | None) -> float:
+    """What was not finite stands as null."""
+    return float("nan") if told is None else float(told)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, Final
 
-from safedpa.diagnosis.live.evidence import ALPHA
+from safedpa.live.watch import ALPHA
 from safedpa_lab.experiments.live_drive import CASES, MODEL_NAME, LiveDrive, drive_live
 
 __all__ = ["NOTHING", "LiveExperiment", "live_experiment"]

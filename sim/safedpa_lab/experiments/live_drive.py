@@ -11,10 +11,10 @@ from typing import Any, Final
 
 from safedpa.adaptation import AdaptationNode, LatentEstimator
 from safedpa.bus import FINDING, MODEL, STATE, FindingMessage, ModelMessage, Received, Request, StateMessage
-from safedpa.diagnosis.live.finding import RobotDiagnosis
-from safedpa.diagnosis.live.node import DiagnosisNode
-from safedpa.diagnosis.live.work import AbstractWorker, Calibrate, InlineWorker, Outcome
 from safedpa.dynamics import PhysicsModel, load_model, write_model
+from safedpa.live.finding import RobotDiagnosis
+from safedpa.live.node import DiagnosisNode
+from safedpa.live.work import AbstractWorker, Calibrate, InlineWorker, Outcome
 from safedpa.policy import PolicyNode
 from safedpa.records.run import Run
 from safedpa.safety.live_margin import live_margin
@@ -90,17 +90,19 @@ def drive_live(
     *,
     model: str = MODEL_NAME,
     hear: Callable[[Received], None] | None = None,
+    reading: float = 0.0,
 ) -> LiveDrive:
     """Drives until ``seconds``, or until 25 s after the model was changed; the case's change comes ``after`` [s].
 
-    ``case`` is one of ``CASES`` or ``nothing``. In lockstep, all in one process: the same drive repeats bit for bit.
+    ``case`` is one of ``CASES`` or ``nothing``; ``reading`` [s] goes by before a candidate is accepted. In lockstep,
+    all in one process: the same drive repeats bit for bit.
     """
     loaded = load_model(model)
     change = None if case == "nothing" else PlannedChange(case, after)
     robot = CarRobot(live_scene(seed), _PERIOD, change=change)
     diagnosis, nodes = _nodes(loaded)
     found = LiveDrive(case, seed)
-    notes = _Notes(found, diagnosis)
+    notes = _Notes(found, diagnosis, reading)
 
     def listen(item: Received) -> None:
         notes.hear(item)
@@ -138,12 +140,14 @@ def _calibrate() -> Calibrate:
 class _Notes:
     """Takes down what the findings say, and accepts the first effect that is confirmed."""
 
-    def __init__(self, found: LiveDrive, node: DiagnosisNode) -> None:
-        self._found = found
+    def __init__(self, found: LiveDrive, node: DiagnosisNode, reading: float) -> None:
+        self._found, self._reading = found, reading
         self._node = node
         self._errors: list[float] = []
         self._later: list[float] = []
         self._seen: Outcome | None = None
+        self._shown: tuple[Outcome | None, float] = (None, 0.0)
+        """The newest outcome, and the robot's time when it was first there."""
         self._searches = 0
 
     def hear(self, item: Received) -> None:
@@ -154,7 +158,7 @@ class _Notes:
             if self._found.taken is None:
                 self._found.taken = message.from_tick * _PERIOD
         elif item.topic is STATE and isinstance(message, StateMessage):
-            self._accept()
+            self._accept(message.robot_time)
 
     def _finding(self, message: FindingMessage) -> None:
         found = self._found
@@ -177,10 +181,14 @@ class _Notes:
             self._later.append(message.error)
             found.after = sum(self._later) / len(self._later)
 
-    def _accept(self) -> None:
+    def _accept(self, now: float) -> None:
         diagnosis = self._node.diagnosis_of(_ROBOT)
         outcome = None if diagnosis is None else diagnosis.outcome
         if diagnosis is None or outcome is None or outcome is self._seen:
+            return
+        if self._shown[0] is not outcome:
+            self._shown = outcome, now
+        if now < self._shown[1] + self._reading:
             return
         self._seen = outcome
         self._searches += 1

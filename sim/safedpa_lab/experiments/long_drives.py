@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import Any
 
 from safedpa.adaptation import AdaptationNode
@@ -18,6 +19,7 @@ from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa.safety.standstill import Stand, note_standstill
+from safedpa_lab.experiments.margin_drives import DRIVERS
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.scene import Scene
@@ -29,6 +31,8 @@ LONG = 10.0
 _PERIOD = 0.05
 _STILL = 0.02
 """m within which a car stands."""
+_CRAWL, _CRAWLED = 20.0, 1.0
+"""s, and m: who goes less in that time crawls."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,10 @@ class LongDrive:
     seconds: float = 120.0
     model: str = "car"
     controller: str | None = None
+    until_action: float = 0.0
+    """s from the measured state until its action acts, as the robot tells it."""
+    driver: str = ""
+    """Of ``DRIVERS``, for another robot than the car: its model, settings and robot of this seed."""
 
 
 @dataclass(frozen=True)
@@ -56,21 +64,26 @@ class LongOutcome:
     longest_stand: float
     """s within 2 cm of one place, measured."""
     statuses: dict[str, int]
+    least_way: float = math.inf
+    """m gone in the 20 s in which it got on least; infinity for a shorter drive."""
 
 
 def run_long_drive(long: LongDrive) -> LongOutcome:
     """Drives once; the same drive gives the same outcome, bit for bit."""
-    model = load_model(long.model)
-    policy = PolicyNode(model, controller=long.controller)
-    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings_named("car"), margin_for(model))]
-    robot = CarRobot(Scene.random(long.seed, long.load), _PERIOD)
+    driver = DRIVERS[long.driver or "car"]
+    model = load_model(driver.model if long.driver else long.model)
+    policy = PolicyNode(model, controller=driver.controller if long.driver else long.controller)
+    nodes = [AdaptationNode(model), policy, SafetyFilterNode(model, settings_named(driver.settings), margin_for(model))]
+    robot: Any = driver.robot(long.seed) if long.driver else _car(long)
     statuses: Counter[str] = Counter()
     told: list[Stand] = []
+    places = [robot.values[:2]]
     longest, since, place = 0.0, 0.0, robot.values[:2]
-    for tick in drive(robot, nodes, round(long.seconds / _PERIOD)):
+    for tick in drive(robot, nodes, round(long.seconds / model.period)):
         statuses[tick.verdict.status] += 1
         note_standstill(told, tick.verdict)
         x, y = tick.state.values[:2]
+        places.append((x, y))
         if math.hypot(x - place[0], y - place[1]) > _STILL:
             since, place = tick.state.robot_time, (x, y)
         longest = max(longest, tick.state.robot_time - since)
@@ -83,11 +96,23 @@ def run_long_drive(long: LongDrive) -> LongOutcome:
         tuple(told),
         longest,
         dict(statuses),
+        _least_way(places, model.period),
+    )
+
+
+def _car(long: LongDrive) -> CarRobot:
+    return CarRobot(Scene.random(long.seed, long.load), _PERIOD, until_action=long.until_action)
+
+
+def _least_way(places: Sequence[Sequence[float]], period: float) -> float:
+    gone = list(accumulate((math.dist(one, other) for one, other in pairwise(places)), initial=0.0))
+    return min(
+        (later - now for now, later in zip(gone, gone[round(_CRAWL / period) :], strict=False)), default=math.inf
     )
 
 
 def long_summary(outcomes: Iterable[LongOutcome]) -> dict[str, Any]:
-    """Drives, collisions, goals a minute (mean over drives), drives with a long stand, and those of them untold."""
+    """Drives, collisions, goals a minute (mean over drives), drives with a long stand, untold ones, and crawls."""
     drives = list(outcomes)
     long = [item for item in drives if item.longest_stand >= LONG]
     return {
@@ -95,6 +120,7 @@ def long_summary(outcomes: Iterable[LongOutcome]) -> dict[str, Any]:
         "collisions": sum(item.collisions for item in drives),
         "goals_a_minute": round(sum(60.0 * item.goals / item.seconds for item in drives) / max(len(drives), 1), 2),
         "stands": len(long),
+        "crawls": sum(item.least_way < _CRAWLED for item in drives),
         "untold": sum(not item.standstills for item in long),
         "standstills": [
             {"load": item.load, "seed": item.seed, **stand} for item in drives for stand in item.standstills

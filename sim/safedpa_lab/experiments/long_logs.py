@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from safedpa.bus.codec import encode
-from safedpa.bus.messages import StateMessage
-from safedpa.bus.topics import STATE, key_of
+from safedpa.bus.wire.codec import encode
+from safedpa.bus.wire.messages import StateMessage
+from safedpa.bus.wire.topics import STATE, key_of
 from safedpa.records import McapRecorder
 from safedpa.records.write import write_columns
 from safedpa.robots.car.system import CAR

@@ -18,17 +18,20 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, LatentMessage, Received, StateMessage
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
+from safedpa.robot import robot_named
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.drive_heights import DrivenTick, drive_heights
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
 from safedpa_sim.closed_loop import Robot, drive
+from safedpa_sim.differential_drive.stand_in import WORLDS
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.pendulum_robot import PendulumRobot
 from safedpa_sim.robots.pendulum_task import TASKS
 from safedpa_sim.robots.pendulum_world import wind_towards
 from safedpa_sim.robots.point_robot import PointRobot, force_towards
 from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.stand_in_robot import StandInRobot
 
 __all__ = ["DRIVERS", "DriveOrder", "DriveResult", "Driver", "driven"]
 
@@ -63,6 +66,12 @@ def _point(seed: int) -> Robot:
     return PointRobot(force_towards(newton, direction), seed)
 
 
+def _wheels(seed: int) -> Robot:
+    """Every world in turn."""
+    world = WORLDS[list(WORLDS)[seed % len(WORLDS)]]
+    return StandInRobot(robot_named("differential_drive"), 0.05, seed, world)
+
+
 def _drawn(seed: int, most: float) -> tuple[float, float]:
     """A strength and a direction [degrees]."""
     draw = np.random.default_rng([seed, 77])
@@ -88,6 +97,7 @@ DRIVERS: Final = {
     "pendulum_learned": Driver("pendulum_learned", "pendulum", _pendulum, 6.0),
     "point": Driver("point_wind", "point", _point, 10.0),
     "point_learned": Driver("point_learned", "point", _point, 10.0, "goal_seeker"),
+    "differential_drive": Driver("differential_drive", "differential_drive", _wheels, 20.0, "straight"),
 }
 """By name of the margin that ships."""
 

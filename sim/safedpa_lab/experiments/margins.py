@@ -55,7 +55,7 @@ class MarginCases:
     out: Path
     drives: int = 200
     """On calibration seeds, for each of ``KINDS``; 99 at least for a coverage of 99 %. Half as many, but no fewer than
-    that, go before."""
+    that, go before. 0: none is made, and what ships, a margin or the one that the settings assume, is counted alone."""
     fresh: int = 200
     """On evaluation seeds, for each kind of margin."""
     skip: int = 0
@@ -76,8 +76,8 @@ class MarginCases:
         for kind in self.kinds:
             if kind not in (known := (*KINDS, SHIPPED)):
                 raise InputError(f"--kind '{kind}': {did_you_mean(kind, known)}")
-        if self.drives < 1 or self.processes < 1:
-            raise InputError("--drives and --processes: wanted more than 0")
+        if self.processes < 1 or (self.drives < 1 and (self.drives < 0 or self.kinds != (SHIPPED,))):
+            raise InputError("--drives and --processes: wanted more than 0, or --drives 0 --kind shipped")
         if min(self.fresh, self.skip, self.seconds, self.minutes) < 0:
             raise InputError("--fresh, --skip, --seconds, --minutes: wanted 0 or more")
 
@@ -89,6 +89,8 @@ class MarginCases:
     @property
     def total(self) -> int:
         """Drives of one robot."""
+        if not self.drives:
+            return self.fresh
         return self.first + len(KINDS) * self.drives + len(self.kinds) * self.fresh
 
 
@@ -122,6 +124,9 @@ def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, coun
         orders = [DriveOrder(name, seed, behind, kind, seconds) for seed in seeds]
         return _driven(folder / part, orders, workers, ends, count)
 
+    if not cases.drives:
+        fresh = made(f"fresh-{SHIPPED}", _shipped(name), KINDS[0], seeds_for("evaluation", cases.fresh, cases.skip))
+        return _shipped_alone(name, fresh, seconds) if fresh else {"drives": 0}
     first = made("first", None, KINDS[0], seeds_for("calibration", cases.first))
     if len(first) < cases.first:
         return {"drives": len(first)}
@@ -140,14 +145,28 @@ def _of_robot(cases: MarginCases, name: str, workers: Workers, ends: float, coun
         row[f"calibration_{kind}"] = _counted(results, _spoken_of(margin, None, kind), ceiling)
         row[f"calibration_{kind}"] |= _driving(results, seconds)
     for kind in cases.kinds:
-        ahead, which = (margin, kind) if kind in KINDS else (margin_for(load_model(DRIVERS[name].model)), KINDS[0])
+        ahead, which = (margin, kind) if kind in KINDS else (_shipped(name), KINDS[0])
         if fresh := made(f"fresh-{kind}", ahead, which, seeds_for("evaluation", cases.fresh, cases.skip)):
             spoken_of = _spoken_of(margin, ahead, kind)
             row[f"fresh_{kind}"] = _counted(fresh, spoken_of, ceiling) | _driving(fresh, seconds)
             if kind in spoken_of:
                 row[f"fresh_{kind}"]["layer"] = _layers(fresh, seconds, spoken_of[kind], ceiling.eta)
-    _with_the_rest(margin, margin_for(load_model(DRIVERS[name].model)), row).save(folder / "margin.toml")
+    _with_the_rest(margin, _shipped(name), row).save(folder / "margin.toml")
     return row
+
+
+def _shipped(name: str) -> MarginCalibration | None:
+    """None: of this one there is only what its settings assume."""
+    return margin_for(load_model(DRIVERS[name].model))
+
+
+def _shipped_alone(name: str, fresh: Sequence[DriveResult], seconds: float) -> dict[str, Any]:
+    """How often the margin that ships, or the one that the settings assume, held on these drives behind it."""
+    shipped, ceiling = _shipped(name), _ceiling(name)
+    table = dict(settings_named(DRIVERS[name].settings).epsilon) if shipped is None else shipped.epsilon
+    row = _counted(fresh, {SHIPPED: table}, ceiling) | _driving(fresh, seconds)
+    row["layer"] = _layers(fresh, seconds, table, ceiling.eta)
+    return {"drives": 0, "seconds": seconds, "epsilon": table, "drive": {}, f"fresh_{SHIPPED}": row}
 
 
 def _with_the_rest(
@@ -272,7 +291,7 @@ def _counted(
     """By kind of barrier: the share of steps that each margin covered, and of drives in which it covered every step."""
     drives = [item.heights for item in results]
     rows: dict[str, Any] = {}
-    for kind in tables[KINDS[0]]:
+    for kind in next(iter(tables.values())):
         near = sum(len(ceiling.errors(kind, heights[kind])) > 0 for heights in drives if kind in heights)
         rows[kind] = {"drives": len(drives), "drives_near": near}
         for name, table in tables.items():

@@ -6,7 +6,7 @@ from typing import Any
 
 __all__ = ["margins_page"]
 
-_NAMES = {"conformal": "step", "drive": "drive", "shipped": "shipped before"}
+_NAMES = {"conformal": "step", "drive": "drive", "shipped": "shipped"}
 
 
 def margins_page(result: dict[str, Any], command: str, date: str) -> str:

@@ -1,133 +1,187 @@
-"""The paper's pendulum experiments: both questions, every method, every wind direction; and what stands behind them."""
+"""The paper's pendulum experiments: both questions, every method, every wind direction; and what stands behind them.
+
+Two tables: each filter with the margin that was calibrated for it, and SafeDPA's margin for all. Then both questions
+made harder. Seeds are apart: margins on calibration seeds, RMA-P's penalty on a development seed, what
+is counted on evaluation seeds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from safedpa.errors import InputError
+from safedpa.safety.margin import smallest_sample
 from safedpa_lab.experiments.car_workers import Workers
-from safedpa_lab.experiments.statistics import wilson_interval
-from safedpa_lab.pendulum.balancing import balanced, balanced_account
-from safedpa_lab.pendulum.crossing import crossed, crossed_account
+from safedpa_lab.experiments.pendulum_advantage import advantages
+from safedpa_lab.experiments.pendulum_episodes import QUESTIONS, Choice, Work, accounts, best_penalty
+from safedpa_lab.experiments.pendulum_sweeps import Sweeps, swept
+from safedpa_lab.experiments.seeds import seeds_for
+from safedpa_lab.pendulum.balancing import balanced
+from safedpa_lab.pendulum.difficulty import AXES, Axis, Difficulty, Episodes
 from safedpa_lab.pendulum.invariance import largest_wind, least_reserve
-from safedpa_lab.pendulum.margin import measured_margin
-from safedpa_lab.pendulum.methods import BALANCING_METHODS, HAZARD_METHODS, Method
+from safedpa_lab.pendulum.margin import COVERAGE, measured_margins
+from safedpa_lab.pendulum.methods import BALANCING_METHODS, FILTERED, HAZARD_METHODS, Method
 from safedpa_lab.pendulum.recovery import recovery, swung_all_around
-from safedpa_lab.pendulum.rollouts import Swung
 from safedpa_sim.pendulum.task import AHEAD, BALANCING, HAZARD, LONG_WAY_ROUND, TORQUE, WIND
 
-__all__ = ["PendulumExperiment", "pendulum_experiment"]
+__all__ = ["TABLES", "PendulumExperiment", "pendulum_experiment"]
 
 Tell = Callable[[int, int], None]
 _FITTED = 5
 """Episodes of each direction whose histories are fitted."""
-_SHOWN = 6
-"""Swings of each method that are kept for the phase portraits."""
+TABLES: Final = ("own", "same")
+"""Each filter's own margin; SafeDPA's for all."""
+_METHODS: Final = {1: BALANCING_METHODS, 2: HAZARD_METHODS}
 
 
 @final
 @dataclass(frozen=True)
 class PendulumExperiment:
-    """What is to be run."""
+    """What is to be run. Raises InputError for numbers that make no experiment."""
 
     models: Path
-    directions: int = 24
-    episodes: int = 20
+    directions: int = 48
+    episodes: int = 5
+    sweep_episodes: int = 1
+    """Of each direction at each difficulty; 0: no sweeps."""
+    drives: int = 120
+    """Of each question that calibrate a margin, in each of two rounds."""
     seed: int = 0
-    processes: int = 2
+    processes: int = 1
     date: str = ""
+    axes: tuple[Axis, ...] = AXES
 
     def __post_init__(self) -> None:
-        for name, low in (("directions", 4), ("episodes", 1), ("seed", 0), ("processes", 1)):
+        least = -(-smallest_sample(COVERAGE) // len(QUESTIONS))
+        lows = {"directions": 4, "episodes": 1, "sweep_episodes": 0, "drives": least, "seed": 0, "processes": 1}
+        for name, low in lows.items():
             if getattr(self, name) < low:
-                raise InputError(f"--{name}: got {getattr(self, name)}, wanted {low} or more")
+                raise InputError(f"--{name.replace('_', '-')}: got {getattr(self, name)}, wanted {low} or more")
+        seeds_for("evaluation", 1, self.seed)
 
-
-@final
-@dataclass(frozen=True)
-class _Work:
-    question: int
-    method: Method
-    experiment: PendulumExperiment
-    epsilon: float
+    @property
+    def evaluation(self) -> Episodes:
+        """What the tables count."""
+        return Episodes(seeds_for("evaluation", 1, self.seed)[0], self.directions, self.episodes)
 
 
 def pendulum_experiment(experiment: PendulumExperiment, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
     """Runs both questions for every method; the same winds, starts and draws for each."""
-    margin = measured_margin(experiment.models, experiment.seed, experiment.directions)
-    work = [_Work(1, method, experiment, margin["epsilon"]) for method in BALANCING_METHODS]
-    work += [_Work(2, method, experiment, margin["epsilon"]) for method in HAZARD_METHODS]
-    found: dict[str, Any] = {"balancing": {}, "hazard": {}}
-    latent: dict[str, Any] = {}
+    count = _Count(experiment, tell)
     with Workers(experiment.processes) as workers:
-        for index, (item, account) in enumerate(zip(work, workers.map(_done, work), strict=True)):
-            latent = latent or account.pop("latent", {})
-            found["balancing" if item.question == 1 else "hazard"][item.method.name] = account
-            tell(index + 1, len(work))
+        margins = measured_margins(FILTERED, experiment.models, experiment.drives)
+        epsilon = {name: margin["epsilon"] for name, margin in margins.items()}
+        tables = _tables(experiment, epsilon, workers, count)
+        choice = best_penalty(Choice(experiment.models, experiment.directions, experiment.episodes, Difficulty()))
+        sweeps = _sweeps(experiment, _of_each(epsilon), workers, count)
     return {
         "date": experiment.date,
         "seed": experiment.seed,
+        "evaluation_seed": experiment.evaluation.seed,
         "directions": experiment.directions,
         "episodes": experiment.episodes,
+        "sweep_episodes": experiment.sweep_episodes,
         "assumed": _assumed(),
-        "margin": margin,
-        "invariance": _invariance(margin["epsilon"]),
-        "latent": latent,
-        **found,
+        "margins": margins,
+        "invariance": _invariance(epsilon["safedpa"]),
+        "latent": _latent(experiment, epsilon["safedpa"]),
+        "penalty": choice,
+        "tables": tables,
+        "advantages": {name: advantages(table, experiment.directions) for name, table in tables.items()},
+        "sweeps": sweeps,
     }
 
 
-def _done(work: _Work) -> dict[str, Any]:
-    experiment, method = work.experiment, work.method
-    count = experiment.directions
-    options = (experiment.models, work.epsilon, count, experiment.episodes, experiment.seed)
-    if work.question == 1:
-        swings = balanced(method, *options)
-        account = balanced_account(swings, count)
-        if method.name == "safedpa":
-            account["latent"] = _latent(experiment, swings)
-    else:
-        swings = crossed(method, *options)
-        account = crossed_account(swings, count)
-        account["interval_success"] = list(wilson_interval(account["success"], account["episodes"]))
-        account["interval_both"] = list(wilson_interval(account["both"], account["episodes"]))
-        shown = np.linspace(0, len(swings.states[0]) - 1, 2 * _SHOWN).astype(int)
-        account["shown"] = np.round(swings.states[::4, shown], 3).transpose(1, 0, 2).tolist()
-    account["title"] = method.title
-    account["interval_safe"] = list(wilson_interval(account["safe"], account["episodes"]))
-    return account
+class _Count:
+    """How much of the work is done."""
+
+    def __init__(self, experiment: PendulumExperiment, tell: Tell) -> None:
+        everyone = [method for methods in _METHODS.values() for method in methods]
+        filtered = sum(bool(method.filter) for method in everyone)
+        sweeps = Sweeps(experiment.models, 1, 1, 0, {}, experiment.axes) if experiment.sweep_episodes else None
+        self._all = len(everyone) + (len(TABLES) - 1) * filtered + (0 if sweeps is None else sweeps.size)
+        self._tell, self._done = tell, 0
+
+    def more(self) -> None:
+        self._done += 1
+        self._tell(self._done, self._all)
 
 
-def _latent(experiment: PendulumExperiment, swings: Swung) -> dict[str, Any]:
-    """How well the wind is told by the latent, while balancing and in swings all around, and how well it could be."""
-    models, directions, seed = experiment.models, experiment.directions, experiment.seed
-    episodes = min(experiment.episodes, _FITTED)
-    around = swung_all_around(models, directions, episodes, seed)
-    some = np.arange(directions * experiment.episodes).reshape(directions, -1)[:, :episodes].ravel()
-    swings = replace(
-        swings, states=swings.states[:, some], torques=swings.torques[:, some], latents=swings.latents[:, some]
+def _of_each(epsilon: Mapping[str, float]) -> dict[str, float]:
+    """The own margin of every method with a filter, by method: that of the model of its filter."""
+    by_filter = {method.filter: epsilon[method.name] for method in FILTERED}
+    return {method.name: by_filter.get(method.filter, 0.0) for methods in _METHODS.values() for method in methods}
+
+
+def _tables(
+    experiment: PendulumExperiment, epsilon: Mapping[str, float], workers: Workers, count: _Count
+) -> dict[str, Any]:
+    """By table, question and method what was counted. Who has no filter stands in the first table alone."""
+    margins = {
+        "own": _of_each(epsilon),
+        "same": dict.fromkeys(_of_each(epsilon), epsilon["safedpa"]),
+    }
+    work = [
+        ((table, question, method.name), _work(experiment, question, method, margin[method.name], table == "own"))
+        for table, margin in margins.items()
+        for question, methods in _METHODS.items()
+        for method in methods
+        if method.filter or table == "own"
+    ]
+    found: dict[str, Any] = {table: {name: {} for name in QUESTIONS.values()} for table in TABLES}
+    for ((table, question, name), _), account in zip(work, accounts((item for _, item in work), workers), strict=True):
+        for outcome in ("safe_each", "success_each"):
+            if outcome in account:
+                account[outcome] = "".join(str(flag) for flag in account[outcome])
+        found[table][QUESTIONS[question]][name] = account
+        count.more()
+    return found
+
+
+def _work(experiment: PendulumExperiment, question: int, method: Method, epsilon: float, shown: bool) -> Work:
+    return Work(question, method, epsilon, experiment.evaluation, experiment.models, shown)
+
+
+def _sweeps(
+    experiment: PendulumExperiment, margins: Mapping[str, float], workers: Workers, count: _Count
+) -> dict[str, Any]:
+    if not experiment.sweep_episodes:
+        return {}
+    asked = Sweeps(
+        experiment.models,
+        experiment.directions,
+        experiment.sweep_episodes,
+        experiment.evaluation.seed,
+        margins,
+        experiment.axes,
     )
-    return {
-        name: recovery(found, models, directions, seed) for name, found in (("around", around), ("balancing", swings))
+    return swept(asked, workers, count.more)
+
+
+def _latent(experiment: PendulumExperiment, epsilon: float) -> dict[str, Any]:
+    """How well the wind is told by the latent, while balancing and in swings all around, and how well it could be."""
+    some = replace(experiment.evaluation, episodes=min(experiment.episodes, _FITTED))
+    made = {
+        "around": swung_all_around(experiment.models, some),
+        "balancing": balanced(FILTERED[0], experiment.models, epsilon, some),
     }
+    return {name: recovery(swings, experiment.models, some.directions, some.seed) for name, swings in made.items()}
 
 
 def _invariance(epsilon: float) -> dict[str, Any]:
     winds = np.linspace(0.0, 6.0, 25)
+    edges = {"balancing": BALANCING, "hazard": LONG_WAY_ROUND}
     rows = {
-        name: [least_reserve(float(wind), edges, epsilon=epsilon).torque for wind in winds]
-        for name, edges in (("balancing", BALANCING), ("hazard", LONG_WAY_ROUND))
+        name: [least_reserve(float(wind), own, epsilon=epsilon).torque for wind in winds] for name, own in edges.items()
     }
-    largest = {
-        "balancing": largest_wind(BALANCING, epsilon=epsilon),
-        "hazard": largest_wind(LONG_WAY_ROUND, epsilon=epsilon),
-    }
-    return {"winds": winds.tolist(), "reserve": rows, "largest_wind": largest}
+    largest = {name: largest_wind(own, epsilon=epsilon) for name, own in edges.items()}
+    without = {name: largest_wind(own) for name, own in edges.items()}
+    return {"winds": winds.tolist(), "reserve": rows, "largest_wind": largest, "without_margin": without}
 
 
 def _assumed() -> dict[str, Any]:

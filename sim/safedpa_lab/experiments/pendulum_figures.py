@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from safedpa_lab.experiments.car_style import BLACK, GREY, bare, figure, heading
+from safedpa_lab.experiments.pendulum_figure_sweeps import draw_sweeps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,43 +21,56 @@ _FIX = "#009E73"
 
 
 def write_figures(result: dict[str, Any], out: Path) -> None:
-    """Four PNGs in the folder ``out``."""
+    """Five PNGs in the folder ``out``, four without sweeps."""
     _directions(result, out / "pendulum_balancing.png")
     _portraits(result, out / "pendulum_hazard.png")
     _reserve(result, out / "pendulum_invariance.png")
     _latent(result, out / "pendulum_latent.png")
+    if result["sweeps"]:
+        draw_sweeps(result, out / "pendulum_sweeps.png")
 
 
 def _directions(result: dict[str, Any], path: Path) -> None:
-    """One small circle a method: the share of safe episodes by the direction of the wind."""
-    rows = result["balancing"]
-    angles = 2 * np.pi * np.arange(result["directions"] + 1) / result["directions"]
-    with figure(path, 2.5) as drawn:
-        panels = drawn.subplots(1, len(rows), subplot_kw={"projection": "polar"}, squeeze=False)[0]
-        for axes, (name, row) in zip(panels, rows.items(), strict=True):
-            rate = np.array([*row["safety_rate"], row["safety_rate"][0]])
-            colour = _COLOURS.get(name, _FIX)
-            axes.fill(angles, rate, color=colour, alpha=0.25)
-            axes.plot(angles, rate, color=colour, linewidth=1.8)
-            axes.set_ylim(0, 1.05)
-            axes.set_yticks([0.5, 1.0], ["", ""])
-            axes.set_xticks(np.radians([0, 90, 180, 270]), ["0", "90", "180", "270"], fontsize=6)
-            axes.tick_params(pad=-3)
-            share = row["safe"] / row["episodes"]
-            axes.set_title(f"{row['title']}\n{100 * share:.1f} %", fontsize=8.5, fontweight="bold", color=BLACK)
+    """A row a question, one small circle a filter: the share of good episodes by the direction of the wind."""
+    own, count = result["tables"]["own"], result["directions"]
+    angles = 2 * np.pi * np.arange(count + 1) / count
+    names = [name for name in result["margins"] if name in own["hazard"]]
+    with figure(path, 3.9) as drawn:
+        panels = drawn.subplots(2, len(names), subplot_kw={"projection": "polar"}, squeeze=False)
+        for line, question in zip(panels, ("balancing", "hazard"), strict=True):
+            for axes, name in zip(line, names, strict=True):
+                rate = _good(own[question][name], count)
+                colour = _COLOURS.get(name, _FIX)
+                axes.fill(angles, np.append(rate, rate[0]), color=colour, alpha=0.25)
+                axes.plot(angles, np.append(rate, rate[0]), color=colour, linewidth=1.8)
+                axes.set_ylim(0, 1.05)
+                axes.set_yticks([0.5, 1.0], ["", ""])
+                axes.set_xticks(np.radians([0, 90, 180, 270]), ["0", "90", "180", "270"], fontsize=6)
+                axes.tick_params(pad=-3)
+                title = f"{own[question][name]['title']}\n{100 * rate.mean():.1f} %"
+                axes.set_title(title, fontsize=8.5, fontweight="bold", color=BLACK)
         heading(
             drawn,
-            "Safe episodes by wind direction: random torques through the filter",
-            "radius: share of episodes within 45 degrees; angle: where the wind blows to, 0 sideways, 90 up",
+            "Each filter with its own margin: good episodes by wind direction",
+            "above: random torques, within 45 degrees; below: upright past the hazard and never in it. "
+            "Angle: where the wind blows to, 0 sideways, 90 up",
         )
+
+
+def _good(row: dict[str, Any], directions: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """(directions,) share of the episodes that were safe, and upright where that is asked."""
+    flags = np.array([one == "1" for one in row["safe_each"]])
+    if "success_each" in row:
+        flags &= np.array([one == "1" for one in row["success_each"]])
+    return np.asarray(flags.reshape(directions, -1).mean(1), dtype=np.float64)
 
 
 def _portraits(result: dict[str, Any], path: Path) -> None:
     """One phase plane a method; a swing is blue when it ended upright and safe."""
-    rows = result["hazard"]
-    columns = (len(rows) + 1) // 2
-    with figure(path, 4.6) as drawn:
-        panels = drawn.subplots(2, columns, sharex=True, sharey=True, squeeze=False)
+    rows = result["tables"]["own"]["hazard"]
+    columns = 5
+    with figure(path, 6.4) as drawn:
+        panels = drawn.subplots(-(-len(rows) // columns), columns, sharex=True, sharey=True, squeeze=False)
         for axes in panels.flat[len(rows) :]:
             axes.set_axis_off()
         for axes, row in zip(panels.flat, rows.values(), strict=False):

@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
+from math import degrees
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from safedpa.safety import MarginCalibration
+from safedpa_lab.experiments.pendulum_sweeps import BEST_PENALTY
+from safedpa_lab.provenance.record import write_result
 
-__all__ = ["markdown_of", "write_report"]
+__all__ = [
+    "advantages_table",
+    "balancing_table",
+    "hazard_table",
+    "latent_table",
+    "margins_table",
+    "markdown_of",
+    "penalties_table",
+    "sweeps_table",
+    "write_report",
+]
+
+_TABLES: Final = {"own": "each filter its own margin", "same": "SafeDPA's margin for all"}
+_OUTCOMES: Final = {"safe": "safe", "success": "upright", "both": "both"}
 
 
 def write_report(result: dict[str, Any], out: Path) -> None:
@@ -16,7 +32,7 @@ def write_report(result: dict[str, Any], out: Path) -> None:
     from safedpa_lab.experiments.pendulum_figures import write_figures
 
     out.mkdir(parents=True, exist_ok=True)
-    (out / "pendulum.json").write_text(json.dumps(_without_points(result), indent=1) + "\n", encoding="utf-8")
+    write_result(out / "pendulum.json", _without_points(result))
     (out / "pendulum.md").write_text(markdown_of(result), encoding="utf-8")
     _margin_of(result).save(out / "margin.toml")
     write_figures(result, out)
@@ -24,87 +40,199 @@ def write_report(result: dict[str, Any], out: Path) -> None:
 
 def _without_points(result: dict[str, Any]) -> dict[str, Any]:
     """What was found, without the points that only the figures need."""
-    hazard = {name: {key: row[key] for key in row if key != "shown"} for name, row in result["hazard"].items()}
+    tables = {
+        table: {
+            question: {name: {key: row[key] for key in row if key != "shown"} for name, row in rows.items()}
+            for question, rows in questions.items()
+        }
+        for table, questions in result["tables"].items()
+    }
     latent = {
         name: {key: value for key, value in row.items() if key not in ("latents", "refined", "directions")}
         for name, row in result["latent"].items()
     }
-    return {**result, "hazard": hazard, "latent": latent}
+    return {**result, "tables": tables, "latent": latent}
 
 
 def _margin_of(result: dict[str, Any]) -> MarginCalibration:
-    margin = result["margin"]
+    margin = result["margins"]["safedpa"]
     return MarginCalibration(
         epsilon={"corridor": margin["epsilon"]},
         coverage=margin["coverage"],
         transitions=margin["transitions"],
         date=result["date"],
         fingerprint=margin["fingerprint"],
-        covered={"conformal.corridor": margin["fresh_coverage"]},
+        covered={"conformal.corridor": result["tables"]["own"]["balancing"]["safedpa"]["covered"]},
+        drives=margin["drives"],
     )
 
 
-def markdown_of(result: dict[str, Any]) -> str:
-    """Both questions as tables, then margin, invariance and latent."""
-    head = f"{result['directions']} wind directions x {result['episodes']} episodes, seed {result['seed']}"
-    parts = [f"{head}, {result['date']}.\n" if result["date"] else f"{head}.\n", _balancing(result), _hazard(result)]
-    margin, largest, latent = result["margin"], result["invariance"]["largest_wind"], result["latent"]
-    wind = result["assumed"]["wind"]
-    parts.append(
-        f"Margin of every filter: {1000 * margin['epsilon']:.2f} mrad, 99 % of {margin['transitions']} one-step "
-        f"errors; it covers {100 * margin['fresh_coverage']:.1f} % of {margin['fresh_transitions']} others.\n\n"
-        f"Winds in which the whole corridor can be kept: up to {largest['balancing']:.2f} m/s (within 45 degrees), "
-        f"{largest['hazard']:.2f} m/s (the long way round); the experiments' wind is {wind:g} m/s.\n\n"
-        + _latent(latent)
-    )
-    return "\n".join(parts)
-
-
-def _balancing(result: dict[str, Any]) -> str:
-    lines = [
-        "| random torques, within 45 degrees | safe | 95 % interval | worst direction | least room [deg] | corrected |",
-        "|---|---|---|---|---|---|",
+def markdown_of(result: Mapping[str, Any]) -> str:
+    """Both questions as tables, then significance, margins, what is harder, invariance and latent."""
+    head = f"{result['directions']} wind directions x {result['episodes']} episodes, evaluation seed {result['seed']}"
+    parts = [f"{head}, {result['date']}." if result["date"] else f"{head}."]
+    for table, title in _TABLES.items():
+        parts += [f"## With {title}", balancing_table(result, table), hazard_table(result, table)]
+        parts.append(advantages_table(result, table))
+    largest, wind = result["invariance"]["largest_wind"], result["assumed"]["wind"]
+    parts += ["## Margins", margins_table(result), "## RMA-P", penalties_table(result)]
+    if result["sweeps"]:
+        parts += ["## Harder and easier", sweeps_table(result)]
+    parts += [
+        "## What stands behind it",
+        "With SafeDPA's margin the whole corridor can be kept in winds up to "
+        f"{largest['balancing']:.2f} m/s (within 45 degrees), {largest['hazard']:.2f} m/s (the long way round); the "
+        f"experiments' wind is {wind:g} m/s.",
+        latent_table(result),
     ]
-    for row in result["balancing"].values():
-        worst = min(row["safety_rate"])
-        room = min(row["least_room"]) * 57.29578
+    return "\n\n".join(parts) + "\n"
+
+
+def balancing_table(result: Mapping[str, Any], table: str) -> str:
+    """The first question."""
+    lines = [
+        "| random torques, within 45 degrees | margin [mrad] | safe | 95 % interval | worst direction "
+        "| least room [deg] | steps covered | no torque kept it |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in result["tables"][table]["balancing"].values():
         lines.append(
-            f"| {row['title']} | {row['safe']}/{row['episodes']} | {_interval(row['interval_safe'])} "
-            f"| {100 * worst:.0f} % | {room:.1f} | {100 * row['corrected']:.0f} % |"
+            f"| {row['title']} | {_margin(row)} | {row['safe']}/{row['episodes']} | {_interval(row['interval_safe'])} "
+            f"| {100 * min(row['safety_rate']):.0f} % | {degrees(min(row['least_room'])):.1f} | {_covered(row)} "
+            f"| {100 * row['relaxed']:.1f} % |"
         )
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
-def _hazard(result: dict[str, Any]) -> str:
+def hazard_table(result: Mapping[str, Any], table: str) -> str:
+    """The second question."""
     lines = [
-        "| upright past the hazard | upright | never in the hazard | both | 95 % interval of both | least room [deg] |",
-        "|---|---|---|---|---|---|",
+        "| upright past the hazard | margin [mrad] | upright | never in the hazard | both | 95 % interval of both "
+        "| least room [deg] | steps covered |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    for row in result["hazard"].values():
+    for row in result["tables"][table]["hazard"].values():
         count = row["episodes"]
         lines.append(
-            f"| {row['title']} | {row['success']}/{count} | {row['safe']}/{count} | {row['both']}/{count} "
-            f"| {_interval(row['interval_both'])} | {min(row['least_room']) * 57.29578:.1f} |"
+            f"| {row['title']} | {_margin(row)} | {row['success']}/{count} | {row['safe']}/{count} "
+            f"| {row['both']}/{count} | {_interval(row['interval_both'])} | {degrees(min(row['least_room'])):.1f} "
+            f"| {_covered(row)} |"
         )
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
-def _interval(ends: list[float]) -> str:
-    return f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f} %"
+def advantages_table(result: Mapping[str, Any], table: str) -> str:
+    """SafeDPA against each other: episodes that went well with it alone, with the other alone, and both p."""
+    lines = [
+        "| SafeDPA against | safe | upright | both |",
+        "|---|---|---|---|",
+    ]
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for row in result["advantages"][table]:
+        rows.setdefault((row["question"], row["against"]), {})[row["outcome"]] = row
+    for (question, name), outcomes in rows.items():
+        title = result["tables"][table][question][name]["title"]
+        asked = "within 45 degrees" if question == "balancing" else "past the hazard"
+        told = " | ".join(_advantage(outcomes.get(outcome)) for outcome in _OUTCOMES)
+        lines.append(f"| {title}, {asked} | {told} |")
+    return "\n".join(lines)
 
 
-def _latent(latent: dict[str, Any]) -> str:
+def _advantage(row: Mapping[str, Any] | None) -> str:
+    if row is None:
+        return "-"
+    if not row["only_safedpa"] + row["only_other"]:
+        return "the same"
+    return (
+        f"+{row['only_safedpa']} -{row['only_other']}, p {_p(row['mcnemar_holm'])}, "
+        f"by directions {_p(row['directions_holm'])}"
+    )
+
+
+def _p(value: float) -> str:
+    return f"{value:.1g}" if value >= 1e-9 else "< 1e-9"
+
+
+def margins_table(result: Mapping[str, Any]) -> str:
+    """How each margin was made."""
+    lines = [
+        "| filter of | margin [mrad] | of a whole drive | behind a filter that knows the wind | drives, steps |",
+        "|---|---|---|---|---|",
+    ]
+    rows = result["tables"]["own"]["balancing"]
+    for name, margin in result["margins"].items():
+        told = " | ".join(f"{1000 * margin[key]:.1f}" for key in ("epsilon", "of_a_drive", "first"))
+        lines.append(f"| {rows[name]['title']} | {told} | {margin['drives']}, {margin['transitions']} |")
+    return "\n".join(lines)
+
+
+def penalties_table(result: Mapping[str, Any]) -> str:
+    """Which penalty was chosen, where, and by what."""
+    choice = result["penalty"]
+    lines = [
+        f"| RMA-P, {choice['episodes']} episodes of development seed {choice['seed']} | upright and safe "
+        "| least room [deg] |",
+        "|---|---|---|",
+    ]
+    for name, row in choice["rows"].items():
+        chosen = ", chosen" if name == choice["chosen"] else ""
+        lines.append(f"| beta {_beta(name)}{chosen} | {row['both']} | {degrees(row['least_room']):.1f} |")
+    for axis in result["sweeps"].values():
+        if "hazard" in axis:
+            betas = ", ".join(_beta(name) for name in axis["hazard"][BEST_PENALTY]["chosen"])
+            values = ", ".join(f"{value:g}" for value in axis["shown"])
+            lines.append(f"| by {axis['label']}, at {values} | beta {betas} | |")
+    return "\n".join(lines)
+
+
+def _beta(name: str) -> str:
+    return name.removeprefix("rma_p_").replace("_", ".")
+
+
+def sweeps_table(result: Mapping[str, Any]) -> str:
+    """For each number that was changed, the share of good episodes at each of its values."""
+    parts = []
+    for axis in result["sweeps"].values():
+        values = " | ".join(f"{value:g}" for value in axis["shown"])
+        lines = [f"| {axis['label']} | {values} |", "|---|" + "---|" * len(axis["shown"])]
+        for row in axis.get("balancing", {}).values():
+            lines.append(f"| {row['title']}, within the edges: safe | {_shares(row, 'safe')} |")
+        for row in axis.get("hazard", {}).values():
+            both = [f"{safe} / {good}" for safe, good in zip(row["safe"], row["both"], strict=True)]
+            lines.append(f"| {row['title']}, past the hazard: safe / upright and safe | {' | '.join(both)} |")
+        parts.append("\n".join(lines))
+    return f"Of {result['directions'] * result['sweep_episodes']} episodes each.\n\n" + "\n\n".join(parts)
+
+
+def _shares(row: Mapping[str, Any], outcome: str) -> str:
+    return " | ".join(str(count) for count in row[outcome])
+
+
+def latent_table(result: Mapping[str, Any]) -> str:
+    """How far the wind's direction is off."""
     lines = [
         "| wind direction, degrees off: median (90 %) | phi | refined by f and g | best fit | best fit with noise |",
         "|---|---|---|---|---|",
     ]
     titles = {"around": "swings all around", "balancing": "within 45 degrees, behind the filter"}
     for name, title in titles.items():
-        row = latent[name]
+        row = result["latent"][name]
         lines.append(
             f"| {title} | {row['median_degrees']:.1f} ({row['90_degrees']:.0f}) "
             f"| {row['refined_median_degrees']:.1f} ({row['refined_90_degrees']:.0f}) "
             f"| {row['best_median_degrees']:.2f} "
             f"| {row['best_noisy_median_degrees']:.2f} ({row['best_noisy_90_degrees']:.1f}) |"
         )
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
+
+
+def _interval(ends: list[float]) -> str:
+    return f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f} %"
+
+
+def _margin(row: Mapping[str, Any]) -> str:
+    return "-" if row["epsilon"] is None else f"{1000 * row['epsilon']:.1f}"
+
+
+def _covered(row: Mapping[str, Any]) -> str:
+    return "-" if row["covered"] is None else f"{100 * row['covered']:.1f} %"

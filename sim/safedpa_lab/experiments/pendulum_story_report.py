@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["story_markdown", "write_story"]
 
@@ -17,7 +18,7 @@ _DIAGNOSED, _LEARNED = "#0072B2", "#E69F00"
 def write_story(result: dict[str, Any], out: Path) -> None:
     """``pendulum-story.json``, ``pendulum-story.md`` and ``pendulum_story.png`` in the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "pendulum-story.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out / "pendulum-story.json", result)
     (out / "pendulum-story.md").write_text(story_markdown(result), encoding="utf-8")
     _picture(result, out / "pendulum_story.png")
 

@@ -103,7 +103,7 @@ def _account(found: Driven, directions: int, steps: int) -> dict[str, Any]:
         "least_room": round(float(found.least_room.min()), 4),
         "first_goal_median": _finite(float(np.median(found.first_goal))),
         "corrected": round(found.corrected, 5),
-        "stopping": round(found.stopping, 5),
+        "relaxed": round(found.relaxed, 5),
         "milliseconds_per_episode": round(1e3 * found.processor_seconds / count, 2),
         "microseconds_per_decision": round(1e6 * found.processor_seconds / count / steps, 2),
         "directions_safe_steps": by_direction(1.0 - found.cost / steps),

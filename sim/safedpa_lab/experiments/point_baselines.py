@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +9,7 @@ from safedpa_lab.experiments.car_style import BLACK, GREY, bare, figure, heading
 from safedpa_lab.point.baseline_set import PUBLISHED, TASKS
 from safedpa_lab.point.methods import BASELINE_TITLES
 from safedpa_lab.point.plan import BASELINES
+from safedpa_lab.provenance.record import write_result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,7 @@ _LIMIT = 25.0
 def write_baselines(found: dict[str, dict[str, Any]], out: Path) -> None:
     """``baselines.json``, ``baselines.md`` and ``baselines.png`` in the folder, of accounts by NAME_TASK."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "baselines.json").write_text(json.dumps(found) + "\n", encoding="utf-8")
+    write_result(out / "baselines.json", found)
     (out / "baselines.md").write_text(markdown_of(found), encoding="utf-8")
     _draw(found, out / "baselines.png")
 

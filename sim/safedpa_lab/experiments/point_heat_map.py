@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from safedpa_lab.experiments.car_style import BLACK, figure, heading
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["TITLES", "heat_map_markdown", "write_heat_map"]
 
@@ -27,7 +27,7 @@ TITLES: Final = {
 def write_heat_map(result: dict[str, Any], out: Path) -> None:
     """``point-heat-map.json``, ``point-heat-map.md`` and ``point_heat_map.png`` in the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "point-heat-map.json").write_text(json.dumps(result) + "\n", encoding="utf-8")
+    write_result(out / "point-heat-map.json", result)
     (out / "point-heat-map.md").write_text(heat_map_markdown(result), encoding="utf-8")
     _picture(result, out / "point_heat_map.png")
 

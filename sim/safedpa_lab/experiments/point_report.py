@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
+
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["markdown_of", "write_report"]
 
@@ -15,7 +16,7 @@ def write_report(result: dict[str, Any], out: Path) -> None:
 
     out.mkdir(parents=True, exist_ok=True)
     rows = {name: {key: row[key] for key in row if key != "shown"} for name, row in result["methods"].items()}
-    (out / "point.json").write_text(json.dumps({**result, "methods": rows}, indent=1) + "\n", encoding="utf-8")
+    write_result(out / "point.json", {**result, "methods": rows})
     (out / "point.md").write_text(markdown_of(result), encoding="utf-8")
     write_figures(result, out)
 
@@ -50,12 +51,12 @@ def _safety(result: dict[str, Any]) -> str:
 
 def _gained(result: dict[str, Any]) -> str:
     lines = [
-        "| | reward | cost | unsafe steps, all | least room, m | first goal, s | corrected, % | stopping, % "
+        "| | reward | cost | unsafe steps, all | least room, m | first goal, s | corrected, % | not all kept, % "
         "| processor: ms an episode | us a decision |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in result["methods"].values():
-        filtered = f"{100 * row['corrected']:.1f} | {100 * row['stopping']:.1f}" if row["filter"] else " | "
+        filtered = f"{100 * row['corrected']:.1f} | {100 * row['relaxed']:.1f}" if row["filter"] else " | "
         first = row["first_goal_median"]
         lines.append(
             f"| {row['title']} | {_interval(row['reward'], 1, 1)} | {_interval(row['cost'], 1, 1, None, 0.0)} "

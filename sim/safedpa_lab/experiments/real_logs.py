@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
+from safedpa.compare.rollout_error import rollout_error
+from safedpa.compare.windows import windows_of
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.report import Report
-from safedpa.diagnosis.rollout_error import rollout_error
-from safedpa.diagnosis.windows import windows_of
+from safedpa.diagnosis.document import Report
 from safedpa.dynamics import load_model, load_own
 from safedpa.errors import InputError
 from safedpa.records.run import Run

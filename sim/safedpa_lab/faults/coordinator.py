@@ -28,11 +28,11 @@ from safedpa.bus import (
     StateMessage,
     TakeoverMessage,
 )
-from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
-from safedpa.diagnosis.live.change import ModelChanges
-from safedpa.diagnosis.live.versions import Candidate, Version, VersionFolder
+from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.errors import SafedpaError
+from safedpa.live.change import ModelChanges
+from safedpa.live.versions import Candidate, Version, VersionFolder
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.shipped import margin_for
 

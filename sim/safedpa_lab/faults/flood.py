@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 
 from safedpa.bus import STATE
-from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
 from safedpa_sim.robots import CarRobot, Scene
 
 __all__ = ["work"]

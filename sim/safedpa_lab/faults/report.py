@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from safedpa.errors import InputError
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["markdown_of", "write_report"]
 
@@ -22,7 +22,7 @@ def write_report(result: Mapping[str, Any], folder: Path) -> None:
     """Writes faults.json and faults.md. Raises InputError when the folder cannot be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "faults.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(folder / "faults.json", result)
         (folder / "faults.md").write_text(markdown_of(result), encoding="utf-8")
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from error

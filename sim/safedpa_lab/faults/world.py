@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Literal, final
 
 from safedpa.bus import Answer, Bus, Request, ZenohSettings, ZenohTransport
-from safedpa.bus.ports import free_port
+from safedpa.bus.transport.ports import free_port
 from safedpa.errors import BusError, SafedpaError
 from safedpa_lab.faults.conduct import Conduct
 from safedpa_lab.faults.member import Member

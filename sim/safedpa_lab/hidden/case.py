@@ -19,7 +19,7 @@ class Case:
     seed: int
     effects: Effects
     """Hidden effects with their parameters; empty: nothing is hidden."""
-    robot: Literal["car", "pendulum"] = "car"
+    robot: Literal["car", "pendulum", "differential_drive"] = "car"
     drive: Literal["speed_servo", "throttle"] = "speed_servo"
     hard: bool = False
     """Coloured disturbance, three times the noise, lost rows, tracking glitches, gain 10 % off and free."""
@@ -65,6 +65,8 @@ PYMUNK_CAR = ("drive_lag", "steering_lag", "tyre_slip", "understeer")
 
 def equals_of(case: Case, effect: str) -> tuple[str, ...]:
     """Effects that no data of this case could tell from ``effect``, worked out from the equations."""
+    if case.robot == "differential_drive":
+        return ()
     if case.robot == "pendulum":
         return _PENDULUM_EQUALS.get(effect, ())
     if case.hard and case.drive == "speed_servo":

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Commands", "car_commands", "pendulum_commands", "reference"]
+__all__ = ["Commands", "car_commands", "pendulum_commands", "reference", "wheels_commands"]
 
 Floats = NDArray[np.float64]
 
@@ -37,6 +37,13 @@ def pendulum_commands(random: np.random.Generator, rows: int, period: float) -> 
     """Torques of up to 3 N m either way."""
     drive = reference(random, rows, period, (-3.0, 3.0), 4.0, (0.2, 1.2))
     return Commands(drive, np.zeros(rows), np.zeros(rows, dtype=bool))
+
+
+def wheels_commands(random: np.random.Generator, rows: int, period: float) -> Commands:
+    """Speeds from -0.2 to 0.5 m/s, turn rates of up to 1.9 rad/s, which stand where the steer does."""
+    drive = reference(random, rows, period, (-0.2, 0.5), 0.5, (0.5, 2.5))
+    turn = reference(random, rows, period, (-1.9, 1.9), 2.5, (0.4, 1.8))
+    return Commands(drive, turn, np.zeros(rows, dtype=bool))
 
 
 def reference(

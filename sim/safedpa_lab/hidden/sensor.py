@@ -14,8 +14,9 @@ __all__ = ["NOISE", "measured"]
 NOISE: Final[dict[str, tuple[float, ...]]] = {
     "car": (0.002, 0.002, 0.003, 0.015),
     "pendulum": (0.002, 0.01),
+    "differential_drive": (0.002, 0.002, 0.003, 0.01, 0.02),
 }
-"""Standard deviations of the states' noise: m, m, rad, m/s; rad, rad/s."""
+"""Standard deviations of the states' noise: m, m, rad, m/s; rad, rad/s; m, m, rad, m/s, rad/s."""
 
 _HARDER = 3.0
 _LOST = 0.01

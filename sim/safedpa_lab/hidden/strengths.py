@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-__all__ = ["CAR_EFFECTS", "LARGEST_STEER", "PENDULUM_EFFECTS", "STEP", "Strength"]
+__all__ = ["CAR_EFFECTS", "LARGEST_STEER", "PENDULUM_EFFECTS", "STEP", "WHEELS_EFFECTS", "Strength"]
 
 STEP: Final = 0.002
 """s; step of the simulators."""
@@ -92,3 +92,15 @@ PENDULUM_EFFECTS: Final[dict[str, Strength]] = {
     "spring": Strength({"stiffness": 0.6, "rest_angle": 2.6}, shape=("rest_angle",)),
 }
 """The pendulum's effects, for 1 kg at 0.5 m."""
+
+WHEELS_EFFECTS: Final[dict[str, Strength]] = {
+    "actuator_delay": Strength({"seconds": 0.12}),
+    "drive_lag": Strength({"time_constant": 0.15}),
+    "payload": Strength({"mass_ratio": 0.4}),
+    "rolling_resistance": Strength({"deceleration": 0.3}),
+    "track_error": Strength({"ratio": 1.1}, {"ratio": 1.0}, signed=("ratio",)),
+    "unequal_wheels": Strength({"pull": 0.3}, signed=("pull",)),
+    "wheel_radius": Strength({"ratio": 0.93}, {"ratio": 1.0}, signed=("ratio",)),
+    "wheel_slip": Strength({"compliance": 0.1}),
+}
+"""The differential drive's effects, for one of 0.5 m/s."""

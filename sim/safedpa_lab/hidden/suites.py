@@ -12,7 +12,7 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.hidden.bad_data import BAD
 from safedpa_lab.hidden.case import Case
 from safedpa_lab.hidden.laws import LAWS
-from safedpa_lab.hidden.strengths import CAR_EFFECTS, PENDULUM_EFFECTS
+from safedpa_lab.hidden.strengths import CAR_EFFECTS, PENDULUM_EFFECTS, WHEELS_EFFECTS
 from safedpa_sim.robots.loads import LOADS
 
 __all__ = ["INSEPARABLE", "SUITES", "cases_of"]
@@ -109,6 +109,17 @@ def _pendulum(index: int, seed: int) -> Case:
     return Case("pendulum", seed, effects, "pendulum", seconds=20.0)
 
 
+def _wheels(index: int, seed: int) -> Case:
+    name = list(WHEELS_EFFECTS)[index % len(WHEELS_EFFECTS)]
+    effects = {name: WHEELS_EFFECTS[name].drawn(np.random.default_rng(seed))}
+    return Case("wheels", seed, effects, "differential_drive", runs=4, seconds=30.0)
+
+
+def _wheels_none(index: int, seed: int) -> Case:
+    del index
+    return Case("wheels_none", seed, {}, "differential_drive", runs=4, seconds=30.0)
+
+
 def _towing(index: int, seed: int) -> Case:
     load = LOADS["chair" if index % 2 == 0 else "large_chair"]
     hidden = {"towed_load": {"mass_ratio": load.mass_ratio, "deceleration": load.deceleration}}
@@ -133,7 +144,9 @@ SUITES: Final[dict[str, Callable[[int, int], Case]]] = {
     "towing": _towing,
     **LAWS,
     "bad": _bad,
+    "wheels": _wheels,
+    "wheels_none": _wheels_none,
 }
 """By name: the case with a number and a seed. One effect in turn at ordinary strength or a fifth of it, or in hard
 logs; two or three drawn ones; nothing; a pendulum's; the pymunk car with a chair hitched; effects in a place, that sag,
-and with the speed; nothing, but one of the runs gone bad."""
+and with the speed; nothing, but one of the runs gone bad; a differential drive's, and one with nothing hidden."""

@@ -14,17 +14,18 @@ import numpy as np
 from safedpa_lab.hidden.bad_data import BAD, write_bad_files
 from safedpa_lab.hidden.car import ACCELERATION_LIMIT, WHEELBASE, simulate_cars
 from safedpa_lab.hidden.case import Case, truth_of
-from safedpa_lab.hidden.excitation import car_commands, pendulum_commands
+from safedpa_lab.hidden.excitation import car_commands, pendulum_commands, wheels_commands
 from safedpa_lab.hidden.lanes import Floats, Lane, markov
 from safedpa_lab.hidden.pendulum import GRAVITY, LENGTH, MASS, simulate_pendulums
 from safedpa_lab.hidden.sensor import measured
 from safedpa_lab.hidden.strengths import LARGEST_STEER
 from safedpa_lab.hidden.towing import drive_towing
+from safedpa_lab.hidden.wheels import LIMIT, SERVO, TRACK, simulate_wheels
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS
 
 __all__ = ["PERIOD", "Log", "write_case", "write_cases"]
 
-PERIOD: Final[dict[str, float]] = {"car": 0.05, "pendulum": 0.02}
+PERIOD: Final[dict[str, float]] = {"car": 0.05, "pendulum": 0.02, "differential_drive": 0.05}
 """s between rows."""
 
 _SERVO_GAIN = 3.0
@@ -33,9 +34,14 @@ _DRIVE_GAIN = 4.5
 """m/s2 in the given model."""
 _OFF = 0.1
 """Relative error of the given gain in hard cases."""
-_COLOURED = {"car": (0.15, 0.05), "pendulum": (0.3, 0.0)}
+_COLOURED = {"car": (0.15, 0.05), "pendulum": (0.3, 0.0), "differential_drive": (0.05, 0.2)}
 """Standard deviations of the disturbance: m/s2 and rad/s; rad/s2."""
-_COLUMNS = {"car": ("x", "y", "yaw", "speed"), "pendulum": ("angle", "rate")}
+_COLUMNS = {
+    "car": ("x", "y", "yaw", "speed"),
+    "pendulum": ("angle", "rate"),
+    "differential_drive": ("x", "y", "yaw", "speed", "turn_rate"),
+}
+_SIMULATES = {"car": simulate_cars, "pendulum": simulate_pendulums, "differential_drive": simulate_wheels}
 
 
 @dataclass(frozen=True)
@@ -86,8 +92,7 @@ def _driven(cases: Sequence[Case]) -> list[list[tuple[Floats, Floats]]]:
             kinds.setdefault((case.robot, case.seconds), []).append(number)
     for (robot, _), numbers in kinds.items():
         lanes = [lane for number in numbers for lane in _lanes(cases[number])]
-        simulate = simulate_cars if robot == "car" else simulate_pendulums
-        done = simulate(lanes, PERIOD[robot])
+        done = _SIMULATES[robot](lanes, PERIOD[robot])
         pairs = list(zip(done.states, done.actions, strict=True))
         for number in numbers:
             found[number], pairs = pairs[: cases[number].runs], pairs[cases[number].runs :]
@@ -105,6 +110,9 @@ def _lane(case: Case, run: int) -> Lane:
     if case.robot == "car":
         commands = car_commands(random, rows, period, LARGEST_STEER)
         start = (*random.uniform(-2.0, 2.0, 2), random.uniform(-3.0, 3.0), random.uniform(0.0, 1.0))
+    elif case.robot == "differential_drive":
+        commands = wheels_commands(random, rows, period)
+        start = (*random.uniform(-2.0, 2.0, 2), random.uniform(-3.0, 3.0), 0.0, 0.0)
     else:
         commands = pendulum_commands(random, rows, period)
         start = (np.pi + random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0))
@@ -153,8 +161,11 @@ def _write_run(case: Case, path: Path, number: int, states: Floats, actions: Flo
     shown, kept = measured(states, case.robot, _random(case, number, 1), case.hard)
     time = PERIOD[case.robot] * np.arange(len(states))
     table = np.column_stack([time, shown, actions])[kept]
-    drive = "torque" if case.robot == "pendulum" else "target_speed" if case.drive == "speed_servo" else "throttle"
-    names = ("t", *_COLUMNS[case.robot], drive, *(("steer",) if case.robot == "car" else ()))
+    if case.robot == "car":
+        told: tuple[str, ...] = ("target_speed" if case.drive == "speed_servo" else "throttle", "steer")
+    else:
+        told = ("torque",) if case.robot == "pendulum" else ("target_speed", "target_turn_rate")
+    names = ("t", *_COLUMNS[case.robot], *told)
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(names), comments="")
 
 
@@ -163,6 +174,9 @@ def _model(case: Case) -> str:
     if case.robot == "pendulum":
         base = [f"length = {LENGTH}", f"mass = {MASS}", f"gravity = {GRAVITY}"]
         return _toml("pendulum", "rigid_pendulum", base)
+    if case.robot == "differential_drive":
+        own = [f"track = {TRACK}", f"gain = {SERVO}", f"acceleration_limit = {LIMIT}"]
+        return _toml("differential_drive", "servo_wheels", own)
     if case.load is not None:
         return _measured_car()
     if case.drive == "throttle":

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.dynamics import PhysicsModel
-from safedpa_lab.pendulum.balancing import winds_and_starts
+from safedpa_lab.pendulum.difficulty import Episodes
 from safedpa_lab.pendulum.methods import model_named
 from safedpa_lab.pendulum.rollouts import Closed, Swung, believed_wind, physics_in_any_wind, swung
 from safedpa_sim.pendulum.task import BALANCING, TORQUE, WIND
@@ -32,10 +32,9 @@ _NOISE = 0.0025
 """rad/s added to the measured rates for the best fit: what the encoder's training adds, 0.0005 of its scaled rows."""
 
 
-def swung_all_around(folder: Path, directions: int, episodes: int, seed: int) -> Swung:
+def swung_all_around(folder: Path, episodes: Episodes) -> Swung:
     """Swings under torques at random without a filter, the history encoder looking on; constant winds of WIND [m/s]."""
-    wind, start = winds_and_starts(directions, episodes, seed)
-    random = np.random.default_rng([seed, 25])
+    start, random = episodes.upright_starts(), episodes.random(25)
     start[:, 0] = random.uniform(-np.pi, np.pi, len(start))
     kept: dict[str, Any] = {"age": 0}
 
@@ -45,7 +44,7 @@ def swung_all_around(folder: Path, directions: int, episodes: int, seed: int) ->
         kept["age"] += 1
         return np.array(kept["torque"])
 
-    return swung(Closed(adapts=model_named("learned", folder)), wish, start, wind, BALANCING, _TICKS)
+    return swung(Closed(adapts=model_named("learned", folder)), wish, start, episodes.winds(), BALANCING, _TICKS)
 
 
 def fitted_wind(states: Floats, torques: Floats) -> Floats:

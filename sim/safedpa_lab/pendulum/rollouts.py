@@ -9,16 +9,21 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.adaptation.histories import Histories
 from safedpa.dynamics import LearnedBase, PhysicsModel, Setting
-from safedpa.networks import HistoryEncoder
-from safedpa.safety import FilterSettings, SafetyFilter
-from safedpa_sim.pendulum.task import corridor, simulated_pendulum
+from safedpa.safety import FilterSettings
+from safedpa.safety.batch import STATUSES, BatchFilter
+from safedpa.safety.many_barriers import ManyEquations
+from safedpa.safety.verdict import Status
+from safedpa_sim.pendulum.task import TORQUE, corridor, simulated_pendulum
 
 __all__ = ["Closed", "Swung", "believed_wind", "blown", "physics_in_any_wind", "swung"]
 
 Floats = NDArray[np.float64]
 Wish = Callable[[Floats, Floats], Floats]
 """Torques (n, 1) [N m] for states (n, 2) and latents (n, latents)."""
+_FAILED = tuple(STATUSES.index(status) for status in (Status.relaxed, Status.violated, Status.fallback))
+_PASSED = STATUSES.index(Status.passed)
 
 
 @final
@@ -34,6 +39,8 @@ class Closed:
     """Whose history encoder tells the latent, to the policy and to the filter where its model has one."""
     told: bool = False
     """The filter's latent is the true wind: an oracle."""
+    torque: float = TORQUE
+    """N m; what the motor gives at most, whatever is asked of it."""
 
 
 @final
@@ -43,6 +50,8 @@ class Swung:
 
     states: Floats
     """(ticks + 1, n, 2)."""
+    seen: Floats
+    """(ticks + 1, n, 2) as the sensors tell them."""
     torques: Floats
     """(ticks, n)."""
     latents: Floats
@@ -66,64 +75,68 @@ def blown(state: Floats, torque: Floats, wind: Floats) -> Floats:
     return np.asarray(model.advance(state, torque, model.initial_memory(torque, wind), wind)[0])
 
 
-def swung(closed: Closed, wish: Wish, start: Floats, wind: Floats, edges: tuple[float, float], ticks: int) -> Swung:
-    """Swings n pendulums from ``start`` (n, 2) in constant winds (n, 2) [m/s]."""
+def swung(
+    closed: Closed,
+    wish: Wish,
+    start: Floats,
+    wind: Floats,
+    edges: tuple[float, float],
+    ticks: int,
+    sensed: Callable[[Floats], Floats] = np.array,
+) -> Swung:
+    """Swings n pendulums from ``start`` (n, 2) in constant winds (n, 2) [m/s].
+
+    ``sensed`` makes of true states (n, 2) what adaptation, policy and filter see of them.
+    """
     count, state = len(start), np.array(start, dtype=np.float64)
     world = physics_in_any_wind()
-    history = _History(closed.adapts, count)
-    filters = _filters(closed, edges, count)
-    states, torques, latents = [state], [], []
+    seen = sensed(state)
+    history, latent = _histories(closed.adapts, count)
+    if history is not None:
+        history.see(seen)
+    filters, barriers = _filter(closed), ManyEquations.of([[corridor(edges)]] * count, state.shape[1])
+    states, looks, torques, latents = [state], [seen], [], []
     changed, failed = np.zeros(count), np.zeros(count)
     for _ in range(ticks):
-        latent = history.latent
-        wished = wish(state, latent)
-        known = wind if closed.told else latent if closed.model is not None and closed.model.latent_names else None
-        torque = np.clip(wished, world.system.action_low, world.system.action_high)
-        for index, item in enumerate(filters):
-            verdict = item.decide(state[index], wished[index], None if known is None else known[index])
-            torque[index] = verdict.action
-            changed[index] += verdict.status.value != "passed"
-            failed[index] += verdict.status.value in ("relaxed", "violated", "fallback")
+        wished = wish(seen, latent)
+        torque = np.clip(wished, -closed.torque, closed.torque)
+        if filters is not None:
+            verdicts = filters.decide(seen, wished, _known(closed, latent, wind), barriers=barriers)
+            torque = verdicts.action
+            changed += verdicts.status != _PASSED
+            failed += np.isin(verdicts.status, _FAILED)
         following = np.asarray(world.advance(state, torque, world.initial_memory(torque, wind), wind)[0])
-        history.add(state, torque, following)
-        state = following
+        latents.append(latent)
+        state, seen = following, sensed(following)
+        if history is not None:
+            history.acted(torque)
+            latent = history.see(seen)
         states.append(state)
+        looks.append(seen)
         torques.append(torque[:, 0].copy())
-        latents.append(latent.copy())
-    return Swung(np.stack(states), np.stack(torques), np.stack(latents), changed / ticks, failed / ticks)
+    every = [np.stack(rows) for rows in (states, looks, torques, latents)]
+    return Swung(every[0], every[1], every[2], every[3], changed / ticks, failed / ticks)
 
 
-def _filters(closed: Closed, edges: tuple[float, float], count: int) -> list[SafetyFilter]:
+def _filter(closed: Closed) -> BatchFilter | None:
+    """The filter of the bus, for many at once."""
     if closed.settings is None or closed.model is None:
-        return []
-    barrier = [corridor(edges)]
-    return [SafetyFilter.for_model(closed.model, closed.settings, barrier) for _ in range(count)]
-
-
-@final
-class _History:
-    """What ``HistoryEstimator`` does for one robot, for many."""
-
-    def __init__(self, model: PhysicsModel | None, count: int) -> None:
-        self._encoder = _encoder_of(model)
-        if self._encoder is None or model is None:
-            self.latent: Floats = np.zeros((count, 0))
-            return
-        self._rows = np.zeros((count, self._encoder.length, self._encoder.row_length))
-        self.latent = np.tile(model.latent, (count, 1))
-
-    def add(self, state: Floats, torque: Floats, following: Floats) -> None:
-        if self._encoder is None:
-            return
-        self._rows[:, :-1] = self._rows[:, 1:]
-        self._rows[:, -1] = self._encoder.rows(np.stack((state, following), axis=1), torque[:, np.newaxis])[:, 0]
-        self.latent = self._encoder.encode(self._rows)
-
-
-def _encoder_of(model: PhysicsModel | None) -> HistoryEncoder | None:
-    if model is None or not isinstance(model.base, LearnedBase) or not model.base.weights.has("phi"):
         return None
-    return HistoryEncoder(model.base.weights)
+    return BatchFilter(closed.model, closed.settings)
+
+
+def _known(closed: Closed, latent: Floats, wind: Floats) -> Floats | None:
+    """What the filter's model is told."""
+    if closed.told:
+        return wind
+    return latent if closed.model is not None and closed.model.latent_names else None
+
+
+def _histories(model: PhysicsModel | None, count: int) -> tuple[Histories | None, Floats]:
+    """Those of the model's history encoder, if it has one, and the latents (n, latents) of its file to begin with."""
+    if model is None or not isinstance(model.base, LearnedBase) or not model.base.weights.has("phi"):
+        return None, np.zeros((count, 0))
+    return Histories(model.base.weights, count), np.tile(model.latent, (count, 1))
 
 
 def believed_wind(model: PhysicsModel, latents: Floats, strength: float, directions: int = 360) -> Floats:

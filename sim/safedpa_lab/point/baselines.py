@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.point.constrained import ConstrainedTRPO, Multiplier
@@ -49,6 +50,7 @@ def train_baseline(name: str, plan: Plan, path: Path, tell: Tell = silent) -> di
     torch.set_num_threads(1)  # the same weights however many cores there are
     environment = PointEnvironment(_task(plan, plan.seed), plan.seed)
     algorithm = _algorithm(name, environment, plan)
+    algorithm.set_logger(Logger(None, []))  # else it makes a folder of its own, for nothing, and leaves it
     watch = _Watch(name, environment, plan, tell)
     callbacks: list[BaseCallback] = [watch]
     if name.endswith("lagrangian"):

@@ -22,8 +22,8 @@ class Driver(Protocol):
 
     corrected: Flags
     """(robots,): where the last action is not what was wished."""
-    stopping: Flags
-    """(robots,): where it is the stopping manoeuvre's."""
+    relaxed: Flags
+    """(robots,): where not every condition could be kept."""
 
     def act(self) -> NDArray[np.floating[Any]]:
         """Actions (robots, 2) in [-1, 1] for the task as it is."""
@@ -42,7 +42,7 @@ class PolicyDriver:
 
     def __init__(self, task: PointTask, policy: _Acts) -> None:
         self._task, self._policy = task, policy
-        self.corrected = self.stopping = np.zeros(task.count, bool)
+        self.corrected = self.relaxed = np.zeros(task.count, bool)
 
     def act(self) -> NDArray[np.float32]:  # noqa: D102
         return self._policy.act(self._task.observation())
@@ -63,7 +63,8 @@ class Driven:
     """s until the first goal; infinite where there was none."""
     corrected: float
     """Share of all steps."""
-    stopping: float
+    relaxed: float
+    """Share of all steps in which not every condition could be kept."""
     processor_seconds: float
     """In the method's own decisions, all robots together."""
     shown: list[dict[str, Any]]
@@ -84,14 +85,14 @@ def driven(
 ) -> Driven:
     """Drives all robots of the task, just begun, for so many steps."""
     watch = _Watch(task, np.zeros(0, int) if shown is None else shown)
-    corrected = stopping = worked = 0.0
+    corrected = relaxed = worked = 0.0
     for step in range(steps):
         began = process_time()
         action = driver.act()
         worked += process_time() - began
         watch.see(step, task.advance(action))
         corrected += float(driver.corrected.mean())
-        stopping += float(driver.stopping.mean())
+        relaxed += float(driver.relaxed.mean())
     return Driven(
         watch.goals,
         watch.reward,
@@ -99,7 +100,7 @@ def driven(
         watch.least_room,
         watch.first_goal,
         corrected / steps,
-        stopping / steps,
+        relaxed / steps,
         worked,
         watch.told(),
     )

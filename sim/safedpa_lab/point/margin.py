@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from safedpa.networks import Weights
 from safedpa.safety import split_conformal_margin
-from safedpa_lab.point.moments import Moments, drawn_moments, least_room
+from safedpa_lab.point.moments import Moments, drawn_moments
 from safedpa_lab.point.shield import weights_named
 from safedpa_sim.point.belief import LearnedBelief
+from safedpa_sim.point.filtering import least_room
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 
 __all__ = ["COVERAGE", "measured_margin", "one_step_errors"]

@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
+from safedpa.robots.point.point_seeker import sought
 from safedpa_lab.point.baseline_set import baseline_named
 from safedpa_lab.point.driven import Driver, PolicyDriver
 from safedpa_lab.point.plan import BASELINES
 from safedpa_lab.point.shield import FIXED_DIRECTIONS, Shield, shield_of, weights_named
 from safedpa_sim.point.belief import Belief, LearnedBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.seeing import policy_seen
-from safedpa_sim.point.seeking import sought
+from safedpa_sim.point.filtering import around_hazards
+from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import PointTask
 from safedpa_sim.point.way import Ways
 
@@ -75,12 +76,12 @@ class ShieldedDriver:
 
     def __init__(self, task: PointTask, shield: Shield, wish: Wish) -> None:
         self._task, self._shield, self._wish = task, shield, wish
-        self.corrected = self.stopping = np.zeros(task.count, bool)
+        self.corrected = self.relaxed = np.zeros(task.count, bool)
 
     def act(self) -> Floats:  # noqa: D102
         wish = self._wish(self._shield.see(self._task))
         found = self._shield.act(self._task, wish)
-        self.corrected, self.stopping = found.corrected, found.stopping
+        self.corrected, self.relaxed = found.corrected, found.relaxed
         return found.action
 
 
@@ -123,11 +124,16 @@ def with_weights(models: Path, baselines: Path) -> tuple[str, ...]:
 
 
 def _seeking(task: PointTask, belief: Belief) -> Wish:
-    """Towards the goal in the wind that the latent stands for."""
+    """The robot's own goal seeker, in the wind that the latent stands for."""
 
     def wish(latent: Floats) -> Floats:
-        state = centre_state(task.simulation)
-        motion = belief.believed(state, latent).motion
-        return to_task_action(sought(state, task.layout.goal, task.layout.hazards, motion))
+        state, layout = centre_state(task.simulation), task.layout
+        believed = belief.believed(state, latent)
+        hazards = around_hazards(layout.hazards, believed.motion).hazards
+        found = []
+        for robot in range(task.count):
+            motion = believed.motion.of(robot)
+            found.append(sought(state[robot], layout.goal[robot], hazards[robot], motion.wind, float(motion.drag)))
+        return to_task_action(np.clip(found / believed.scale, -1.0, 1.0))
 
     return wish

@@ -8,18 +8,17 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.adaptation.histories import Histories
 from safedpa.networks import Weights
 from safedpa.safety.stopping_barrier import Motion
-from safedpa_lab.point.adapting import Adaptation
 from safedpa_lab.point.shield import Shield
 from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, from_task_action
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, centre_state
-from safedpa_sim.point.filtering import best_end
-from safedpa_sim.point.layout import HAZARD_RADIUS
+from safedpa_sim.point.filtering import least_room
 from safedpa_sim.point.task import PointTask
 
-__all__ = ["Moments", "drawn_moments", "least_room"]
+__all__ = ["Moments", "drawn_moments"]
 
 Floats = NDArray[np.float64]
 
@@ -60,13 +59,6 @@ class Moments:
         return Moments(*(getattr(self, name)[which] for name in Moments.__dataclass_fields__))
 
 
-def least_room(state: Floats, hazards: Floats, motion: Motion) -> Floats:
-    """min over hazards of h (n,) [m] at states (n, 5) by what ``motion`` believes."""
-    rooms, _ = best_end(state, hazards, np.full(hazards.shape[1], HAZARD_RADIUS), motion)
-    least: Floats = rooms.min(axis=1)
-    return least
-
-
 def drawn_moments(
     weights: Weights, *, robots: int, steps: int, seed: int, force: float, direction: float | None = None
 ) -> Moments:
@@ -79,7 +71,7 @@ def drawn_moments(
     towards = random.uniform(0.0, 2.0 * np.pi, robots) if direction is None else np.full(robots, direction)
     simulation = task.simulation
     simulation.force[:] = force * np.stack((np.cos(towards), np.sin(towards)))
-    adaptation = Adaptation(weights, robots)
+    adaptation = Histories(weights, robots)
     shield, parts = Shield(robots, TrueBelief(simulation), None), []
     for step in range(steps):
         if step % _HELD == 0:

@@ -8,15 +8,14 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.adaptation.histories import Histories
 from safedpa.dynamics import load_model
 from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
-from safedpa_lab.point.adapting import Adaptation
 from safedpa_sim.point.belief import ACTION_SCALE, Belief, LearnedBelief, TrueBelief, from_task_action, to_task_action
 from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import Filtered, filtered
-from safedpa_sim.point.layout import HAZARD_RADIUS
+from safedpa_sim.point.filtering import Filtered, PointFilter
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["EPSILON", "FIXED_DIRECTIONS", "METHODS", "Shield", "shield_of", "weights_named"]
@@ -46,9 +45,9 @@ class Shield:
     """
 
     def __init__(
-        self, count: int, belief: Belief | None, adaptation: Adaptation | None, epsilon: float = EPSILON
+        self, count: int, belief: Belief | None, adaptation: Histories | None, epsilon: float = EPSILON
     ) -> None:
-        self._belief, self._adaptation, self._epsilon = belief, adaptation, epsilon
+        self._belief, self._adaptation, self._filter = belief, adaptation, PointFilter(epsilon)
         self._nothing = np.zeros((count, 0))
         self._state: Floats | None = None
 
@@ -80,14 +79,14 @@ class Shield:
         if self._adaptation is not None:
             self._adaptation.acted(chosen.action * ACTION_SCALE)
         self._state = None
-        return Filtered(to_task_action(chosen.action), chosen.corrected, chosen.stopping)
+        return Filtered(to_task_action(chosen.action), chosen.corrected, chosen.relaxed)
 
     def _safe(self, task: PointTask, state: Floats, wish: Floats) -> Filtered:
         if self._belief is None:
             unchanged = np.zeros(len(wish), bool)
             return Filtered(wish, unchanged, unchanged)
         believed = self._belief.believed(state, self.latent)
-        return filtered(state, wish, task.layout.hazards, HAZARD_RADIUS, believed, self._epsilon)
+        return self._filter.decide(state, wish, task.layout.hazards, believed)
 
 
 def shield_of(
@@ -100,7 +99,7 @@ def shield_of(
     """
     if method not in METHODS:
         raise InputError(f"method '{method}': {did_you_mean(method, METHODS)}")
-    adaptation = Adaptation(weights_named(adapts, folder), task.count) if adapts else None
+    adaptation = Histories(weights_named(adapts, folder), task.count) if adapts else None
     if method == "safedpa" and adaptation is None:
         raise InputError("method 'safedpa': got no model to adapt with, wanted adapts='learned' or another with phi")
     return Shield(task.count, _belief(method, adapts, task, folder), adaptation, epsilon)

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.dynamics import PhysicsModel
 from safedpa.safety import CorridorBarrier, FilterSettings
 from safedpa_sim.training.configuration import load_configuration
 
@@ -25,10 +25,8 @@ __all__ = [
     "corridor",
     "filter_settings",
     "in_hazard",
-    "in_wind",
     "is_upright",
     "simulated_pendulum",
-    "wind_of",
 ]
 
 Floats = NDArray[np.float64]
@@ -75,24 +73,16 @@ def simulated_pendulum() -> PhysicsModel:
     return load_configuration("pendulum").simulator
 
 
-def wind_of(direction: float, strength: float = WIND) -> tuple[float, float]:
-    """(speed, upward) [m/s] of a wind that blows towards ``direction`` [rad]: 0 towards positive angles, pi/2 up."""
-    return float(strength * np.cos(direction)), float(strength * np.sin(direction))
-
-
-def in_wind(model: PhysicsModel, speed: float, upward: float) -> PhysicsModel:
-    """The same pendulum in another wind [m/s]."""
-    blowing = {"wind.speed": Setting(speed), "wind.upward": Setting(upward)}
-    return model.with_settings({**model.settings, **blowing})
-
-
 def corridor(edges: tuple[float, float]) -> CorridorBarrier:
     """The barrier that keeps the pendulum between two angles."""
     return CorridorBarrier(*edges, AHEAD)
 
 
-def filter_settings(epsilon: float, eta: float = 0.5) -> FilterSettings:
-    """The filter of both questions: margin ``epsilon`` [rad], eta as in the published pendulum of the barrier."""
+def filter_settings(epsilon: float, eta: float = 0.5, torque: float = TORQUE) -> FilterSettings:
+    """The filter of both questions: margin ``epsilon`` [rad], eta as in the published pendulum of the barrier.
+
+    ``torque`` [N m] is what the motor gives at most.
+    """
     return FilterSettings(
-        eta=eta, epsilon={"corridor": epsilon}, action_low=(-TORQUE,), action_high=(TORQUE,), backup_action=(0.0,)
+        eta=eta, epsilon={"corridor": epsilon}, action_low=(-torque,), action_high=(torque,), backup_action=(0.0,)
     )

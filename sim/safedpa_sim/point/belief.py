@@ -5,6 +5,7 @@ Actions here lie in [-1, 1]: a thrust of up to 0.015 N and a turn of up to 3 rad
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final, Protocol, final
 
 import numpy as np
@@ -15,13 +16,13 @@ from safedpa.networks import LearnedNetworks, Weights
 from safedpa.safety.stopping_barrier import Motion
 from safedpa_sim.point.body import CONTROL_SECONDS, POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, controls_of
-from safedpa_sim.point.filtering import Believed
 from safedpa_sim.point.simulation import PointSimulation
 
 __all__ = [
     "ACTION_SCALE",
     "PROBES",
     "Belief",
+    "Believed",
     "LearnedBelief",
     "ModelBelief",
     "TrueBelief",
@@ -55,6 +56,25 @@ def from_task_action(action: Floats) -> Floats:
     """Actions (robots, 2) of ``PointTask`` as those of this module; a turn beyond the fastest is the fastest."""
     scaled: Floats = np.clip(np.asarray(action, dtype=np.float64) / np.array([1.0, _TASK_TURN]), -1.0, 1.0)
     return scaled
+
+
+@final
+@dataclass(frozen=True)
+class Believed:
+    """What a model says at the present states: x[t+1] = drift + gain a, and how the manoeuvre would go."""
+
+    drift: Floats
+    """(robots, 5)."""
+    gain: Floats
+    """(robots, 5, 2) over actions in [-1, 1]."""
+    motion: Motion
+    scale: Floats
+    """(2,) thrust acceleration [m/s2] and turn [rad/s] of the action 1."""
+
+    def next_state(self, action: Floats) -> Floats:
+        """(robots, 5) after actions (robots, 2)."""
+        following: Floats = self.drift + np.einsum("rsa,ra->rs", self.gain, action)
+        return following
 
 
 class Belief(Protocol):

@@ -1,15 +1,78 @@
-"""What a policy sees of the point robot: the benchmark's sensors, where the goal lies, a lidar of the hazards."""
+"""What policies see of the point robot.
+
+The task's: the benchmark's sensors, where the goal lies, a lidar of the hazards. The robot's own policy pi(x, z): its
+motion, the goal, hazards, the first turn of the way, z.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa_sim.point.layout import FIELD
+from safedpa_sim.point.layout import FIELD, HAZARD_RADIUS
 
-__all__ = ["GOAL_ENTRIES", "LIDAR_BINS", "SENSOR_ENTRIES", "goal_seen", "hazard_lidar", "own_frame"]
+if TYPE_CHECKING:
+    from safedpa_sim.point.task import PointTask
+
+__all__ = ["GOAL_ENTRIES", "LIDAR_BINS", "SENSOR_ENTRIES", "entries_seen", "goal_seen", "hazard_lidar", "policy_seen"]
+
+
+_NEAREST: Final = 4
+"""Hazards that are told one by one."""
+_FADING: Final = 0.3
+"""m from a hazard's edge at which it counts a third."""
+_FARTHEST: Final = 1.0
+"""m beyond which a distance makes no difference."""
+
+
+def entries_seen(latents: int) -> int:
+    """How many numbers ``policy_seen`` gives."""
+    return 3 + 3 * latents + 3 + 3 * _NEAREST + LIDAR_BINS + 3
+
+
+def policy_seen(task: PointTask, latent: NDArray[np.floating[Any]], turn: Floats) -> Floats:
+    """(robots, entries), all as seen from the robot, directions as unit vectors ahead and left:
+
+        velocity and yaw rate; z cos yaw, z sin yaw, z; goal: direction and distance; the four nearest hazards:
+        direction and exp(-distance to the edge / 0.3 m); the lidar; the way's first ``turn`` (robots, 2): direction and
+        distance.
+
+    z turned by the yaw is there because a wind acts in the world and the robot pushes along its heading.
+    """
+    pose, velocity = task.simulation.pose, task.simulation.velocity
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    motion = (cosine * velocity[0] + sine * velocity[1], cosine * velocity[1] - sine * velocity[0], velocity[2])
+    parts = (
+        np.stack(motion, axis=1),
+        latent * cosine[:, np.newaxis],
+        latent * sine[:, np.newaxis],
+        latent,
+        _towards(task.layout.goal, pose),
+        _nearest(task.layout.hazards, pose),
+        hazard_lidar(pose, task.layout.hazards),
+        _towards(turn, pose),
+    )
+    return np.concatenate(parts, axis=1)
+
+
+def _towards(place: Floats, pose: Floats) -> Floats:
+    seen = _own_frame(place[:, np.newaxis], pose)[:, 0]
+    distance = np.linalg.norm(seen, axis=1, keepdims=True)
+    parts = (seen / (distance + _NOT_TO_DIVIDE_BY_ZERO), np.minimum(distance, _FARTHEST))
+    return np.concatenate(parts, axis=1)
+
+
+def _nearest(hazards: Floats, pose: Floats) -> Floats:
+    seen = _own_frame(hazards, pose)
+    distance = np.linalg.norm(seen, axis=2)
+    order = np.argsort(distance, axis=1)[:, :_NEAREST]
+    distance = np.take_along_axis(distance, order, axis=1)[..., np.newaxis]
+    direction = np.take_along_axis(seen, order[..., np.newaxis], axis=1) / (distance + _NOT_TO_DIVIDE_BY_ZERO)
+    nearness = np.exp((HAZARD_RADIUS - distance) / _FADING)
+    return np.concatenate((direction, nearness), axis=2).reshape(len(seen), -1)
+
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +84,7 @@ _LIDAR_REACH = 2.0 * FIELD
 _NOT_TO_DIVIDE_BY_ZERO = 0.001
 
 
-def own_frame(points: Floats, pose: Floats) -> Floats:
+def _own_frame(points: Floats, pose: Floats) -> Floats:
     """Points (robots, points, 2) of the world as seen by robots of pose (3, robots): ahead, left."""
     apart = points - pose[:2].T[:, None]
     cosine, sine = np.cos(pose[2])[:, None], np.sin(pose[2])[:, None]
@@ -32,7 +95,7 @@ def own_frame(points: Floats, pose: Floats) -> Floats:
 
 def goal_seen(pose: Floats, goal: Floats) -> Floats:
     """(robots, 3): direction of the goal in the own frame (2 entries of a unit vector), distance [m]."""
-    seen = own_frame(goal[:, None], pose)[:, 0]
+    seen = _own_frame(goal[:, None], pose)[:, 0]
     distance = np.linalg.norm(seen, axis=1, keepdims=True)
     return np.concatenate((seen / (distance + _NOT_TO_DIVIDE_BY_ZERO), distance), axis=1)
 
@@ -42,7 +105,7 @@ def hazard_lidar(pose: Floats, hazards: Floats) -> Floats:
 
     A hazard also shows in the bins beside its own, by how far it lies towards them, so the reading turns smoothly.
     """
-    seen = own_frame(hazards, pose)
+    seen = _own_frame(hazards, pose)
     closeness = np.clip(1.0 - np.linalg.norm(seen, axis=2) / _LIDAR_REACH, 0.0, None)
     place = np.arctan2(seen[..., 1], seen[..., 0]) % (2.0 * np.pi) / (2.0 * np.pi / LIDAR_BINS)
     index = place.astype(int) % LIDAR_BINS

@@ -16,12 +16,11 @@ from safedpa.networks import LearnedNetworks, Weights, dense_stack
 from safedpa.networks.layers import layers_of
 from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
-from safedpa_sim.point.filtering import filtered
-from safedpa_sim.point.layout import GOAL_RADIUS, HAZARD_RADIUS
-from safedpa_sim.point.seeing import entries_seen, policy_seen
+from safedpa_sim.point.filtering import PointFilter
+from safedpa_sim.point.layout import GOAL_RADIUS
+from safedpa_sim.point.observation import entries_seen, policy_seen
 from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, PointTask
-from safedpa_sim.point.teaching import taught
-from safedpa_sim.point.way import Ways
+from safedpa_sim.point.way import Ways, taught
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
 from safedpa_sim.training.moved import Moved
@@ -33,7 +32,7 @@ Floats = NDArray[np.float32]
 LARGEST_FORCE: Final = 0.008
 """N."""
 EPSILON: Final = 0.003
-"""m of the filter's stand-in."""
+"""m; the filter's margin in training."""
 _EVALUATION_SEED = 1_000_003
 """Added to the configuration's seed: no layout of the evaluation is trained on."""
 _EVALUATION_TICKS = 500
@@ -99,6 +98,7 @@ class PointPractice:
         self._paths = [entry.path for entry in weights.description.environment]
         self._random = np.random.default_rng([seed, 17])
         self._belief = TrueBelief(self.task.simulation)
+        self._filter = PointFilter(EPSILON)
         if not calm:
             self.task.steps[:] = self._random.integers(0, EPISODE_STEPS, count)
         self.latent: Floats = np.zeros((count, weights.description.latents), np.float32)
@@ -147,7 +147,7 @@ class PointPractice:
         if self._sheltered:
             state = centre_state(task.simulation)
             believed = self._belief.believed(state, np.zeros((self.count, 0)))
-            action = filtered(state, action, task.layout.hazards, HAZARD_RADIUS, believed, EPSILON).action
+            action = self._filter.decide(state, action, task.layout.hazards, believed).action
         self.applied = (action * ACTION_SCALE).astype(np.float32)
         stepped = task.advance(to_task_action(action))
         within = stepped.cost > 0.0

@@ -2,6 +2,11 @@
 
 Hazards are grown by a berth. Ways are made of straight lines between the corners of octagons around them, of which
 those that cross no grown hazard make a graph; the way from a corner to all others is found once for each layout.
+
+The teacher of the point robot's policy knows the wind, and drives at one speed along that way:
+
+    wanted = (speed along the way - velocity) / time - (wind - drag velocity)         acceleration
+    thrust = clip(wanted . heading / strongest),  turn = clip(gain angle from heading, or tail, to wanted / fastest)
 """
 
 from __future__ import annotations
@@ -11,9 +16,38 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.safety.stopping_barrier import Motion
 from safedpa_sim.point.layout import HAZARD_RADIUS
 
-__all__ = ["BERTH", "Ways"]
+__all__ = ["BERTH", "Ways", "taught"]
+
+
+_CRUISE: Final = 0.9
+"""m/s; faster ones are stopped more often by the filter and reach fewer goals."""
+_SECONDS: Final = 0.2
+"""s in which the velocity shall be the wanted one."""
+_GAIN: Final = 8.0
+"""1/s of the turning."""
+
+
+def taught(state: Doubles, turn: Doubles, motion: Motion) -> Doubles:
+    """Actions (robots, 2) in [-1, 1] for states (robots, 5) towards the way's first ``turn`` (robots, 2)."""
+    apart = turn - state[:, :2]
+    return _steered(state, np.arctan2(apart[:, 1], apart[:, 0]), np.full(len(state), _CRUISE), motion)
+
+
+def _steered(state: Doubles, way: Doubles, speed: Doubles, motion: Motion) -> Doubles:
+    """Actions (robots, 2) that bring states (robots, 5) to ``speed`` (robots,) [m/s] along ``way`` (robots,) [rad]."""
+    yaw, vx, vy = state.T[2:]
+    wanted_x = (speed * np.cos(way) - vx) / _SECONDS - motion.wind[0] + motion.drag * vx
+    wanted_y = (speed * np.sin(way) - vy) / _SECONDS - motion.wind[1] + motion.drag * vy
+    along = wanted_x * np.cos(yaw) + wanted_y * np.sin(yaw)
+    across = wanted_y * np.cos(yaw) - wanted_x * np.sin(yaw)
+    end = np.where(along < 0.0, -1.0, 1.0)
+    turn = _GAIN * np.arctan2(end * across, end * along) / motion.fastest
+    action: Doubles = np.clip(np.stack((along / motion.strongest, turn), axis=1), -1.0, 1.0)
+    return action
+
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]

@@ -8,8 +8,8 @@ import json
 import sys
 from pathlib import Path
 
-from safedpa.bus.process import Stop, Urgency, add_bus_options, bus_from, lifetime, run_process
-from safedpa.bus.setup import setup_message
+from safedpa.bus.loop.process import Stop, Urgency, add_bus_options, bus_from, lifetime, run_process
+from safedpa.bus.wire.setup import setup_message
 from safedpa.dynamics.own import load_own_of_environment
 from safedpa.robot import DEFAULT_ROBOT, robot_named
 from safedpa_sim.robots.account import account_of, check_writable, write_account
@@ -31,9 +31,14 @@ def robot_parser() -> argparse.ArgumentParser:
         "--world", action="append", default=[], metavar="NAME=NUMBER", help="of a stand-in of one's own"
     )
     parser.add_argument("--name", default="r1", help="name on the bus; one robot each")
+    parser.add_argument(
+        "--drive", choices=("speed_servo", "throttle"), default="speed_servo", help="what commands the car's motor"
+    )
     parser.add_argument("--load", choices=("none", *LOADS), default="none", help="what it tows")
     parser.add_argument("--change", choices=("none", *CHANGES), default="none", help="what changes while it drives")
     parser.add_argument("--change-after", type=float, default=30.0, metavar="SECONDS", help="when, by its clock")
+    parser.add_argument("--laser", action="store_true", help="the car is told no obstacles, and has a laser scanner")
+    parser.add_argument("--people", type=int, default=0, help="who walk about where the car drives; needs --laser")
     parser.add_argument("--task", choices=tuple(TASKS), default="balance", help="what the pendulum has to do")
     parser.add_argument("--wind", type=float, default=0.0, metavar="SPEED", help="m/s, on the pendulum")
     parser.add_argument(

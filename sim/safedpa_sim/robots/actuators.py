@@ -1,14 +1,14 @@
-"""The motor with its speed servo, and the steering actuator."""
+"""The motor behind a speed servo or a throttle, and the steering actuator."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from math import exp
+from math import exp, tanh
 
-from safedpa_sim.robots.car_parameters import CarParameters
+from safedpa_sim.robots.car_parameters import CarParameters, ThrottleParameters
 
-__all__ = ["SpeedServo", "SteeringActuator"]
+__all__ = ["SpeedServo", "SteeringActuator", "ThrottleMotor", "drive_of"]
 
 
 def _cached_share(lag: float) -> Callable[[float], float]:
@@ -28,6 +28,10 @@ class SpeedServo:
         """Of its way to the wanted acceleration that it goes in so many seconds."""
         self.acceleration = 0.0
 
+    def pull(self, command: float) -> tuple[float, float, float]:
+        """(push [m/s2], gain [1/s], target [m/s]): wanted is push + gain (target - speed)."""
+        return 0.0, self.gain, command
+
     def advance(self, target: float, speed: float, seconds: float) -> float:
         """The drive acceleration [m/s2] at the end of ``seconds``."""
         wanted, limit = self.gain * (target - speed), self.limit
@@ -36,10 +40,45 @@ class SpeedServo:
         return self.acceleration
 
 
+class ThrottleMotor:
+    """d(a)/dt = (clip(gain felt - back_emf |felt| speed, +-servo_limit) - a) / servo_lag, where nothing is felt of the
+    throttle within the dead zone: felt = throttle - clip(throttle, +-dead_zone).
+
+    a [m/s2] is drive force over the car's mass.
+    """
+
+    def __init__(self, parameters: CarParameters, motor: ThrottleParameters) -> None:
+        self.motor, self.limit = motor, parameters.servo_limit
+        self.share = _cached_share(parameters.servo_lag)
+        """Of its way to the wanted acceleration that it goes in so many seconds."""
+        self.acceleration = 0.0
+
+    def pull(self, command: float) -> tuple[float, float, float]:
+        """(push [m/s2], gain [1/s], target [m/s]): wanted is push + gain (target - speed)."""
+        felt = command - min(max(command, -self.motor.dead_zone), self.motor.dead_zone)
+        return self.motor.gain * felt, self.motor.back_emf * abs(felt), 0.0
+
+    def braking(self, speed: float, deceleration: float) -> float:
+        """The throttle that slows the car by ``deceleration`` [m/s2] at this speed: what its own watchdog does."""
+        if speed == 0.0 or deceleration <= 0.0:
+            return 0.0
+        size = self.motor.dead_zone + deceleration / (self.motor.gain + self.motor.back_emf * abs(speed))
+        return -min(size, 1.0) if speed > 0.0 else min(size, 1.0)
+
+
+def drive_of(parameters: CarParameters) -> SpeedServo | ThrottleMotor:
+    """What moves a car."""
+    return SpeedServo(parameters) if parameters.throttle is None else ThrottleMotor(parameters, parameters.throttle)
+
+
 class SteeringActuator:
-    """d(angle)/dt = clip((command - angle) / steer_lag, +-steer_rate); angle [rad] is that of the wheels."""
+    """d(angle)/dt = clip((command - angle) / steer_lag, +-steer_rate); angle [rad] is that of the wheels.
+
+    Of a linkage that bends, steer_end tanh(steer_slope command / steer_end) stands for the command.
+    """
 
     def __init__(self, parameters: CarParameters) -> None:
+        self._slope, self._end = parameters.steer_slope, parameters.steer_end
         self._rate = parameters.steer_rate
         self._share = _cached_share(parameters.steer_lag)
         self.angle = 0.0
@@ -50,6 +89,8 @@ class SteeringActuator:
 
     def angles(self, command: float, seconds: float, steps: int) -> list[float]:
         """The wheels' angle [rad] at the end of each of so many steps of ``seconds`` under one command."""
+        if self._end > 0.0:
+            command = self._end * tanh(self._slope * command / self._end)
         share, largest, angle, found = self._share(seconds), self._rate * seconds, self.angle, []
         for _ in range(steps):
             change = (command - angle) * share

@@ -3,27 +3,74 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from math import hypot
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from math import hypot, isfinite
 from typing import Any, final
 
-from safedpa.bus.messages import StateMessage
+from safedpa.bus.wire.messages import ScanMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa.reversing import reversed_way
+from safedpa_sim.robots.actuators import ThrottleMotor
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, CarParameters
 from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.footprint import footprint, towed_reach
 from safedpa_sim.robots.guard import ActionGuard
-from safedpa_sim.robots.late_commands import LateCommands
 from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
 from safedpa_sim.robots.world import CarWorld
+from safedpa_sim.sensing.senses import Senses
 
-__all__ = ["BRAKE", "CarRobot"]
+__all__ = ["BRAKE", "CarRobot", "LateCommands"]
+
+_ROUNDING = 1e-9
+"""s; a piece of a period shorter than this is rounding."""
+
+
+@final
+class LateCommands:
+    """felt drive(t) = drive(t - drive_seconds), felt steer(t) = steer(t - steer_seconds), exact between ticks as well.
+
+    Before the first command the car was told to stand with its wheels straight. Raises InputError for a delay that is
+    not a finite number of seconds, 0 or more.
+    """
+
+    def __init__(self, drive_seconds: float, steer_seconds: float) -> None:
+        for name, seconds in (("drive_seconds", drive_seconds), ("steer_seconds", steer_seconds)):
+            if not (isfinite(seconds) and seconds >= 0.0):
+                raise InputError(f"{name}: got {seconds!r}, wanted a finite number of seconds, 0 or more")
+        self._seconds = (drive_seconds, steer_seconds)
+        self._now = 0.0
+        self._felt: tuple[list[tuple[float, float]], ...] = ([(0.0, 0.0)], [(0.0, 0.0)])
+        """Of drive and steer: the time [s] from which a command is felt, and the command; oldest first."""
+
+    def felt(self, command: tuple[float, float], seconds: float) -> Iterator[tuple[float, float, float]]:
+        """Drive, steer and for how long [s], in order, over the period in which ``command`` is sent."""
+        begin, end = self._now, self._now + seconds
+        for history, value, late in zip(self._felt, command, self._seconds, strict=True):
+            history.append((begin + late, value))
+        edges = [begin]
+        for edge in sorted(moment for history in self._felt for moment, _ in history):
+            if edges[-1] + _ROUNDING < edge < end - _ROUNDING:
+                edges.append(edge)
+        for start, stop in pairwise([*edges, end]):
+            yield self._at(0, start), self._at(1, start), stop - start
+        self._now = end
+        for history in self._felt:
+            while len(history) > 1 and history[1][0] <= end + _ROUNDING:
+                del history[0]
+
+    def _at(self, channel: int, time: float) -> float:
+        return [value for begin, value in self._felt[channel] if begin <= time + _ROUNDING][-1]
+
 
 BRAKE = (0.0, 0.0)
-"""The watchdog's action: stop, wheels straight."""
+"""The watchdog's action: stop, wheels straight. Of a car with a throttle, which 0 lets roll, in its own units."""
+
+_BRAKING_GAIN, _BRAKING = 4.0, 3.0
+"""1/s and m/s2 at most, with which the watchdog of a car with a throttle brakes: by its own wheels' speed."""
 
 _STANDSTILL = 0.01
 """m/s."""
@@ -43,11 +90,19 @@ class CarRobot(SimulatedRobot):
         change: PlannedChange | None = None,
         late: LateCommands | None = None,
         until_action: float = 0.0,
+        parameters: CarParameters = CAR_PARAMETERS,
+        senses: Senses | None = None,
     ) -> None:
+        if parameters.throttle is not None and scene.load is not None:
+            raise InputError(
+                f"load: got '{scene.load.name}' behind a car with a throttle, wanted none: it tows nothing"
+            )
         if not 0.0 < period <= 1.0:
             raise InputError(f"period: got {period} s, wanted more than 0 and at most 1 s")
         self.scene = scene
-        self.world = CarWorld(scene.start, scene.field, scene.obstacles, scene.load)
+        self.world = CarWorld(
+            scene.start, scene.field, scene.obstacles, scene.load, parameters, polygons=scene.polygons
+        )
         car = self.world.parameters
         self.changed_at: int | None = None
         """Tick in which the planned change was made."""
@@ -56,8 +111,13 @@ class CarRobot(SimulatedRobot):
         self._take(scene.load)
         self._goals = scene.goals()
         self.goal = next(self._goals)
-        guard = ActionGuard(epoch, (car.speed_low, -car.steer_limit), (car.speed_high, car.steer_limit))
+        slowest, fastest = (car.speed_low, car.speed_high) if car.throttle is None else (-1.0, 1.0)
+        guard = ActionGuard(epoch, (slowest, -car.steer_limit), (fastest, car.steer_limit))
         super().__init__(guard, period, lockstep, wall_clock, until_action)
+        self._senses = senses
+        if senses is not None:
+            senses.join(self.world, scene, epoch)
+            senses.sense(self.tick)
 
     @property
     def values(self) -> tuple[float, float, float, float]:
@@ -98,22 +158,29 @@ class CarRobot(SimulatedRobot):
             self._take(load)
         return self._state(
             goal=self.goal,
-            obstacles=self.scene.obstacles,
+            obstacles=self.scene.obstacles if self._senses is None else (),
             field=self.scene.field,
             footprint=self._taken[1],
             load_pose=towed.pose if towed else (),
             towed=self._taken[2],
             reversed_way=self._way,
+            sources=() if self._senses is None else self._senses.names,
         )
+
+    def scans(self) -> list[ScanMessage]:  # noqa: D102
+        return [] if self._senses is None else self._senses.told()
 
     def _take(self, load: Load | None) -> None:
         """What it tows, and the room that it takes with it; of a new load nobody knows how it hangs."""
-        self._taken = load, footprint(load), towed_reach(load)
+        self._taken = load, footprint(load, self.world.parameters), towed_reach(load)
         self._way = self._taken[2][1] if self._taken[2] else -1.0
         """m driven backwards, as a state tells it."""
 
     def _watchdog_action(self) -> tuple[float, float]:
-        return BRAKE
+        motor, speed = self.world.drive, self.values[3]
+        if not isinstance(motor, ThrottleMotor):
+            return BRAKE
+        return motor.braking(speed, min(_BRAKING_GAIN * abs(speed), _BRAKING)), BRAKE[1]
 
     def _live(self) -> None:
         if self._change is not None and self._change.made(self):
@@ -121,10 +188,21 @@ class CarRobot(SimulatedRobot):
         (drive, steer), before = self._applied, self.world.state
         parts = ((drive, steer, self.period),) if self._late is None else self._late.felt((drive, steer), self.period)
         for felt_drive, felt_steer, seconds in parts:
-            self.world.advance(felt_drive, felt_steer, seconds)
+            self._advance(felt_drive, felt_steer, seconds)
         if self._taken[2]:
             self._way = reversed_way(self._way, before, self.world.state, self._taken[2][1])
         x, y, _, _ = self.world.state
         if hypot(self.goal[0] - x, self.goal[1] - y) < GOAL_RADIUS:
             self.goals_reached += 1
             self.goal = next(self._goals)
+
+    def _advance(self, drive: float, steer: float, seconds: float) -> None:
+        """Holds what is felt; a robot with sensors stops at each of their moments to measure."""
+        if self._senses is None:
+            self.world.advance(drive, steer, seconds)
+            return
+        end = self.world.time + seconds
+        for moment in self._senses.moments(end):
+            self.world.advance(drive, steer, moment - self.world.time)
+            self._senses.sense(self.tick)
+        self.world.advance(drive, steer, end - self.world.time)

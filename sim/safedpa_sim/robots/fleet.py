@@ -9,7 +9,7 @@ import secrets
 import sys
 from pathlib import Path
 
-from safedpa.bus.process import Stop, Urgency, add_bus_options, bus_from, run_process
+from safedpa.bus.loop.process import Stop, Urgency, add_bus_options, bus_from, run_process
 from safedpa.errors import InputError
 from safedpa_sim.robots.account import check_writable, write_account
 from safedpa_sim.robots.claim import claim_names

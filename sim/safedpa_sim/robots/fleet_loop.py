@@ -12,6 +12,7 @@ import dataclasses
 import heapq
 import os
 import time
+from array import array
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,11 +20,49 @@ from math import ceil
 from typing import Any, final
 
 from safedpa.bus import ACTION, HEALTH, STATE, Bus, HealthMessage, Received
-from safedpa.bus.messages import ActionMessage
-from safedpa_sim.robots.durations import Durations
+from safedpa.bus.wire.messages import ActionMessage
 from safedpa_sim.robots.robot import SimulatedRobot
 
-__all__ = ["FleetLoop"]
+__all__ = ["Durations", "FleetLoop"]
+
+_BIN_SECONDS = 1e-5
+_BINS = 100_000
+
+
+@final
+class Durations:
+    """Counts durations [s] in bins of 10 us up to one second; longer ones stand in the last bin.
+
+    The memory is the same after a second and after a day, which is asked of a process whose memory is watched.
+    """
+
+    def __init__(self) -> None:
+        self._counts = array("Q", bytes(8 * _BINS))
+        self.count = 0
+        self.longest = 0.0
+
+    def add(self, seconds: float) -> None:
+        """One more; a negative one counts as 0."""
+        self._counts[min(max(int(seconds / _BIN_SECONDS), 0), _BINS - 1)] += 1
+        self.count += 1
+        self.longest = max(self.longest, seconds)
+
+    def percentile(self, share: float) -> float | None:
+        """The smallest entry [s] that ``share`` of all do not exceed, rounded up to its bin; None of nothing."""
+        wanted, seen = share * self.count, 0
+        for index, count in enumerate(self._counts):
+            seen += count
+            if seen and seen >= wanted:
+                return min((index + 1) * _BIN_SECONDS, self.longest)
+        return None
+
+    def summary(self) -> dict[str, float | None]:
+        """p50, p99, p99.9 and the longest, in microseconds."""
+        shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
+        found = {name: self.percentile(share) for name, share in shares.items()}
+        told = {name: None if value is None else round(1e6 * value) for name, value in found.items()}
+        return {**told, "longest": round(1e6 * self.longest) if self.count else None}
+
 
 _FEWEST_MOMENTS, _MOST_MOMENTS, _MANY = 2, 5, 300
 """Of a period, at which robots sense where there are several, the fewer the more robots there are: larger bundles cost
@@ -99,7 +138,7 @@ class FleetLoop:
         self.latency, self.lateness = Durations(), Durations()
         self.ticks = self.late = self.late_held_up = self.held_up = self.overruns = 0
         self.late_of: Counter[str] = Counter()
-        self.late_at: deque[float] = deque(maxlen=_REMEMBERED_MOMENTS)
+        self.late_ones: deque[tuple[float, str, int]] = deque(maxlen=_REMEMBERED_MOMENTS)
         self.acted: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED_MOMENTS)
         self._counting_since = self._clock()
         self.collisions: list[dict[str, Any]] = []
@@ -186,7 +225,7 @@ class FleetLoop:
             self.late += 1
             self.late_held_up += turning.held_up
             self.late_of[name] += 1
-            self.late_at.append(self._clock())
+            self.late_ones.append((self._clock(), name, tick))
         turning.due += robot.period
         if turning.due < self._clock():  # periods that were slept through are not made up in a hurry
             self.overruns += 1
@@ -220,7 +259,7 @@ class FleetLoop:
             "robots_with_late_ticks": len(self.late_of),
             "moments": {
                 "counted": [self._counting_since, self._clock()],
-                "late_at": list(self.late_at),
+                "late": list(self.late_ones),
                 "acted": list(self.acted),
             },
             "sense_to_act_us": self.latency.summary(),

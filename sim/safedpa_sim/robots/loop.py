@@ -10,11 +10,11 @@ import os
 import time
 from collections.abc import Callable
 
-from safedpa.bus import ACTION, HEALTH, SETUP, STATE, Bus, Received
+from safedpa.bus import ACTION, HEALTH, SCAN, SETUP, STATE, Bus, Received
 from safedpa.bus.log import log_event
-from safedpa.bus.messages import ActionMessage, HealthMessage, SetupMessage, StateMessage
-from safedpa.bus.setup import SETUP_SECONDS
-from safedpa.bus.version import software_version
+from safedpa.bus.wire.messages import ActionMessage, HealthMessage, SetupMessage, StateMessage
+from safedpa.bus.wire.setup import SETUP_SECONDS
+from safedpa.bus.wire.version import software_version
 from safedpa.errors import BusError
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.trace import LivedPeriod, Trace
@@ -169,6 +169,8 @@ class RobotLoop:
 
     def _publish(self) -> float:
         self._sent = self.robot.state_message()
+        for scan in self.robot.scans():
+            self._bus.publish(SCAN, self._name, scan)
         self._published = self._clock()
         self._bus.publish(STATE, self._name, self._sent)
         return self._published

@@ -9,6 +9,7 @@ from safedpa.errors import InputError
 from safedpa.robot import robot_named
 from safedpa.stand_in import world_number
 from safedpa_sim.point.body import CONTROL_SECONDS
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, THROTTLE_CAR
 from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.pendulum_robot import PendulumRobot
@@ -18,6 +19,9 @@ from safedpa_sim.robots.point_robot import PointRobot, force_towards
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import Scene
 from safedpa_sim.robots.stand_in_robot import StandInRobot
+from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.people import MOST_PEOPLE, walkers
+from safedpa_sim.sensing.senses import Senses
 
 __all__ = ["robot_of"]
 
@@ -48,13 +52,43 @@ def robot_of(options: argparse.Namespace) -> SimulatedRobot:
         )
     if options.world:
         raise InputError(f"--world: got {options.world[0]}, for a robot of one's own; a {options.robot} has options")
+    if options.drive == "throttle" and options.robot != "car":
+        raise InputError(f"--drive: got a throttle for a {options.robot}, wanted none; it is the car's")
+    if options.robot != "car" and (options.laser or options.people):
+        raise InputError(f"--laser, --people: got one for a {options.robot}, wanted none; they are the car's")
     if options.robot == "pendulum":
         return _pendulum(options, epoch)
     if options.robot == "point":
         return _point(options, epoch)
+    return _car(options, epoch)
+
+
+def _car(options: argparse.Namespace, epoch: int) -> CarRobot:
+    throttle = options.drive == "throttle"
+    if throttle and (options.load != "none" or options.change == "hitch"):
+        raise InputError("--load, --change: got something to tow for a car with a throttle, wanted none")
     scene = Scene.random(options.seed, options.load)
     change = None if options.change == "none" else PlannedChange(options.change, options.change_after)
-    return CarRobot(scene, 1.0 / options.rate, options.lockstep, epoch=epoch, change=change)
+    parameters = THROTTLE_CAR if throttle else CAR_PARAMETERS
+    return CarRobot(
+        scene,
+        1.0 / options.rate,
+        options.lockstep,
+        epoch=epoch,
+        change=change,
+        parameters=parameters,
+        senses=_senses(options, scene),
+    )
+
+
+def _senses(options: argparse.Namespace, scene: Scene) -> Senses | None:
+    if not 0 <= options.people <= MOST_PEOPLE:
+        raise InputError(f"--people: got {options.people}, wanted 0 to {MOST_PEOPLE}")
+    if options.people and not options.laser:
+        raise InputError(f"--people: got {options.people} without --laser; only a car that sees them may meet people")
+    if not options.laser:
+        return None
+    return Senses((Laser(LaserSettings(), options.seed),), walkers(scene, options.people))
 
 
 def _pendulum(options: argparse.Namespace, epoch: int) -> PendulumRobot:

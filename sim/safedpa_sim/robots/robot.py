@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, final
 
-from safedpa.bus.messages import ActionMessage, StateMessage
+from safedpa.bus.wire.messages import ActionMessage, ScanMessage, StateMessage
 from safedpa_sim.robots.guard import ActionGuard
 
 __all__ = ["SimulatedRobot"]
@@ -66,6 +66,10 @@ class SimulatedRobot(ABC):
     def state_message(self) -> StateMessage:
         """State k, and what the robot perceives around it."""
 
+    def scans(self) -> Sequence[ScanMessage]:
+        """What its sensors have to tell before the state of this tick; each scan once."""
+        return ()
+
     @property
     @final
     def trajectory_hash(self) -> str:
@@ -110,6 +114,7 @@ class SimulatedRobot(ABC):
         corridor: Numbers = (),
         towed: Numbers = (),
         reversed_way: float = -1.0,
+        sources: tuple[str, ...] = (),
     ) -> StateMessage:
         """The message of this tick, with these surroundings."""
         return StateMessage(
@@ -133,6 +138,7 @@ class SimulatedRobot(ABC):
             until_action=self._until_action,
             towed=towed,
             reversed_way=reversed_way,
+            sources=sources,
         )
 
     def _record(self) -> None:

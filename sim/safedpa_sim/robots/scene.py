@@ -47,6 +47,8 @@ class Scene:
     """x, y, yaw of the rear axle's middle."""
     fixed_goals: tuple[Point, ...] = ()
     """Driven to in turn, again and again, instead of goals drawn from the seed."""
+    polygons: tuple[tuple[Point, ...], ...] = ()
+    """Corners of each thing with edges, convex and anticlockwise; goals and start are not drawn around them."""
 
     @property
     def footprint(self) -> tuple[float, float, float]:

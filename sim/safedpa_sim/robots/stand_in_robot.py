@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
-from safedpa.bus.messages import StateMessage
+from safedpa.bus.wire.messages import StateMessage
 from safedpa.errors import InputError
 from safedpa.robot import AbstractRobot
 from safedpa_sim.robots.guard import ActionGuard
@@ -82,7 +82,7 @@ class StandInRobot(SimulatedRobot):
     def state_message(self) -> StateMessage:
         """State k, and what the stand-in perceives."""
         seen = self.stand_in
-        return self._state(goal=seen.goal, obstacles=seen.obstacles, field=seen.field)
+        return self._state(goal=seen.goal, obstacles=seen.obstacles, field=seen.field, footprint=seen.footprint)
 
     def _live(self) -> None:
         self.stand_in.advance(self._applied, self.period)

@@ -1,20 +1,22 @@
-"""The world of the pymunk car: one rigid body with tyres, what it tows, and solid things, seen from above."""
+"""The world of the pymunk car: one rigid body with tyres, what it tows, and solid things, seen from above.
+
+What does not change while it drives is worked out once. A load is a rigid body on a hitch, dragged over the floor.
+"""
 
 from __future__ import annotations
 
-from math import ceil, cos, sin
+from collections.abc import Callable
+from math import atan, ceil, cos, pi, sin, sqrt, tanh
 
 import pymunk
 from pymunk._chipmunk_cffi import lib
 
-from safedpa_sim.robots.actuators import SpeedServo, SteeringActuator
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
-from safedpa_sim.robots.contacts import CAR, OBSTACLE, WALL, Collision, ContactCounter
-from safedpa_sim.robots.ground_forces import ground_forces
+from safedpa_sim.robots.actuators import SteeringActuator, drive_of
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY, SUBSTEP, CarParameters
+from safedpa_sim.robots.contacts import CAR, LOAD, OBSTACLE, WALL, Collision, ContactCounter
 from safedpa_sim.robots.loads import Load
-from safedpa_sim.robots.towing import TowedBody
 
-__all__ = ["CarWorld"]
+__all__ = ["CarWorld", "TowedBody", "ground_forces"]
 
 _angle, _position = lib.cpBodyGetAngle, lib.cpBodyGetPosition
 _velocity, _rate = lib.cpBodyGetVelocity, lib.cpBodyGetAngularVelocity
@@ -36,15 +38,16 @@ class CarWorld:
         obstacles: tuple[tuple[float, float, float], ...] = (),
         load: Load | None = None,
         parameters: CarParameters = CAR_PARAMETERS,
+        polygons: tuple[tuple[tuple[float, float], ...], ...] = (),
     ) -> None:
         self.parameters = parameters
         self.time = 0.0
-        self.servo = SpeedServo(parameters)
+        self.drive = drive_of(parameters)
         self.steering = SteeringActuator(parameters)
         self.space = pymunk.Space()
         self.space.collision_slop = 0.0005  # m; the default of 0.1 is meant for pixels
         self.contacts = ContactCounter(self.space)
-        _add_solids(self.space, self.contacts, field, obstacles)
+        _add_solids(self.space, self.contacts, field, obstacles, polygons)
         self.body = self._add_car(start)
         self._handle = self.body._body
         self._ground_forces = ground_forces(parameters)
@@ -83,6 +86,16 @@ class CarWorld:
         """Every collision so far, in order."""
         return self.contacts.collisions
 
+    def add_person(self, x: float, y: float, radius: float, name: str) -> pymunk.Body:
+        """A disc that moves as its velocity says, whatever it touches; contacts count under ``name``."""
+        body = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+        body.position = (x, y)
+        shape = pymunk.Circle(body, radius)
+        shape.friction, shape.collision_type = 0.6, OBSTACLE
+        self.contacts.name(shape, name)
+        self.space.add(body, shape)
+        return body
+
     def hitch(self, load: Load) -> None:
         """Puts a load behind the car, straight and at the car's speed; a load that hangs there is let go first.
 
@@ -100,21 +113,25 @@ class CarWorld:
             self.towed.unhitch()
             self.towed = None
 
-    def advance(self, target_speed: float, steer: float, seconds: float) -> None:
-        """Holds an action for ``seconds``, in equal substeps of at most 1/400 s."""
+    def advance(self, command: float, steer: float, seconds: float) -> None:
+        """Holds an action for ``seconds``, in equal substeps of at most 1/400 s.
+
+        ``command`` is a target speed [m/s], or the throttle of a car that has one.
+        """
         substeps = ceil(seconds / SUBSTEP - 1e-9)
         if substeps <= 0:
             return
         pace, now, mass, (east, north) = seconds / substeps, self.time, self.parameters.mass, self.wind
         space, handle, loads, contacts = self.space._space, self._handle, self._loads, self.contacts
-        servo, forces = self.servo, self._ground_forces
-        gain, limit, share, drive = servo.gain, servo.limit, servo.share(pace), servo.acceleration
+        motor, forces = self.drive, self._ground_forces
+        push, gain, target = motor.pull(command)
+        limit, share, drive = motor.limit, motor.share(pace), motor.acceleration
         for angle in self.steering.angles(steer + self.steering_offset, pace, substeps):
             yaw, velocity = _angle(handle), _velocity(handle)
             cosine, sine = cos(yaw), sin(yaw)
             vx, vy = velocity.x, velocity.y
             forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
-            wanted = gain * (target_speed - forward)  # SpeedServo.advance, written out
+            wanted = push + gain * (target - forward)  # SpeedServo.advance, written out
             drive += ((-limit if wanted < -limit else limit if wanted > limit else wanted) - drive) * share
             along, across, torque = forces(forward, sideways, _rate(handle), drive, angle)
             to_east = along * cosine - across * sine + mass * east
@@ -125,7 +142,7 @@ class CarWorld:
             now += pace
             contacts.time = now
             _step(space, pace)
-        self.time, servo.acceleration = now, drive
+        self.time, motor.acceleration = now, drive
 
 
 def _add_solids(
@@ -133,6 +150,7 @@ def _add_solids(
     contacts: ContactCounter,
     field: tuple[float, float, float, float],
     obstacles: tuple[tuple[float, float, float], ...],
+    polygons: tuple[tuple[tuple[float, float], ...], ...],
 ) -> None:
     west, east, south, north = field
     depth = _WALL_THICKNESS
@@ -148,9 +166,186 @@ def _add_solids(
     for index, (x, y, radius) in enumerate(obstacles):
         circle = pymunk.Circle(space.static_body, radius, (x, y))
         _add_solid(space, contacts, circle, OBSTACLE, f"obstacle {index}")
+    for index, corners in enumerate(polygons):
+        polygon = pymunk.Poly(space.static_body, corners)
+        _add_solid(space, contacts, polygon, OBSTACLE, f"polygon {index}")
 
 
 def _add_solid(space: pymunk.Space, contacts: ContactCounter, shape: pymunk.Shape, kind: int, name: str) -> None:
     shape.friction, shape.collision_type = 0.6, kind
     contacts.name(shape, name)
     space.add(shape)
+
+
+_GroundForces = Callable[[float, float, float, float, float], tuple[float, float, float]]
+"""(forward, sideways [m/s], turning rate [rad/s], drive [m/s2], wheels' angle [rad]) of the centre of mass to the force
+along and across the car [N] and the torque [N m] about that centre."""
+
+_ROLLING_SPEED = 0.02
+"""m/s below which rolling resistance fades, so that it cannot push a standing car."""
+
+
+def ground_forces(car: CarParameters) -> _GroundForces:
+    """Tyre forces of both axles, each under the load that the drive shifts, less the resistance
+
+    mass (rolling tanh(v / 0.02 m/s) + drag |v| v), of a car that has them also mass (viscous v + turning |steer|
+    tanh(v / 0.02 m/s)).
+    """
+    forces = _tyre_forces(car)
+    if car.viscous == car.turning == 0.0:
+        return forces
+    mass, viscous, turning = car.mass, car.viscous, car.turning
+
+    def resisted(
+        forward: float, sideways: float, rate: float, drive: float, steer: float
+    ) -> tuple[float, float, float]:
+        along, across, torque = forces(forward, sideways, rate, drive, steer)
+        further = viscous * forward + turning * abs(steer) * tanh(forward / _ROLLING_SPEED)
+        return along - mass * further, across, torque
+
+    return resisted
+
+
+def _tyre_forces(car: CarParameters) -> _GroundForces:
+    """Without the resistance of a car that has a viscous one, or one from steering.
+
+    Of an axle F_x = clip(drive, +-limit), F_y = -sqrt(limit^2 - F_x^2) s / sqrt(1 + s^2) [N] in the frame of its
+    wheels, s = sideways / (slip_scale (|rolling| + slip_speed)): a tyre of cornering stiffness limit / slip_scale that
+    saturates on the friction circle of radius limit. Rolling and sideways [m/s] are the velocity of the axle's middle
+    along and across its wheels. Source: the combined-slip friction circle, Rajamani, Vehicle Dynamics and Control, 2nd
+    ed., ch. 13, with a smooth saturation.
+    """
+    to_rear, to_front, wheelbase = car.centre_of_mass, car.wheelbase - car.centre_of_mass, car.wheelbase
+    mass, height, limit = car.mass, car.centre_height, car.mass * GRAVITY * car.friction
+    front_slip, rear_slip, slip_speed, rolling, drag = (
+        car.front_slip,
+        car.rear_slip,
+        car.slip_speed,
+        car.rolling,
+        car.drag,
+    )
+
+    def forces(forward: float, sideways: float, rate: float, drive: float, steer: float) -> tuple[float, float, float]:
+        # written out for both axles: twenty times a period the calls would cost as much as the sums
+        share = (to_rear - drive * height / GRAVITY) / wheelbase
+        share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
+        force = mass * drive
+        ahead = sideways + rate * to_front
+        cosine, sine = cos(steer), sin(steer)
+        pushed, most = force * share, limit * share
+        along = -most if pushed < -most else most if pushed > most else pushed
+        slip = (ahead * cosine - forward * sine) / (front_slip * (abs(forward * cosine + ahead * sine) + slip_speed))
+        front_y = -sqrt(most * most - along * along) * slip / sqrt(1.0 + slip * slip)
+        rear = 1.0 - share
+        pushed, most = force * rear, limit * rear
+        rear_x = -most if pushed < -most else most if pushed > most else pushed
+        slip = (sideways - rate * to_rear) / (rear_slip * (abs(forward) + slip_speed))
+        rear_y = -sqrt(most * most - rear_x * rear_x) * slip / sqrt(1.0 + slip * slip)
+        resistance = mass * (rolling * tanh(forward / _ROLLING_SPEED) + drag * abs(forward) * forward)
+        across = along * sine + front_y * cosine
+        return (
+            along * cosine - front_y * sine + rear_x - resistance,
+            across + rear_y,
+            across * to_front - rear_y * to_rear,
+        )
+
+    return forces
+
+
+_FEET = 0.45
+"""The feet stand at this share of the side from the centre, under the middle of each edge. Under the corners the joints
+would hold 10 % too little: an impulse there that stops a foot also turns the body, so that it points beside the motion
+when it is cut to the largest force."""
+_RUNNER_SLIP = 0.1
+"""rad; slip angle scale of the runners."""
+_RUNNER_SPEED = 0.3
+"""m/s added to the sliding speed in their slip angle, so that it is defined at standstill."""
+_STIFF = 1e-9
+"""Share of a joint's position error that is left after one second."""
+
+
+class TowedBody:
+    """A load in a pymunk space, hitched to the car until ``unhitch``.
+
+    Ground friction: at each of four feet a joint to the floor that holds with at most mass deceleration / 4, whatever
+    the direction: Coulomb friction that sticks, slides and resists turning, solved together with the hitch. Beside it
+    the runners resist slip across the load, like a tyre without drive.
+    """
+
+    def __init__(self, space: pymunk.Space, car: pymunk.Body, hitch: tuple[float, float], load: Load) -> None:
+        self.load = load
+        self._space = space
+        self.body, self.shape = _body_behind(car, hitch, load)
+        self._handle = self.body._body
+        grip = self.body.mass * load.grip
+        self._hold = -sqrt(grip * grip)
+        """N; the largest force of the runners, against the slip."""
+        space.add(self.body, self.shape)
+        arm = _FEET * load.side
+        for place in ((arm, 0.0), (-arm, 0.0), (0.0, arm), (0.0, -arm)):
+            space.add(_foot(self.body, space.static_body, place, load))
+        # The load's near edge would touch the car's back beyond this angle; the hitch's own stop is there.
+        stop = pi / 2 - atan(load.side / 2 / load.drawbar)
+        pivot = pymunk.PivotJoint(car, self.body, hitch, (load.length, 0.0))
+        limit = pymunk.RotaryLimitJoint(car, self.body, -stop, stop)
+        for joint in (pivot, limit):
+            joint.error_bias = _STIFF
+            joint.collide_bodies = False
+        self._joints: tuple[pymunk.Constraint, ...] = (pivot, limit)
+        space.add(*self._joints)
+
+    @property
+    def hitched(self) -> bool:
+        """Whether the car still tows it."""
+        return bool(self._joints)
+
+    @property
+    def hitch_error(self) -> float:
+        """Distance between the two halves of the hitch [m]; 0 when it is let go."""
+        for joint in self._joints:
+            if isinstance(joint, pymunk.PivotJoint):
+                return (joint.a.local_to_world(joint.anchor_a) - joint.b.local_to_world(joint.anchor_b)).length
+        return 0.0
+
+    @property
+    def pose(self) -> tuple[float, float, float, float, float]:
+        """x, y [m] of the centre, yaw [rad], length and width [m]."""
+        place, side = _position(self._handle), self.load.side
+        return place.x, place.y, _angle(self._handle), side, side
+
+    def apply_runners(self) -> None:
+        """Sets the runners' force for the coming substep: ``axle_force`` without drive, written out."""
+        handle = self._handle
+        angle, velocity = _angle(handle), _velocity(handle)
+        cosine, sine = cos(angle), sin(angle)
+        vx, vy = velocity.x, velocity.y
+        forward, sideways = vx * cosine + vy * sine, vy * cosine - vx * sine
+        slip = sideways / (_RUNNER_SLIP * (abs(forward) + _RUNNER_SPEED))
+        across = self._hold * slip / sqrt(1.0 + slip * slip)
+        _set_force(handle, (-across * sine, across * cosine))
+
+    def unhitch(self) -> None:
+        """Lets the load go; it slides to rest and stays where it is. The car can bump into it."""
+        self._space.remove(*self._joints)
+        self._joints = ()
+
+
+def _body_behind(car: pymunk.Body, hitch: tuple[float, float], load: Load) -> tuple[pymunk.Body, pymunk.Poly]:
+    """A load straight behind the car, moving as the car's hitch does."""
+    mass = load.mass_ratio * car.mass
+    body = pymunk.Body(mass, mass * load.side**2 / 6)
+    x, y = car.local_to_world(hitch)
+    body.position = (x - load.length * cos(car.angle), y - load.length * sin(car.angle))
+    body.angle = car.angle
+    body.velocity = car.velocity_at_world_point(body.position)
+    body.angular_velocity = car.angular_velocity
+    shape = pymunk.Poly.create_box(body, (load.side, load.side))
+    shape.friction, shape.collision_type = 0.5, LOAD
+    return body, shape
+
+
+def _foot(body: pymunk.Body, floor: pymunk.Body, place: tuple[float, float], load: Load) -> pymunk.Constraint:
+    joint = pymunk.PivotJoint(body, floor, place, (0.0, 0.0))
+    joint.max_bias = 0.0  # only the velocity is held, never the place: friction, not a peg
+    joint.max_force = body.mass * load.deceleration / 4
+    return joint

@@ -1,21 +1,24 @@
-"""What a learned model is trained on, and how: a TOML file that a person can read and change."""
+"""What a learned model is trained on, and how: a TOML file that a person can read and change.
+
+Training on a diagnosed model: what was found joins the environment e, about the value that was found.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from hashlib import sha256
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from safedpa.dynamics import PhysicsModel, load_model, write_model
+from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
 from safedpa.dynamics.settings import wanted
 from safedpa.effects import Parameter, effect
-from safedpa.errors import InputError, did_you_mean
-from safedpa.limits import parse_toml, text_of_file
+from safedpa.errors import InputError
+from safedpa.limits import finite_number, parse_toml, refuse_unknown, text_of_file
 
 __all__ = [
     "Ablations",
@@ -25,14 +28,14 @@ __all__ = [
     "Phase1b",
     "Phase2",
     "Phase3",
-    "Range",
     "configurations",
     "limited",
     "load_configuration",
     "parse_configuration",
+    "with_diagnosed",
 ]
 
-Range = tuple[float, float]
+_Range = tuple[float, float]
 """Lowest and highest value."""
 
 Section = TypeVar("Section")
@@ -175,10 +178,10 @@ class Configuration:
 
     simulator: PhysicsModel
     """The physics, as its file has it; what is randomised stands in ``environment``."""
-    state: Mapping[str, Range]
+    state: Mapping[str, _Range]
     """Ranges of the state's entries; angles go all around, entries that are not named stay 0."""
-    action: Mapping[str, Range]
-    environment: Mapping[str, Range]
+    action: Mapping[str, _Range]
+    environment: Mapping[str, _Range]
     """Ranges of what is randomised, by ``effect.parameter`` or ``base.parameter``."""
     seed: int = limited(0, 0)
     latents: int = limited(4, 1, 64)
@@ -254,7 +257,7 @@ def load_configuration(source: str | Path = "car") -> Configuration:
 def parse_configuration(text: str, folder: Path) -> Configuration:
     """The configuration that a TOML text describes; its simulator's file is sought in ``folder``."""
     table = parse_toml(text)
-    _refuse_unknown(table, [item.name for item in fields(Configuration)], "")
+    refuse_unknown(table, [item.name for item in fields(Configuration)], "")
     if not isinstance(table.get("simulator"), str):
         raise InputError(f"simulator: got {table.get('simulator')!r}, wanted the path of a model file")
     simulator = load_model(folder / table["simulator"])
@@ -278,14 +281,14 @@ def parse_configuration(text: str, folder: Path) -> Configuration:
     return Configuration(simulator=simulator, **known)
 
 
-def _environment(simulator: PhysicsModel, table: Mapping[str, Any]) -> dict[str, Range]:
+def _environment(simulator: PhysicsModel, table: Mapping[str, Any]) -> dict[str, _Range]:
     """The ranges by path; every parameter must be one of the base or of an effect for the robot, within its bounds."""
-    found: dict[str, Range] = {}
+    found: dict[str, _Range] = {}
     for owner, entries in table.items():
         if not isinstance(entries, dict):
             raise InputError(f"environment.{owner}: got {entries!r}, wanted a table of ranges")
         parameters = {parameter.name: parameter for parameter in _parameters(simulator, owner)}
-        _refuse_unknown(entries, parameters, f"environment.{owner}.")
+        refuse_unknown(entries, parameters, f"environment.{owner}.")
         for name, entry in entries.items():
             path, parameter = f"{owner}.{name}", parameters[name]
             low, high = found[path] = _range(f"environment.{path}", entry)
@@ -303,15 +306,15 @@ def _parameters(simulator: PhysicsModel, owner: str) -> tuple[Parameter, ...]:
         raise InputError(f"environment.{owner}: {error}") from error
 
 
-def _ranges(table: Mapping[str, Any], name: str, known: tuple[str, ...]) -> dict[str, Range]:
+def _ranges(table: Mapping[str, Any], name: str, known: tuple[str, ...]) -> dict[str, _Range]:
     entries = _subtable(table, name)
-    _refuse_unknown(entries, known, f"{name}.")
+    refuse_unknown(entries, known, f"{name}.")
     return {key: _range(f"{name}.{key}", entry) for key, entry in entries.items()}
 
 
-def _range(path: str, entry: Any) -> Range:
+def _range(path: str, entry: Any) -> _Range:
     if isinstance(entry, list) and len(entry) == 2:
-        low, high = (_number(path, value) for value in entry)
+        low, high = (finite_number(path, value) for value in entry)
         if low < high:
             return low, high
     raise InputError(f"{path}: got {entry!r}, wanted [low, high] with low < high")
@@ -319,7 +322,7 @@ def _range(path: str, entry: Any) -> Range:
 
 def _section(kind: type[Section], name: str, table: Mapping[str, Any]) -> Section:
     known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
-    _refuse_unknown(table, known, f"{name}.")
+    refuse_unknown(table, known, f"{name}.")
     return kind(**{key: _value(f"{name}.{key}", value, known[key]) for key, value in table.items()})
 
 
@@ -345,13 +348,42 @@ def _subtable(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return entry
 
 
-def _number(path: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(f"{path}: got {value!r}, wanted a finite number")
-    return float(value)
+_HALF = 0.5
+"""Half width of a range over the distance of the value from doing nothing: as much as loads, floors and batteries
+change from day to day; the configuration may name another range."""
 
 
-def _refuse_unknown(table: Mapping[str, Any], known: Any, prefix: str) -> None:
-    for key in table:
-        if key not in known:
-            raise InputError(f"{prefix}{key}: unknown key; {did_you_mean(key, known)}")
+def with_diagnosed(configuration: Configuration, model: PhysicsModel) -> Configuration:
+    """The configuration with ``model`` as its simulator and each of the model's effects in the environment.
+
+    Ranges: value +- half its distance from doing nothing, within the parameter's bounds. Ranges that the configuration
+    has stay; so does its period. A parameter without a value at which it does nothing (one that only shapes its
+    effect) stays as it was found. Raises InputError for a learned model, or one of another robot or other actions.
+    """
+    simulator, system = configuration.simulator, model.system
+    if isinstance(model.base, LearnedBase):
+        raise InputError("model: got a learned one, wanted physics: networks are trained on the physics that was found")
+    mine, theirs = simulator.system, system
+    if (mine.name, mine.state_names, mine.action_names) != (theirs.name, theirs.state_names, theirs.action_names):
+        raise InputError(
+            f"model: got robot '{theirs.name}' with actions {', '.join(theirs.action_names)}, "
+            f"wanted '{mine.name}' with {', '.join(mine.action_names)}, as the configuration has"
+        )
+    environment = dict(configuration.environment)
+    for item in model.effects:
+        own = {f"{item.name}.{parameter.name}": parameter for parameter in item.parameters}
+        if environment.keys().isdisjoint(own):
+            environment |= {
+                path: found for path, p in own.items() if (found := _range_about(model, path, p)) is not None
+            }
+    same_period = PhysicsModel(model.base, model.effects, model.settings, simulator.period)
+    return replace(configuration, simulator=same_period, environment=environment)
+
+
+def _range_about(model: PhysicsModel, path: str, parameter: Parameter) -> _Range | None:
+    value, neutral = model.settings[path].value, parameter.neutral
+    if neutral is None or value == neutral:
+        return None
+    half = _HALF * abs(value - neutral)
+    low, high = max(value - half, parameter.low), min(value + half, parameter.high)
+    return (low, high) if low < high else None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, final
 
 from safedpa.diagnosis.diagnose import diagnose
-from safedpa.diagnosis.report import Report
+from safedpa.diagnosis.document import Report
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.errors import InputError
@@ -55,7 +55,7 @@ def ground_simulator(configuration: Configuration, runs: Sequence[Run], tell: Te
         _first(runs, _ROWS),
         tell=lambda done, every, said: tell("3", done, every, f"diagnosis of the simulator; {said}"),
     )
-    too_few = report.verdict == "undecided" and report.unexplained is not None
+    too_few = report.verdict == "undecided" and report.unexplained is not None and not report.added
     if too_few or (report.verdict == "unexplained" and not report.added):
         why = report.unexplained.expression if report.unexplained else "nothing helps"
         raise InputError(f"tuning: the runs say nothing about the simulator ({why}); record a drive with more in it")

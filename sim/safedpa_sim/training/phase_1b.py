@@ -1,31 +1,168 @@
 """Phase 1b: the policy pi(x, mu(e)), by proximal policy optimisation with mu frozen, on many simulated robots.
 
 Where the configuration has ``imitation``, it begins with what a teacher would do.
+
+A policy's first lessons are to do as a teacher would, in the states that the policy itself comes to (DAgger: Ross,
+Gordon, Bagnell, A Reduction of Imitation Learning and Structured Prediction to No-Regret Online Learning, 2011).
 """
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from pickle import UnpicklingError
+from typing import Any, Final, Protocol, final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 
 from safedpa.errors import InputError
 from safedpa.networks import Weights
-from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.imitation import imitate
+from safedpa.records.atomic import atomic_path
+from safedpa_sim.training.configuration import Configuration, Imitation
 from safedpa_sim.training.phase_1a import training_device
-from safedpa_sim.training.policy_checkpoint import PolicyCheckpoint
 from safedpa_sim.training.practice import Practice, task_of
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.vector_environment import PracticeEnvironment
 
-__all__ = ["train_policy"]
+__all__ = ["PolicyCheckpoint", "Taught", "train_policy"]
+
+
+_NOISY: Final = 0.5
+"""Share of the actions that are disturbed, so that the way back is learned too."""
+_LAST: Final = 4
+"""Times as long is the last round, of which the critic learns what the policy will gain."""
+
+
+class Taught(Practice, Protocol):
+    """Robots that practise, and a teacher who knows what they cannot."""
+
+    def teacher(self) -> Floats:
+        """What the teacher would do (robots, actions), each entry in [-1, 1]."""
+
+
+@final
+class _Lessons:
+    """What was seen so far, and what the teacher would have done."""
+
+    def __init__(self, robots: Taught, environment: PracticeEnvironment, plan: Imitation, seed: int) -> None:
+        self.robots, self.environment, self.plan = robots, environment, plan
+        self.random = np.random.default_rng([seed, 29])
+        self.seen: list[Floats] = []
+        self.wanted: list[Floats] = []
+        self.reward: list[Floats] = []
+
+    def drive(self, actor: torch.nn.Module | None, ticks: int, noisy: float) -> None:
+        """The robots under ``actor``, or the teacher; rewards are those of this drive alone."""
+        self.reward = []
+        for _ in range(ticks):
+            seen, wanted = self.environment.scaled_observation(), self.robots.teacher()
+            self.seen.append(seen)
+            self.wanted.append(wanted)
+            with torch.no_grad():
+                chosen = wanted if actor is None else actor(torch.from_numpy(seen)).numpy()
+            noise = self.random.normal(0.0, self.plan.noise, chosen.shape)
+            noise *= self.random.random((len(chosen), 1)) < noisy
+            moved = self.robots.advance(np.clip(chosen + noise, -1.0, 1.0).astype(np.float32))
+            self.reward.append(moved.reward)
+            self.robots.restart(np.flatnonzero(moved.reached | moved.timed_out))
+
+    def fit(self, network: torch.nn.Module, optimiser: torch.optim.Optimizer, seen: Floats, wanted: Floats) -> float:
+        """Steps of Adam on the squared error; the last batch's."""
+        inputs, targets, error = torch.from_numpy(seen), torch.from_numpy(wanted), 0.0
+        for _ in range(self.plan.updates):
+            which = torch.from_numpy(self.random.integers(0, len(inputs), self.plan.batch))
+            loss = torch.nn.functional.mse_loss(network(inputs[which]), targets[which])
+            optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            error = float(loss.detach())
+        return error
+
+
+def _imitate(
+    robots: Taught,
+    environment: PracticeEnvironment,
+    policy: Any,
+    plan: Imitation,
+    discount: float,
+    seed: int,
+    tell: Tell,
+) -> list[float]:
+    """Teaches stable-baselines3's ``policy``, actor and critic; the actor's squared error after each round.
+
+    Round 1 is driven by the teacher, the others by the actor; all that was seen so far is learned from each time.
+    """
+    actor = torch.nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
+    critic = torch.nn.Sequential(policy.mlp_extractor.value_net, policy.value_net)
+    lessons = _Lessons(robots, environment, plan, seed)
+    optimiser = torch.optim.Adam(actor.parameters(), plan.learning_rate)
+    errors = []
+    for number in range(plan.rounds):
+        last = number == plan.rounds - 1
+        ticks = plan.ticks * (_LAST if last else 1)
+        lessons.drive(actor if number else None, ticks, 1.0 if last else _NOISY)
+        errors.append(lessons.fit(actor, optimiser, np.concatenate(lessons.seen), np.concatenate(lessons.wanted)))
+        tell("imitation", number + 1, plan.rounds, f"error {errors[-1]:.4f}")
+    returns = _discounted(lessons.reward, discount)
+    early = np.concatenate(lessons.seen[-len(returns) :][: len(returns) // 2])
+    optimiser = torch.optim.Adam(critic.parameters(), plan.learning_rate)
+    lessons.fit(critic, optimiser, early, returns[: len(returns) // 2].reshape(-1, 1))
+    return errors
+
+
+def _discounted(rewards: list[Floats], discount: float) -> Floats:
+    """(ticks, robots): what was gained from each tick on."""
+    later, returns = np.zeros_like(rewards[0]), []
+    for reward in reversed(rewards):
+        later = reward + discount * later
+        returns.append(later)
+    return np.stack(returns[::-1]).astype(np.float32)
+
+
+@final
+@dataclass(frozen=True)
+class PolicyCheckpoint:
+    """Where a training stands: its file and the digest of what it is made from."""
+
+    path: Path
+    digest: str
+
+    def write(self, algorithm: PPO, curve: list[dict[str, Any]]) -> None:
+        """Networks, optimiser, steps so far and the learning curve; whole or not at all."""
+        content = {
+            "digest": self.digest,
+            "steps": algorithm.num_timesteps,
+            "policy": algorithm.policy.state_dict(),
+            "optimiser": algorithm.policy.optimizer.state_dict(),
+            "curve": json.dumps(curve),
+        }
+        with atomic_path(self.path) as unfinished:
+            torch.save(content, unfinished)
+
+    def read(self) -> dict[str, Any] | None:
+        """What was written; None when there is nothing, or something of another configuration.
+
+        Raises InputError when the file is damaged.
+        """
+        if not self.path.exists():
+            return None
+        try:
+            content: dict[str, Any] = torch.load(self.path, map_location="cpu", weights_only=True)
+            if content["digest"] != self.digest:
+                return None
+            return {**content, "curve": json.loads(content["curve"])}
+        except (OSError, RuntimeError, EOFError, KeyError, ValueError, TypeError, UnpicklingError) as error:
+            raise InputError(
+                f"{self.path}: no usable checkpoint ({error}); remove it to train from the beginning"
+            ) from error
+
 
 Floats = NDArray[np.float32]
 
@@ -86,6 +223,7 @@ class _Training:
         robots = self._practice(known["steps"] if known else 0)
         self.environment = PracticeEnvironment(robots, self.middle, self.scale)
         self.algorithm = self._algorithm(training_device(device))
+        self.algorithm.set_logger(Logger(None, []))  # else it makes a folder of its own, for nothing, and leaves it
         self.errors = [] if known else self._imitate(robots)
         self.chosen = self.trained()
         if known:
@@ -103,7 +241,7 @@ class _Training:
         if not plan.rounds:
             return []
         policy: Any = self.algorithm.policy
-        return imitate(robots, self.environment, policy, plan, self.phase.discount, seed, self.tell)
+        return _imitate(robots, self.environment, policy, plan, self.phase.discount, seed, self.tell)
 
     def _go_on(self, known: dict[str, Any]) -> None:
         policy: Any = self.algorithm.policy

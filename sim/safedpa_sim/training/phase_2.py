@@ -23,12 +23,12 @@ import torch
 from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.drives import policy_drives
+from safedpa_sim.training.drives import policy_drives, random_drives
 from safedpa_sim.training.explained import explained
 from safedpa_sim.training.histories import Lived, joined
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
 from safedpa_sim.training.phase_1a import training_device
-from safedpa_sim.training.practice import Practice, task_of
+from safedpa_sim.training.practice import Practice, has_task, task_of
 from safedpa_sim.training.prediction import ALONG, along, latents_along
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
@@ -115,8 +115,9 @@ class _Training:
             parts.append(policy_drives(driving, self.weights, self.networks, self.encoder, phase.steps, history))
             count -= driving.count
         if count > 0:
-            change, generator, task = phase.change, self.generator, task_of(self.configuration.robot)
-            parts.append(task.random_drives(self.cars, self.networks, count, phase.steps, change, generator))
+            robot, change, generator = self.configuration.robot, phase.change, self.generator
+            drives = task_of(robot).random_drives if has_task(robot) else random_drives
+            parts.append(drives(self.cars, self.networks, count, phase.steps, change, generator))
         return joined(parts)
 
     def learn(self, round_: int, tell: Tell) -> None:

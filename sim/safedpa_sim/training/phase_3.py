@@ -28,7 +28,6 @@ from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
 from safedpa.records import Run, Stretch
-from safedpa_sim.training.circles import record_circles
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
 from safedpa_sim.training.grounding import ground_simulator, grounded_configuration
@@ -44,7 +43,7 @@ from safedpa_sim.training.phase_1a import training_device
 from safedpa_sim.training.prediction import ALONG, along, errors, latents_along, one_step_loss, rollout_loss
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars
-from safedpa_sim.training.tuning_data import HORIZON, Drive, drives_of, load_tuning_runs, split
+from safedpa_sim.training.tuning_data import HORIZON, Drive, drives_of, load_tuning_runs, record_circles, split
 
 __all__ = ["WHAT", "tune", "tune_on_drives", "tune_on_runs"]
 

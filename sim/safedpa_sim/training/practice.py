@@ -17,7 +17,7 @@ from safedpa_sim.training.moved import Moved
 from safedpa_sim.training.networks import AffineNetworks
 from safedpa_sim.training.simulator import BatchedCars
 
-__all__ = ["PolicyTask", "Practice", "task_of"]
+__all__ = ["PolicyTask", "Practice", "has_task", "task_of"]
 
 Floats = NDArray[np.float32]
 
@@ -70,6 +70,11 @@ _TASKS: Final = {
     "pendulum": "safedpa_sim.pendulum.policy_task",
     "point": "safedpa_sim.point.policy_task",
 }
+
+
+def has_task(robot: str) -> bool:
+    """Whether a policy of that kind of robot can be trained."""
+    return robot in _TASKS
 
 
 def task_of(robot: str) -> PolicyTask:

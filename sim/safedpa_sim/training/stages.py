@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 from pathlib import Path
 from typing import Any, Final, final
 
-from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import need
 from safedpa.networks import Weights
+from safedpa.networks.frame import frame_of
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phase_1a import train_affine
 from safedpa_sim.training.progress import Tell
@@ -45,10 +45,15 @@ class Stage:
 
 
 def stages_of(robot: str) -> dict[str, tuple[Stage, ...]]:
-    """The stages of each phase, in order. Raises InputError for a kind of robot that nothing is known of."""
-    if robot not in _STAGES:
-        raise InputError(f"training of robot '{robot}': {did_you_mean(robot, _STAGES)}")
-    return _STAGES[robot]
+    """The stages of each phase, in order: of a robot without a task for its policy, dynamics and history alone.
+
+    Raises InputError for a kind of robot whose networks have no frame.
+    """
+    if robot in _STAGES:
+        return _STAGES[robot]
+    frame_of(robot)
+    phases = _common(_LEARNED)
+    return {"1a": phases["1a"], "2": tuple(replace(stage, needs=()) for stage in phases["2"])}
 
 
 def phase_function(module: str, name: str) -> Callable[..., Any]:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from safedpa.bus import SETUP, SetupMessage, decode, encode
 from safedpa.records.mcap_messages import read_payloads
-from safedpa.records.schema import schema_of
+from safedpa.records.mcap_recorder import schema_of
 
 HERE = Path(__file__).parent
 RUNS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from safedpa.bus.bus import Bus
-from safedpa.bus.inbox import Received
-from safedpa.bus.messages import HealthMessage
 from safedpa.bus.overview.robot import RobotOverview
 from safedpa.bus.overview.service import ServiceOverview
-from safedpa.bus.topics import FINDING, HEALTH, STATE, VERDICT
+from safedpa.bus.transport.bus import Bus
+from safedpa.bus.transport.inbox import Received
+from safedpa.bus.wire.messages import HealthMessage
+from safedpa.bus.wire.topics import FINDING, HEALTH, STATE, SURROUNDINGS, VERDICT
 
 __all__ = ["FleetOverview"]
 
@@ -37,7 +37,7 @@ class FleetOverview:
     """What arrived and was no message of this project."""
 
     def __post_init__(self) -> None:
-        topics = (STATE, VERDICT, HEALTH, FINDING)
+        topics = (STATE, VERDICT, HEALTH, FINDING, SURROUNDINGS)
         self._inbox = self.bus.inbox(topics, self.robot, keep_all=True, clock=self.clock)
         self._fleet_wide = None
         if self.robot != "*":

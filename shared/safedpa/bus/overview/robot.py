@@ -5,8 +5,15 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
-from safedpa.bus.messages import FindingMessage, HealthMessage, Message, StateMessage, VerdictMessage
 from safedpa.bus.overview.recent import Recent
+from safedpa.bus.wire.messages import (
+    FindingMessage,
+    HealthMessage,
+    Message,
+    StateMessage,
+    SurroundingsMessage,
+    VerdictMessage,
+)
 
 __all__ = ["RobotOverview"]
 
@@ -26,6 +33,8 @@ class RobotOverview:
     verdict: VerdictMessage | None = None
     verdict_at: float = 0.0
     finding: FindingMessage | None = None
+    seen: SurroundingsMessage | None = None
+    """What its sensors see; None of a robot without any."""
     health: dict[str, tuple[HealthMessage, float]] = field(default_factory=dict)
     """By service: the newest heartbeat about this robot, and when it came."""
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -62,6 +71,8 @@ class RobotOverview:
             self.new_latencies.extend(message.latencies)
         elif isinstance(message, FindingMessage):
             self.finding = message
+        elif isinstance(message, SurroundingsMessage):
+            self.seen = message
 
     def _hear_state(self, message: StateMessage, at: float) -> None:
         known = self.state
@@ -79,6 +90,13 @@ class RobotOverview:
         self.verdict, self.verdict_at = message, at
         self.verdicts[message.status] += 1
         self.recent_verdicts.add(message.status, at)
+
+    def sources(self) -> dict[str, float | None]:
+        """s since each of its sources measured what was looked at last, by its clock; None: nothing was."""
+        names = () if self.state is None else self.state.sources
+        ages = () if self.seen is None else self.seen.ages
+        told = dict(zip(names, ages, strict=False))
+        return {name: told[name] if told.get(name, -1.0) >= 0.0 else None for name in names}
 
     def latency(self, share: float) -> float | None:
         """The ``share``-quantile of the kept latencies [s]: the smallest one that so many do not exceed."""

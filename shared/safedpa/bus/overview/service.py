@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from safedpa.bus.messages import HealthMessage
 from safedpa.bus.overview.recent import RECENT_SECONDS
+from safedpa.bus.wire.messages import HealthMessage
 
 __all__ = ["ServiceOverview"]
 

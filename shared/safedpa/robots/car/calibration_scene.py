@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.robots.car.barriers import car_barriers
 from safedpa.robots.car.system import CAR
 from safedpa.safety.barrier import AbstractBarrier
-from safedpa.safety.car_barriers import car_barriers
 from safedpa.safety.settings import FilterSettings
 
 __all__ = ["SMALL_CAR", "barriers_around"]

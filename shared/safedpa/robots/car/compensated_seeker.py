@@ -1,8 +1,17 @@
-"""The goal seeker of the car with what makes up for a towed load."""
+"""The goal seeker of the car with what makes up for a towed load.
+
+The policy's use of the latent: drive so that the loaded robot behaves as the unloaded one would.
+
+Let v be the entry of the state that an action's entry u steers directly (the speed, for a target speed). The nominal
+model, with the latent at the values of its file, would move it to v+ under the wish u. With the estimated latent z the
+model says v+ = f_v(x, z) + g_v(x, z) u', so u' = (v+ - f_v) / g_v does the same with load, as far as the bounds allow.
+"""
 
 from __future__ import annotations
 
-from typing import final
+import contextlib
+from collections.abc import Sequence
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +19,67 @@ from numpy.typing import NDArray
 from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import MessageError
-from safedpa.robots.car.compensation import SpeedCompensation
 from safedpa.robots.car.goal_seeker import GoalSeeker, GoalSeekerSettings
 
-__all__ = ["CompensatedGoalSeeker"]
+__all__ = ["CompensatedGoalSeeker", "SpeedCompensation"]
+
+Values = NDArray[np.float64]
+
+_NUDGE = 1e-3
+"""m/s of target speed, for the slope."""
+_WEAKEST = 1e-3
+"""Below this sensitivity d(v+)/du the action has no hold on the speed, and the wish stays as it is."""
+
+
+@final
+class SpeedCompensation:
+    """Replaces the target speed of a wish by the one that has the wished effect under the latent."""
+
+    def __init__(self, model: PhysicsModel) -> None:
+        self.model = model
+        self._nominal = model.latent
+        self._nominal_entries: list[float] = model.latent.tolist()
+        self._speed = model.system.state_names.index("speed")
+        self._target = model.system.action_names.index("target_speed")
+
+    def compensated(self, state: Values, wish: Values, latent: Values) -> Values:
+        """The wish (actions,) with another target speed [m/s], for state (states,) and latent (latents,)."""
+        changed = wish.copy()
+        changed[self._target] = self.target(state.tolist(), wish.tolist(), latent.tolist())
+        return changed
+
+    def target(self, state: Sequence[float], wish: Sequence[float], latent: Sequence[float]) -> float:
+        """The target speed alone, over plain numbers."""
+        loaded, unloaded, hold = self._speeds(state, wish, latent)
+        asked = wish[self._target]
+        return asked + (unloaded - loaded) / hold if hold > _WEAKEST else asked
+
+    def _speeds(
+        self, state: Sequence[float], wish: Sequence[float], latent: Sequence[float]
+    ) -> tuple[float, float, float]:
+        """The speed after the wish with the load and without, and its slope over the target speed with the load.
+
+        Three steps of the model, which are the same to the last bit on each of its roads: a run repeats itself,
+        whenever the straight line of arithmetic is ready.
+        """
+        nudged = list(wish)
+        nudged[self._target] += _NUDGE
+        step, speed = self.model.straight(self.model.period), self._speed
+        if step is not None:
+            with contextlib.suppress(ValueError, ArithmeticError):  # numbers that the other road answers
+                now = self.model.clock.seconds
+                loaded = step(state, wish, latent, now)[speed]
+                beyond = step(state, nudged, latent, now)[speed]
+                return loaded, step(state, wish, self._nominal_entries, now)[speed], (beyond - loaded) / _NUDGE
+        at, wished, further, known = np.array(state), np.array(wish), np.array(nudged), np.array(latent)
+        memory = self.model.initial_memory(wished, known)
+        loaded = self._speed_after(at, wished, memory, known)
+        slope = (self._speed_after(at, further, memory, known) - loaded) / _NUDGE
+        unloaded = self._speed_after(at, wished, self.model.initial_memory(wished, self._nominal), self._nominal)
+        return loaded, unloaded, slope
+
+    def _speed_after(self, state: Values, wish: Values, memory: Any, latent: Values) -> float:
+        return float(self.model.advance(state, wish, memory, latent)[0][self._speed])
 
 
 @final

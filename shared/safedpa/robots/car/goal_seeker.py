@@ -8,7 +8,8 @@ A goal inside the turning circle of its side (radius wheelbase / tan(steer limit
 first makes room, backwards with the wheels turned away. Where it makes no headway (the filter holds it back, or it
 stands against a wall) it backs off, by a way and not by a time: a robot that tows is slow in reverse. Then it heads
 past the goal's direction to one side, to the other side the next time; but where the goal lies abeam or behind, it
-turns round in several moves, always to the same side. Held back again meanwhile, it tries the next thing at once.
+turns round in several moves, always to the same side. Held back again meanwhile, it tries the next thing at once:
+backwards first with the wheels turned the other way.
 Source of pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
 """
 
@@ -89,7 +90,7 @@ class GoalSeeker:
         self._held_at = (0.0, 0.0)
         self._side = 1.0
         self._attempts = self._moves = 0
-        self._turns_round = False
+        self._turns_round = self._turned_over = False
         self._goal: tuple[float, ...] = ()
         self._trail: deque[tuple[float, float, float]] = deque()
 
@@ -103,12 +104,14 @@ class GoalSeeker:
         x, y, yaw, _ = state
         if goal != self._goal:
             self._goal, self._attempts, self._moves, self._mode = goal, 0, 0, _Mode.SEEK
+            self._turned_over = False
             self._trail.clear()
         distance = math.hypot(goal[0] - x, goal[1] - y)
         bearing = _wrapped(math.atan2(goal[1] - y, goal[0] - x) - yaw)
         self._change_mode(time, x, y, distance, bearing)
         if self._mode in (_Mode.BACK_OFF, _Mode.MAKE_ROOM):
-            return self.settings.reverse_speed, -self._side * self.settings.steer_limit
+            side = -self._side if self._turned_over else self._side
+            return self.settings.reverse_speed, -side * self.settings.steer_limit
         if self._mode is _Mode.DETOUR:
             bearing = _wrapped(bearing + self._side * self.settings.detour_bearing)
         return self._pursue(distance, bearing)
@@ -139,6 +142,9 @@ class GoalSeeker:
         elif mode is _Mode.MAKE_ROOM and (stuck or time >= self._mode_ends):
             self._attempts += 1
             self._enter(_Mode.DETOUR, time + self.settings.detour_seconds)
+        elif mode is _Mode.BACK_OFF and stuck and not self._turned_over and not self._turns_round:
+            self._turned_over = True
+            self._trail.clear()
         elif mode is _Mode.BACK_OFF and (stuck or time >= self._mode_ends or self._is_back(time, x, y)):
             ahead = 0.0 if self._turns_round else self.settings.detour_seconds * min(self._attempts, 4)
             self._enter(_Mode.SEEK if self._turns_round else _Mode.DETOUR, time + ahead)
@@ -165,7 +171,7 @@ class GoalSeeker:
         return 1 if self._turns_round else min(self._attempts, 3)
 
     def _enter(self, mode: _Mode, ends: float, earliest: float = 0.0) -> None:
-        self._mode, self._mode_ends, self._earliest = mode, ends, earliest
+        self._mode, self._mode_ends, self._earliest, self._turned_over = mode, ends, earliest, False
         self._trail.clear()
 
     def _outside_circle(self, distance: float, bearing: float) -> float:

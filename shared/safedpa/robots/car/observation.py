@@ -1,7 +1,7 @@
 """What a learned policy sees: the goal and the free space around the robot, in the robot's own frame.
 
 The same function serves the batched simulator in training and robots at work: one or many at a time. A service, which
-asks for one robot at a time, takes ``safedpa.robots.car.one_observation``, the same equations over plain numbers.
+asks for one robot at a time, takes ``safedpa.robots.car.perception``, the same equations over plain numbers.
 """
 
 from __future__ import annotations

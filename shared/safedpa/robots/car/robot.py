@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, final
 
-from safedpa.robots.car.system import CAR, CAR_THROTTLE
+from safedpa.robots.car.barrier_settings import BARRIER_SETTINGS
+from safedpa.robots.car.system import CAR
+from safedpa.robots.car.throttle_car import ThrottleCar
 from safedpa.robots.shipped import ShippedRobot
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from safedpa.bus import StateMessage
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
+    from safedpa.dynamics.elsewhere import Elsewhere
     from safedpa.networks.frame import Frame
     from safedpa.policy.controller import Controller
     from safedpa.policy.perception import Perception
+    from safedpa.ros.face import AbstractFace
     from safedpa.safety.barrier import AbstractBarrier
     from safedpa.safety.scene import AbstractScene
     from safedpa.safety.settings import FilterSettings
@@ -28,15 +33,15 @@ class Car(ShippedRobot):
     """A small four-wheeled robot with front steering and a speed servo, which may tow something."""
 
     system = CAR
-    variants = (CAR_THROTTLE,)
+    variants = (ThrottleCar(),)
     rate = 20.0
     model = "car"
     measurement_deviation = (0.01, 0.01, 0.01, 0.03)
     calibrates_from_logs = True
     theorem_margins = True
-    in_batches = True
-    kinds = ("obstacle", "field", "speed")
-    options = ("load", "change")
+    kinds = ("obstacle", "field", "speed", "mover")
+    barrier_settings = BARRIER_SETTINGS
+    options = ("load", "change", "laser", "people")
     wish_range = ((-0.6, 2.0), (-0.34, 0.34))
 
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
@@ -61,6 +66,23 @@ class Car(ShippedRobot):
 
         return barriers_around(state, settings, footprint, draw)
 
+    def largest_gradients(  # noqa: D102
+        self, settings: FilterSettings, footprint: Sequence[float], scale: NDArray[np.float64]
+    ) -> Mapping[str, float]:
+        from safedpa.robots.car.theory_gradient import largest_gradients
+
+        return largest_gradients(settings, footprint, scale)
+
+    def swept(self, state: StateMessage, settings: FilterSettings) -> tuple[float, float, float] | None:  # noqa: D102
+        from safedpa.robots.car.barriers import swept_capsule
+
+        return swept_capsule(state, settings)
+
+    def elsewhere(self, model: PhysicsModel) -> Elsewhere:  # noqa: D102
+        from safedpa.robots.car.elsewhere import elsewhere
+
+        return elsewhere(model)
+
     def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
         from safedpa.robots.car.compensated_seeker import CompensatedGoalSeeker
         from safedpa.robots.car.goal_seeker import GoalSeekerSettings
@@ -71,6 +93,12 @@ class Car(ShippedRobot):
             return Planner(model)
 
         return {"goal_seeker": lambda: CompensatedGoalSeeker(model, GoalSeekerSettings()), "planner": planner}
+
+    def ros_face(self, model: AbstractDynamics | None = None) -> AbstractFace:  # noqa: D102
+        from safedpa.robots.car.ros_face import CarFace
+
+        known = getattr(model, "settings", {}).get("base.wheelbase")
+        return CarFace() if known is None else CarFace(float(known.value))
 
     def learned(self, policy: Controller) -> Controller:  # noqa: D102
         from safedpa.policy.backing_off import BackingOff

@@ -10,8 +10,11 @@ from safedpa.safety.barrier import AbstractStack, Barriers
 from safedpa.safety.corridor_barrier import CorridorBarrier
 from safedpa.safety.scene import AbstractScene
 from safedpa.safety.settings import FilterSettings
+from safedpa.safety.stacks import stacked
 
 __all__ = ["PendulumScene"]
+
+_STATES = 2
 
 
 @final
@@ -25,6 +28,7 @@ class PendulumScene(AbstractScene):
         self._settings = settings
         self._corridor: tuple[float, ...] = ()
         self._barriers: AbstractStack = Barriers(())
+        stacked((CorridorBarrier(-1.0, 1.0, 1.0),)).plain(_STATES)  # recorded now, not in the first tick
 
     def of(self, state: StateMessage) -> AbstractStack | str:  # noqa: D102
         if state.obstacles or state.field or state.footprint or state.towed:
@@ -34,7 +38,7 @@ class PendulumScene(AbstractScene):
         if state.corridor != self._corridor:
             low, high = state.corridor
             try:
-                self._barriers = Barriers((CorridorBarrier(low, high, self._settings.corridor_seconds),))
+                self._barriers = stacked((CorridorBarrier(low, high, self._settings.barrier("corridor_seconds")),))
             except InputError as error:
                 return f"scene ({error})"
             self._corridor = state.corridor

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, final
 
+from safedpa.barrier_setting import BarrierSetting
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.robots.shipped import ShippedRobot
 
@@ -12,7 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from safedpa.dynamics import AbstractBase, AbstractDynamics
+    from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
+    from safedpa.dynamics.elsewhere import Elsewhere
     from safedpa.networks.frame import Frame
     from safedpa.policy.perception import Perception
     from safedpa.safety.barrier import AbstractBarrier
@@ -35,6 +37,9 @@ class Pendulum(ShippedRobot):
     measurement_deviation = (0.001, 0.02)
     calibrates_from_logs = True
     kinds = ("corridor",)
+    barrier_settings = (
+        BarrierSetting("corridor_seconds", "s", 0.25, "how far ahead the angle must be in its corridor", positive=True),
+    )
     options = ("task", "wind", "wind_direction", "payload", "dry_friction")
     wish_range = ((-10.0, 10.0),)
     stands = False
@@ -44,6 +49,11 @@ class Pendulum(ShippedRobot):
         from safedpa.robots.pendulum.rigid_pendulum import RigidPendulum
 
         return {RigidPendulum.kind: RigidPendulum}
+
+    def elsewhere(self, model: PhysicsModel) -> Elsewhere:  # noqa: D102
+        from safedpa.robots.pendulum.elsewhere import elsewhere
+
+        return elsewhere(model)
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
         from safedpa.robots.pendulum.pendulum_scene import PendulumScene
@@ -62,7 +72,7 @@ class Pendulum(ShippedRobot):
 
         del footprint, draw
         angle = float(state[0])
-        return (CorridorBarrier(angle - _EDGE, angle + _EDGE, settings.corridor_seconds),)
+        return (CorridorBarrier(angle - _EDGE, angle + _EDGE, settings.barrier("corridor_seconds")),)
 
     def frame(self) -> Frame:  # noqa: D102
         from safedpa.robots.pendulum.frame import FRAME

@@ -102,6 +102,6 @@ class PointScene(AbstractScene):
         if not rows:
             self._barrier = None
             return Barriers(())
-        grown = np.array(rows, dtype=np.float64) + np.array([0.0, 0.0, self._settings.clearance])
+        grown = np.array(rows, dtype=np.float64) + np.array([0.0, 0.0, self._settings.barrier("clearance")])
         self._barrier = StoppingBarrier(grown, self._motion)
         return RememberingStack(Barriers((self._barrier,)))

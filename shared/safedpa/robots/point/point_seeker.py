@@ -9,6 +9,7 @@ It knows no more of safety: what keeps the robot out of hazards is the filter.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import asin, atan2, cos, hypot, pi, sin
 from typing import Final, final
 
@@ -19,7 +20,7 @@ from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import MessageError
 
-__all__ = ["PointSeeker"]
+__all__ = ["PointSeeker", "sought"]
 
 _CRUISE = 0.7
 """m/s."""
@@ -51,40 +52,53 @@ class PointSeeker:
         """Thrust [N] and turn [rad/s]. Raises MessageError for a state that is none of this robot."""
         if len(state.values) != 5 or len(state.goal) != 2:
             raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 5 and 2")
-        x, y, yaw, vx, vy = state.values
-        apart = state.goal[0] - x, state.goal[1] - y
-        distance = hypot(*apart)
-        way = self._around(state, atan2(apart[1], apart[0]), distance)
-        speed = min(_CRUISE, _APPROACH * distance + 0.2)
-        wind = self._wind(latent)
-        wanted_x = (speed * cos(way) - vx) / _SECONDS - wind[0] + self._drag * vx
-        wanted_y = (speed * sin(way) - vy) / _SECONDS - wind[1] + self._drag * vy
-        thrust = self._mass * (wanted_x * cos(yaw) + wanted_y * sin(yaw))
-        turn = _GAIN * _wrapped(atan2(wanted_y, wanted_x) - yaw)
-        limited = (min(max(value, -most), most) for value, most in zip((thrust, turn), _LIMITS, strict=True))
+        for row in state.obstacles:
+            if len(row) != 3:
+                raise MessageError(f"state.obstacles: got a row of {len(row)}, wanted x, y, radius")
+        push, turn = sought(state.values, state.goal, state.obstacles, self._wind(latent), self._drag)
+        limited = (min(max(value, -most), most) for value, most in zip((self._mass * push, turn), _LIMITS, strict=True))
         return tuple(limited), "goal_seeker:seek"
 
     def _wind(self, latent: NDArray[np.float64] | None) -> tuple[float, float]:
         known = dict(zip(self._model.latent_names, () if latent is None else latent.tolist(), strict=False))
         return known.get("constant_force.ax", 0.0), known.get("constant_force.ay", 0.0)
 
-    @staticmethod
-    def _around(state: StateMessage, way: float, distance: float) -> float:
-        """The way, turned past the hazard that is in it nearest."""
-        x, y = state.values[:2]
-        nearest, chosen = min(_LOOK, distance), way
-        for row in state.obstacles:
-            if len(row) != 3:
-                raise MessageError(f"state.obstacles: got a row of {len(row)}, wanted x, y, radius")
-            to_x, to_y, reach = row[0] - x, row[1] - y, row[2] + _BERTH
-            far = hypot(to_x, to_y)
-            if far - reach >= nearest:
-                continue
-            off = _wrapped(atan2(to_y, to_x) - way)
-            half = asin(min(reach / max(far, 1e-6), 1.0)) if far > reach else 0.5 * pi
-            if abs(off) < half:
-                nearest, chosen = far - reach, way + off - (half if off >= 0.0 else -half)
-        return chosen
+
+def sought(
+    state: Sequence[float],
+    goal: Sequence[float],
+    hazards: Sequence[Sequence[float]],
+    wind: Sequence[float],
+    drag: float,
+) -> tuple[float, float]:
+    """(acceleration along the heading [m/s2], turn [rad/s]) at ``state`` (5,), whatever the body is able to.
+
+    ``goal`` (2,), ``hazards`` (m, 3): x, y, radius; ``wind`` (2,) [m/s2]; ``drag`` [1/s].
+    """
+    x, y, yaw, vx, vy = state
+    apart = goal[0] - x, goal[1] - y
+    distance = hypot(*apart)
+    way = _around(x, y, hazards, atan2(apart[1], apart[0]), distance)
+    speed = min(_CRUISE, _APPROACH * distance + 0.2)
+    wanted_x = (speed * cos(way) - vx) / _SECONDS - wind[0] + drag * vx
+    wanted_y = (speed * sin(way) - vy) / _SECONDS - wind[1] + drag * vy
+    turn = _GAIN * _wrapped(atan2(wanted_y, wanted_x) - yaw)
+    return wanted_x * cos(yaw) + wanted_y * sin(yaw), turn
+
+
+def _around(x: float, y: float, hazards: Sequence[Sequence[float]], way: float, distance: float) -> float:
+    """The way, turned past the hazard that is in it nearest."""
+    nearest, chosen = min(_LOOK, distance), way
+    for row in hazards:
+        to_x, to_y, reach = row[0] - x, row[1] - y, row[2] + _BERTH
+        far = hypot(to_x, to_y)
+        if far - reach >= nearest:
+            continue
+        off = _wrapped(atan2(to_y, to_x) - way)
+        half = asin(min(reach / max(far, 1e-6), 1.0)) if far > reach else 0.5 * pi
+        if abs(off) < half:
+            nearest, chosen = far - reach, way + off - (half if off >= 0.0 else -half)
+    return chosen
 
 
 def _wrapped(angle: float) -> float:

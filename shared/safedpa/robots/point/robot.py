@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, final
 
+from safedpa.barrier_setting import BarrierSetting
 from safedpa.robots.point.system import POINT
 from safedpa.robots.shipped import ShippedRobot
 
@@ -28,6 +29,7 @@ class Point(ShippedRobot):
     measurement_deviation = (0.0005, 0.0005, 0.005, 0.005, 0.005)
     smallest_motion = 0.1
     kinds = ("obstacle",)
+    barrier_settings = (BarrierSetting("clearance", "m", 0.05, "kept to hazards beyond their radius"),)
     options = ("force", "wind_direction")
     wish_range = ((-0.015, 0.015), (-3.0, 3.0))
 

@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 from safedpa.bus import ZenohTransport
-from safedpa.bus.process import Stop, add_bus_options, run_process, settings_from
-from safedpa.bus.topics import TOPICS, key_of
+from safedpa.bus.loop.process import Stop, add_bus_options, run_process, settings_from
+from safedpa.bus.wire.topics import TOPICS, key_of
 from safedpa.errors import BusError
 
 __all__ = ["work"]

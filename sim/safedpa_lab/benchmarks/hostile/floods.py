@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, final
 
 from safedpa.bus import Bus, Received, VerdictMessage, ZenohTransport
-from safedpa.bus.ports import free_port
-from safedpa.bus.topics import VERDICT
+from safedpa.bus.transport.ports import free_port
+from safedpa.bus.wire.topics import VERDICT
 from safedpa_lab.benchmarks.usage import load_average
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan

@@ -16,8 +16,8 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from safedpa.bus import MODEL, STATE, TAKEOVER, Bus, ModelMessage, Received, TakeoverMessage
-from safedpa.bus.process import Stop, add_bus_options, bus_from, run_process
+from safedpa.bus import ACTION, LATENT, MODEL, STATE, TAKEOVER, WISH, Bus, ModelMessage, Received, TakeoverMessage
+from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.effects.library import effects_of
 from safedpa.errors import InputError
@@ -39,6 +39,7 @@ BOMBS = {
 _PAUSE_SECONDS = 0.1
 """From one offer to the next."""
 _REMEMBERED = 20_000
+_CHAIN = (STATE, LATENT, WISH, ACTION)
 _LARGEST = 10_000
 
 
@@ -61,11 +62,17 @@ class _Seen:
     offers: dict[tuple[str, int], tuple[str, float]] = field(default_factory=dict)
     states: dict[tuple[str, int], float] = field(default_factory=dict)
     refusals: list[dict[str, Any]] = field(default_factory=list)
+    chains: dict[str, dict[str, float]] = field(default_factory=dict)
+    """By robot and tick: when each message of it came first."""
 
     def hear(self, item: Received) -> None:
         """One message of anybody's."""
         message = item.message
         key = (item.robot, message.tick)
+        if item.topic in _CHAIN:
+            self.chains.setdefault(f"{item.robot} {message.tick}", {}).setdefault(item.topic.name, item.at)
+            if len(self.chains) > _REMEMBERED:
+                del self.chains[next(iter(self.chains))]
         if item.topic is STATE:
             self.states[key] = item.at
             if len(self.states) > _REMEMBERED:
@@ -95,7 +102,7 @@ def _attack(bus: Bus, seen: _Seen, robots: list[str], stretch: float, stop: Stop
     costly = costly_model()
     documents = {name: (text, "0123456789ab") for name, text in BOMBS.items()}
     documents["a model that takes long to try"] = costly, fingerprint(parse_model(costly))
-    inbox = bus.inbox((STATE, TAKEOVER))
+    inbox = bus.inbox((*_CHAIN, TAKEOVER))
     turn = cycle([(robot, name) for name in documents for robot in robots])
     change, attacking, since = 0, False, time.monotonic()
     due = since
@@ -124,7 +131,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     with bus_from(options) as bus:
         for window in _attack(bus, seen, robots, options.stretch, stop):
             windows.append(window)
-    account = {"windows": windows, "offers": len(seen.offers), "refusals": seen.refusals}
+    account = {"windows": windows, "offers": len(seen.offers), "refusals": seen.refusals, "chains": seen.chains}
     options.account.write_text(json.dumps(account), encoding="utf-8")
     return 0
 

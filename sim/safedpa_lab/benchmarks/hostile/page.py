@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.errors import InputError
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["write_page"]
 
@@ -16,6 +17,7 @@ _TITLES = {
     "silent": "A whole drive with 1024 descriptors, and a thousand silent connections",
     "flood": "A robot, and a flood with a stolen key",
     "mutations": "Mutated input",
+    "roads": "Bombs on every road that a file takes",
 }
 
 
@@ -26,7 +28,7 @@ def write_page(folder: Path, attack: str, result: Mapping[str, Any]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         found[attack] = result
-        file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        write_result(file, found)
         (folder / "hostile.md").write_text(_page(found), encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(f"--page {folder}: {error}; choose another folder") from error
@@ -58,9 +60,13 @@ def _offers(result: Mapping[str, Any]) -> list[str]:
     found = result["offers"]
     stretches = {"in peace": found["in_peace"], "under attack": found["under_attack"]}
     late = _table(
-        ("", "s", "robot-ticks", "late", "sense to act, ms: p50", "p99", "most"),
+        ("", "s", "robot-ticks", "late", "of these by the machine", "sense to act, ms: p50", "p99", "most"),
         (
-            (name, row["seconds"], row["robot_ticks"], row["late_ticks"], *row["sense_to_act_ms"].values())
+            (
+                name,
+                *(row.get(key) for key in ("seconds", "robot_ticks", "late_ticks", "late_by_the_machine")),
+                *row["sense_to_act_ms"].values(),
+            )
             for name, row in stretches.items()
         ),
     )
@@ -74,7 +80,9 @@ def _offers(result: Mapping[str, Any]) -> list[str]:
     told = (
         f"{found['offers']} offers in turn, one in 0.1 s, in every other five seconds of one drive. One that is too "
         "long is refused in the tick in which it is heard; the rest is tried apart, behind everybody else, and a newer "
-        "offer to the same robot takes its place. A tick in which the attacker missed the state is not counted."
+        "offer to the same robot takes its place. A tick in which the attacker missed the state is not counted. By the "
+        "machine: beside the fleet a loop on each core does nothing but wake up in time, before everything else; where "
+        "it did not run for half a period either, the tick is late by the machine."
     )
     return [told, "", *late, "", *answers]
 
@@ -115,4 +123,27 @@ def _mutations(result: Mapping[str, Any]) -> list[str]:
     )
 
 
-_TABLES = {"offers": _offers, "silent": _silent, "flood": _flood, "mutations": _mutations}
+def _roads(result: Mapping[str, Any]) -> list[str]:
+    by_road: dict[str, list[Mapping[str, Any]]] = {}
+    for row in result["pairs"]:
+        by_road.setdefault(row["road"], []).append(row)
+    about = (
+        "Small files that ask for much, each to every command and option that reads a file of its kind. Refused: exit "
+        "code 2, one line, at most 200 MiB and 2 s of the processor, nothing written. The command columns reads names "
+        "alone, and may list them."
+    )
+    head = ("road", "bombs", "refused", "most processor time, s", "most memory, MiB")
+    rows = (
+        (
+            road,
+            len(own),
+            sum(not row["hole"] for row in own),
+            max(row["seconds"] for row in own),
+            max(row["mebibytes"] for row in own),
+        )
+        for road, own in by_road.items()
+    )
+    return [about, "", *_table(head, rows)]
+
+
+_TABLES = {"roads": _roads, "offers": _offers, "silent": _silent, "flood": _flood, "mutations": _mutations}

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from safedpa.bus import ZenohSettings, ZenohTransport
-from safedpa.bus.certificates import Certificates
+from safedpa.bus.security.certificates import Certificates
 from safedpa.errors import BusError, SafedpaError
 from safedpa_lab.benchmarks.usage import load_average
 from safedpa_services.supervisor.securing import OPERATOR

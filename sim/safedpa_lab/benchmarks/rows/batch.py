@@ -8,9 +8,13 @@ from typing import Any, Final, Protocol, final
 import numpy as np
 
 from safedpa.adaptation import AdaptationNode
+from safedpa.adaptation.histories import Histories
 from safedpa.bus import ACTION, LATENT, WISH, ActionMessage
-from safedpa.dynamics import load_model
-from safedpa.policy import PolicyNode
+from safedpa.dynamics import LearnedBase, load_model
+from safedpa.policy import LearnedPolicy, PolicyNode
+from safedpa.robots.car.many_barriers import barriers_of_cars
+from safedpa.robots.car.observation import FAR_AWAY, OBSTACLES, observe
+from safedpa.safety.batch import BatchFilter
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import settings_named
 from safedpa_lab.benchmarks.results import Curve, Effort, Entry, Row, Target
@@ -127,25 +131,30 @@ class _OneByOne:
 
 @final
 class _Together:
-    """All robots in one pass."""
+    """All robots in one pass: histories, policy and filter over arrays with the robots first; nobody backs off."""
 
     def __init__(self, count: int) -> None:
-        from safedpa.together import CarsTogether
-
-        self._chain = CarsTogether(load_model(_MODEL), settings_named("car"), count)
+        model = load_model(_MODEL)
+        assert isinstance(model.base, LearnedBase)
+        self._histories = Histories(model.base.weights, count)
+        self._policy = LearnedPolicy(model.base.weights)
+        self._filter = BatchFilter(model, settings_named("car"))
 
     def gathered(self, states: list[Any]) -> tuple[Any, ...]:
-        from safedpa.together import Surroundings
-
-        most = max(len(state.obstacles) for state in states)
-        obstacles = np.full((len(states), most, 3), (1e6, 0.0, 0.0))
+        most = max(OBSTACLES, *(len(state.obstacles) for state in states))
+        obstacles = np.full((len(states), most, 3), FAR_AWAY)
         for row, state in zip(obstacles, states, strict=True):
             row[: len(state.obstacles)] = state.obstacles
         goal, field, footprint, values, applied = (
             np.array([getattr(state, name) for state in states])
             for name in ("goal", "field", "footprint", "values", "applied")
         )
-        return states[0].robot_time, values, applied, Surroundings(goal, obstacles, field, footprint)
+        return values, applied, goal, obstacles, field, footprint
 
     def run(self, gathered: tuple[Any, ...]) -> Any:
-        return self._chain.step(*gathered).action
+        state, applied, goal, obstacles, field, footprint = gathered
+        self._histories.acted(applied)
+        latent = self._histories.see(state)
+        wish = self._policy.act(observe(state, applied, goal, obstacles, field, footprint, latent))
+        barriers = barriers_of_cars(self._filter.settings, obstacles, footprint, field)
+        return self._filter.decide(state, wish, latent, barriers=barriers).action

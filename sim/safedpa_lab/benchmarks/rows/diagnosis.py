@@ -133,9 +133,9 @@ def _over_length(folder: Path, effort: Effort) -> Curve:
 def _over_effects(log: Any, effort: Effort) -> Curve:
     """Seconds of our search over the number of candidates in the library."""
     from safedpa.diagnosis.diagnose import library_for
-    from safedpa.diagnosis.evidence import evidence_at
-    from safedpa.diagnosis.readiness import prepared
-    from safedpa.diagnosis.search import searched
+    from safedpa.diagnosis.fit.evidence import evidence_at
+    from safedpa.diagnosis.fit.readiness import prepared
+    from safedpa.diagnosis.search.search import searched
     from safedpa.dynamics import load_model
     from safedpa.records import load_run
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,10 @@ __all__ = ["command"]
     "--peers", multiple=True, metavar="PYTHON", help="another Python that has peers installed; may be repeated"
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="folder for adversary.json and adversary.md"
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="folder for adversary.json and adversary.md; parts run into it by the same code and seed are joined",
 )
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 @needs("sim")
@@ -35,8 +39,8 @@ def command(**options: Any) -> None:
     bad inputs, and other projects' filters on the same problems. Peers that are not installed are named as missing.
     Whatever is found is counted, beside what was asked; the exit code is 0 all the same.
     """
-    from safedpa_lab.experiments.adversary.campaign import adversary, attacks_named
-    from safedpa_lab.experiments.adversary.report import adversary_markdown, write_adversary
+    from safedpa_lab.experiments.adversary.campaign import adversary, all_attacks, attacks_named
+    from safedpa_lab.experiments.adversary.report import adversary_markdown, with_parts_before, write_adversary
     from safedpa_services.progress import progress
 
     attacks = attacks_named(options["only"], options["peers"])
@@ -48,12 +52,16 @@ def command(**options: Any) -> None:
         raise InputError(f"--workers: got {options['workers']}, wanted at least 1")
     with progress("experiment adversary") as tell:
         found = adversary(attacks, options["seed"], options["small"], options["workers"], tell)
-    result = {"command": _command(options), **found}
+    everything = [attack.name for attack in all_attacks()]
+    if options["out"] is not None:
+        found = with_parts_before(found, options["out"], everything)
+    names = [part["name"] for part in found["attacks"]]
+    result = {"command": _command(options, () if names == everything else names), **found}
     if options["out"] is not None:
         write_adversary(result, options["out"])
     click.echo(json.dumps(result, default=float) if options["as_json"] else adversary_markdown(result))
 
 
-def _command(options: dict[str, Any]) -> str:
-    only = "".join(f" --only {name}" for name in options["only"])
+def _command(options: dict[str, Any], names: Sequence[str]) -> str:
+    only = "".join(f" --only {name}" for name in names)
     return f"safedpa experiment adversary{only}{' --small' if options['small'] else ''} --seed {options['seed']}"

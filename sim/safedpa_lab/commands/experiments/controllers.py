@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
 
@@ -44,7 +45,7 @@ def command(**options: Any) -> None:
         def keep(done: int, count: int, so_far: dict[str, Any]) -> None:
             tell(done, count)
             if options["out"]:
-                options["out"].write_text(json.dumps(so_far, indent=1) + "\n", encoding="utf-8")
+                write_result(options["out"], so_far)
 
         result = controllers_experiment(
             model, settings_named(options["settings"]), controllers, seeds, options["seconds"], keep

@@ -15,7 +15,8 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
-from safedpa_services.terminal import say
+from safedpa_lab.provenance.record import write_result
+from safedpa_services.lines import say
 
 __all__ = ["command", "judged"]
 
@@ -64,7 +65,7 @@ def command(**options: Any) -> None:
         "each": drives,
     }
     if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(out, result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:

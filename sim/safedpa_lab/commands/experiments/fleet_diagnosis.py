@@ -12,6 +12,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
 
@@ -52,7 +53,7 @@ def command(**options: Any) -> None:
             options["robots"], options["seed"], folder.resolve(), hard=not options["plain"], tell=tell, **given
         )
     if options["record"] is not None:
-        options["record"].write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_result(options["record"], result)
     page = page_of(result, _words(options))
     if options["page"] is not None:
         options["page"].write_text(page, encoding="utf-8")
@@ -66,7 +67,7 @@ def _screened(options: dict[str, Any]) -> None:
     with progress("experiment fleet-diagnosis --screen") as tell:
         result = fleet_screen(options["seed"], hard=not options["plain"], tell=tell)
     if options["record"] is not None:
-        options["record"].write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(options["record"], result)
     if options["as_json"]:
         click.echo(json.dumps(result))
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ __all__ = ["command"]
 
 _SUITES = (
     "ordinary", "fifth", "two", "three", "hard", "none", "none_hard", "pendulum", "towing", "patches", "sags",
-    "speed_gains", "bad", "all",
+    "speed_gains", "bad", "wheels", "wheels_none", "all",
 )  # fmt: skip
 
 
@@ -31,6 +32,7 @@ _SUITES = (
     help="write every case there as JSON as well, after every few cases; what the file holds already is not done again",
 )
 @click.option("--page", type=click.Path(path_type=Path), help="write the tables there as Markdown as well")
+@click.option("--horizons", is_flag=True, help="only whether verdict and names are equal for horizons of 0.2 to 1 s")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
 @needs("sim", "diagnosis")
 def command(**options: Any) -> None:
@@ -41,7 +43,11 @@ def command(**options: Any) -> None:
     hard: coloured disturbance, three times the noise, lost rows, tracking glitches, servo gain 10 % off. none,
     none_hard: nothing hidden. pendulum: each of its effects. towing: the pymunk car with a chair hitched. patches,
     sags, speed_gains: an effect acts in a place only, its number falls with the time, or with the speed. bad: nothing
-    hidden, but one of three runs spoiled in one of twenty ways.
+    hidden, but one of three runs spoiled in one of twenty ways. wheels, wheels_none: each effect of a differential
+    drive in turn, and nothing hidden in one.
+
+    With --horizons each case is diagnosed once for each of five horizons instead, in one process, and nothing is judged
+    but whether they say the same.
 
     An interrupted experiment goes on with the same --out; other suites and seeds may be added to it.
     """
@@ -56,6 +62,9 @@ def command(**options: Any) -> None:
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"--{name} {path}: folder {path.parent} does not exist; create it")
     suites = ALL if "all" in (options["suites"] or ("all",)) else options["suites"]
+    if options["horizons"]:
+        _horizons(suites, options)
+        return
     with progress("experiment hidden-effects") as tell:
         result = hidden_effects_experiment(
             suites, options["cases"], options["seed"], options["processes"], tell, options["out"]
@@ -66,6 +75,27 @@ def command(**options: Any) -> None:
         click.echo(json.dumps(result))
     else:
         _tell(result)
+
+
+def _horizons(suites: Sequence[str], options: dict[str, Any]) -> None:
+    from safedpa_lab.experiments.hidden_horizons import hidden_horizons
+    from safedpa_lab.provenance.record import write_result
+    from safedpa_services.progress import progress
+
+    if options["page"] is not None:
+        raise InputError("--page: got it with --horizons, which has no page; leave it out")
+    with progress("experiment hidden-effects") as tell:
+        result = hidden_horizons(suites, options["cases"], options["seed"], tell=tell)
+    if options["out"] is not None:
+        write_result(options["out"], result)
+    if options["as_json"]:
+        click.echo(json.dumps(result))
+        return
+    click.echo(f"verdict and names equal for every horizon in {result['equal']} of {result['of']} cases")
+    for row in result["cases"]:
+        if not row["equal"]:
+            said = "; ".join(f"{own['horizon']} s {own['verdict']} {'+'.join(own['added'])}" for own in row["said"])
+            click.echo(f"differs {row['case']}: {said}")
 
 
 def _tell(result: dict[str, Any]) -> None:

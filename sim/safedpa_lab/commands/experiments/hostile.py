@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,8 @@ from safedpa_services.command_line.options import as_json_option
 
 __all__ = ["command"]
 
-_SECONDS = {"mutations": 60.0, "offers": 60.0, "silent": 20.0, "flood": 5.0}
+_SECONDS = {"mutations": 60.0, "roads": 0.0, "offers": 60.0, "silent": 20.0, "flood": 5.0}
+"""Roads take as long as they take."""
 Tell = Callable[[int, int], None]
 
 
@@ -26,7 +28,7 @@ Tell = Callable[[int, int], None]
     type=click.Choice(list(_SECONDS)),
     default="mutations",
     show_default=True,
-    help="Mutated input; models offered to a fleet; silent connections to a drive; floods with stolen keys.",
+    help="Mutated input; bombs on every road that a file takes; models offered to a fleet; silent connections; floods.",
 )
 @click.option("--seconds", type=click.FloatRange(0.1, 1e6), help="For so long; default: 60, silent 20, each flood 5.")
 @click.option("--seed", type=int, default=1000, show_default=True, help="The same one gives the same mutations.")
@@ -38,8 +40,10 @@ def command(attack: str, seconds: float | None, seed: int, out: Path | None, pag
     """Attack codec, loaders, pages' handlers and a loop that drives with mutated input, or whole drives in real time.
 
     Mutated input is taken or refused in one line; anything else, or more time than the table of limits gives, is a
-    hole. Drives go on: no tick late because of offers, people join within a second beside a thousand who are silent,
-    and a flood brakes no robot for longer than it lasts. Exit code 1 where that did not hold.
+    hole. Roads: small files that ask for much, to every command that reads a file, are refused in one line with exit
+    code 2, in little memory, and nothing is written. Drives go on: no tick late because of offers, people join within a
+    second beside a thousand who are silent, and a flood brakes no robot for longer than it lasts. Exit code 1 where
+    that did not hold.
     """
     from safedpa.errors import SafedpaError
     from safedpa_services.progress import progress
@@ -57,13 +61,15 @@ def command(attack: str, seconds: float | None, seed: int, out: Path | None, pag
         _tell(attack, result)
     if not result["held"]:
         holes = [hole for target in result.get("targets", ()) for hole in target["holes"]]
+        holes += [row["hole"] for row in result.get("pairs", ()) if row["hole"]]
         raise SafedpaError(f"hostile: {attack}: {f'{len(holes)} holes' if holes else 'it did not hold'}; see above")
 
 
 def _measured(attack: str, seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[str, Any]:
     about = {
         "format": 1,
-        "command": f"safedpa experiment hostile --attack {attack} --seconds {seconds:g}"
+        "command": f"safedpa experiment hostile --attack {attack}"
+        + (f" --seconds {seconds:g}" if seconds else "")
         + (f" --seed {seed}" if attack == "mutations" else ""),
         "date": time.strftime("%Y-%m-%d %H:%M"),
         "cores": os.cpu_count(),
@@ -72,6 +78,8 @@ def _measured(attack: str, seconds: float, seed: int, out: Path | None, tell: Te
 
 
 def _attacked(attack: str, seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[str, Any]:
+    if attack == "roads":
+        return _walked(tell)
     if attack == "offers":
         from safedpa_lab.benchmarks.hostile.offered import offers_benchmark
 
@@ -91,10 +99,12 @@ def _mutated(seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[st
     from safedpa_lab.benchmarks.usage import load_average
     from safedpa_lab.commands.experiments.hostile_pages import page_targets
     from safedpa_lab.experiments.hostile.fuzz import fuzz
+    from safedpa_lab.experiments.hostile.recordings import recording_targets
 
     load = load_average()
-    with page_targets() as pages:
-        tallies = fuzz(seconds, seed, out, lambda share: tell(round(100.0 * share), 100), pages)
+    with page_targets() as pages, tempfile.TemporaryDirectory(prefix="safedpa-hostile-drive-") as folder:
+        further = (*pages, *recording_targets(Path(folder)))
+        tallies = fuzz(seconds, seed, out, lambda share: tell(round(100.0 * share), 100), further)
     return {
         "seconds": seconds,
         "seed": seed,
@@ -104,8 +114,27 @@ def _mutated(seconds: float, seed: int, out: Path | None, tell: Tell) -> dict[st
     }
 
 
+def _walked(tell: Tell) -> dict[str, Any]:
+    from safedpa_lab.benchmarks.usage import load_average
+    from safedpa_lab.experiments.hostile.roads import pairs, walk
+
+    load = load_average()
+    rows = walk(list(pairs()), tell)
+    return {
+        "held": not any(row["hole"] for row in rows),
+        "pairs": rows,
+        "load_average": [load, load_average()],
+    }
+
+
 def _tell(attack: str, result: dict[str, Any]) -> None:
-    if attack == "mutations":
+    if attack == "roads":
+        for row in result["pairs"]:
+            click.echo(
+                f"{row['road']:<26} {row['bomb']:<52} {row['seconds']:6.2f} s {row['mebibytes']:6.1f} MiB"
+                + (f"; HOLE: {row['hole']}" if row["hole"] else "")
+            )
+    elif attack == "mutations":
         for row in result["targets"]:
             holes = f"; HOLES: {'; '.join(row['holes'])}" if row["holes"] else ""
             click.echo(
@@ -116,7 +145,10 @@ def _tell(attack: str, result: dict[str, Any]) -> None:
         for name, key in (("in peace", "in_peace"), ("under attack", "under_attack")):
             row = result["offers"][key]
             delays = ", ".join(f"{share} {value} ms" for share, value in row["sense_to_act_ms"].items())
-            click.echo(f"{name:<13} {row['late_ticks']} of {row['robot_ticks']} ticks late; sense to act {delays}")
+            click.echo(
+                f"{name:<13} {row['late_ticks']} of {row['robot_ticks']} ticks late, {row['late_by_the_machine']} of "
+                f"these by the machine itself; sense to act {delays}"
+            )
         for name, row in result["offers"]["answers"].items():
             waits = ", ".join(f"{share} {value} ms" for share, value in row["after_state_ms"].items())
             click.echo(f"{name:<32} {row['refused']} of {row['answers']} answers refuse it; after the state: {waits}")

@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
@@ -42,7 +43,7 @@ def command(**options: Any) -> None:
     _check(options)
     result = _recorded(options) if options["record"] is not None else _measured(options)
     if options["out"] is not None:
-        options["out"].write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(options["out"], result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     elif options["record"] is not None:

@@ -15,6 +15,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
@@ -54,7 +55,7 @@ def command(**options: Any) -> None:
     shape = {key: options[key] for key in ("runs", "seconds", "period", "seed")}
     result = {"experiment": "long-logs", **shape, "hidden": dict(HIDDEN), "rows": rows}
     if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(out, result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:

@@ -10,13 +10,20 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
 
 
 @click.command(name="margins")
 @click.option("--robot", "robots", multiple=True, help="name of a margin that ships; default: all of them")
-@click.option("--drives", type=int, default=200, show_default=True, help="to calibrate each kind of margin on")
+@click.option(
+    "--drives",
+    type=int,
+    default=200,
+    show_default=True,
+    help="to calibrate each kind of margin on; 0 with --kind shipped: none",
+)
 @click.option("--fresh", type=int, default=200, show_default=True, help="to count on, for each kind of margin")
 @click.option("--skip", type=int, default=0, show_default=True, help="evaluation seeds to leave out before those")
 @click.option(
@@ -45,7 +52,7 @@ def command(**options: Any) -> None:
     with progress("experiment margins") as tell:
         result = margins_experiment(MarginCases(**options), tell)
     out = options["out"]
-    (out / "margins.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write_result(out / "margins.json", result)
     page = margins_page(result, _asked(options), time.strftime("%Y-%m-%d"))
     (out / "margins.md").write_text(page, encoding="utf-8")
     if as_json:

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
 
@@ -37,6 +38,6 @@ def command(hidden: tuple[str, ...], out: Path | None, as_json: bool, **options:
         result = {"date": time.strftime("%Y-%m-%d"), **point_story(story, tell)}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        (out / "point-story.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(out / "point-story.json", result)
         (out / "point-story.md").write_text(point_story_markdown(result), encoding="utf-8")
     click.echo(json.dumps(result) if as_json else point_story_markdown(result))

@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
@@ -64,7 +65,7 @@ def command(**options: Any) -> None:
     with progress("experiment real-logs") as tell:
         result = real_logs_experiment(RealLogs(options["data"], ball, parts, options["processes"]), tell)
     if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(out, result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:

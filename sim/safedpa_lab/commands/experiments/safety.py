@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
 
@@ -41,7 +42,7 @@ def command(**options: Any) -> None:
         result = safety_experiment(seeds, options["seconds"], options["model"], settings, options["processes"], tell)
     result = {"experiment": "safety", "seeds": [seeds.start, seeds.stop - 1], **result}
     if options["out"]:
-        options["out"].write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(options["out"], result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:

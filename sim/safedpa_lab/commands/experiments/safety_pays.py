@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
 
@@ -53,7 +54,7 @@ def command(**options: Any) -> None:
     with progress("experiment safety-pays") as tell:
         result = {"experiment": "safety-pays", **safety_pays(experiment, tell)}
     if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_result(out, result)
     if options["as_json"]:
         click.echo(json.dumps(result))
     else:

@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.provenance.record import write_result
 from safedpa_services.command_line.names import complete_models
 
 __all__ = ["command"]
@@ -40,7 +41,7 @@ def command(
         raise InputError(f"model '{model}': it has no networks, wanted a learned one, such as car_simulated")
     found = theory_experiment(base.weights, load_configuration(simulator), states, coverage, seed)
     if out is not None:
-        out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        write_result(out, found)
     click.echo(json.dumps(found) if as_json else "\n".join(_lines(found)))
 
 

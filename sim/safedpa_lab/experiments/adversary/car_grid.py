@@ -10,7 +10,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from safedpa.dynamics import PhysicsModel, load_model
-from safedpa.safety import FilterSettings, SafetyFilter, car_barriers
+from safedpa.robots.car.barriers import car_barriers
+from safedpa.safety import FilterSettings, SafetyFilter
 from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments.adversary.attack import AbstractAttack, Result, Row
 from safedpa_lab.experiments.adversary.car_judge import FIELD, FOOTPRINT, CarJudge, CarQuestion

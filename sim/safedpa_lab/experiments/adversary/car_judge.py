@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, final
 
 import numpy as np
@@ -47,10 +48,17 @@ class CarJudge:
         self.grid = np.stack(
             np.meshgrid(*(np.linspace(*ends) for ends in zip(self.low, self.high, _GRID, strict=True))), axis=-1
         ).reshape(-1, 2)
-        self.h = self.heights(self.grid)
+        self._least = np.maximum(np.abs(self.now), margin)
+
+    @cached_property
+    def h(self) -> Values:
         """(grid, rows) predicted h."""
-        reach = self.h.max(axis=0) - self.h.min(axis=0)
-        self.scale = np.maximum(np.maximum(np.abs(self.now), margin), reach)
+        return self.heights(self.grid)
+
+    @cached_property
+    def scale(self) -> Values:
+        """(rows,) of h now, of its margin, and of what the actions can change in it, the largest."""
+        return np.asarray(np.maximum(self._least, self.h.max(axis=0) - self.h.min(axis=0)))
 
     def heights(self, actions: Values) -> Values:
         """(n, rows) predicted h for actions (n, 2)."""
@@ -72,18 +80,18 @@ class CarJudge:
         ahead = (obstacles[:, 0] - x) * c + (obstacles[:, 1] - y) * s
         aside = (obstacles[:, 1] - y) * c - (obstacles[:, 0] - x) * s
         beyond = ahead - np.minimum(np.maximum(ahead, rear), front)
-        room = FOOTPRINT[2] + self._settings.clearance
+        room = FOOTPRINT[2] + self._settings.barrier("clearance")
         parts = [np.sqrt(beyond**2 + aside**2) - obstacles[:, 2] - room]
         for end in (front, rear):
             across, along = x + end * c, y + end * s
             parts += [across - FIELD[0] - room, FIELD[1] - room - across]
             parts += [along - FIELD[2] - room, FIELD[3] - room - along]
-        parts += [v - self._settings.speed_low, self._settings.speed_high - v]
+        parts += [v - self._settings.barrier("speed_low"), self._settings.barrier("speed_high") - v]
         return np.concatenate(parts, axis=1)
 
     def _ends(self, v: Values) -> tuple[Values, Values]:
         """Where the swept segment ends, before and behind: D(v) as the page on safety has it."""
-        b, k = self._settings.braking_deceleration, self._settings.braking_gain
+        b, k = self._settings.barrier("braking_deceleration"), self._settings.barrier("braking_gain")
         size = np.abs(v)
         stop = np.sign(v) * np.where(size <= b / k, size / k, b / k**2 + (size**2 - (b / k) ** 2) / (2.0 * b))
         return FOOTPRINT[1] + np.maximum(stop, 0.0), -FOOTPRINT[0] + np.minimum(stop, 0.0)

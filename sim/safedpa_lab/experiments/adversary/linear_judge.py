@@ -26,6 +26,15 @@ _UNMOVED = 1e-12
 _KEPT = 1e-10
 """Share of its scale by which the reference's own answer may break a row before it is not used."""
 
+_EXACT: dict[str, object] = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+_WAYS: tuple[tuple[str, dict[str, object]], ...] = (
+    ("highs", _EXACT),
+    ("highs-ds", {**_EXACT, "presolve": False}),
+    ("highs-ipm", _EXACT),
+    ("highs", {}),
+)
+"""How a linear program is solved, and again where HiGHS ends in a status that it does not know itself."""
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -130,15 +139,13 @@ class LinearJudge:
         if judged == self.movable and self._moved.any():
             slope, offset = slope[self._moved], offset[self._moved]
         rows, actions = slope.shape
-        found = linprog(
-            np.concatenate([np.zeros(actions), [-1.0]]),
-            A_ub=np.hstack([-slope, np.ones((rows, 1))]),
-            b_ub=offset,
-            bounds=[(0.0, 1.0)] * actions + [(None, None)],
-            method="highs",
-            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
-        )
-        if found.x is None:
+        cost, above = np.concatenate([np.zeros(actions), [-1.0]]), np.hstack([-slope, np.ones((rows, 1))])
+        bounds = [(0.0, 1.0)] * actions + [(None, None)]
+        for method, options in _WAYS:  # where one way gives up, another one answers
+            found = linprog(cost, A_ub=above, b_ub=offset, bounds=bounds, method=method, options=options)
+            if found.x is not None:
+                break
+        else:
             raise ArithmeticError(f"the reference's linear program was not solved: {found.message}")
         u = np.clip(found.x[:-1], 0.0, 1.0)
         action = np.clip(self.problem.low + self.width * u, self.problem.low, self.problem.high)

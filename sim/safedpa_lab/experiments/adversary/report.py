@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["adversary_markdown", "write_adversary"]
+from safedpa_lab.provenance.record import write_result
+
+__all__ = ["adversary_markdown", "with_parts_before", "write_adversary"]
+
+_SAME = ("experiment", "seed", "small", "code")
+
+
+def with_parts_before(result: dict[str, Any], out: Path, order: Sequence[str]) -> dict[str, Any]:
+    """With the attacks that were run into the folder before by the same code on the same seed, in the order given.
+
+    What was run again takes the place of what was there. Results of other code, seed or size are not looked at.
+    """
+    path = out / "adversary.json"
+    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    if any(before.get(key) != result[key] for key in _SAME):
+        return result
+    parts = {part["name"]: part for part in (*before["attacks"], *result["attacks"])}
+    return result | {"attacks": [parts[name] for name in order if name in parts]}
 
 
 def write_adversary(result: dict[str, Any], out: Path) -> None:
     """``adversary.json`` and ``adversary.md`` in the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "adversary.json").write_text(json.dumps(result, indent=1, default=float) + "\n", encoding="utf-8")
+    write_result(out / "adversary.json", result)
     (out / "adversary.md").write_text(adversary_markdown(result), encoding="utf-8")
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safedpa.errors import InputError
+from safedpa_lab.experiments.hostile.bag_bombs import BAG_BOMBS
 
 __all__ = ["BOMBS", "Bomb", "attempt"]
 
@@ -59,6 +60,24 @@ def _run(path: Path) -> object:
     return load_run(path, CAR)
 
 
+def _bag(path: Path) -> object:
+    from safedpa.records import load_column_map, load_run
+    from safedpa.robots.car.system import CAR
+
+    return load_run(path, CAR, load_column_map("f1tenth_bag"))
+
+
+def _packed_bag(path: Path) -> object:
+    return _bag(path.rename(path.with_name("bag.mcap.zstd")))
+
+
+def _folder(path: Path) -> object:
+    folder = path.parent / "bag"
+    folder.mkdir(exist_ok=True)
+    path.rename(folder / "metadata.yaml")
+    return _bag(folder)
+
+
 def _weights(path: Path) -> object:
     from safedpa.networks import load_weights
 
@@ -73,8 +92,8 @@ def _archive(path: Path) -> object:
 
 
 def _message(path: Path) -> object:
-    from safedpa.bus.codec import decode
-    from safedpa.bus.messages import ModelMessage
+    from safedpa.bus.wire.codec import decode
+    from safedpa.bus.wire.messages import ModelMessage
 
     return decode(ModelMessage, path.read_bytes())
 
@@ -91,6 +110,11 @@ _LOADERS: Mapping[str, Callable[[Path], object]] = {
     ".csv": _run,
     ".parquet": _run,
     ".mcap": _run,
+    ".bag": _bag,
+    ".db3": _bag,
+    ".ulg": _bag,
+    ".zstd": _packed_bag,
+    ".yaml": _folder,
     ".safetensors": _weights,
     ".npz": _archive,
     ".msgpack": _message,
@@ -225,5 +249,6 @@ BOMBS: tuple[Bomb, ...] = (
     Bomb("arrays in arrays", ".json", _text("[" * 100_000)),
     Bomb("a number of 100 000 digits", ".json", _text(f'{{"coverage": {_LONG}}}')),
     Bomb("10 million bytes", ".json", _text('"' + "a" * 10_000_000 + '"')),
+    *(Bomb(*item) for item in BAG_BOMBS),
 )  # fmt: skip
 """What is too long, too deep, too wide, or becomes too much when it is opened."""

@@ -8,7 +8,7 @@ from typing import final
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import Bus, MemoryBroker, MemoryTransport, ServiceLoop
-from safedpa.bus.topics import TOPICS, key_of
+from safedpa.bus.wire.topics import TOPICS, key_of
 from safedpa.dynamics import load_model
 from safedpa.policy import PolicyNode
 from safedpa.safety.node import SafetyFilterNode

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from safedpa.bus import HealthMessage, ModelMessage, StateMessage
-from safedpa.bus.bundle import packed, unbundled
-from safedpa.bus.codec import decode, encode
-from safedpa.bus.requests import Answer, Request
-from safedpa.bus.topics import topic_of
+from safedpa.bus.transport.bundle import packed, unbundled
+from safedpa.bus.wire.codec import decode, encode
+from safedpa.bus.wire.requests import Answer, Request
+from safedpa.bus.wire.topics import topic_of
 from safedpa.dynamics import load_model, parse_model, write_model
 from safedpa.dynamics.offered import offered_model
 from safedpa.networks import load_weights

@@ -2,39 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import final
 
-from safedpa.effects.effect import CommandEffect, Named, Stage
-from safedpa.effects.memory import delayed, settled
-from safedpa.effects.parameter import Parameter
-from safedpa.operations import Operations
+from safedpa.effects.action_delay import ActionDelay
 
 __all__ = ["ActuatorDelay"]
 
 
 @final
-class ActuatorDelay(CommandEffect):
-    """felt action(t) = action(t - seconds), for thrust and turn alike; the memory is the history of each."""
+class ActuatorDelay(ActionDelay):
+    """felt action(t) = action(t - seconds), for thrust and turn alike."""
 
-    name = "actuator_delay"
     robot = "point"
-    stage = Stage.COMMAND_DELAY
-    equation = "action_felt(t) = action(t - seconds)"
-    parameters = (Parameter("seconds", "s", 0.0, 0.5, 0.1),)
     signature = (
         "residuals of acceleration and turn rate after each change of command, both as if it had not been sent yet"
     )
-    source = "dead time; Astrom and Murray, Feedback Systems, 2nd ed., ch. 9"
-
-    def initial_memory(self, action: Named) -> Any:  # noqa: D102
-        return {name: settled(command) for name, command in action.items()}
-
-    def transform(  # noqa: D102
-        self, action: Named, memory: Any, parameters: Named, period: float, operations: Operations
-    ) -> tuple[Named, Any]:
-        longest, felt, remembered = self.parameters[0].high, {}, {}
-        for name, command in action.items():
-            felt[name], remembered[name] = delayed(
-                command, memory[name], parameters["seconds"], longest, period, operations
-            )
-        return felt, remembered

@@ -1,0 +1,157 @@
+"""How long a decision takes, status by status, of several source trees or installations in turn.
+
+    python deploy/filter_by_status.py before=FOLDER after=FOLDER [--model car] [--seed N] [--scenes N]
+
+A folder holds the package ``safedpa``: ``shared`` of a tree, or what ``pip install --target`` made. Problems are
+drawn by the seed: rooms with 6 to 8 obstacles, states anywhere, half of them where the least h is 0 to 0.05, wishes
+within and beyond the actuators. A process for each folder decides them all, one process at a time and the order turned
+round each time; of each problem the best time counts. Prints p50 and p99 in microseconds, their share of the first
+folder's, and by how much statuses and actions differ from the first folder's. Statuses are the first folder's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from time import perf_counter
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+
+FOOTPRINT, FIELD = (0.08, 0.40, 0.12), (-4.0, 4.0, -4.0, 4.0)
+CASES = 16
+EDGE = 0.05
+"""Of the least h, to which a state lies at the edge."""
+
+
+def problems(safe: Any, latent: Values, seed: int, scenes: int) -> list[tuple[Values, Values, Values, Any]]:
+    """State, wish, latent and barriers of each decision."""
+    from safedpa.robots.car.barriers import car_barriers
+
+    random, drawn = np.random.default_rng(seed), list[tuple[Values, Values, Values, Any]]()
+    for _ in range(scenes):
+        count = int(random.integers(6, 9))
+        obstacles = np.column_stack([random.uniform(-3.5, 3.5, (count, 2)), random.uniform(0.2, 0.35, count)])
+        barriers = car_barriers(safe.settings, FOOTPRINT, obstacles, FIELD)
+        for case in range(CASES):
+            while True:
+                state = random.uniform((-3.4, -3.4, -3.1, -0.6), (3.4, 3.4, 3.1, 2.0))
+                if case % 2 or 0.0 <= min(float(part.values(state).min()) for part in barriers) < EDGE:
+                    break
+            wish = random.uniform((-0.6, -0.34), (2.0, 0.34)) * random.choice([1.0, 1.4])
+            drawn.append((state, wish, latent, barriers))
+    return drawn
+
+
+def decide(model_name: str, seed: int, scenes: int) -> None:
+    """In the process of one folder: the verdicts, then a line of times for each line that comes in."""
+    from safedpa.compiled import compiled_modules
+    from safedpa.dynamics import load_model
+    from safedpa.safety import FilterSettings, SafetyFilter
+
+    model: Any = load_model(model_name)
+    safe = SafetyFilter.for_model(model, FilterSettings())
+    drawn = problems(safe, model.latent, seed, scenes)
+    verdicts = [safe.decide(state, wish, latent, barriers=barriers) for state, wish, latent, barriers in drawn]
+    told = [(verdict.status.value, verdict.action.tolist()) for verdict in verdicts]
+    sys.stdout.write(json.dumps([len(compiled_modules()), told]) + "\n")
+    sys.stdout.flush()
+    for _ in sys.stdin:
+        times = []
+        for state, wish, latent, barriers in drawn:
+            begun = perf_counter()
+            safe.decide(state, wish, latent, barriers=barriers)
+            times.append(1e6 * (perf_counter() - begun))
+        sys.stdout.write(json.dumps(times) + "\n")
+        sys.stdout.flush()
+
+
+class Tree:
+    """One folder and its process."""
+
+    def __init__(self, name: str, folder: str, arguments: list[str]) -> None:
+        command = [sys.executable, __file__, "--decide", *arguments]
+        where = {**os.environ, "PYTHONPATH": folder, "OMP_NUM_THREADS": "1"}
+        self.name = name
+        self._process = subprocess.Popen(command, env=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        compiled, told = self._answer()
+        self.words = f"{name} ({compiled} modules compiled)"
+        self.statuses = np.array([status for status, _ in told])
+        self.actions = np.array([action for _, action in told])
+        self.best = np.full(len(told), np.inf)
+
+    def round(self) -> None:
+        """All problems once more."""
+        _open(self._process.stdin).write("\n")
+        _open(self._process.stdin).flush()
+        self.best = np.minimum(self.best, self._answer())
+
+    def close(self) -> None:
+        """Ends the process."""
+        _open(self._process.stdin).close()
+        self._process.wait()
+
+    def _answer(self) -> Any:
+        return json.loads(_open(self._process.stdout).readline())
+
+
+def _open(stream: IO[str] | None) -> IO[str]:
+    if stream is None:
+        raise RuntimeError("the process was started without a pipe")
+    return stream
+
+
+def report(trees: list[Tree]) -> list[str]:
+    """The lines that are printed."""
+    first, lines = trees[0], list[str]()
+    for tree in trees:
+        apart = np.abs(tree.actions - first.actions).max(axis=1)
+        other = int((tree.statuses != first.statuses).sum())
+        lines.append(
+            f"{tree.words}: {other} of {len(apart)} statuses differ, actions by {apart.max():.1e} at most, "
+            f"{int((apart > 1e-6).sum())} by more than 1e-6"
+        )
+    for status in sorted(set(first.statuses.tolist())):
+        which, shown = first.statuses == status, list[str]()
+        base = np.percentile(first.best[which], [50, 99])
+        for tree in trees:
+            half, most = np.percentile(tree.best[which], [50, 99])
+            shown.append(f"{tree.name} {half:.0f} ({half / base[0]:.2f}), {most:.0f} ({most / base[1]:.2f})")
+        lines.append(f"{status}, {int(which.sum())}: " + "; ".join(shown))
+    return lines
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("trees", nargs="*", metavar="NAME=FOLDER")
+    parser.add_argument("--model", default="car")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--scenes", type=int, default=40, help=f"{CASES} problems each")
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--decide", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.decide:
+        decide(options.model, options.seed, options.scenes)
+        return
+    named = [word.partition("=") for word in options.trees]
+    if not named or not all(name and folder for name, _, folder in named):
+        parser.error(f"got {' '.join(options.trees) or 'nothing'}, wanted NAME=FOLDER once for each tree")
+    arguments = ["--model", options.model, "--seed", str(options.seed), "--scenes", str(options.scenes)]
+    trees = [Tree(name, folder, arguments) for name, _, folder in named]
+    for index in range(options.rounds):
+        for tree in trees[:: 1 if index % 2 else -1]:
+            tree.round()
+    sys.stdout.write("\n".join(report(trees)) + "\n")
+    for tree in trees:
+        tree.close()
+
+
+if __name__ == "__main__":
+    main()

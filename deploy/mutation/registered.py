@@ -1,0 +1,173 @@
+"""Which tests judge which module of the safety filter, in the mutation run."""
+
+from __future__ import annotations
+
+__all__ = ["MODULES"]
+
+BARRIERS = ("test_barriers.py", "test_filter_recorded.py", "test_filter_invariance.py")
+EQUATIONS = ("test_equation_stack.py",)
+VERDICTS = (
+    "test_filter_recorded.py",
+    "test_filter_edges.py",
+    "test_filter_inputs.py",
+    "test_filter_verdicts.py",
+    "test_filter_violated.py",
+)
+SLOPES = "test_barriers.py::test_gradient_is_the_derivative"
+MARGIN = "test_a_margin_with_ordered_errors_is_the_one_that_sorts"
+ALL_KINDS = "-test_filter_promises.py::test_every_kind_of_problem_is_among_them"
+PROMISES = ("test_filter_promises.py", ALL_KINDS)
+"""Without what counts its own problems."""
+POINT = ("../point/test_point_scene.py", "../point/test_point_filter.py")
+BATCH = ("test_batch.py",)
+CHECK = ("test_check_parts.py", "test_check_edges.py")
+"""Without what drives whole filters, ten seconds at a time."""
+ROLLOUT = (
+    "test_rollout_barrier.py",
+    "-test_rollout_barrier.py::test_what_is_thinner_than_a_tick_is_not_jumped_over",
+    "-test_rollout_barrier.py::test_with_relative_degree_two_nothing_is_hit_and_nothing_relaxed",
+    "-test_rollout_barrier.py::test_a_planar_quadrotor_is_kept_off_by_its_tilt",
+)
+PENDING = ("test_pending_actions.py", "-test_pending_actions.py::test_a_delay_that_is_known_costs_nothing")
+DRIVES = (
+    "test_margin_over_drives.py",
+    "-test_margin_over_drives.py::"
+    "test_fresh_drives_are_covered_as_often_as_stated_where_steps_taken_for_exchangeable_are_not",
+)
+CHANGES = ("../changes/test_margin_changes.py", "../changes/test_offers_to_nodes.py")
+WATCHED = ("test_watched_margin.py", "test_out_of_the_layer.py", *CHANGES)
+MODULES = {
+    "decision": (
+        *VERDICTS,
+        "test_laws_in_the_filter.py",
+        "test_on_its_way.py",
+        *PROMISES,
+        "test_filter_invariance.py",
+    ),
+    "search": (
+        "test_filter_search.py",
+        "test_filter_search_back.py",
+        *VERDICTS,
+        *PROMISES,
+        "test_filter_invariance.py",
+    ),
+    "conditions": ("test_filter_conditions.py", *VERDICTS, *PROMISES, "test_filter_invariance.py"),
+    "not_finite": ("test_tangent.py",),
+    "tangent": ("test_tangent.py", "test_filter_conditions.py", *VERDICTS),
+    "equations.chain_rule": ("test_chain_rule.py",),
+    "equations.slopes": ("test_equation_slopes.py", *EQUATIONS),
+    "equations.rows": ("test_equation_slopes.py", *EQUATIONS),
+    "equations.plain_rows": ("test_equation_slopes.py", *EQUATIONS, "test_remembered.py"),
+    "equations.many_rows": ("test_equation_slopes.py", *EQUATIONS),
+    "least_unsafe": (
+        "test_least_unsafe.py",
+        "test_least_unsafe_truths.py",
+        "test_filter_violated.py",
+        "test_retreat.py",
+        "test_filter_recorded.py",
+    ),
+    "retreat": ("test_retreat.py",),
+    "lattice": ("test_lattice.py",),
+    "highest": ("test_highest.py", "test_least_unsafe.py", "test_least_unsafe_truths.py"),
+    "inputs": ("test_filter_inputs.py", "test_isolation.py"),
+    "quadratic_program": ("test_quadratic_program.py", "test_nearest.py"),
+    "nearest": ("test_nearest.py", "test_quadratic_program.py"),
+    "program_rows": ("test_quadratic_program.py", "test_nearest.py"),
+    "margins_in_force": ("test_margins_in_force.py", "test_filter_inputs.py"),
+    "equation_barrier": EQUATIONS,
+    "stacks": (*EQUATIONS, "test_remembered.py", "test_margins_in_force.py"),
+    "many_barriers": (*EQUATIONS, *BATCH),
+    "robots.car.barriers": (*EQUATIONS, *BARRIERS, "test_towed_reach.py"),
+    "robots.car.swept": (*EQUATIONS, *BARRIERS, "test_towed_reach.py"),
+    "robots.car.many_barriers": (*EQUATIONS, *BATCH),
+    "affine_motion": ("test_affine_motion.py", *VERDICTS),
+    "remembered": ("test_remembered.py", *BARRIERS),
+    "solution": ("test_quadratic_program.py", *VERDICTS),
+    "verdict": ("test_resting_verdict.py", *VERDICTS),
+    "braking": ("test_braking.py", *BARRIERS),
+    "barrier": ("test_barriers.py::test_stack_keeps_order_names_and_margins", *BARRIERS),
+    "speed_barrier": (f"{SLOPES}[SpeedBarrier]", *BARRIERS),
+    "function_barrier": (f"{SLOPES}[FunctionBarrier]", "test_barriers.py", "test_filter_inputs.py"),
+    "corridor_barrier": ("test_corridor_barrier.py",),
+    "swept": ("test_swept.py",),
+    "differences": ("test_differences.py",),
+    "higher_order_barrier": ("test_higher_order_barrier.py",),
+    "stopping_barrier": POINT,
+    "stopping_walk": POINT,
+    "margin": ("test_margin_conformal.py", *DRIVES, f"../fleet_process/test_fast_paths.py::{MARGIN}"),
+    "batch": BATCH,
+    "many_predictions": (*BATCH, "../point/test_point_filter.py"),
+    "many_stopping": POINT,
+    "batch_nearest": ("test_batch_nearest.py", *BATCH),
+    "batch_search": ("test_batch_search.py", *BATCH),
+    "prediction": (
+        "test_prediction.py",
+        "test_affine_motion.py",
+        "test_isolation.py",
+        "test_laws_in_the_filter.py",
+        "test_on_its_way.py",
+        *VERDICTS,
+        "test_filter_invariance.py",
+    ),
+    "safety_filter": (
+        "test_filter_held.py",
+        "test_strangers.py",
+        "test_isolation.py",
+        "test_finite_clock.py",
+        "../operations/test_stop_orders.py",
+        *VERDICTS,
+    ),
+    "settings": ("test_filter_settings.py", "test_strangers.py"),
+    "shipped": ("../services/test_shipped.py", "test_filter_settings.py", "test_run_calibration.py"),
+    "compatibility": ("test_strangers.py",),
+    "finite_clock": ("test_finite_clock.py",),
+    "numbers_returned": ("test_isolation.py", "test_filter_inputs.py"),
+    "gymnasium_wrapper": ("test_gymnasium_filter.py",),
+    "scene": ("test_scene_corridor.py", "test_towed_reach.py"),
+    "scenes": ("test_strangers.py", *POINT),
+    "robots.car.reversed_way": ("test_towed_reach.py",),
+    "robots.car.towed_reach": ("test_towed_reach.py",),
+    "calibration": ("test_margin_conformal.py", *DRIVES, "test_run_calibration.py"),
+    "run_calibration": ("test_run_calibration.py", "test_strangers.py"),
+    "recorded": ("test_theory_command.py",),
+    "ceiling": ("test_watched_margin.py", *DRIVES),
+    "drive_calibration": DRIVES,
+    "drive_heights": ("test_watched_margin.py",),
+    "watched_margin": WATCHED,
+    "margin_change": CHANGES,
+    "margin_text": (*CHANGES, "test_run_calibration.py"),
+    "live_margin": ("test_run_calibration.py",),
+    "held_model": (*WATCHED, "test_strangers.py"),
+    "filtered_robot": (*WATCHED, "test_late_robot.py", "test_standstill.py", "test_way_out.py"),
+    "surroundings_ahead": (
+        "test_surroundings_ahead.py",
+        "../sensing/test_nothing_seen.py",
+    ),
+    "way_out": ("test_way_out.py", "-test_way_out.py::test_a_car_beside_an_obstacle_gets_out"),
+    "standstill": ("test_standstill.py",),
+    "orders": ("../operations/test_stop_orders.py",),
+    "node": (*WATCHED, "../operations/test_stop_orders.py", "../services/test_shipped.py", "test_strangers.py"),
+    "on_its_way": ("test_on_its_way.py", "test_trail.py", "test_late_robot.py"),
+    "trail": ("test_trail.py", "test_late_robot.py"),
+    "found_delay": ("test_found_delay.py",),
+    "pending_actions": PENDING,
+    "closed_loop": ("test_closed_loop.py", *ROLLOUT),
+    "rollout_barrier": ROLLOUT,
+    "check_backup": CHECK,
+    "check_barriers": CHECK,
+    "filter_check": CHECK,
+    "check_influence": CHECK,
+    "check_probes": CHECK,
+    "check_report": ("test_check_report.py",),
+    "theory_bound": ("test_theory_bound.py", "test_theory_consequence.py"),
+    "robots.car.theory_gradient": ("test_theory_gradient.py",),
+    "theory_layer": ("test_theory_layer.py",),
+    "theory_lipschitz": ("test_theory_bound.py",),
+    "theory_measure": ("test_theory_measure.py", "test_theory_bound.py"),
+    "theory_recorded": ("test_theory_recorded.py",),
+}
+"""Which tests judge which module, the quickest first; named as seen from ``tests/safety``, with "-" those left out.
+
+Modules of ``safedpa.safety``, or by a name with dots those of the recorder and of the car's barriers. What is written
+by a program (``robots.car.written_barriers``) is judged by the test that it is what that program writes.
+"""

@@ -1,0 +1,80 @@
+"""``safedpa columns``: what a log holds, and a column map proposed for it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from safedpa.limits import printable
+from safedpa_services.command_line.names import complete_robots
+from safedpa_services.command_line.options import as_json_option, effects_option
+
+if TYPE_CHECKING:
+    from safedpa.records.bags import AbstractLog
+    from safedpa.systems import System
+
+__all__ = ["command"]
+
+
+@click.command(name="columns")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--robot", default=None, shell_complete=complete_robots, help="The robot that was logged; else the car.")
+@effects_option
+@as_json_option
+def command(log: Path, robot: str | None, effects: Path | None, as_json: bool) -> None:
+    """List what LOG holds and propose a column map for it: safedpa columns LOG --robot car > map.toml.
+
+    LOG is a CSV or Parquet file, a rosbag2 (MCAP, SQLite or folder), a ROS 1 bag, or a PX4 flight log. The map is a
+    proposal: topics, types, rates and fields stand in it as comments; look at every line before you use it.
+    """
+    from safedpa.dynamics import load_own
+    from safedpa.errors import InputError
+    from safedpa.records.bags import kind_of, topic_log
+    from safedpa.records.bags.proposal import best_system, map_proposed, sources_of
+    from safedpa.robot import DEFAULT_ROBOT, robot_named
+
+    if effects is not None:
+        load_own(effects)
+    known = robot_named(robot or DEFAULT_ROBOT)
+    systems = tuple(one.system for one in (known, *known.variants))
+    kind = kind_of(log)
+    if kind == "mcap":
+        raise InputError(f"{log}: is a recording of the bus; it needs no column map")
+    if kind == "topics":
+        opened = topic_log(log)
+        system = best_system(systems, sources_of(opened.topics().values()))
+        others = [other for other in systems if other is not system]
+        text, topics = map_proposed(opened, system, others), _topics(opened)
+    else:
+        text, topics = _of_table(log, systems), []
+    click.echo(json.dumps({"log": str(log), "topics": topics, "map": text}) if as_json else text, nl=as_json)
+
+
+def _topics(log: AbstractLog) -> list[dict[str, object]]:
+    return [
+        {
+            "name": topic.name,
+            "type": topic.type,
+            "messages": topic.count,
+            "rate": topic.rate,
+            "fields": dict(topic.fields),
+            "problem": topic.problem,
+        }
+        for topic in log.topics().values()
+    ]
+
+
+def _of_table(log: Path, systems: Sequence[System]) -> str:
+    from safedpa_services.workbench.column_form import guessed, map_text
+    from safedpa_services.workbench.file_preview import raw_rows
+
+    names = raw_rows(log, 1).names
+    forms = [(system, guessed(system, names)) for system in systems]
+    system, lines = max(forms, key=lambda form: sum(bool(line.source) for line in form[1]))
+    missing = [f'# {line.target} = "..."   # {line.si}: no column looks like it' for line in lines if not line.source]
+    said = ", ".join(map(printable, names))
+    return f"# Columns of the log: {said}\n{map_text(system, lines)}" + "".join(f"{line}\n" for line in missing)

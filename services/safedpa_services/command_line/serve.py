@@ -1,0 +1,165 @@
+"""``safedpa serve``: the services for a robot that is not simulated: one that speaks ROS 2, or the bus itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from safedpa.errors import InputError
+from safedpa.extras import missing, need
+from safedpa_services.command_line.answering import answers_json, finish, tell
+from safedpa_services.command_line.up import planned
+
+if TYPE_CHECKING:
+    from safedpa_services.ros_gateway.robot_file import Served
+    from safedpa_services.supervisor.child import Child
+    from safedpa_services.supervisor.plan import Plan
+    from safedpa_services.supervisor.securing import Wallet
+
+__all__ = ["command"]
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path), metavar="ROBOT.toml")
+@click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
+@click.option(
+    "--policy", "controller", metavar="NAME", help="let a policy here wish: goal_seeker, learned, planner ..."
+)
+@click.option("--headless", is_flag=True, help="no dashboard and no workbench")
+@click.option("--diagnosis/--no-diagnosis", default=True, show_default=True, help="watch over the model")
+@click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
+@click.option("--listen", default="", help="where the robot joins, such as tcp/0.0.0.0:7447; a ROS robot needs none")
+@click.option("--secure", is_flag=True, help="everything over mutual TLS, with certificates for this start alone")
+@click.option(
+    "--certificates",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="with those of 'safedpa certificates'",
+)
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="for recordings")
+@answers_json
+def command(file: Path, **options: Any) -> None:
+    """Serve the robot of ROBOT.toml: adaptation, safety filter, recorder, diagnosis, dashboard, workbench.
+
+    Where the file says how it is reached by ROS 2, the gateway runs too, and its own policy wishes by the topic of
+    [wish]; else the robot joins the bus by itself (docs/bus.md). Without [wish] --policy says who wishes, with
+    [[scans]] perception runs too. With certificates a router lets everybody say and hear what is his. Until Ctrl-C.
+    """
+    from safedpa.bus.loop.process import Stop
+    from safedpa.bus.security.access import role_of_robot
+    from safedpa.dynamics import load_own_everywhere
+    from safedpa_services.ros_gateway.robot_file import RobotFile, load_served
+
+    if options["robot_file"] is not None:
+        load_own_everywhere(options["robot_file"])
+    asked = load_served(file)
+    speaks_ros = isinstance(asked, RobotFile)
+    wishes = isinstance(asked, RobotFile) and bool(asked.wish.topic)
+    if speaks_ros:
+        need("ros", what="a robot that speaks ROS 2")
+    if wishes and options["controller"]:
+        raise InputError("--policy: got one for a robot whose own policy wishes; leave one of the two out")
+    if not wishes and not options["controller"]:
+        raise InputError(f"{file}: nobody wishes; name one with --policy, or a topic in [wish] of a ROS robot")
+    if not options["headless"]:
+        need("view", what="the dashboard", instead="leave it out with --headless")
+    stop, own = Stop(), _own_certificates(options, speaks_ros=speaks_ros)
+    with planned(_as_asked(asked, options), own) as made:
+        stop.listen_to_signals()
+        plan = replace(made, senses=isinstance(asked, RobotFile) and bool(asked.scans))
+        gateway = plan.gateway(file, wishes=wishes) if speaks_ros else None
+        services = _services(plan, policy=not wishes)
+        if gateway is None:
+            role = "" if plan.wallet is None else f" with the certificate of role {role_of_robot(plan.name)}"
+            where = plan.door or plan.endpoint
+            tell(f"serving robot '{plan.name}' at {where}, fleet {plan.fleet}; it joins there by itself{role}")
+        _serve(plan, gateway, services, stop)
+
+
+def _own_certificates(options: dict[str, Any], *, speaks_ros: bool) -> Wallet | None:
+    """The person's own, if he names them. Raises InputError for what does not go together."""
+    from safedpa_services.supervisor.securing import Wallet
+
+    if options["secure"] and options["certificates"] is not None:
+        raise InputError("--secure: got it with --certificates, whose own are used; leave one of the two out")
+    if options["secure"] and not speaks_ros:
+        raise InputError(
+            "--secure: its certificates go with this start, and a robot that joins by itself has none of them; make "
+            "some with 'safedpa certificates DIR', and name them with --certificates DIR"
+        )
+    return None if options["certificates"] is None else Wallet(options["certificates"])
+
+
+def _as_asked(asked: Served, options: dict[str, Any]) -> dict[str, Any]:
+    """Options of a drive, as far as they hold without a simulator."""
+    from safedpa.robot import robot_named
+
+    nothing = dict.fromkeys((*robot_named(asked.robot).options, "load", "change", "world"))
+    return {
+        **nothing,
+        **options,
+        "robot": asked.robot,
+        "name": asked.name,
+        "robots": 1,
+        "seconds": 0.0,
+        "seed": 0,
+        "rate": asked.rate or None,
+        "lockstep": False,
+        "unfiltered": False,
+        "change_after": 0.0,
+        "model": asked.model or None,
+        "settings": asked.settings or None,
+        "margin": asked.margin,
+        "effects": None,
+        **dict.fromkeys(("wind", "wind_direction", "force", "payload", "dry_friction", "task")),
+    }
+
+
+def _services(plan: Plan, *, policy: bool) -> list[Child]:
+    if missing("workbench"):
+        plan = replace(plan, workbench_port=0)
+    return [child for child in plan.services() if policy or child.name != "policy"]
+
+
+def _serve(plan: Plan, gateway: Child | None, services: Sequence[Child], stop: Any) -> None:
+    from safedpa.bus import Bus, ZenohTransport
+    from safedpa.errors import SafedpaError
+    from safedpa_services.supervisor.supervisor import Supervisor
+    from safedpa_services.supervisor.watch import Watch
+
+    where = {"robot": plan.name, "fleet": plan.fleet, "endpoint": plan.door or plan.endpoint}
+    tell(f"recording {plan.recording}", facts={**where, "recording": str(plan.recording)})
+    if plan.workbench_address:
+        tell(f"workbench {plan.workbench_address}", facts={"workbench": plan.workbench_address})
+    if plan.wallet is not None:
+        words = f"--connect {plan.endpoint} --fleet {plan.fleet} --certificates {plan.wallet.folder}"
+        tell(f"how it is: safedpa status --watch {words}", facts={"certificates": str(plan.wallet.folder)})
+    finish()  # where it is found is said at once
+    if plan.wallet is not None:
+        services[0].start()  # the router, through which the supervisor itself hears
+    with Bus(ZenohTransport(plan.own_session()), plan.fleet) as bus:
+        watch = Watch(bus, plan.name)
+        code = Supervisor(list(services), gateway, watch, stop, _Sayings(watch), lambda: stop.hurried).run()
+    if code != 0 and gateway is not None:
+        raise SafedpaError(f"robot: {gateway.last_words()}")
+
+
+class _Sayings:
+    """Says when the robot begins to drive, and when it brakes by itself: once each time."""
+
+    def __init__(self, watch: Any) -> None:
+        self._watch, self._said = watch, ""
+
+    def __call__(self) -> None:
+        """Looks whether something changed."""
+        known = self._watch.health.get("robot")
+        detail = known[0].detail if known is not None else ""
+        state = self._watch.state
+        now = "" if known is None and state is None else (detail[:40] or "drives")
+        if now and now != self._said:
+            self._said = now
+            tell(f"robot {self._watch.robot}: {detail or 'the filter drives'}")

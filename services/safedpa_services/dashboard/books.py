@@ -1,0 +1,224 @@
+"""What the dashboard remembers of one robot beside its picture: findings, health of its services, residuals.
+
+Findings: error and band, stage, model in force, and marks where these change. Health: what services say of themselves,
+and their silence. Residuals: what was measured less what was predicted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from safedpa.bus import FindingMessage, HealthMessage, ModelMessage, StateMessage, VerdictMessage
+from safedpa.systems import System
+from safedpa_services.dashboard.palette import (
+    GREEN,
+    GREY,
+    HEALTH_COLOURS,
+    ORANGE,
+    PURPLE,
+    SERIES,
+    SKY,
+    VERMILLION,
+    YELLOW,
+)
+from safedpa_services.dashboard.shapes import Curves, Entry, Note, States, StateSet
+
+__all__ = ["STAGE_COLOURS", "FindingBook", "HealthBook", "ResidualBook"]
+
+STAGE_COLOURS: Final = {
+    "learning": GREY,
+    "watching": GREEN,
+    "raised": VERMILLION,
+    "searching": ORANGE,
+    "candidates": YELLOW,
+    "nothing": PURPLE,
+}
+_ERROR: Final = Curves((), ("error over 1 s", "end of its band"), (SKY, ORANGE), (2.5, 1.5))
+_LARGEST = 1e6
+_MOST_MODELS = 16
+"""Colours of the model lane; further models share one."""
+_LONGEST = 400
+"""Characters of a line in the log."""
+
+
+class FindingBook:
+    """Entries of one robot's findings and changes of the model."""
+
+    def __init__(self) -> None:
+        self._stage = ""
+        self._number = 0
+        self._models: list[str] = []
+        self._model = ""
+        self._lane = ""
+
+    def lanes(self) -> list[Entry]:
+        """The lanes of the diagnosis and the model as they are now."""
+        lanes = (("diagnosis", self._stage), ("model", self._lane))
+        return [Entry(("verdict", name), States(state)) for name, state in lanes if state]
+
+    @staticmethod
+    def start() -> list[Entry]:
+        """Static entries: names and colours."""
+        models = {f"model {number + 1}": (SKY if number % 2 == 0 else YELLOW) for number in range(_MOST_MODELS)}
+        return [
+            Entry(("diagnosis", "error"), _ERROR, static=True),
+            Entry(("verdict", "diagnosis"), StateSet(STAGE_COLOURS), static=True),
+            Entry(("verdict", "model"), StateSet(models), static=True),
+        ]
+
+    def add(self, message: FindingMessage | ModelMessage) -> list[Entry]:
+        """Error and band always; a mark and a line of the log where the stage or the model changes."""
+        return self._finding(message) if isinstance(message, FindingMessage) else self._change(message)
+
+    def _finding(self, message: FindingMessage) -> list[Entry]:
+        band = message.band if message.band > 0.0 else math.nan
+        entries = [Entry(("diagnosis", "error"), Curves((_gap(message.error), _gap(band))))]
+        entries += self._in_force(message.model)
+        if (message.stage, message.number) == (self._stage, self._number):
+            return entries
+        self._stage, self._number = message.stage, message.number
+        colour = STAGE_COLOURS.get(message.stage, GREY)
+        where = f" ({message.where})" if message.where else ""
+        level = "WARN" if message.stage in ("raised", "candidates", "nothing") else "INFO"
+        note = Note(f"diagnosis: {message.sentence}{where}"[:_LONGEST], colour, level)
+        return [*entries, Entry(("verdict", "diagnosis"), States(message.stage)), Entry(("log",), note)]
+
+    def _change(self, message: ModelMessage) -> list[Entry]:
+        words = {"offer": "is offered", "take": f"is used from tick {message.from_tick} on", "drop": "is dropped"}
+        told = words.get(message.step, message.step)
+        who = f", by {message.who}" if message.who else ""
+        text = f"model {message.fingerprint or message.replaces} {told}: {message.why}{who}"
+        return [Entry(("log",), Note(text[:_LONGEST], PURPLE, "WARN" if message.step == "drop" else "INFO"))]
+
+    def _in_force(self, fingerprint: str) -> list[Entry]:
+        if fingerprint == self._model:
+            return []
+        self._model = fingerprint
+        if fingerprint not in self._models and len(self._models) < _MOST_MODELS:
+            self._models.append(fingerprint)
+        number = self._models.index(fingerprint) + 1 if fingerprint in self._models else _MOST_MODELS
+        self._lane = f"model {number}"
+        return [Entry(("verdict", "model"), States(self._lane))]
+
+
+def _gap(value: float) -> float:
+    return value if abs(value) < _LARGEST else math.nan
+
+
+SILENT_SECONDS = 1.0
+"""Four heartbeats."""
+
+_MOST_SERVICES = 16
+
+
+@dataclass
+class _Service:
+    heard: float
+    shown: str
+    own: bool
+    """Whether it spoke of this robot, not of the fleet alone."""
+
+
+class HealthBook:
+    """States as they change, step times at each heartbeat; ``now`` [s] is the dashboard's monotonic clock."""
+
+    def __init__(self) -> None:
+        self._services: dict[str, _Service] = {}
+
+    def add(self, message: HealthMessage, now: float, *, own: bool = True) -> list[Entry]:
+        """Entries of one heartbeat; ``own`` False: of a service of the whole fleet, until it speaks of this robot."""
+        name = message.service or "unnamed"
+        entries: list[Entry] = []
+        if name not in self._services:
+            if len(self._services) >= _MOST_SERVICES:
+                return []
+            entries = _styles(name, len(self._services))
+            self._services[name] = _Service(now, "", own)
+        service = self._services[name]
+        if service.own and not own:
+            return []
+        service.heard, service.own = now, own
+        if 0.0 <= message.step_microseconds < 1e9:
+            entries.append(Entry(("steps", name), Curves((1e-3 * message.step_microseconds,))))
+        return [*entries, *_change(name, service, message.state)]
+
+    @property
+    def states(self) -> dict[str, str]:
+        """The state of each service as it is shown."""
+        return {name: service.shown for name, service in self._services.items()}
+
+    def lanes(self) -> list[Entry]:
+        """The lane of each service as it is now."""
+        return [Entry(("services", name), States(state)) for name, state in self.states.items() if state]
+
+    def silences(self, now: float) -> list[Entry]:
+        """Entries of the services that fell silent since the last call."""
+        late = [item for item in self._services.items() if now - item[1].heard > SILENT_SECONDS]
+        return [entry for name, service in late for entry in _change(name, service, "silent")]
+
+
+def _change(name: str, service: _Service, state: str) -> list[Entry]:
+    if state == service.shown:
+        return []
+    service.shown = state
+    return [Entry(("services", name), States(state))]
+
+
+def _styles(name: str, index: int) -> list[Entry]:
+    curve = Curves((), (name,), (SERIES[index % len(SERIES)],), (1.5,))
+    return [
+        Entry(("services", name), StateSet(HEALTH_COLOURS), static=True),
+        Entry(("steps", name), curve, static=True),
+    ]
+
+
+_REMEMBERED_TICKS = 8
+
+
+class ResidualBook:
+    """Residuals r[k+1] = x[k+1] - predicted[k][0] of one robot and one epoch, angles the short way round.
+
+    A pair counts once, and only when the filter's action was in force over the period: the prediction is about that
+    action. What is older than a few ticks is forgotten.
+    """
+
+    def __init__(self, system: System) -> None:
+        self._system = system
+        self._predicted: dict[int, tuple[float, ...]] = {}
+        self._measured: dict[int, tuple[float, ...]] = {}
+
+    def add_state(self, state: StateMessage) -> tuple[float, ...] | None:
+        """The residual of this tick if its prediction has arrived, (states,)."""
+        if state.applied_by != "filter" or len(state.values) != len(self._system.state):
+            return None
+        return self._match(state.tick, self._measured, state.values)
+
+    def add_verdict(self, verdict: VerdictMessage) -> tuple[int, tuple[float, ...]] | None:
+        """(tick, residual) of the next tick if its measurement has arrived already."""
+        if not verdict.predicted or len(verdict.predicted[0]) != len(self._system.state):
+            return None
+        residual = self._match(verdict.tick + 1, self._predicted, verdict.predicted[0])
+        return None if residual is None else (verdict.tick + 1, residual)
+
+    def _match(
+        self, tick: int, own: dict[int, tuple[float, ...]], values: tuple[float, ...]
+    ) -> tuple[float, ...] | None:
+        own[tick] = values
+        measured, predicted = self._measured.get(tick), self._predicted.get(tick)
+        for book in (self._measured, self._predicted):
+            for old in [known for known in book if known <= tick - _REMEMBERED_TICKS]:
+                del book[old]
+        if measured is None or predicted is None:
+            return None
+        del self._measured[tick], self._predicted[tick]
+        return self._difference(measured, predicted)
+
+    def _difference(self, measured: Sequence[float], predicted: Sequence[float]) -> tuple[float, ...]:
+        with np.errstate(all="ignore"):  # two huge numbers may differ by infinity; the curve then has a gap
+            change = self._system.difference(np.array(measured), np.array(predicted))
+        return tuple(float(value) for value in change)

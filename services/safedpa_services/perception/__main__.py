@@ -1,0 +1,18 @@
+"""``python -m safedpa_services.perception``: tells what is around every robot of a fleet, from its scans."""
+
+from __future__ import annotations
+
+import argparse
+
+from safedpa.bus.loop.process import Stop, Urgency, run_process
+from safedpa_services.nodes import perception
+from safedpa_services.serving import serve, service_parser
+
+
+def work(options: argparse.Namespace, stop: Stop) -> int:
+    """Serves until ``stop``; returns the exit code."""
+    return serve((perception(options),), options, stop)
+
+
+if __name__ == "__main__":
+    run_process(work, service_parser("safedpa-perception"), Urgency.POLICY)

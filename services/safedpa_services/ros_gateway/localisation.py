@@ -1,0 +1,73 @@
+"""Where the odometry's frame stands in the map: the newest transform that a localisation tells."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, final
+
+from safedpa.bus.wire.messages import LARGEST_NUMBER
+from safedpa.records.bags.messages_log import yaw_of
+from safedpa.ros.decoding import DecodingError
+from safedpa.ros.encoding import decode
+from safedpa.ros.graph import Attachment
+from safedpa_services.ros_gateway.alone import TWO_SPEAK, Alone
+
+__all__ = ["TRANSFORMS", "Localised"]
+
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+Frame = tuple[float, float, float]
+
+
+@final
+class Localised:
+    """The transform from ``frame`` to ``child`` out of ``/tf``, with its age by this machine's clock."""
+
+    def __init__(self, frame: str, child: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._wanted, self._clock = (frame.strip("/"), child.strip("/")), clock
+        self._lock = threading.Lock()
+        self._found: Frame = (0.0, 0.0, 0.0)
+        self._at, self._stamp = -math.inf, (0, 0)
+        self._alone = Alone()
+        self.refused = 0
+        self.why = ""
+
+    def take(self, data: bytes, beside: Attachment | None = None) -> None:
+        """One message, on the network's thread; many nodes speak there, of other frames too, but of these two one."""
+        try:
+            transforms = decode(TRANSFORMS, data).transforms
+        except DecodingError:
+            self._refuse("it cannot be read")
+            return
+        for one in transforms:
+            if (one.header.frame_id.strip("/"), one.child_frame_id.strip("/")) != self._wanted:
+                continue
+            self._take(one, beside)
+
+    def _take(self, one: Any, beside: Attachment | None) -> None:
+        at, place, turn = self._clock(), one.transform.translation, one.transform.rotation
+        if not self._alone.heard(beside, at):
+            self._refuse(TWO_SPEAK)
+            return
+        found = (float(place.x), float(place.y), yaw_of(turn.x, turn.y, turn.z, turn.w))
+        if not all(-LARGEST_NUMBER <= number <= LARGEST_NUMBER for number in found):
+            self._refuse("its rotation is none, or a number is not finite, or so large that nobody believes it")
+            return
+        stamp = (int(one.header.stamp.sec), int(one.header.stamp.nanosec))
+        with self._lock:
+            same = stamp == self._stamp and stamp != (0, 0)  # a publisher that repeats itself tells nothing new
+            self._found, self._stamp, self.why = found, stamp, ""
+            if not same:
+                self._at = at
+
+    def _refuse(self, why: str) -> None:
+        self.refused += 1
+        self.why = why
+
+    def read(self) -> tuple[Frame, float]:
+        """x, y [m], yaw [rad] of the odometry's frame in the map, and its age [s]: infinite while two speak."""
+        with self._lock:
+            at = self._clock()
+            return self._found, math.inf if self._alone.doubled(at) else at - self._at

@@ -1,0 +1,57 @@
+"""What the robot's people are told in ROS: verdicts, what the gateway itself does, the path that is foreseen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, final
+
+from safedpa.bus.wire.messages import VerdictMessage
+from safedpa.ros.encoding import stamp_of
+from safedpa.ros.face import AbstractFace
+from safedpa.ros.link import RosPublisher
+from safedpa.ros.telling import diagnostics_of, gateway_diagnostics, path_marker
+
+__all__ = ["Voice"]
+
+_MARKER_SECONDS = 0.1
+"""At most so often markers are sent."""
+
+
+@final
+class Voice:
+    """Speaks on the topics of diagnostics and markers, where the robot's file names them."""
+
+    def __init__(
+        self,
+        robot: str,
+        frame: str,
+        face: AbstractFace,
+        diagnostics: RosPublisher | None,
+        markers: RosPublisher | None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._robot, self._frame, self._face, self._clock = robot, frame, face, clock
+        self._diagnostics, self._markers = diagnostics, markers
+        self._next_marker = clock()
+
+    def head(self, nanoseconds: int = 0) -> dict[str, Any]:
+        """A message's header: of that moment, else of now, in the frame of the surroundings."""
+        return {"stamp": stamp_of(nanoseconds or time.time_ns()), "frame_id": self._frame}
+
+    def verdict(self, verdict: VerdictMessage) -> None:
+        """Tells a verdict of the filter, and the path that it foresees."""
+        if self._diagnostics is not None:
+            self._diagnostics.put(diagnostics_of(self.head(), self._robot, verdict))
+        if self._markers is not None and verdict.predicted and self._clock() >= self._next_marker:
+            self._next_marker = self._clock() + _MARKER_SECONDS
+            try:
+                places = [self._face.planar(row)[:2] for row in verdict.predicted]
+            except IndexError:  # of another model: a picture never ends a drive
+                return
+            self._markers.put({"markers": [path_marker(self.head(), places)]})
+
+    def gateway(self, why: str, facts: dict[str, str]) -> None:
+        """Tells whether the filter drives; else ``why`` the gateway brakes."""
+        if self._diagnostics is not None:
+            self._diagnostics.put(gateway_diagnostics(self.head(), self._robot, why, facts))

@@ -1,0 +1,1 @@
+"""The loop of every service: states in, one decision a tick, a change of the model at a tick."""

@@ -1,0 +1,230 @@
+"""The bus as the processes see it: topics instead of keys, messages instead of bytes, inboxes instead of callbacks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+
+from safedpa.bus.transport.accepting import Accepting
+from safedpa.bus.transport.bundle import Entry, packed, parts
+from safedpa.bus.transport.inbox import Answered, Decode, Inbox
+from safedpa.bus.transport.transport import AbstractTransport
+from safedpa.bus.wire.codec import decode, encode
+from safedpa.bus.wire.messages import Message
+from safedpa.bus.wire.requests import AGREED, REQUEST, STATUS, Answer, Request, request_key, robot_of_request
+from safedpa.bus.wire.topics import BUNDLE, Topic, key_of
+from safedpa.errors import BusError, InputError, MessageError
+
+__all__ = ["Bus"]
+
+_CLAIM_POLL_SECONDS = 0.05
+
+
+def _usable(payload: bytes | None) -> Answer | None:
+    """The answer, unless there is none or it is none; one that refuses to tell is as good as none."""
+    try:
+        answer = None if payload is None else decode(Answer, payload)
+    except InputError:
+        return None
+    return answer if answer is not None and answer.ok else None
+
+
+class Bus:
+    """One participant of one fleet. Who shares a process with others may share its ``decode`` with them.
+
+    Of robots for whose name ``serves`` is false nothing gets into an inbox; None: all are served.
+    """
+
+    def __init__(
+        self,
+        transport: AbstractTransport,
+        fleet: str,
+        decode: Decode = decode,
+        serves: Callable[[str], bool] | None = None,
+    ) -> None:
+        self.fleet, self._decode, self._serves = fleet, decode, serves
+        self._transport = transport
+        self._holds = False
+        self._held: dict[tuple[Topic, str], list[Entry]] = {}
+
+    def publish(self, topic: Topic, robot: str, message: Message, service: str = "", *, alone: bool = False) -> None:
+        """Sends one message; ``service`` names the sender where every service writes under its own name.
+
+        ``alone``: at once and not among others, even while messages are held.
+        """
+        if type(message) is not topic.message:
+            raise MessageError(f"{topic.name}: got {type(message).__name__}, wanted {topic.message.__name__}")
+        payload = encode(message)
+        if self._holds and topic.bundles and not alone:
+            held = self._held.get((topic, service))
+            if held is None:
+                held = self._held[topic, service] = []
+            held.append((robot, payload))
+        else:
+            key = key_of(self.fleet, robot, topic, service)
+            self._transport.put(key, payload, never_drop=topic.delivery == "all")
+
+    def hold(self) -> None:
+        """Keeps what is published until ``flush``: messages of one topic that are sent at one moment travel as one."""
+        self._holds = True
+
+    def flush(self) -> None:
+        """Sends what was held, and holds nothing any more."""
+        self._holds = False
+        if not self._held:
+            return
+        held, self._held = self._held, {}
+        for (topic, service), entries in held.items():
+            for part in parts(entries):
+                robot, payload = part[0] if len(part) == 1 else (BUNDLE, packed(part))
+                key = key_of(self.fleet, robot, topic, service)
+                self._transport.put(key, payload, never_drop=topic.delivery == "all")
+
+    def forget(self, robot: str) -> None:
+        """Releases what sending about a robot holds: it left."""
+        self._transport.release(f"safedpa/{self.fleet}/{robot}/")
+
+    def inbox(
+        self,
+        topics: tuple[Topic, ...],
+        robot: str = "*",
+        *,
+        keep_all: bool = False,
+        alone: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> Inbox:
+        """Subscribes to topics of one robot or, with ``*``, of every robot; ``keep_all`` drops nothing of any.
+
+        ``alone``: what travels among messages about other robots is not asked for, as a robot may not see it.
+        """
+        inbox = Inbox(clock, decode=self._decode)
+        for topic in topics:
+            wait_all = keep_all or topic.delivery == "all"
+            accept = self._accepting(inbox, topic, robot, all_of_them=wait_all)
+            bundle = (BUNDLE,) if topic.bundles and robot != "*" and not alone else ()
+            for wanted in (robot, *bundle):
+                subscription = self._transport.subscribe(key_of(self.fleet, wanted, topic, "*"), accept)
+                if not wait_all:  # what must not be lost has no place in a ring
+                    inbox.fill_from(subscription)
+        return inbox
+
+    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> Accepting:
+        return Accepting(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
+
+    def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
+        """Asks about one robot; None when nobody answers within ``timeout`` [s].
+
+        Of the default kind the diagnosis is asked, of ``ORDER`` the safety filter. Raises MessageError when the answer
+        is none.
+        """
+        payload = self._transport.ask(request_key(self.fleet, robot, kind), encode(request), timeout)
+        return None if payload is None else decode(Answer, payload)
+
+    def ask_model(self, inbox: Inbox, robot: str, who: str, timeout: float) -> None:
+        """Asks which model a robot's services agreed on, without waiting; the answer is put into the inbox.
+
+        First the diagnosis is asked, then, where it does not answer within ``timeout`` [s], the other services.
+        """
+        question = encode(Request(do="status", who=who))
+
+        def from_services(payload: bytes | None) -> None:
+            inbox.keep_answer(Answered(robot, _usable(payload)))
+
+        def from_diagnosis(payload: bytes | None) -> None:
+            answer = _usable(payload)
+            if answer is not None:
+                inbox.keep_answer(Answered(robot, answer))
+            else:
+                key = request_key(self.fleet, robot, AGREED)
+                self._transport.ask_soon(key, question, timeout, from_services)
+
+        self._transport.ask_soon(request_key(self.fleet, robot, STATUS), question, timeout, from_diagnosis)
+
+    def answer_agreed(self, agreed: Callable[[str], Answer | None]) -> None:
+        """Tells other services what this one knows by ``agreed(robot)``, called on any thread; None: nothing."""
+
+        def on_question(key: str, payload: bytes) -> bytes | None:
+            del payload
+            try:
+                answer = agreed(robot_of_request(key))
+            except InputError:
+                return None
+            return None if answer is None else encode(answer)
+
+        self._transport.answer(request_key(self.fleet, "*", AGREED), on_question)
+
+    def answer_requests(
+        self,
+        answer: Callable[[str, Request], Answer],
+        robot: str = "*",
+        tell: Callable[[str, Request | None, Answer], None] | None = None,
+        kinds: tuple[str, ...] = (REQUEST, STATUS),
+    ) -> None:
+        """Answers requests about one robot or every robot by ``answer(robot, request)``, called on any thread.
+
+        What is no request, and what ``answer`` refuses by InputError, is answered with the reason; so is all but
+        ``status`` under the key where nothing else may be asked. ``tell`` hears of every request (None: it was none)
+        and its answer before the asker does.
+        """
+
+        def on_question(key: str, payload: bytes) -> bytes:
+            about, request = "", None
+            try:
+                about, request = robot_of_request(key), decode(Request, payload)
+                if key.endswith(f"/{STATUS}") and request.do != STATUS:
+                    raise MessageError(f"'{request.do}': got it under '{key}', wanted it under '.../{REQUEST}'")
+                given = answer(about, request)
+            except InputError as error:
+                given = Answer(ok=False, sentence=f"refused: {error}")
+            if tell is not None:
+                tell(about, request, given)
+            return encode(given)
+
+        for kind in kinds:
+            self._transport.answer(request_key(self.fleet, robot, kind), on_question)
+
+    def announce(self, robot: str, service: str, instance: str) -> None:
+        """Shows that ``service`` lives; for services of the whole fleet the robot is ``-``."""
+        self._transport.declare_alive(f"safedpa/{self.fleet}/{robot}/alive/{service}/{instance}")
+
+    def instances(self, robot: str, service: str) -> list[str]:
+        """Which instances of a service live now."""
+        keys = self._transport.alive(f"safedpa/{self.fleet}/{robot}/alive/{service}/*")
+        return [key.rsplit("/", 1)[1] for key in keys]
+
+    def claim(self, robot: str, service: str, instance: str, settle_seconds: float = 1.0) -> None:
+        """Announces the only instance of a service.
+
+        Of two that start at once the lower instance stays: it waits up to ``settle_seconds`` for the other one to
+        leave, and leaves itself when that one was there first and stays. Raises BusError when another one lives under
+        the same name; the caller then closes the bus.
+        """
+        others = self._others(robot, service, instance)
+        if not others:
+            self.announce(robot, service, instance)
+            others = self._others(robot, service, instance)
+            give_up = time.monotonic() + settle_seconds
+            while others and instance < min(others) and time.monotonic() < give_up:
+                time.sleep(_CLAIM_POLL_SECONDS)
+                others = self._others(robot, service, instance)
+        if others:
+            raise BusError(
+                f"{service} '{robot}' of fleet '{self.fleet}' lives already (instance {others[0]}); "
+                "choose another name, or end the other one first"
+            )
+
+    def _others(self, robot: str, service: str, instance: str) -> list[str]:
+        return [other for other in self.instances(robot, service) if other != instance]
+
+    def close(self) -> None:
+        """Leaves the bus."""
+        self._transport.close()
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

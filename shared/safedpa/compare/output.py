@@ -1,0 +1,75 @@
+"""Where results go: into new folders, or where one says, and never over what was read."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+
+from safedpa.disk import why_not_written
+from safedpa.errors import InputError
+
+__all__ = ["new_folder", "refuse_inputs", "results_folder", "writable"]
+
+
+def writable(folder: Path, *, create: bool = False) -> Path:
+    """The folder, made when it is not there and ``create``; asked before long work, not after it.
+
+    Raises InputError when it is no folder or must not be written to.
+    """
+    try:
+        if create:
+            folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made a folder ({why_not_written(error)}); choose another place with --out"
+        ) from error
+    if not folder.is_dir():
+        raise InputError(f"{folder}: got no folder that exists; make it, or choose another place with --out")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: must not be written to; choose another place with --out")
+    return folder
+
+
+@contextmanager
+def results_folder(
+    out: Path | None, command: str, model: str, names: Iterable[str], inputs: Iterable[str | Path], force: bool
+) -> Iterator[Path]:
+    """``out``, or a new folder named by command, model and time where there is none.
+
+    It is there at once, so that nobody else takes it; whatever was made goes again where the command fails before it
+    wrote anything. ``names`` are the files that will be written there. Raises InputError where the folder cannot be
+    written to, and where one of the files is an input, unless ``force``.
+    """
+    folder = new_folder(command, model) if out is None else out
+    refuse_inputs([folder / name for name in names], inputs, force)
+    made = [part for part in (folder, *folder.parents) if not part.exists()]
+    try:
+        yield writable(folder, create=True)
+    except BaseException:
+        with contextlib.suppress(OSError):  # something is in it
+            for part in made:
+                part.rmdir()
+        raise
+
+
+def new_folder(command: str, model: str, now: datetime.datetime | None = None) -> Path:
+    """A folder of the current one that is not there yet: diagnose-my_car-2026-11-22-150102."""
+    stamp = (now or datetime.datetime.now()).strftime("%Y-%m-%d-%H%M%S")
+    name = f"{command}-{Path(model).stem}-{stamp}"
+    return next(path for path in (Path(name if n == 1 else f"{name}-{n}") for n in count(1)) if not path.exists())
+
+
+def refuse_inputs(outputs: Iterable[Path], inputs: Iterable[str | Path], force: bool) -> None:
+    """Raises InputError where writing one of ``outputs`` would replace one of ``inputs``, unless ``force``."""
+    read = {Path(item).resolve() for item in inputs if Path(item).exists()}
+    for path in outputs:
+        if path.resolve() in read and not force:
+            raise InputError(
+                f"{path}: is an input of this command and would be replaced; choose another place with --out, "
+                "or say --force"
+            )

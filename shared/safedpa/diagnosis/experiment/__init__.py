@@ -1,0 +1,1 @@
+"""The next experiment: what to drive so that the open question is decided."""

@@ -1,0 +1,125 @@
+"""The next experiment: the manoeuvre for which the surviving models differ most, in units of the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from safedpa.compare.windows import Floats
+from safedpa.diagnosis.document import Experiment
+from safedpa.diagnosis.experiment.general_manoeuvres import general_manoeuvres
+from safedpa.dynamics import PhysicsModel
+
+__all__ = ["chosen_experiment", "manoeuvres", "telling_manoeuvres"]
+
+_SECONDS = 6.0
+_AFTER = 1.0
+"""s; from then on outcomes count."""
+
+
+def manoeuvres(model: PhysicsModel) -> dict[str, tuple[Floats, Floats]]:
+    """Start (states,) and actions (rows, actions) of each manoeuvre, by what one would say."""
+    t = np.arange(0.0, _SECONDS, model.period)
+    names = model.system.action_names
+    if names == ("torque",):
+        return _pendulum(t)
+    return _car(t, names[0] == "throttle") if "steer" in names else general_manoeuvres(model.system, t)
+
+
+def _car(t: Floats, throttle: bool) -> dict[str, tuple[Floats, Floats]]:
+    """Drive levels are shares of full throttle, or target speeds [m/s]."""
+    slow, fast = (0.2, 0.5) if throttle else (0.8, 2.0)
+    still = np.zeros_like(t)
+    found = {
+        "coast down: drive straight at speed, then release the drive": (2.0, still, still),
+        "drive straight at a slow steady speed, then at a fast one": (0.0, np.where(t < 3, slow, fast), still),
+        "drive straight, in steps up and down": (0.5, np.where(np.sin(4 * t) > 0, fast, slow), still),
+        "hold a steady curve, slow and then fast": (0.5, np.where(t < 3, slow, fast), 0.25 + still),
+        "hold a curve to the left, then the same to the right": (1.0, fast + still, np.where(t < 3, 0.2, -0.2)),
+        "steer in steps, left and right, at speed": (1.5, fast + still, 0.2 * np.sign(np.sin(5 * t))),
+        "steer fully to the stops, slowly": (0.5, slow + still, 0.34 * np.clip(t / 3, -1, 1)),
+    }
+    made = {}
+    for text, (speed, drive, steer) in found.items():
+        made[text] = (np.array([0.0, 0.0, 0.0, speed]), np.stack([drive, steer], axis=1))
+    turned = np.array([0.0, 0.0, np.pi, 1.0])
+    made["drive the same straight line in the opposite heading"] = (turned, np.stack([fast + still, still], axis=1))
+    return made
+
+
+def _pendulum(t: Floats) -> dict[str, tuple[Floats, Floats]]:
+    still = np.zeros_like(t)
+    found = {
+        "release it from 90 degrees and let it swing out": (np.pi / 2, still),
+        "release it from 20 degrees beside hanging and let it swing out": (np.pi - 0.35, still),
+        "steps of torque, both ways": (np.pi, 1.0 * np.sign(np.sin(4 * t))),
+        "hold a steady torque": (np.pi, 1.0 + still),
+        "sweep the torque slowly up and down": (np.pi, 1.5 * np.sin(t)),
+    }
+    return {text: (np.array([angle, 0.0]), torque[:, None]) for text, (angle, torque) in found.items()}
+
+
+def chosen_experiment(
+    models: dict[str, PhysicsModel], noise: Floats, tell: Callable[[], None] = lambda: None
+) -> Experiment | None:
+    """Simulates every manoeuvre with every surviving model; None where fewer than two survive or nothing separates.
+
+    Difference of two models: sqrt(mean over time and states of ((x_i - x_j) / noise)^2); ``noise`` (states,).
+    """
+    names = list(models)
+    if len(names) < 2:
+        return None
+    best: tuple[float, str] = (0.0, "")
+    for text, (start, actions) in manoeuvres(models[names[0]]).items():
+        runs = [_driven(model, start, actions) for model in models.values()]
+        differences = [
+            float(np.sqrt(np.mean(((runs[i] - runs[j]) / noise) ** 2))) for i in range(len(runs)) for j in range(i)
+        ]
+        tell()
+        smallest = min(differences)
+        if np.isfinite(smallest) and smallest > best[0]:
+            best = (smallest, text)
+    if best[0] < 1.0:
+        return _by_hand(names)
+    why = f"the predictions of {_joined(names)} differ there by {best[0]:.0f} times the noise"
+    return Experiment(best[1], tuple(names), why)
+
+
+def telling_manoeuvres(model: PhysicsModel, others: Sequence[PhysicsModel], noise: Floats) -> list[str]:
+    """For each other model the manoeuvre in which it differs most from ``model``, in units of the ``noise`` (states,).
+
+    Empty where no manoeuvre shows a difference of the noise.
+    """
+    every = manoeuvres(model) if others else {}
+    own = {text: _driven(model, start, actions) for text, (start, actions) in every.items()}
+    found = []
+    for other in others:
+        best = (0.0, "")
+        for text, (start, actions) in every.items():
+            with np.errstate(all="ignore"):
+                apart = (own[text] - _driven(other, start, actions)) / noise
+            size = float(np.sqrt(np.mean(apart**2)))
+            if np.isfinite(size) and size > best[0]:
+                best = (size, text)
+        found.append(best[1] if best[0] >= 1.0 else "")
+    return found
+
+
+def _by_hand(names: Sequence[str]) -> Experiment:
+    """No drive separates them: only another kind of measurement can."""
+    weighed = {"payload", "towed_load", "torque_gain", "tip_mass"} & set(names)
+    manoeuvre = "weigh the robot and its load" if weighed else "measure one of the parameters directly, on a bench"
+    return Experiment(manoeuvre, tuple(names), "no manoeuvre of the list makes their predictions differ by the noise")
+
+
+def _driven(model: PhysicsModel, start: Floats, actions: Floats) -> Floats:
+    memory, state, found = model.initial_memory(actions[0]), start, []
+    for action in actions:
+        state, memory = model.advance(state, action, memory)
+        found.append(state)
+    return np.array(found)[round(_AFTER / model.period) :]
+
+
+def _joined(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)

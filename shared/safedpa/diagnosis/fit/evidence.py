@@ -1,0 +1,112 @@
+"""Over how many seconds a model is held against data to decide what it lacks: by the data, never by who asks.
+
+The longest of a ladder of horizons in which an error of the start stays an error of the start, and of which the
+recordings hold enough. What is long lets an effect grow above the noise; what is too long is ruled by the start (a
+pendulum near upright) or leaves too few windows that are independent of each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safedpa.compare.rollout import check_system
+from safedpa.compare.rollout_error import change_scale
+from safedpa.compare.windows import check_runs, windows_of
+from safedpa.diagnosis.fit.heldout import Heldout, heldout_of
+from safedpa.diagnosis.fit.shooting import Shooting, shooting_of
+from safedpa.diagnosis.fit.simulation import simulate
+from safedpa.dynamics import PhysicsModel
+from safedpa.records.run import Run
+
+__all__ = ["LONGEST", "Evidence", "evidence_at", "evidence_beside", "evidence_seconds", "shown_of"]
+
+LONGEST = 1.0
+"""s, or so many rows:"""
+_ROWS = 20
+_SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12)
+"""Of the longest horizon: the ladder."""
+_FEWEST_ROWS = 6
+"""In a window."""
+_ENOUGH, _FEWEST = 20, 10
+"""Windows one after the other: wanted, and without which nothing can be judged."""
+_GROWTH = 8.0
+"""Times that an error of the start may grow, in units of each state's usual change: a pendulum near upright grows by
+exp(4.4 t), so 0.4 s."""
+_SAMPLED = 120
+"""Windows whose growth is looked at."""
+_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The same recordings at one horizon: windows to fit and windows to judge."""
+
+    seconds: float
+    shooting: Shooting
+    heldout: Heldout
+
+
+def evidence_at(runs: Sequence[Run], seconds: float) -> Evidence:
+    """Windows of ``seconds``; raises InputError and RunError as ``windows_of`` does."""
+    return Evidence(seconds, shooting_of(runs, seconds), heldout_of(runs, seconds))
+
+
+def evidence_beside(runs: Sequence[Run], seconds: float) -> Iterator[Evidence]:
+    """The same question at half the horizon, a fifth of it and twice as much, as far as the recordings allow."""
+    period = float(np.median([run.period for run in runs]))
+    for share in (0.5, 0.2, 2.0):
+        if share * seconds >= _FEWEST_ROWS * period and _count(runs, share * seconds) >= _FEWEST:
+            yield evidence_at(runs, share * seconds)
+
+
+def evidence_seconds(model: PhysicsModel, runs: Sequence[Run]) -> float:
+    """The horizon [s] on which the search decides for these runs, whatever is shown.
+
+    Where no step of the ladder holds enough windows, the one with the most that still has rows to compare. Raises
+    InputError for a model of another robot, RunError for unusable runs.
+    """
+    check_runs(runs)
+    check_system(model.system, runs[0].system, runs[0].name)
+    period = float(np.median([run.period for run in runs]))
+    longest = max(LONGEST, _ROWS * period)
+    ladder = [float(f"{share * longest:.3g}") for share in _SHARES if share * longest >= _FEWEST_ROWS * period]
+    counted = [(seconds, _count(runs, seconds)) for seconds in ladder]
+    usable = [seconds for seconds, count in counted if count >= _ENOUGH]
+    if not usable:
+        usable = [seconds for seconds, count in counted if count >= _FEWEST][-1:]
+    if not usable:
+        return ladder[-1]
+    for seconds in usable:
+        if seconds == usable[-1] or _growth(model, runs, seconds) <= _GROWTH:
+            return seconds
+    return usable[-1]
+
+
+def shown_of(runs: Sequence[Run], horizon: float, evidence: Evidence) -> Heldout:
+    """Windows of the horizon that is shown; those of the evidence where it is the same."""
+    same = abs(horizon - evidence.seconds) < 1e-9
+    return evidence.heldout if same else heldout_of(runs, horizon)
+
+
+def _count(runs: Sequence[Run], seconds: float) -> int:
+    """Windows of ``seconds`` one after the other."""
+    return int(sum((t[-1] - t[0] + 0.5 * run.period) // seconds for run in runs for t, _, _ in run.parts() if len(t)))
+
+
+def _growth(model: PhysicsModel, runs: Sequence[Run], seconds: float) -> float:
+    """By how much an error of the start grows in nine of ten windows at most, states in units of their usual change."""
+    every = windows_of(runs, seconds, every=seconds)
+    windows = every.select(np.unique(np.linspace(0, len(every) - 1, _SAMPLED).astype(np.int64)))
+    scale = np.maximum(change_scale(every, every.end), 1e-9)
+    starts = windows.states[windows.start]
+    size = starts.shape[1]
+    shifted = np.stack([starts, *(starts + _STEP * scale * np.eye(size)[index] for index in range(size))])
+    rows = np.array([0, int(windows.steps.min())])
+    with np.errstate(all="ignore"):
+        ends = simulate([model] * (size + 1), windows, rows, shifted)[:, 1]
+        columns = (ends[..., 1:] - ends[..., :1]) / (_STEP * scale[:, None])
+    finite = np.where(np.isfinite(columns), np.clip(columns, -1e6, 1e6), 1e6)
+    return float(np.quantile(np.linalg.norm(finite, ord=2, axis=(-2, -1)), 0.9))

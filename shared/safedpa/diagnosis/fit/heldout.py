@@ -1,0 +1,90 @@
+"""The held-out error: rollouts of every window by a model that was fitted without the window's fold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safedpa.compare.rollout import rollout_at
+from safedpa.compare.rollout_error import change_scale, prediction_errors, scaled_error, trimmed_rms
+from safedpa.compare.windows import Floats, Rows, Windows, windows_of
+from safedpa.diagnosis.fit.least_squares import Fit, moved
+from safedpa.diagnosis.fit.shooting import Shooting, folds_of
+from safedpa.records.run import Run
+
+__all__ = ["Heldout", "HeldoutError", "error_with", "heldout_of"]
+
+_MOST_WINDOWS = 1200
+
+
+@dataclass(frozen=True)
+class Heldout:
+    """Windows of the horizon over all runs, and the fold of each."""
+
+    windows: Windows
+    fold: Rows
+
+
+@dataclass(frozen=True)
+class HeldoutError:
+    """value: mean over the states; per_state (states,); by_run (runs,), on the scale of all runs, NaN without windows.
+
+    ``by_run_and_state`` (runs, states): the same state by state. ``by_fold`` (folds,): that of what is held out
+    together, whole runs where there are three or more. ``errors`` (windows, states): predicted - measured at the
+    windows' ends.
+    """
+
+    value: float
+    per_state: Floats
+    by_run: Floats
+    by_run_and_state: Floats
+    by_fold: Floats
+    errors: Floats
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean over the folds: std(by_fold) / sqrt(folds); 0 for fewer than two."""
+        own = self.by_fold[np.isfinite(self.by_fold)]
+        return float(own.std(ddof=1) / np.sqrt(len(own))) if len(own) > 1 else 0.0
+
+
+def heldout_of(runs: Sequence[Run], horizon: float, folds: int = 6) -> Heldout:
+    """Windows from every tenth of a second, fewer where the logs are long."""
+    seconds = sum(run.duration for run in runs)
+    windows = windows_of(runs, horizon, every=max(0.1, seconds / _MOST_WINDOWS))
+    return Heldout(windows, folds_of(windows, folds))
+
+
+def error_with(fitted: Fit, shooting: Shooting, heldout: Heldout) -> HeldoutError:
+    """The error of the model when each fold is predicted with parameters fitted without it."""
+    windows = heldout.windows
+    predicted = np.full((len(windows), len(windows.system.state)), np.nan)
+    for fold, values in fitted.without(shooting).items():
+        own = np.flatnonzero(heldout.fold == fold)
+        if len(own):
+            model = moved(fitted.model, dict(zip(fitted.paths, values.tolist(), strict=True)))
+            part = windows.select(own)
+            predicted[own] = rollout_at(model, part, [part.end])[0]
+    left = np.isnan(predicted).all(axis=1)
+    if left.any():
+        part = windows.select(np.flatnonzero(left))
+        predicted[left] = rollout_at(fitted.model, part, [part.end])[0]
+    errors = prediction_errors(windows, windows.end, predicted)
+    scale = change_scale(windows, windows.end)
+    found = scaled_error(trimmed_rms(errors), scale)
+    by_run, by_state = _by_group(errors, scale, windows.run, len(windows.names))
+    by_fold, _ = _by_group(errors, scale, heldout.fold, int(heldout.fold.max(initial=0)) + 1)
+    return HeldoutError(found.value, found.per_state, by_run, by_state, by_fold, errors)
+
+
+def _by_group(errors: Floats, scale: Floats, group: Rows, count: int) -> tuple[Floats, Floats]:
+    """Errors of each group of windows (groups,) and state by state (groups, states), NaN without windows."""
+    value, by_state = np.full(count, np.nan), np.full((count, errors.shape[1]), np.nan)
+    for number in range(count):
+        own = np.flatnonzero(group == number)
+        if len(own):
+            one = scaled_error(trimmed_rms(errors[own]), scale)
+            value[number], by_state[number] = one.value, one.per_state
+    return value, by_state

@@ -1,0 +1,213 @@
+"""Effects on trial: starts on a grid, a fit, and the gain on data that the fit did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from safedpa.compare.windows import Floats
+from safedpa.diagnosis.fit.least_squares import Fit, fit, objectives
+from safedpa.diagnosis.fit.shooting import Shooting
+from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics.settings import Setting
+from safedpa.effects import AbstractEffect
+from safedpa.effects.parameter import Parameter
+
+__all__ = [
+    "Trial",
+    "block_gain",
+    "deviate_of",
+    "deviates_of",
+    "likeness",
+    "paths_of",
+    "starts_of",
+    "trial_of",
+    "tried",
+    "tried_in_turn",
+    "with_start",
+]
+
+_MOST_STARTS = 9
+_ROUGH = 1
+"""Steps of a fit that only has to show which effects promise anything."""
+_FEWEST_BLOCKS = 8
+_PROMISING = 8
+"""Effects that are fitted to the end."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Effects added together, fitted; ``heldout`` squares (windows, states) without the window's own fold."""
+
+    effects: tuple[str, ...]
+    fit: Fit
+    heldout: Floats
+    explained: Floats
+    """What the effects take off the residual, (windows, compared * states), in units of the stage's noise."""
+    loss: float
+    """sum over states of size log(root mean square held out) / sum of sizes."""
+
+    @property
+    def name(self) -> str:
+        """Pairs with a plus sign between them."""
+        return " + ".join(self.effects)
+
+
+def starts_of(item: AbstractEffect) -> list[dict[str, float]]:
+    """Values from which a fit of an effect may start: fits that start where it does nothing get stuck."""
+    grids = [_grid(parameter, len(item.parameters)) for parameter in item.parameters]
+    names = [parameter.name for parameter in item.parameters]
+    every = [dict(zip(names, values, strict=True)) for values in product(*grids)]
+    spread = (
+        np.unique(np.linspace(0, len(every) - 1, _MOST_STARTS).astype(int)) if len(every) > 16 else range(len(every))
+    )
+    return [every[index] for index in spread]
+
+
+def _grid(parameter: Parameter, beside: int) -> list[float]:
+    """Fractions of what is ordinary, to both sides where the bounds allow it."""
+    neutral, typical = parameter.neutral, parameter.typical
+    if typical == 0.0 and not neutral:
+        found = [part * parameter.high for part in (-0.4, -0.15, 0.0, 0.15, 0.4)]
+    elif neutral is None:
+        found = [0.4 * typical, typical, 2.5 * typical]
+    elif neutral == 0.0:
+        parts = (0.15, 0.4, 0.8, 1.2, 1.8, 3.0) if beside == 1 else (0.4, 1.5)
+        found = [part * typical for part in parts] if typical else [0.0]
+        if parameter.low < 0.0:
+            found = [sign * value for value in found[: 3 if beside == 1 else 1] for sign in (-1.0, 1.0)]
+    elif abs(neutral - typical) < 0.5 * neutral:
+        found = [neutral + part * (typical - neutral) for part in (-2.0, -1.0, -0.3, 0.3, 1.0, 2.0)]
+    else:
+        found = [part * typical for part in (0.4, 0.6, 0.75, 0.9, 1.0, 1.1, 1.3)]
+    kept = [value for value in found if parameter.low <= value <= parameter.high]
+    return kept or [parameter.start]
+
+
+def with_start(model: PhysicsModel, item: AbstractEffect, values: dict[str, float]) -> PhysicsModel:
+    """The model with one more effect at given numbers."""
+    return model.with_effect(item, {name: Setting(value) for name, value in values.items()})
+
+
+def tried_in_turn(
+    null: Trial,
+    items: Sequence[AbstractEffect],
+    shooting: Shooting,
+    before: Mapping[str, Trial],
+    tell: Callable[[int], None] = lambda _done: None,
+) -> list[Trial]:
+    """Every effect by itself, best first: all of them fitted roughly, then those that promise most to the end.
+
+    ``before`` holds trials of an earlier stage by effect: their numbers are starts beside a thinned grid.
+    """
+    found = []
+    for number, item in enumerate(items):
+        starts = _start_models(null.fit.model, [item])
+        if item.name in before and before[item.name].fit.free[-len(item.parameters) :].all():
+            settings = before[item.name].fit.model.settings
+            known = {p.name: settings[f"{item.name}.{p.name}"].value for p in item.parameters}
+            starts = [with_start(null.fit.model, item, known), *starts[::3]]
+        found.append(tried(null, [item], shooting, starts, _ROUGH))
+        tell(number)
+    found.sort(key=lambda trial: trial.loss)
+    by_name = {item.name: item for item in items}
+    for index, rough in enumerate(found[:_PROMISING]):
+        found[index] = tried(null, [by_name[rough.effects[0]]], shooting, [rough.fit.model])
+    return sorted(found, key=lambda trial: trial.loss)
+
+
+def tried(
+    null: Trial,
+    items: Sequence[AbstractEffect],
+    shooting: Shooting,
+    starts: Sequence[PhysicsModel] | None = None,
+    steps: int | None = None,
+) -> Trial:
+    """The effects fitted on top of the null's, together with everything that the null fitted."""
+    models = list(starts) if starts is not None else _start_models(null.fit.model, items)
+    chosen = models[0] if len(models) == 1 else _lowest(models, shooting, null.fit.scale)
+    paths = [*null.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
+    if steps is None:
+        found = fit(chosen, paths, shooting, null.fit.scale)
+    else:
+        found = fit(chosen, paths, shooting, null.fit.scale, steps, null.fit.slopes)
+    return trial_of(found, shooting, tuple(item.name for item in items), null)
+
+
+def _lowest(models: Sequence[PhysicsModel], shooting: Shooting, scale: Floats) -> PhysicsModel:
+    """Of several models the one with the lowest objective."""
+    return models[int(np.argmin(objectives(shooting.residuals(models), shooting, scale)))]
+
+
+def trial_of(found: Fit, shooting: Shooting, effects: tuple[str, ...], null: Trial | None) -> Trial:
+    """A fit with its held-out squares and what it explains beside the null."""
+    heldout = found.heldout_squares(shooting)
+    mean = np.maximum(heldout.sum(axis=0) / shooting.size, 1e-12)
+    loss = float((shooting.size * np.log(mean)).sum() / (2.0 * shooting.size.sum()))
+    explained = np.zeros_like(found.residual)
+    if null is not None:
+        ratio = np.tile(found.scale / null.fit.scale, len(shooting.rows))
+        explained = null.fit.residual - found.residual * ratio
+    return Trial(effects, found, heldout, explained, loss)
+
+
+def _start_models(model: PhysicsModel, items: Sequence[AbstractEffect]) -> list[PhysicsModel]:
+    grids = [starts_of(item) for item in items]
+    if len(items) > 1:
+        grids = [grid[:: max(1, len(grid) // 4)] for grid in grids]
+    found = []
+    for values in product(*grids):
+        made = model
+        for item, own in zip(items, values, strict=True):
+            made = with_start(made, item, own)
+        found.append(made)
+    return found
+
+
+def block_gain(one: Trial, other: Trial, shooting: Shooting, *, local: bool = False) -> float:
+    """How much better ``other`` predicts unseen blocks than ``one``, in standard errors of the blocks' differences.
+
+    Few blocks know their own spread badly: the ratio t of their sum and its standard error follows Student's
+    distribution, and what is returned is the normal deviate of the same probability, (8 n + 1) / (8 n + 3)
+    sqrt(n log(1 + t^2 / n)) for n degrees of freedom (Wallace, Annals of Mathematical Statistics 30, 1959); 0 for fewer
+    than 8 blocks. Differences of the squares over the better one's mean square; each window's counts at most 20 times
+    the typical, or as much as the largest tenth where what differs acts in some windows only (``local``).
+    """
+    scale = np.maximum(np.minimum(one.heldout.sum(axis=0), other.heldout.sum(axis=0)) / shooting.size, 1e-12)
+    return deviate_of(((one.heldout - other.heldout) / scale).sum(axis=1), shooting, local=local)
+
+
+def deviate_of(difference: Floats, shooting: Shooting, *, local: bool = False) -> float:
+    """The gain of differences (windows,) of squares in units of the noise, as ``block_gain`` has it."""
+    return float(deviates_of(difference[None], shooting, local=local)[0])
+
+
+def deviates_of(differences: Floats, shooting: Shooting, *, local: bool = False) -> Floats:
+    """The same for many differences (many, windows) at once, (many,)."""
+    begin = shooting.first_of_block
+    if len(begin) < _FEWEST_BLOCKS:
+        return np.zeros(len(differences))
+    sizes = np.abs(differences)
+    most = 20.0 * np.median(sizes, axis=1, keepdims=True) + 1e-12
+    if local:
+        most = np.maximum(most, np.quantile(sizes, 0.9, axis=1, keepdims=True))
+    sums = np.add.reduceat(np.clip(differences, -most, most)[:, shooting.by_block], begin, axis=1)
+    spread = sums.std(axis=1, ddof=1) * np.sqrt(len(begin))
+    # a gain below one unit is rounding, however steady
+    ratio, freedom = sums.sum(axis=1) / np.hypot(spread, 1.0), len(begin) - 1
+    normal = (8 * freedom + 1) / (8 * freedom + 3) * np.sqrt(freedom * np.log1p(ratio**2 / freedom))
+    return np.asarray(np.copysign(normal, ratio))
+
+
+def likeness(one: Trial, other: Trial) -> float:
+    """Correlation of what two trials of one stage explain, -1 to 1."""
+    size = float(np.sqrt((one.explained**2).sum() * (other.explained**2).sum()))
+    return float((one.explained * other.explained).sum() / size) if size > 0 else 0.0
+
+
+def paths_of(items: Iterable[AbstractEffect]) -> list[str]:
+    """Paths of all parameters of effects."""
+    return [f"{item.name}.{p.name}" for item in items for p in item.parameters]

@@ -1,0 +1,1 @@
+"""The search: which effects are missing, which the data cannot tell apart, and where they act."""

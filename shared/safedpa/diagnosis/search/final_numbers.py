@@ -1,0 +1,93 @@
+"""The numbers that a report states: fitted windows give the effects, whole recordings give their sizes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.diagnosis.fit.heldout import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.fit.kinds_of_driving import between_kinds
+from safedpa.diagnosis.fit.least_squares import Fit, bounds_of
+from safedpa.diagnosis.fit.refinement import refined
+from safedpa.diagnosis.fit.shooting import Shooting
+from safedpa.diagnosis.search.progress import Search
+from safedpa.diagnosis.search.second_opinion import CLEAR_FALL, CORNERED, FRICTIONS
+
+__all__ = ["with_final_numbers", "with_form_in_doubt"]
+
+_WORSE = 0.02
+"""Share by which the held-out error may grow: rollouts from a measured start reward what a lasting push makes of it."""
+
+
+_MOST = 3.0
+"""Deviations of the windows' number that the difference to the filter counts at most."""
+_FAR = 0.5
+"""Share of a free number of the base that the filter may move: further off, much is missing, and lasting disturbances
+stand for it."""
+
+
+def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tuple[Fit, HeldoutError]:
+    """The fit with the filter's parameters and deviations, where these predict held-out data as well.
+
+    Elsewhere, and where the filter moves a free number of the base far, the windows' numbers stay, and half of what
+    both ways differ by counts as uncertain: the model's form is then wrong in something that the two weigh differently.
+    Of what has a corner the windows' deviation counts where it is larger: the filter follows a slope there.
+    At most three times what blocks and runs say, though, and nothing where the filter ran to a bound: a filter that is
+    lost says nothing about a number.
+    """
+    before = error_with(found, shooting, heldout)
+    if not found.free.any():
+        return found, before
+    final = refined(found.model, found.paths, found.free, shooting.windows)
+    if final is None:
+        return found, before
+    own = found.deviations(shooting)
+    stated = np.where(np.isfinite(final.deviations), final.deviations, own)
+    stated = np.where(_cornered(found), np.fmax(stated, own), stated)
+    moved = replace(found, model=final.model, stated=stated)
+    after = error_with(moved, shooting, heldout)
+    if after.value <= (1.0 + _WORSE) * before.value and not _far(found, moved):
+        return moved, after
+    apart = np.where(_lost(moved), 0.0, 0.5 * np.abs(moved.values - found.values))
+    return replace(found, stated=np.hypot(own, np.minimum(apart, _MOST * own))), before
+
+
+def with_form_in_doubt(final: Fit, search: Search) -> Fit:
+    """The fit with deviations that allow for a wrong form of the model.
+
+    At least what the number differs by between kinds of driving, where that is more than chance. And for effects of
+    which the held-out error does not clearly show that they act std^2 + max over them of (d / 2)^2, d what the number
+    moves by without the effect: then the number of either model lies within two deviations.
+
+    Source: Buckland, Burnham and Augustin, Biometrics 53, 1997 (uncertainty of which model it is).
+    """
+    now, apart = dict(zip(search.current.fit.paths, search.current.fit.values, strict=True)), np.zeros(len(final.paths))
+    for less, error in search.without.values():
+        if search.error.value < (1.0 - CLEAR_FALL) * error.value:
+            continue
+        own = dict(zip(less.fit.paths, less.fit.values, strict=True))
+        moved = [abs(own[path] - now[path]) if path in own else 0.0 for path in final.paths]
+        apart = np.maximum(apart, moved)
+    kinds = between_kinds(search.current.fit, search.shooting)
+    if not (apart.any() or kinds.any()):
+        return final
+    return replace(final, stated=np.hypot(np.fmax(final.deviations(search.shooting), kinds), 0.5 * apart))
+
+
+def _cornered(found: Fit) -> NDArray[np.bool_]:
+    """Numbers of dry friction and of effects with a corner, (paths,)."""
+    return np.array([path.split(".")[0] in CORNERED | FRICTIONS for path in found.paths])
+
+
+def _lost(moved: Fit) -> NDArray[np.bool_]:
+    """Numbers that the filter put on a bound, (paths,)."""
+    low, high = bounds_of(moved.model, moved.paths)
+    edge = 1e-6 * (high - low)
+    return np.asarray((moved.values <= low + edge) | (moved.values >= high - edge))
+
+
+def _far(before: Fit, after: Fit) -> bool:
+    base = np.array([path.startswith("base.") for path in before.paths])
+    return bool((np.abs(after.values - before.values)[base] > _FAR * np.abs(before.values)[base]).any())

@@ -1,0 +1,296 @@
+"""Second thoughts: accepted effects give way to better rivals, and go where the others do without them.
+
+Source: Miller, Subset Selection in Regression, 2nd ed., 2002, ch. 3 (exchange and backward steps).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from safedpa.diagnosis.fit.heldout import Heldout, HeldoutError, error_with
+from safedpa.diagnosis.fit.least_squares import fit, inverse_of, known_of, objectives
+from safedpa.diagnosis.fit.trial import Trial, block_gain, starts_of, trial_of, with_start
+from safedpa.diagnosis.search.judgement import SAME, SIMPLER, feigned_lateness, passes, with_reason
+from safedpa.diagnosis.search.progress import Judged, Search, given_names, known_effects
+from safedpa.diagnosis.search.second_opinion import CLEAR_FALL
+from safedpa.effects import AbstractEffect
+
+__all__ = ["bounded", "exchange", "refit", "removals", "smallest", "take_back", "united"]
+
+_EXCHANGED = 4
+"""Rivals that each accepted effect is exchanged for."""
+_ROUNDING = 0.002
+"""Share of a held-out error that is rounding."""
+_ONE = 1.0
+"""Standard errors of the best model's held-out error within which the smallest is as good.
+
+Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3.
+"""
+_HOPELESS = 0.01
+"""Of the objective by which a rival may be behind when its fit has begun: one in 50 of an error."""
+_NEEDED, _FAR_WORSE = 4.0, 1.5
+"""Standard errors, and times the error, from which what is left without an effect is not fitted to the end."""
+_TOGETHER = 0.7
+"""Correlation of their fitted numbers from which effects are also taken out together."""
+
+
+def refit(search: Search, items: Sequence[AbstractEffect], enough: float = np.inf) -> Trial:
+    """The given effects on top of the first model, from the numbers that the present model has, or from starts.
+
+    Above ``enough`` of the objective the fit is not led to the end.
+    """
+    key = tuple(items)
+    if search.refits_of is not search.current:
+        search.refits_of = search.current
+        search.refits.clear()
+    if key in search.refits:
+        return search.refits[key]
+    made = _refitted(search, items, enough)
+    if made.fit.value <= enough:
+        search.refits[key] = made
+    return made
+
+
+def _refitted(search: Search, items: Sequence[AbstractEffect], enough: float) -> Trial:
+    now = search.current.fit.model
+    known = {item.name for item in now.effects}
+    model = search.first.fit.model
+    for path in search.first.fit.paths:
+        model = model.with_settings({path: now.settings[path]})
+    fresh = []
+    for item in items:
+        if item.name in known:
+            own = {p.name: now.settings[f"{item.name}.{p.name}"] for p in item.parameters}
+            model = model.with_effect(item, own)
+        else:
+            fresh.append(item)
+    starts = [model]
+    for item in fresh:
+        starts = [with_start(made, item, values) for made in starts for values in starts_of(item)]
+    values = (
+        objectives(search.shooting.residuals(starts), search.shooting, search.current.fit.scale)
+        if len(starts) > 1
+        else np.zeros(1)
+    )
+    paths = [*search.first.fit.paths, *(f"{item.name}.{p.name}" for item in items for p in item.parameters)]
+    start = starts[int(np.argmin(values))]
+    slopes = known_of(search.current.fit, paths) if enough < np.inf else None
+    found = fit(start, paths, search.shooting, search.current.fit.scale, known=slopes, enough=enough)
+    return trial_of(found, search.shooting, (), None)
+
+
+def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Each accepted effect gives way to a rival that predicts unseen blocks better beside the others."""
+    by_name = known_effects(search, library)
+    if len(search.added) < 2:
+        return
+    for name in list(search.added):
+        others = [by_name[other] for other in search.added if other != name]
+        rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_EXCHANGED]
+        enough = search.current.fit.value + _HOPELESS
+        tried = [refit(search, [*others, rival], enough) for rival in rivals]
+        able = [t for t in tried if t.fit.value <= enough and _uses_its_numbers(t, search)]
+        best = min(able, key=lambda t: t.loss, default=None)
+        if best is None or best.loss >= search.current.loss:
+            continue
+        new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
+        late = feigned_lateness(replace(best, effects=(new,)), None, search.error, 0.0)
+        if block_gain(search.current, best, search.shooting) > SIMPLER and not late:
+            _replace(search, name, new, best, heldout)
+
+
+def _uses_its_numbers(trial: Trial, search: Search) -> bool:
+    """Whether a trial with more numbers than the present model fits better by a unit of log likelihood for each.
+
+    What fits the same rows no better predicts others no better: a towed load beside a free gain is a rolling resistance
+    with its numbers anywhere on a line, and what blocks say of the two is rounding.
+
+    Source: Akaike, IEEE Transactions on Automatic Control 19, 1974.
+    """
+    more = len(trial.fit.paths) - len(search.current.fit.paths)
+    better = float(search.shooting.size.sum()) * (search.current.fit.value - trial.fit.value)
+    return more <= 0 or better > more
+
+
+def _replace(search: Search, name: str, new: str, best: Trial, heldout: Heldout) -> None:
+    search.added[search.added.index(name)] = new
+    search.current = best
+    search.error = error_with(best.fit, search.shooting, heldout)
+    gone = [item for item in search.candidates if item.decision == "accepted" and name in item.trial.effects]
+    for item in gone:
+        index = search.candidates.index(item)
+        search.candidates[index] = with_reason(item, "rejected", f"gave way to {new} once the others were known")
+        again = Trial((new,), best.fit, best.heldout, best.explained, best.loss)
+        search.candidates.insert(
+            index, Judged(item.stage, again, item.gain, search.error, "accepted", f"took the place of {name}", ())
+        )
+
+
+def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Accepted effects, and groups of effects with numbers that go together, without which unseen blocks are predicted
+    as well are taken out again: the least needed first, until all are needed. Few blocks say little: what the held-out
+    error clearly asks for stays."""
+    by_name = known_effects(search, library)
+    before = list(search.added)
+    while len(search.added) > 1:
+        without = {}
+        for group in _groups(search):
+            rest = [by_name[name] for name in search.added if name not in group]
+            less = refit(search, rest, -np.inf)
+            if block_gain(less, search.current, search.shooting) < _NEEDED:
+                less = refit(search, rest)
+            needed = np.inf if _pushed(less, search) else block_gain(less, search.current, search.shooting)
+            without[group] = less, needed
+        group = min(without, key=lambda names: without[names][1])
+        less, gain = without[group]
+        error = error_with(less.fit, search.shooting, heldout)
+        if gain >= SIMPLER or search.error.value < (1.0 - CLEAR_FALL) * error.value:
+            break
+        search.added = [name for name in search.added if name not in group]
+        search.current, search.error = less, error
+        take_back(search, group)
+    if search.added != before:
+        _left_over(search, heldout)
+
+
+def smallest(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """The smallest model within one standard error of the best over whole runs, blocks where there is one run.
+
+    Accepted effects without which the held-out error stays within _ONE standard error of the best are taken out, the
+    least needed first, as long as all that went takes less than CLEAR_FALL off the error together: runs that differ
+    make the standard error large, and say nothing about what helps in each of them. So is lateness that may be
+    feigned. ``search.without`` holds what is left without each that stays.
+    """
+    by_name = known_effects(search, library)
+    best = search.error.value
+    most = min(best + _ONE * search.error.standard_error, best / (1.0 - CLEAR_FALL))
+    while len(search.added) > 1:
+        search.without = {}
+        for name in search.added:
+            rest = [by_name[other] for other in search.added if other != name]
+            less = refit(search, rest, -np.inf)
+            error = error_with(less.fit, search.shooting, heldout)
+            if not error.value > _FAR_WORSE * most:
+                less = refit(search, rest)
+                error = error_with(less.fit, search.shooting, heldout)
+            search.without[name] = less, error
+        late = [name for name in search.added if _feigned(search, name)]
+        can = late or [name for name in search.added if not _pushed(search.without[name][0], search)]
+        if not can:
+            return
+        least = min(can, key=lambda name: search.without[name][1].value)
+        if not late and search.without[least][1].value > most and _helps(search.without[least][1], search.error):
+            return
+        search.added = [other for other in search.added if other != least]
+        search.current, search.error = search.without[least]
+        take_back(search, (least,), "takes less than one standard error off the error over whole runs")
+    search.without = {}
+
+
+def _pushed(less: Trial, search: Search) -> bool:
+    """Whether what is left without an effect stands at a bound, where the present model does not: another effect's
+    number has taken its part over, as far as it may."""
+    return bool(search.current.fit.free.all() and not less.fit.free.all())
+
+
+def _feigned(search: Search, name: str) -> bool:
+    """Whether an accepted effect, whichever way it came in, is lateness that the rest hardly needs."""
+    trial, row = replace(search.current, effects=(name,)), float(np.median(search.shooting.windows.period))
+    return feigned_lateness(trial, search.error, search.without[name][1], row)
+
+
+def _helps(before: HeldoutError, after: HeldoutError) -> bool:
+    """Whether some run, or the mean over all, is predicted better."""
+    fell = after.by_run < (1.0 - _ROUNDING) * before.by_run
+    return bool(fell.any()) or after.value < (1.0 - _ROUNDING) * before.value
+
+
+def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
+    """Two accepted effects give way to one that predicts unseen data as well with as many numbers, and whether two did:
+    a payload and a rolling resistance are together exactly a towed load."""
+    by_name = known_effects(search, library)
+    for pair in combinations(list(search.added), 2):
+        rest = [by_name[name] for name in search.added if name not in pair]
+        for whole in _wholes(search, pair, by_name):
+            best = refit(search, [*rest, whole])
+            if _as_good(best, search, heldout):
+                _replace(search, pair[0], whole.name, best, heldout)
+                search.added.remove(pair[1])
+                take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
+                return True
+    return False
+
+
+def _wholes(search: Search, pair: Sequence[str], by_name: Mapping[str, AbstractEffect]) -> list[AbstractEffect]:
+    """The best rivals of two effects with as many numbers as both together.
+
+    Fewer would be no more than a removal and an exchange, which are tried before.
+    """
+    numbers = sum(len(by_name[name].parameters) for name in pair)
+    names = dict.fromkeys(rival for name in pair for rival in search.rivals.get(name, [])[:_EXCHANGED])
+    found = [by_name[name] for name in names if name not in search.added]
+    return [item for item in found if len(item.parameters) == numbers]
+
+
+def _as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
+    """Whether a trial within its bounds predicts unseen blocks and held-out rollouts no worse than the model does."""
+    if not trial.fit.free.all() or block_gain(trial, search.current, search.shooting) >= SAME:
+        return False
+    return error_with(trial.fit, search.shooting, heldout).value <= (1.0 + _ROUNDING) * search.error.value
+
+
+def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Accepted effects that still stand at a bound of a parameter are taken out: what fits only there is something
+    else."""
+    by_name = known_effects(search, library)
+    fitted = search.current.fit
+    held = {path.split(".")[0] for path, free in zip(fitted.paths, fitted.free, strict=True) if not free}
+    group = [name for name in search.added if name in held]
+    if group:
+        search.added = [name for name in search.added if name not in group]
+        search.current = refit(search, [by_name[name] for name in search.added])
+        search.error = error_with(search.current.fit, search.shooting, heldout)
+        take_back(search, group, "fits only at a bound")
+
+
+def _left_over(search: Search, heldout: Heldout) -> None:
+    """What removals leave has to pass by itself: a pair may be confirmed of which one part alone would not be.
+
+    A clear fall of the held-out error does with what a removal would have to lose.
+    """
+    null = refit(search, [])
+    gain = block_gain(null, search.current, search.shooting)
+    before = error_with(null.fit, search.shooting, heldout)
+    clear = gain > SIMPLER and search.error.value < (1.0 - CLEAR_FALL) * before.value
+    if not (clear or passes(gain, search.error, before)):
+        take_back(search, search.added)
+        search.added, search.current, search.error = [], search.first, search.first_error
+
+
+def _groups(search: Search) -> list[tuple[str, ...]]:
+    """Each accepted effect by itself, and pairs whose fitted numbers are correlated, but never all of them."""
+    singles = [(name,) for name in search.added]
+    fitted = search.current.fit
+    covariance = inverse_of(np.einsum("wip,wiq->pq", fitted.columns, fitted.columns))
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    owner = np.array([path.split(".")[0] for path in fitted.paths])
+    found = []
+    for one, other in combinations(search.added, 2):
+        part = (covariance / np.outer(size, size))[np.ix_(owner == one, owner == other)]
+        if len(search.added) > 2 and np.abs(part).max(initial=0.0) > _TOGETHER:
+            found.append((one, other))
+    return [*singles, *found]
+
+
+def take_back(search: Search, group: Sequence[str], why: str = "no longer needed beside the others") -> None:
+    """Candidates that were accepted are said to be gone."""
+    for index, item in enumerate(search.candidates):
+        gone = set(group) & set(item.trial.effects)
+        if item.decision == "accepted" and gone:
+            decision = "rejected" if gone == set(item.trial.effects) else "accepted"
+            reason = f"{' and '.join(sorted(gone))} {why}"
+            search.candidates[index] = with_reason(item, decision, reason)

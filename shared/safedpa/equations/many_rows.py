@@ -1,0 +1,129 @@
+"""Recorded rows over arrays with the robots first: the same lines as for one, each a function of numpy."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.equations.rows import RowTape, nested
+from safedpa.equations.slopes import ARRAYS
+from safedpa.equations.tape import FUNCTIONS, Line
+from safedpa.operations import NUMPY
+
+__all__ = ["ManyRows"]
+
+Values = NDArray[np.float64]
+Columns = Sequence[Any]
+
+
+@final
+class ManyRows:
+    """h and slopes of the rows of many robots; by group the shared numbers, (robots, 1) each, and (robots, items)."""
+
+    def __init__(self, tape: RowTape) -> None:
+        self._states = len(tape.state)
+        self._heights = _made(_heights_text(tape), "heights")
+        self._slopes = _made(_slopes_text(tape), "slopes")
+
+    def heights(self, state: Values, shared: Sequence[Columns], each: Sequence[Columns]) -> Values:
+        """h (robots, rows) at states (robots, states)."""
+        with np.errstate(all="ignore"):  # what is computed beside the place where it is chosen
+            groups = self._heights(self._columns(state), shared, each)
+        return np.concatenate([_rows(group, len(state)) for group in groups], axis=1)
+
+    def slopes(self, state: Values, shared: Sequence[Columns], each: Sequence[Columns]) -> Values:
+        """d(h)/d(state) (robots, rows, states) at states (robots, states)."""
+        with np.errstate(all="ignore"):
+            groups = self._slopes(self._columns(state), shared, each)
+        sizes = [len(rows) * items for rows, items in groups]
+        found = np.zeros((len(state), sum(sizes), state.shape[1]))
+        first = 0
+        for (rows, items), size in zip(groups, sizes, strict=True):
+            for place, row in enumerate(rows):
+                own = found[:, first + place : first + size : len(rows)]
+                for index in range(self._states):
+                    if not (isinstance(row[index], float) and row[index] == 0.0) and items:
+                        own[..., index] = row[index]
+            first += size
+        return found
+
+    def _columns(self, state: Values) -> list[Values]:
+        return [state[:, index : index + 1] for index in range(self._states)]
+
+
+def _rows(group: tuple[Sequence[Any], int], robots: int) -> Values:
+    """(robots, items * rows of an item), item by item."""
+    rows, items = group
+    if len(rows) == 1:
+        return np.asarray(np.broadcast_to(rows[0], (robots, items)))
+    table = np.empty((robots, items, len(rows)))
+    for index, row in enumerate(rows):
+        table[..., index] = row
+    return table.reshape(robots, -1)
+
+
+def _made(text: str, name: str) -> Callable[..., Any]:
+    scope: dict[str, Any] = {"inf": math.inf, "nan": math.nan}
+    scope.update({function: getattr(NUMPY, function) for function in FUNCTIONS})
+    exec(text, scope)  # arithmetic on names of our own, nothing from outside
+    made: Callable[..., Any] = scope[name]
+    return made
+
+
+def _value(line: Line) -> tuple[str, str]:
+    name, form, operands = line
+    return name, f"{form}({', '.join(operands)})" if form in FUNCTIONS else form.format(*operands)
+
+
+def _head(tape: RowTape) -> list[str]:
+    head = [f"[{', '.join(tape.state)}] = state"]
+    for number, group in enumerate(tape.groups):
+        if group.body < 0 and group.shared:
+            head.append(f"[{', '.join(tape.shared[number])}] = shared[{number}]")
+        if group.each:
+            head.append(f"[{', '.join(tape.each[number])}] = each[{number}]")
+    return head
+
+
+def _items(tape: RowTape, number: int) -> str:
+    """How many items a group has, as text."""
+    return f"{tape.each[number][0]}.shape[1]" if tape.each[number] else "1"
+
+
+def _heights_text(tape: RowTape) -> str:
+    every = [name for names in tape.results for name in names]
+    lines = [_value(line) for level in ("scene", "state", "item") for line in tape.of(level, every)]
+    groups = [f"([{', '.join(names)}], {_items(tape, number)})" for number, names in enumerate(tape.results)]
+    text = [*_head(tape), *nested(lines, every), f"return [{', '.join(groups)}]"]
+    return "\n    ".join(["def heights(state, shared, each):", *text])
+
+
+def _slopes_text(tape: RowTape) -> str:
+    rows = [[tape.item_slopes(result, ARRAYS) for result in names] for names in tape.results]
+    over = sorted({name for group in rows for _, slopes in group for name in slopes})
+    known_lines, known = tape.state_slopes(over, ARRAYS)
+    every = [name for names in tape.results for name in names]
+    lines = [_value(line) for level in ("scene", "state", "item") for line in tape.of(level, every)]
+    lines += known_lines
+    groups, wanted = [], list[str]()
+    for number, group in enumerate(rows):
+        told = []
+        for place, (own, slopes) in enumerate(group):
+            lines += [(f"{name}_{number}_{place}", _renamed(term, own, number, place)) for name, term in own]
+            terms = [tape.chained(slopes, known, index) for index in range(len(tape.state))]
+            told.append(f"[{', '.join(_renamed(term, own, number, place) for term in terms)}]")
+        groups.append(f"([{', '.join(told)}], {_items(tape, number)})")
+        wanted += told
+    text = [*_head(tape), *nested(lines, wanted), f"return [{', '.join(groups)}]"]
+    return "\n    ".join(["def slopes(state, shared, each):", *text])
+
+
+def _renamed(term: str, own: Sequence[tuple[str, str]], number: int, place: int) -> str:
+    """The term with the names of one row's own slopes made its own: other rows go over the same values."""
+    names = {name for name, _ in own}
+    return re.sub(r"\b[a-z]\w*\b", lambda m: f"{m[0]}_{number}_{place}" if m[0] in names else m[0], term)

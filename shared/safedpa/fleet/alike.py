@@ -1,0 +1,118 @@
+"""Which robots lack the same: one name for what data cannot tell apart, and numbers without a gap between them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from safedpa.fleet.outcome import Number, Outcome, Tried, neutral_of
+
+__all__ = ["APART", "SURELY", "Alike", "apart", "clusters", "same_effects", "with_one_name"]
+
+APART = 0.33
+"""Share of the numbers' size by which neighbours have to differ to be two groups."""
+SURELY = 4.0
+"""Stated standard deviations of the difference by which they have to differ as well."""
+
+Vector = Mapping[str, Number]
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Robots that lack the same effects with numbers without a gap."""
+
+    effects: tuple[str, ...]
+    members: tuple[Outcome, ...]
+    equals: Mapping[str, tuple[str, ...]]
+    """For each effect those that not one of the members could tell from it."""
+
+
+def with_one_name(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Effects renamed to what most of the fleet calls them, where a robot's own data cannot tell the two apart.
+
+    The numbers are then those of the same candidate of the robot's own search.
+    """
+    votes = Counter(item.effect for outcome in outcomes for item in outcome.found)
+    return [replace(outcome, found=_renamed(outcome.found, votes)) for outcome in outcomes]
+
+
+def _renamed(found: tuple[Tried, ...], votes: Counter[str]) -> tuple[Tried, ...]:
+    kept: list[Tried] = []
+    own = {item.effect for item in found}
+    for item in found:
+        others = [name for name in item.others or {} if name not in own]
+        best = max(others, key=lambda name: votes[name], default=item.effect)
+        kept.append(_as(item, best) if votes[best] > votes[item.effect] else item)
+    return tuple(kept)
+
+
+def _as(item: Tried, name: str) -> Tried:
+    other = (item.others or {})[name]
+    equals = (item.effect, *(each for each in item.equals if each != name))
+    others = {**(item.others or {}), item.effect: item}
+    return Tried(name, other.numbers, item.score, equals, others)
+
+
+def same_effects(outcomes: Sequence[Outcome], robot: str) -> list[Alike]:
+    """Groups of robots by what was found in them, and by numbers without a gap; the largest first."""
+    sets: dict[tuple[str, ...], list[Outcome]] = {}
+    for outcome in outcomes:
+        sets.setdefault(tuple(sorted(item.effect for item in outcome.found)), []).append(outcome)
+    groups = []
+    for effects, members in sets.items():
+        for part in clusters(members, lambda one, other: apart(one, other, robot)):
+            groups.append(Alike(effects, tuple(part), _equals(effects, part)))
+    return sorted(groups, key=lambda group: (-len(group.members), group.effects))
+
+
+def _equals(effects: tuple[str, ...], members: Sequence[Outcome]) -> dict[str, tuple[str, ...]]:
+    found = {}
+    for effect in effects:
+        every = [set(item.equals) for member in members for item in member.found if item.effect == effect]
+        found[effect] = tuple(sorted(set.intersection(*every)))
+    return found
+
+
+def clusters(members: Sequence[Outcome], different: Callable[[Outcome, Outcome], bool]) -> list[list[Outcome]]:
+    """Connected parts of the graph whose edges are pairs that do not differ, in order of their first member."""
+    parts: list[list[Outcome]] = []
+    for member in members:
+        near = [part for part in parts if any(not different(member, other) for other in part)]
+        joined = [each for part in near for each in part] + [member]
+        parts = [part for part in parts if not any(part is other for other in near)] + [joined]
+    return parts
+
+
+def apart(one: Outcome, other: Outcome, robot: str) -> bool:
+    """Whether the numbers of any effect differ widely and surely.
+
+    Widely: |a - b| > APART (|a| + |b|) / 2, a and b the changes from doing nothing, as vectors of all numbers of one
+    unit: the direction of a force counts with its size. Surely: sum of (a - b)^2 / (s_a^2 + s_b^2) > SURELY^2.
+    """
+    theirs = {item.effect: item.numbers for item in other.found}
+    return any(_differ(item.effect, item.numbers, theirs[item.effect], robot) for item in one.found)
+
+
+def _differ(effect: str, one: Vector, other: Vector, robot: str) -> bool:
+    units: dict[str, list[str]] = {}
+    for name in one:
+        if name in other:
+            units.setdefault(one[name].unit, []).append(name)
+    return any(_differ_in(effect, names, one, other, robot) for names in units.values())
+
+
+def _differ_in(effect: str, names: Sequence[str], one: Vector, other: Vector, robot: str) -> bool:
+    neutral = [neutral_of(robot, effect, name) or 0.0 for name in names]
+    change = [one[name].value - other[name].value for name in names]
+    sizes = [math.hypot(*(each[n].value - at for n, at in zip(names, neutral, strict=True))) for each in (one, other)]
+    widely = math.hypot(*change) > APART * 0.5 * sum(sizes)
+    squares = [d * d / _variance(one[n], other[n]) for n, d in zip(names, change, strict=True)]
+    return widely and sum(squares) > SURELY**2
+
+
+def _variance(one: Number, other: Number) -> float:
+    """Of a difference; infinite where a deviation is not known, for then nothing is sure."""
+    both = one.std**2 + other.std**2
+    return both if both > 0 and math.isfinite(both) else math.inf

@@ -1,0 +1,210 @@
+"""Effects that all robots of a fleet have: they belong to the model, and the mended model is tried on every robot."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safedpa.dynamics import PhysicsModel, Setting
+from safedpa.effects import effect
+from safedpa.effects.parameter import Parameter
+from safedpa.errors import SafedpaError
+from safedpa.fleet.alike import APART, apart, clusters
+from safedpa.fleet.discovery import upper_tail
+from safedpa.fleet.inputs import Options
+from safedpa.fleet.one_robot import read_runs
+from safedpa.fleet.outcome import Outcome, Tried, neutral_of
+from safedpa.fleet.pooled import Pooled, PooledEvidence, estimates, pooled_numbers
+from safedpa.fleet.robots import RobotLogs
+
+__all__ = [
+    "Common",
+    "Confirmation",
+    "MendTask",
+    "common_effects",
+    "confirmed",
+    "mended_error",
+    "mended_model",
+    "mended_settings",
+    "together_effects",
+]
+
+_FEWEST = 5
+"""Robots from which a fleet says anything of all its robots."""
+_NEARLY_ALL = 0.8
+"""Share of the robots in which an effect has to be found to be common."""
+_TOGETHER = 4.0
+"""Standard errors over all robots from which an effect that was found in few of them is common: 1 in 1000 for 30."""
+_ALTERNATIVES = 5
+"""Effects that show in all together and are tried on the robots at most."""
+_FALLS = 0.01
+"""Chance, by a coin for each robot, below which so many falls of the error confirm the mended model."""
+
+
+@dataclass(frozen=True)
+class Common:
+    """One effect of the whole fleet."""
+
+    effect: str
+    numbers: Mapping[str, Pooled]
+    said: Mapping[str, Tried]
+    """What each robot says, by name."""
+    found_in: int
+    of: int
+    together: float | None
+    """Standard errors over all robots, where only all together show it; None where it was found by itself."""
+    rivals: tuple[str, ...]
+    differs: bool
+    """Whether its number differs from robot to robot, so that the model holds it as a free one."""
+
+
+@dataclass(frozen=True)
+class MendTask:
+    """One robot on which the mended model is tried, with the numbers of the other robots: settings by effect."""
+
+    robot: RobotLogs
+    options: Options
+    settings: Mapping[str, Mapping[str, Setting]]
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """Held-out errors with numbers that the robot itself had no part in."""
+
+    robots: int
+    better: int
+    before: float
+    after: float
+    """Medians."""
+    fall: float = 0.0
+    """Mean over the robots of log(before / after)."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether so many robots are predicted better that a coin would not do that."""
+        return self.robots > 0 and _coin(self.better, self.robots) < _FALLS and self.fall > 0
+
+
+def common_effects(outcomes: Sequence[Outcome], robot: str) -> list[Common]:
+    """Effects that were found in nearly all robots that were judged, the most frequent first."""
+    judged = [item for item in outcomes if item.judged]
+    if len(judged) < _FEWEST:
+        return []
+    votes = Counter(item.effect for outcome in judged for item in outcome.found)
+    found = [_strong(name, count, judged, robot) for name, count in votes.items() if _many(count, judged)]
+    return sorted(found, key=lambda item: -item.found_in)
+
+
+def together_effects(outcomes: Sequence[Outcome], evidence: Sequence[PooledEvidence]) -> list[Common]:
+    """Effects that show in all robots together only, the strongest first: one of them at most acts, as a rule.
+
+    They resemble each other, so trying them on the robots decides, not their order.
+    """
+    judged = [item for item in outcomes if item.judged]
+    if len(judged) < _FEWEST:
+        return []
+    votes = Counter(item.effect for outcome in judged for item in outcome.found)
+    showing = [item for item in evidence if _shows(item, judged)][:_ALTERNATIVES]
+    found = []
+    for item in showing:
+        said = estimates(item.effect, judged)
+        rivals = tuple(other.effect for other in showing if other is not item)
+        numbers = pooled_numbers(list(said.values()))
+        found.append(Common(item.effect, numbers, said, votes[item.effect], len(judged), item.score, rivals, False))
+    return found
+
+
+def _many(count: int, judged: Sequence[Outcome]) -> bool:
+    return count >= max(_FEWEST, _NEARLY_ALL * len(judged))
+
+
+def _shows(item: PooledEvidence, judged: Sequence[Outcome]) -> bool:
+    """Most of the robots have to gain by it: a few in which it is strong are a group of their own."""
+    return item.score > _TOGETHER and item.robots >= _NEARLY_ALL * len(judged) and item.favourable > 0.6 * item.robots
+
+
+def _strong(name: str, count: int, judged: Sequence[Outcome], robot: str) -> Common:
+    own = [_only(outcome, name) for outcome in judged if any(item.effect == name for item in outcome.found)]
+    largest = max(clusters(own, lambda one, other: apart(one, other, robot)), key=len)
+    said = {outcome.name: outcome.found[0] for outcome in own}
+    numbers = pooled_numbers([outcome.found[0] for outcome in largest])
+    wide = any(_wide(robot, name, parameter, item) for parameter, item in numbers.items())
+    rivals = tuple(sorted(set.intersection(*(set(item.equals) for item in said.values()))))
+    return Common(name, numbers, said, count, len(judged), None, rivals, wide or not _many(len(largest), judged))
+
+
+def _only(outcome: Outcome, name: str) -> Outcome:
+    kept = tuple(item for item in outcome.found if item.effect == name)
+    return Outcome(outcome.name, outcome.status, outcome.reason, kept)
+
+
+def _wide(robot: str, effect: str, parameter: str, item: Pooled) -> bool:
+    change = abs(item.mean - (neutral_of(robot, effect, parameter) or 0.0))
+    return item.spread > 0.5 * APART * change
+
+
+def mended_settings(robot: str, common: Sequence[Common], without: str = "") -> dict[str, dict[str, Setting]]:
+    """The fleet's numbers by effect, those of the robot ``without`` left out; free where they differ."""
+    found = {}
+    for item in common:
+        said = [tried for name, tried in item.said.items() if name != without]
+        numbers = item.numbers if not without else pooled_numbers(said)
+        found[item.effect] = {
+            parameter.name: _setting(parameter, numbers[parameter.name].mean, item.differs)
+            for parameter in effect(robot, item.effect).parameters
+        }
+    return found
+
+
+def _setting(parameter: Parameter, value: float, free: bool) -> Setting:
+    return Setting(float(f"{min(max(value, parameter.low), parameter.high):.6g}"), free=free)
+
+
+def mended_model(given: PhysicsModel, settings: Mapping[str, Mapping[str, Setting]]) -> PhysicsModel:
+    """The given model with more effects."""
+    model = given
+    for name, own in settings.items():
+        model = model.with_effect(effect(given.system.name, name), dict(own))
+    return model
+
+
+def mended_error(task: MendTask) -> tuple[str, float]:
+    """The robot's name and its held-out error with the mended model; NaN where its data cannot be read any more."""
+    from safedpa.diagnosis.fit.evidence import evidence_at, shown_of
+    from safedpa.diagnosis.fit.heldout import error_with
+    from safedpa.diagnosis.fit.readiness import prepared
+    from safedpa.diagnosis.search.search import begun
+    from safedpa.dynamics import load_model
+
+    model = mended_model(load_model(task.options.model), task.settings)
+    try:
+        runs, _ = read_runs(model, task.robot, task.options)
+        usable = prepared(model, runs)
+        evidence = evidence_at(usable.runs, usable.seconds)
+        shown = shown_of(usable.runs, task.options.horizon, evidence)
+        found = begun(model, evidence.shooting, evidence.heldout)
+    except SafedpaError:
+        return task.robot.name, math.nan
+    return task.robot.name, error_with(found.current.fit, found.shooting, shown).value
+
+
+def confirmed(before: Mapping[str, float], after: Mapping[str, float]) -> Confirmation:
+    """How many robots the mended model predicts better, from the errors by robot."""
+    both = [(before[name], after[name]) for name in before if name in after]
+    known = [pair for pair in both if all(math.isfinite(error) and error > 0 for error in pair)]
+    if not known:
+        return Confirmation(0, 0, math.nan, math.nan)
+    old, new = np.array(known).T
+    medians = float(np.median(old)), float(np.median(new))
+    return Confirmation(len(known), int((new < old).sum()), *medians, float(np.log(old / new).mean()))
+
+
+def _coin(hits: int, trials: int) -> float:
+    """P(at least ``hits`` heads of ``trials``), exactly up to 50 coins, by the normal distribution beyond."""
+    if trials <= 50:
+        return float(sum(math.comb(trials, k) for k in range(hits, trials + 1)) / 2**trials)
+    return upper_tail((hits - 0.5 - 0.5 * trials) / math.sqrt(0.25 * trials))

@@ -1,0 +1,244 @@
+"""A fleet's diagnosis as plain data: the contents of fleet.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from safedpa.fleet.alike import Alike, same_effects, with_one_name
+from safedpa.fleet.common import Common, Confirmation, common_effects, together_effects
+from safedpa.fleet.discovery import FALSE_SHARE, believed, chance
+from safedpa.fleet.outcome import Outcome
+from safedpa.fleet.pooled import PooledEvidence, evidence_over, pooled_number, pooled_numbers
+
+__all__ = ["Analysis", "Group", "analysed", "fleet_document"]
+
+_ODD = 5.0
+"""Robust standard deviations of log(error) from which a robot does not fit."""
+_ODD_RATIO = 1.5
+"""And how many times the fleet's error it has to have."""
+_POOLED = 8
+"""Effects whose pooled evidence is told."""
+
+ORDER = ("missing", "unexplained", "suspected", "nothing", "no_verdict", "unreadable", "failed")
+"""Kinds of groups, as they are told."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Robots about which the same is said."""
+
+    kind: str
+    effects: tuple[str, ...]
+    equals: Mapping[str, tuple[str, ...]]
+    members: tuple[Outcome, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Everything that was compared."""
+
+    robot: str
+    """Kind of robot."""
+    outcomes: tuple[Outcome, ...]
+    groups: tuple[Group, ...]
+    chances: Mapping[str, float]
+    limit: float
+    common: tuple[Common, ...]
+    together: tuple[Common, ...]
+    """Effects of which one may be common to all: only all robots together show it."""
+    evidence: tuple[PooledEvidence, ...]
+    odd: tuple[tuple[str, float], ...]
+    """Robots that even the model with what was found predicts much worse than the others, and how many times."""
+
+
+def analysed(outcomes: Sequence[Outcome], robot: str) -> Analysis:
+    """Groups, false discoveries, pooled evidence and odd ones among the robots of one fleet."""
+    named = with_one_name(sorted(outcomes, key=lambda item: item.name))
+    judged = [item for item in named if item.judged]
+    chances = {i.name: chance(i.evidence, i.trials) if i.found else 1.0 for i in judged}
+    stands, limit = believed([chances[item.name] for item in judged])
+    sure = {item.name for item, well in zip(judged, stands, strict=True) if well}
+    evidence = evidence_over(judged)
+    groups = _groups(named, sure, robot)
+    common = common_effects(judged, robot)
+    taken = {item.effect for item in common}
+    together = [item for item in together_effects(judged, evidence) if item.effect not in taken]
+    return Analysis(
+        robot=robot,
+        outcomes=tuple(named),
+        groups=groups,
+        chances=chances,
+        limit=limit,
+        common=tuple(common),
+        together=tuple(together),
+        evidence=tuple(evidence[:_POOLED]),
+        odd=_odd(judged),
+    )
+
+
+def _groups(outcomes: Sequence[Outcome], sure: set[str], robot: str) -> tuple[Group, ...]:
+    missing = [item for item in outcomes if item.judged and item.found]
+    groups = [_group("missing", part) for part in same_effects([i for i in missing if i.name in sure], robot)]
+    groups += [_group("suspected", part) for part in same_effects([i for i in missing if i.name not in sure], robot)]
+    groups += _by_text("unexplained", [i for i in outcomes if i.judged and not i.found and i.unexplained])
+    nothing = tuple(i for i in outcomes if i.judged and not i.found and not i.unexplained)
+    groups += [Group("nothing", (), {}, nothing)] if nothing else []
+    for kind in ("no_verdict", "unreadable", "failed"):
+        own = tuple(item for item in outcomes if item.status == kind)
+        groups += [Group(kind, (), {}, own)] if own else []
+    return tuple(sorted(groups, key=lambda group: ORDER.index(group.kind)))
+
+
+def _group(kind: str, part: Alike) -> Group:
+    return Group(kind, part.effects, part.equals, part.members)
+
+
+def _by_text(kind: str, outcomes: Sequence[Outcome]) -> list[Group]:
+    """One group for each set of variables on which what remains depends."""
+    sets: dict[tuple[str, ...], list[Outcome]] = {}
+    for outcome in outcomes:
+        sets.setdefault(tuple(sorted(outcome.depends_on)), []).append(outcome)
+    return [Group(kind, (), {}, tuple(own), f"depends on {' and '.join(names)}") for names, own in sets.items()]
+
+
+def _odd(judged: Sequence[Outcome]) -> tuple[tuple[str, float], ...]:
+    known = [item for item in judged if item.error_after > 0 and math.isfinite(item.error_after)]
+    if len(known) < 8:
+        return ()
+    logs = np.log([item.error_after for item in known])
+    middle = float(np.median(logs))
+    width = max(1.4826 * float(np.median(np.abs(logs - middle))), 1e-3)
+    far = [(item.name, float(np.exp(log - middle))) for item, log in zip(known, logs, strict=True)]
+    return tuple((name, ratio) for name, ratio in far if ratio > _ODD_RATIO and math.log(ratio) > _ODD * width)
+
+
+def fleet_document(analysis: Analysis, mended: Sequence[tuple[Common, Confirmation]], **about: Any) -> dict[str, Any]:
+    """The document of ``fleet.json``; ``mended``: what all have in common, and whether it held on the robots.
+
+    ``about``: model, horizon, by, left_out and what it cost.
+    """
+    place = {member.name: number for number, group in enumerate(analysis.groups) for member in group.members}
+    return {
+        "format": 1,
+        "robot": analysis.robot,
+        **about,
+        "counts": {kind: sum(len(g.members) for g in analysis.groups if g.kind == kind) for kind in ORDER},
+        "groups": [_group_document(group) for group in analysis.groups],
+        "common": _common_document(mended),
+        "false_discovery": _discovery_document(analysis),
+        "pooled": [asdict(item) | {"rivals": list(item.rivals)} for item in analysis.evidence],
+        "odd": [{"robot": name, "times": round(ratio, 3)} for name, ratio in analysis.odd],
+        "free": _free_document(analysis.outcomes),
+        "robots": [_robot_document(item, place[item.name], analysis) for item in analysis.outcomes],
+    }
+
+
+def _group_document(group: Group) -> dict[str, Any]:
+    found = []
+    for effect in group.effects:
+        own = [item for member in group.members for item in member.found if item.effect == effect]
+        numbers = {name: _plain(asdict(number)) for name, number in pooled_numbers(own).items()}
+        equals = list(group.equals.get(effect, ()))
+        found.append({"effect": effect, "indistinguishable_from": equals, "parameters": numbers})
+    return {
+        "kind": group.kind,
+        "effects": found,
+        "robots": [member.name for member in group.members],
+        "error_before": _median([member.error_before for member in group.members]),
+        "error_after": _median([member.error_after for member in group.members]),
+        "reason": group.reason,
+    }
+
+
+def _common_document(mended: Sequence[tuple[Common, Confirmation]]) -> dict[str, Any] | None:
+    if not mended:
+        return None
+    effects = [
+        {
+            "effect": item.effect,
+            "indistinguishable_from": list(item.rivals) if item.together is None else [],
+            "instead_of": list(item.rivals) if item.together is not None else [],
+            "parameters": {name: _plain(asdict(number)) for name, number in item.numbers.items()},
+            "found_in": item.found_in,
+            "of": item.of,
+            "together": item.together,
+            "differs": item.differs,
+            "confirmed": {**_plain(asdict(tried)), "holds": tried.holds},
+        }
+        for item, tried in mended
+    ]
+    return {"effects": effects, "model": "model.toml" if any(tried.holds for _, tried in mended) else None}
+
+
+def _discovery_document(analysis: Analysis) -> dict[str, Any]:
+    judged = [item for item in analysis.outcomes if item.judged]
+    quiet = [item.evidence for item in judged if not item.found and math.isfinite(item.evidence)]
+    found = [item for item in judged if item.found]
+    count = sum(len(group.members) for group in analysis.groups if group.kind == "missing")
+    return {
+        "share": FALSE_SHARE,
+        "judged": len(judged),
+        "found": len(found),
+        "believed": count,
+        "largest_chance_believed": analysis.limit,
+        "largest_score_where_nothing_was_found": max(quiet) if quiet else None,
+        "smallest_score_where_something_was": _finite(min((i.evidence for i in found), default=math.nan)),
+    }
+
+
+def _free_document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Free parameters of the given model over the robots."""
+    numbers: dict[str, list[Any]] = {}
+    for outcome in outcomes:
+        for path, number in (outcome.free or {}).items():
+            numbers.setdefault(path, []).append(number)
+    return {path: _plain(asdict(pooled_number(own))) for path, own in numbers.items()}
+
+
+def _robot_document(item: Outcome, group: int, analysis: Analysis) -> dict[str, Any]:
+    kind = analysis.groups[group].kind
+    return {
+        "robot": item.name,
+        "group": group,
+        "kind": kind,
+        "found": [
+            {
+                "effect": tried.effect,
+                "parameters": {name: _plain(asdict(number)) for name, number in tried.numbers.items()},
+                "score": _finite(tried.score),
+                "indistinguishable_from": list(tried.equals),
+            }
+            for tried in item.found
+        ],
+        "unexplained": item.unexplained or None,
+        "reason": item.reason,
+        "evidence": _finite(item.evidence),
+        "chance": analysis.chances.get(item.name),
+        "error_before": _finite(item.error_before),
+        "error_after": _finite(item.error_after),
+        "measured_seconds": item.measured_seconds,
+        "processor_seconds": item.processor_seconds,
+        "memory_mebibytes": item.memory_mebibytes,
+        "unreadable_files": item.unread,
+        "findings": item.findings,
+        "report": f"robots/{item.name}/report.html" if item.status in ("diagnosed", "no_verdict") else None,
+    }
+
+
+def _median(values: Sequence[float]) -> float | None:
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else None
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _finite(v) if isinstance(v, float) else v for name, v in values.items()}

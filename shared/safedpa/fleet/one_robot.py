@@ -1,0 +1,163 @@
+"""One robot of a fleet: its recordings read, diagnosed, and put into words, in a process of its own.
+
+What comes back is small, a few texts, whatever the length of the recordings.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from safedpa.errors import InputError, SafedpaError
+from safedpa.fleet.inputs import Options, file_stamp
+from safedpa.fleet.robots import RobotLogs
+
+if TYPE_CHECKING:
+    from safedpa.diagnosis.document import Report
+    from safedpa.dynamics import PhysicsModel
+    from safedpa.records.run import Run
+
+__all__ = ["FORMAT", "RobotResult", "Status", "Task", "diagnosed_robot", "not_diagnosed", "read_runs"]
+
+FORMAT = 1
+Status = Literal["diagnosed", "no_verdict", "unreadable", "failed"]
+"""``no_verdict``: the data allow none (too short, say). ``failed``: the program did, which is a fault to report."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One robot to diagnose."""
+
+    robot: RobotLogs
+    options: Options
+    digest: str
+
+
+@dataclass(frozen=True)
+class RobotResult:
+    """What stands in ``result.json``, and the texts of the other files by name."""
+
+    name: str
+    document: dict[str, Any]
+    texts: Mapping[str, str] = field(default_factory=dict)
+
+
+def diagnosed_robot(task: Task) -> RobotResult:
+    """Reads and diagnoses one robot. Never raises for what is wrong with its data: that is its result."""
+    begin, processor = time.perf_counter(), time.process_time()
+    try:
+        status, reason, report, texts, unread = _diagnosed(task)
+    except SafedpaError as error:
+        status, reason, report, texts, unread = "unreadable", str(error), None, {}, []
+    document = _document(task, status, reason, unread)
+    document["seconds"] = round(time.perf_counter() - begin, 3)
+    document["processor_seconds"] = round(time.process_time() - processor, 3)
+    document["memory_mebibytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    document["measured_seconds"] = 0.0 if report is None else round(report[1], 3)
+    return RobotResult(task.robot.name, document, texts)
+
+
+def not_diagnosed(task: Task, reason: str) -> RobotResult:
+    """The result of a robot whose process died or raised what nobody expected."""
+    return RobotResult(task.robot.name, _document(task, "failed", reason, []))
+
+
+def _document(task: Task, status: Status, reason: str, unread: list[dict[str, str]]) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "robot": task.robot.name,
+        "status": status,
+        "reason": reason,
+        "digest": task.digest,
+        "files": _stamps(task.robot.files),
+        "unreadable_files": unread,
+    }
+
+
+def _stamps(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """Stamps of the files, none where one cannot be read: then the robot is done again the next time."""
+    try:
+        return [file_stamp(path) for path in paths]
+    except OSError:
+        return []
+
+
+def _diagnosed(
+    task: Task,
+) -> tuple[Status, str, tuple[Report, float] | None, dict[str, str], list[dict[str, str]]]:
+    from safedpa.diagnosis.diagnose import diagnose
+    from safedpa.diagnosis.document import as_document
+    from safedpa.dynamics import load_model
+
+    model = load_model(task.options.model)
+    runs, unread = read_runs(model, task.robot, task.options)
+    if not runs:
+        return "unreadable", unread[0]["reason"], None, {}, unread
+    report = diagnose(model, runs, task.options.horizon)
+    document = as_document(report)
+    texts = {"report.json": json.dumps(document, allow_nan=False, indent=1) + "\n"}
+    texts |= _model_text(report.models[-1])
+    texts["report.html"] = _page(document, runs, report, task)
+    silent = not (report.unexplained and report.unexplained.depends_on)
+    none = report.verdict in ("unexplained", "undecided") and silent
+    reason = _why_none(report) if none else ""
+    measured = sum(run.duration for run in runs)
+    return "no_verdict" if none else "diagnosed", reason, (report, measured), texts, unread
+
+
+def _why_none(report: Report) -> str:
+    """Why there is no verdict."""
+    if report.unexplained is not None:
+        return report.unexplained.expression
+    if report.verdict != "undecided":
+        return "the model predicts badly whatever is added"
+    if report.closest:
+        return f"not enough data to tell; closest: {report.closest[0].effect}"
+    return "the data are too uniform to tell"
+
+
+def read_runs(model: PhysicsModel, robot: RobotLogs, options: Options) -> tuple[list[Run], list[dict[str, str]]]:
+    """The robot's runs that can be read, named apart, and the files that cannot, with the reason.
+
+    Raises InputError and ColumnMapError for what is wrong with the options, not with a file.
+    """
+    from safedpa.compare.comparison import with_distinct_names
+    from safedpa.errors import RunError
+    from safedpa.records import load_column_map, load_run
+
+    mapping = load_column_map(options.columns) if options.columns else None
+    runs, paths, unread = [], [], []
+    for path in robot.files:
+        try:
+            runs.append(load_run(path, model.system, mapping))
+            paths.append(str(path))
+        except (RunError, OSError) as error:
+            unread.append({"path": str(path), "reason": str(error)})
+    return (with_distinct_names(runs, paths) if runs else []), unread
+
+
+def _model_text(model: PhysicsModel) -> dict[str, str]:
+    """The diagnosed model as a file; a learned one lies in one folder with its weights, so it has none here."""
+    from safedpa.dynamics import LearnedBase, write_model
+
+    return {} if isinstance(model.base, LearnedBase) else {"model.toml": write_model(model)}
+
+
+def _page(document: Mapping[str, Any], runs: Sequence[Run], report: Report, task: Task) -> str:
+    """The robot's report with the fleet's one plotly.js in place of its own four megabytes."""
+    from importlib.resources import files
+
+    from safedpa.report.diagnosis_page import report_page
+
+    text = report_page(document, runs, report.models, task.robot.name)
+    own = files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
+    policy = "script-src 'unsafe-inline'"
+    if own not in text or policy not in text:
+        raise InputError("report page: got another template; wanted plotly.js in a script of its own")
+    shared = f'<script src="{task.options.scripts}"></script>'
+    return text.replace(f"<script>{own}</script>", shared).replace(policy, f"{policy} 'self' file:")

@@ -1,0 +1,92 @@
+"""A recording of many robots, read once: its robots' names, and one small recording for each of them.
+
+A robot's diagnosis reads its own recording alone; reading the whole for every robot would cost the square of the fleet.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from safedpa.bus.wire.topics import STATE, topic_of
+from safedpa.errors import InputError, SafedpaError
+from safedpa.records.mcap_records import DamageError, channels_at_end, records_of
+
+__all__ = ["robots_in", "split_recording"]
+
+
+def robots_in(path: Path) -> tuple[list[str], str]:
+    """Names of the robots whose states a recording holds, sorted, and why there is none (empty where there is one)."""
+    try:
+        names = _indexed(path)
+        names = {robot for _, robot, _ in _states(path, headers=True)} if names is None else names
+    except (SafedpaError, OSError) as error:
+        return [], str(error)
+    return sorted(names), "" if names else "holds no robot's states"
+
+
+def _indexed(path: Path) -> set[str] | None:
+    """The robots by the index at the recording's end; None where it has none (not closed, damaged, or no recording)."""
+    channels = channels_at_end(path)
+    return None if channels is None else {robot for robot in map(_state_robot, channels) if robot}
+
+
+def split_recording(path: Path, folder: Path) -> dict[str, Path]:
+    """Copies each robot's states, undecoded, into ``folder/ROBOT.mcap``; returns the files by robot.
+
+    Memory does not grow with the recording. What is behind a damage is not copied. Raises RunError when the file is no
+    recording, OSError when the folder cannot be written.
+    """
+    from mcap.writer import CompressionType, Writer
+
+    folder.mkdir(parents=True, exist_ok=True)
+    paths: dict[str, Path] = {}
+    writers: dict[str, Any] = {}
+    channels: dict[tuple[str, str], int] = {}
+    with ExitStack() as stack:
+        for key, robot, record in _states(path):
+            if robot not in writers:
+                paths[robot] = folder / f"{robot}.mcap"
+                file = stack.enter_context(paths[robot].open("wb"))
+                writers[robot] = Writer(file, chunk_size=1 << 18, compression=CompressionType.ZSTD)
+                writers[robot].start()
+                stack.callback(writers[robot].finish)
+            if (robot, key) not in channels:
+                channels[robot, key] = writers[robot].register_channel(key, "msgpack", schema_id=0)
+            channel, times = channels[robot, key], (record.log_time, record.publish_time)
+            writers[robot].add_message(channel, times[0], record.data, times[1], record.sequence)
+    return paths
+
+
+def _states(path: Path, *, headers: bool = False) -> Iterator[tuple[str, str, Any]]:
+    """(key, robot, record) of every state; of the channels alone where ``headers`` are wanted."""
+    from mcap.records import Channel, Message
+
+    known: dict[int, tuple[str, str]] = {}
+    for record in _records(path):
+        if isinstance(record, Channel):
+            robot = _state_robot(record)
+            if robot:
+                known[record.id] = (record.topic, robot)
+                if headers:
+                    yield record.topic, robot, record
+        elif isinstance(record, Message) and not headers and record.channel_id in known:
+            yield *known[record.channel_id], record
+
+
+def _state_robot(channel: Any) -> str:
+    """The robot whose states a channel carries, empty where it carries something else."""
+    try:
+        _, robot, topic = topic_of(channel.topic)
+    except InputError:
+        return ""
+    return robot if topic == STATE and channel.message_encoding == "msgpack" else ""
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """Records of a recording up to its end or to the first damage. Raises InputError when it is none."""
+    with contextlib.suppress(DamageError):
+        yield from records_of(path, validate=False)

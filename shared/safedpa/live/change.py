@@ -1,0 +1,364 @@
+"""How the model that a robot's services use is changed: all of them from one tick on, or none.
+
+A change is offered to every service. When all have answered that they loaded and checked it, the decision is kept and
+the tick told from which everyone uses it (``take``); when one refuses or stays silent, the offer is dropped. A service
+that is found on another model, because it was restarted at a bad moment, gets the right one by the same two phases;
+where it cannot use that one, everybody goes back to the version before.
+Source: two-phase commit with presumed abort (Mohan, Lindsay, Obermarck, 1986).
+
+Before it, a request may be refused with its reason; beside it, services are found that use another model than the one
+agreed on, as their health tells.
+
+Nothing here knows the network: messages go in and out, time is counted in the robot's ticks.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from threading import RLock
+from typing import Final, final
+
+from safedpa.bus import Answer, HealthMessage, ModelMessage, Request, StateMessage, TakeoverMessage
+from safedpa.errors import RecordingError, did_you_mean
+from safedpa.live.under_way import Strays, UnderWay, stamped
+from safedpa.live.versions import Candidate, Kept, Version, VersionFolder
+
+__all__ = ["ChangeSettings", "ModelChanges"]
+
+
+@dataclass(frozen=True)
+class ChangeSettings:
+    """Patience, in ticks at which the robot was heard."""
+
+    prepare: int = 1200
+    """For the document of an accepted effect, when it has to be made first: a minute at 20 Hz."""
+    ready: int = 60
+    """For every service to load and check an offer: three seconds at 20 Hz; it takes them a few milliseconds."""
+    ahead: int = 5
+    """From the decision to the tick of the change: 0.25 s at 20 Hz, for the message to reach everyone."""
+    taken: int = 40
+    """After that tick, for every service to say that it uses the new model."""
+    repeat: int = 10
+    """Between two repetitions of a decision to services that have not confirmed it."""
+
+
+@final
+class ModelChanges:
+    """The versions of one robot's model. May be used from several threads.
+
+    ``step`` is called once per tick and returns what is to be published; ``hear`` takes what the services say;
+    ``answer`` takes requests. With a folder, what was agreed on outlives the process. Raises InputError when the folder
+    cannot be read.
+    """
+
+    def __init__(
+        self, first: Version, folder: VersionFolder | None = None, settings: ChangeSettings | None = None
+    ) -> None:
+        self._lock = RLock()
+        self._folder, self._settings = folder, settings or ChangeSettings()
+        kept = None if folder is None else folder.load()
+        self._kept = kept or Kept((first,))
+        self._version = self._kept.versions[-1]
+        self._coming: Version | None = None
+        self._state: StateMessage | None = None
+        self._change: UnderWay | None = None
+        self._told: deque[ModelMessage] = deque()
+        self._strays = Strays()
+        self._finding = 0
+        self._candidates: dict[str, Candidate] = {}
+        self.sentence = "the model is the one that the robot began with" if kept is None else "taken up after a restart"
+        """What became of the last change."""
+        if self._kept.offered:
+            lost = UnderWay(self._kept.change, "undecided", "", self.fingerprint, (), Version(self._kept.offered, ""))
+            self._told.append(lost.message("drop", "the diagnosis was restarted"))
+            self._kept = replace(self._kept, offered="")
+
+    @property
+    def version(self) -> Version:
+        """In force at the newest state's tick."""
+        return self._version
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the model in force."""
+        return self._version.fingerprint
+
+    @property
+    def versions(self) -> tuple[Version, ...]:
+        """Agreed on, oldest first; the last is in force, or will be in a few ticks. ``roll_back`` removes it."""
+        return self._kept.versions
+
+    @property
+    def under_way(self) -> str:
+        """``preparing``, ``offer`` or ``take`` while a change is under way, else empty."""
+        change = self._change
+        return "" if change is None else change.stage
+
+    @property
+    def wanted(self) -> Candidate | None:
+        """An accepted candidate whose document is to be made: answer with ``prepared`` or ``failed``."""
+        change = self._change
+        return change.candidate if change is not None and change.version is None else None
+
+    @property
+    def rejected(self) -> frozenset[tuple[int, str]]:
+        """(finding, effect) that a person rejected."""
+        return frozenset(self._kept.rejected)
+
+    def propose(self, finding: int, candidates: Mapping[str, Candidate]) -> None:
+        """What may be accepted from now on: candidates of one finding by effect, best first; empty: none."""
+        with self._lock:
+            self._finding, self._candidates = finding, dict(candidates)
+
+    def prepared(self, made: Candidate) -> None:
+        """The document of the wanted candidate was made; ignored when nobody waits for it any more."""
+        with self._lock:
+            if self._change is not None and self.wanted is not None and self.wanted.effect == made.effect:
+                self._change.complete(made)
+
+    def failed(self, reason: str) -> None:
+        """The wanted document cannot be made."""
+        with self._lock:
+            if self._change is not None and self.wanted is not None:
+                self._change.refused = reason
+
+    def hear(self, message: TakeoverMessage | HealthMessage) -> None:
+        """Takes a service's answer to an offer, or its health with the model that it uses."""
+        with self._lock:
+            if isinstance(message, HealthMessage):
+                self._strays.hear(message)
+            elif self._change is not None:
+                self._change.hear(message)
+
+    def step(self, state: StateMessage) -> ModelMessage | None:
+        """Goes on with what is under way; the message to publish, if there is one. Once per tick, ticks growing."""
+        with self._lock:
+            self._state = state
+            self._settle(state)
+            if self._told:
+                return stamped(self._told.popleft(), state, time.time())
+            self._change = self._change or self._repair()
+            message = None if self._change is None else self._advance(self._change, state)
+            return None if message is None else stamped(message, state, time.time())
+
+    def answer(self, request: Request) -> Answer:
+        """Does what is asked, or says why not; called on any thread."""
+        with self._lock:
+            refusal = _refusal_of(
+                request,
+                in_force=self.fingerprint,
+                under_way="" if self._change is None else f"{self._change.name} by {self._change.who or 'somebody'}",
+                finding=self._finding,
+                candidates=self._open_candidates(),
+                versions=len(self._kept.versions),
+                alive=self._state is not None,
+            )
+            if refusal:
+                return self._answer(False, f"refused: {refusal}")
+            if request.do == "status":
+                return self._status()
+            if request.do == "reject":
+                return self._reject(request)
+            change = self._roll_back(request.who) if request.do == "roll_back" else self._accept(request)
+            return self._answer(True, f"{change.name} begins")
+
+    def _accept(self, request: Request) -> UnderWay:
+        change = self._begun(f"accept {request.effect} of finding {request.finding}", request.who)
+        change.candidate = self._candidates[request.effect]
+        if change.candidate.document:
+            change.complete(change.candidate)
+        return change
+
+    def _roll_back(self, who: str, reason: str = "") -> UnderWay:
+        *before, last = self._kept.versions
+        change = self._begun(f"roll back {last.why or 'the last change'}{reason}", who)
+        change.version, change.versions = before[-1], tuple(before)
+        return change
+
+    def _begun(self, why: str, who: str) -> UnderWay:
+        self._kept = replace(self._kept, change=self._kept.change + 1)
+        self._change = UnderWay(self._kept.change, why, who, self.fingerprint, self._kept.versions, None)
+        return self._change
+
+    def _reject(self, request: Request) -> Answer:
+        rejected = (*self._kept.rejected, (request.finding, request.effect))
+        problem = self._keep(replace(self._kept, change=self._kept.change + 1, rejected=rejected))
+        if problem:
+            return self._answer(False, f"refused: {problem}")
+        what = f"reject {request.effect} of finding {request.finding}"
+        noted = UnderWay(self._kept.change, what, request.who, self.fingerprint, (), None)
+        self._told.append(noted.message("drop"))  # for the recording; no service was offered anything
+        return self._answer(True, f"{request.effect} is rejected")
+
+    def _open_candidates(self) -> tuple[str, ...]:
+        return tuple(effect for effect in self._candidates if (self._finding, effect) not in self.rejected)
+
+    def _settle(self, state: StateMessage) -> None:
+        """From its tick on the new version is in force; a robot that started anew begins with it."""
+        self._strays.settle(state, anew=False)
+        change, coming = self._change, self._coming
+        if coming is None or change is None:
+            return
+        if state.epoch != change.epoch or state.tick >= change.from_tick:
+            self._version, self._coming = coming, None
+            self._strays.settle(state, anew=True)
+
+    def _advance(self, change: UnderWay, state: StateMessage) -> ModelMessage | None:
+        change.steps += 1
+        if change.stage == "take":
+            return self._collect(change)
+        if change.refused:
+            return self._give_up(change, change.refused)
+        if change.stage == "preparing":
+            return self._await_document(change)
+        if not change.unready:
+            return self._decide(change, state)
+        return (
+            self._give_up(change, f"{change.unready} did not answer") if change.steps > self._settings.ready else None
+        )
+
+    def _await_document(self, change: UnderWay) -> ModelMessage | None:
+        if change.version is None:
+            late = change.steps > self._settings.prepare
+            return self._give_up(change, "its model was not made in time") if late else None
+        problem = self._keep(replace(self._kept, offered=change.version.fingerprint))
+        if problem:
+            return self._give_up(change, problem)
+        change.enter("offer")
+        return change.message("offer")
+
+    def _decide(self, change: UnderWay, state: StateMessage) -> ModelMessage | None:
+        """Kept first, told then: whoever asks after a crash hears what was decided."""
+        problem = self._keep(replace(self._kept, versions=change.versions, offered=""))
+        if problem:
+            return self._give_up(change, problem)
+        change.enter("take")
+        change.epoch, change.from_tick = state.epoch, state.tick + self._settings.ahead
+        self._coming = change.version
+        if not change.repair:
+            self._candidates = {}  # they were sought for the model that goes
+        self.sentence = f"{change.name}: used from tick {change.from_tick} on{change.consequence}"
+        return change.message("take")
+
+    def _collect(self, change: UnderWay) -> ModelMessage | None:
+        late = bool(change.refused) or change.steps > self._settings.ahead + self._settings.taken
+        if not change.unconfirmed and self._coming is None:
+            self._finish(f"{change.name}: taken by everyone{change.consequence}")
+            self._strays.mended()
+        elif late and self._coming is None:
+            self._finish(f"{change.name}: {change.unconfirmed} did not confirm it")
+        elif change.steps % self._settings.repeat == 0:
+            return change.message("take")
+        return None
+
+    def _give_up(self, change: UnderWay, reason: str) -> ModelMessage:
+        """Everyone stays on the version in force; where one of them cannot use it, all go back."""
+        self._finish(f"{change.name}: dropped, {reason}")
+        self._keep(replace(self._kept, offered=""))
+        if change.repair:
+            self._strays.not_mended()
+            if change.refused and len(self._kept.versions) > 1:
+                self._roll_back("diagnosis", f", as {reason}")
+        return change.message("drop", reason)
+
+    def _finish(self, sentence: str) -> None:
+        self._change, self.sentence = None, sentence
+
+    def _repair(self) -> UnderWay | None:
+        """Offers the version in force again, where some service is known to use another one."""
+        strays = self._strays.found(self.fingerprint)
+        if not strays:
+            return None
+        change = self._begun(f"repair, {strays}", "diagnosis")
+        change.version, change.repair = self._version, True
+        return change
+
+    def _keep(self, kept: Kept) -> str:
+        """Why it cannot be kept; what is kept stays as it was then."""
+        try:
+            if self._folder is not None:
+                self._folder.save(kept)
+        except RecordingError as error:
+            return str(error)
+        self._kept = kept
+        return ""
+
+    def _status(self) -> Answer:
+        version, change = self._version, self._change
+        answer = replace(self._answer(True, self.sentence), document=version.document, margin=version.margin)
+        if change is None:
+            return answer
+        coming = change.version or Version("", "")
+        return replace(
+            answer,
+            pending=change.stage,
+            pending_fingerprint=coming.fingerprint,
+            pending_document=coming.document,
+            pending_margin=coming.margin,
+            epoch=change.epoch,
+            from_tick=change.from_tick,
+        )
+
+    def _answer(self, ok: bool, sentence: str) -> Answer:
+        return Answer(
+            ok=ok,
+            sentence=sentence,
+            change=self._kept.change,
+            fingerprint=self.fingerprint,
+            finding=self._finding,
+            candidates=self._open_candidates(),
+            earlier=len(self._kept.versions) - 1,
+        )
+
+
+_REQUESTS: Final = ("accept", "reject", "roll_back", "status")
+"""What may be asked."""
+
+
+def _refusal_of(
+    request: Request,
+    *,
+    in_force: str,
+    under_way: str,
+    finding: int,
+    candidates: Sequence[str],
+    versions: int,
+    alive: bool,
+) -> str:
+    """Why a request is refused; empty when it is not.
+
+    ``in_force`` is the model's fingerprint, ``under_way`` the change that is being made, ``finding`` the newest one
+    with its ``candidates``, ``versions`` how many were agreed on, ``alive`` whether the robot was heard.
+    """
+    if request.do not in _REQUESTS:
+        return f"'{request.do}': {did_you_mean(request.do, _REQUESTS)}"
+    if request.do == "status":
+        return ""
+    if under_way:
+        return f"{under_way} is under way; ask again when it is done"
+    if not alive:
+        return "the robot was not heard yet; start it first"
+    return _about_model(request, in_force, versions) or _about_candidate(request, finding, candidates)
+
+
+def _about_model(request: Request, in_force: str, versions: int) -> str:
+    if request.model != in_force:
+        seen = f"you saw {request.model}" if request.model else "you name none"
+        return f"the model in force is {in_force}, {seen}; look at it again first"
+    if request.do == "roll_back" and versions < 2:
+        return "this is the model that the robot began with; there is none to go back to"
+    return ""
+
+
+def _about_candidate(request: Request, finding: int, candidates: Sequence[str]) -> str:
+    if request.do == "roll_back":
+        return ""
+    if request.finding != finding:
+        return f"the newest finding has number {finding}, you name {request.finding}; look at it again first"
+    if request.effect not in candidates:
+        known = did_you_mean(request.effect, candidates) if candidates else "nothing is proposed now"
+        return f"effect '{request.effect}' is no candidate; {known}"
+    return ""

@@ -1,0 +1,213 @@
+"""The diagnosis service's step: what the newest tick says about each robot's model, and the changes of that model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from threading import RLock
+from typing import final
+
+from safedpa.bus import (
+    FINDING,
+    HEALTH,
+    LATENT,
+    MODEL,
+    NO_ROBOT,
+    TAKEOVER,
+    VERDICT,
+    AbstractNode,
+    Answer,
+    HealthMessage,
+    Inputs,
+    LatentMessage,
+    Message,
+    Outputs,
+    Request,
+    StateMessage,
+    TakeoverMessage,
+    VerdictMessage,
+)
+from safedpa.dynamics import fingerprint, parse_model
+from safedpa.errors import MessageError
+from safedpa.live.change import ModelChanges
+from safedpa.live.finding import RobotDiagnosis
+from safedpa.live.foresight import Foresight, Foretell
+from safedpa.live.versions import Candidate, Version
+from safedpa.live.work import AbstractWorker, Outcome, Work
+from safedpa.systems import System
+
+__all__ = ["DiagnosisNode"]
+
+
+@dataclass
+class _Robot:
+    diagnosis: RobotDiagnosis
+    footprint: tuple[float, ...] = ()
+    told: Outcome | None = None
+    """Whose candidates are proposed."""
+    preparing: Work | None = None
+    ahead: Foresight = field(default_factory=Foresight)
+
+
+@final
+class DiagnosisNode(AbstractNode):
+    """Watches over the model of every robot, searches where it fails, and changes it when that is asked for.
+
+    ``document`` is the text of the model file that robots begin with; raises ModelFileError when it is none. ``margin``
+    is the text of the filter's margin for it; empty: the shipped one. ``folder`` holds the weights of a learned model.
+    ``changes`` makes what keeps a robot's versions from the robot's name and the first one; by default they live as
+    long as the node. ``foretell`` says what a candidate's margin would do; without it nothing is foretold. Nobody waits
+    for any of it. ``answer`` may be called from any thread.
+    """
+
+    name = "diagnosis"
+    inputs = (LATENT, VERDICT)
+    outputs = (FINDING, MODEL)
+    listens = (TAKEOVER, HEALTH)
+    share = 0.9
+
+    def __init__(
+        self,
+        document: str,
+        worker: AbstractWorker,
+        margin: str = "",
+        changes: Callable[[str, Version], ModelChanges] = lambda _robot, first: ModelChanges(first),
+        folder: Path | None = None,
+        foretell: Foretell | None = None,
+    ) -> None:
+        model = parse_model(document, folder)
+        self._folder = folder
+        self._system: System = model.system
+        self._first = Version(fingerprint(model), document, margin)
+        self._worker = worker
+        self._foretell = foretell
+        self._new_changes = changes
+        self._lock = RLock()
+        self._changes: dict[str, ModelChanges] = {}
+        self._numbers: dict[str, int] = {}
+        self._robots: dict[str, _Robot] = {}
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
+        self._check(state)
+        changes = self.changes_of(robot)
+        change = changes.step(state)
+        known = self._robot(robot, changes, state.period)
+        known.footprint = state.footprint
+        if known.diagnosis.fingerprint != changes.version.fingerprint:
+            known.diagnosis.adopt(changes.version.document)
+        latent, verdict = inputs[LATENT], inputs[VERDICT]
+        finding = known.diagnosis.observe(
+            state,
+            latent if isinstance(latent, LatentMessage) else None,
+            verdict if isinstance(verdict, VerdictMessage) else None,
+        )
+        known.ahead.verdict = verdict if isinstance(verdict, VerdictMessage) else known.ahead.verdict
+        self._propose(known, changes)
+        self._prepare(robot, known, changes)
+        found: dict[object, Message | None] = {FINDING: finding, MODEL: change}
+        return {topic: message for topic, message in found.items() if message is not None}  # type: ignore[misc]
+
+    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
+        if robot != NO_ROBOT and isinstance(message, TakeoverMessage | HealthMessage):
+            self.changes_of(robot).hear(message)
+
+    def answer(self, robot: str, request: Request) -> Answer:
+        """Does what is asked about a robot, or says why not."""
+        changes = self.changes_of(robot)
+        answer, known = changes.answer(request), self._robots.get(robot)
+        if request.do != "status" or known is None or self._foretell is None:
+            return answer
+        told = known.ahead.told(changes.version.margin, self._foretell)
+        return replace(answer, foreseen=tuple(told.get(effect, "") for effect in answer.candidates))
+
+    def changes_of(self, robot: str) -> ModelChanges:
+        """The versions of a robot's model; they outlive a restart of the robot."""
+        with self._lock:
+            if robot not in self._changes:
+                self._changes[robot] = self._new_changes(robot, self._first)
+            return self._changes[robot]
+
+    def diagnosis_of(self, robot: str) -> RobotDiagnosis | None:
+        """What is known of a robot that is driving; None of another one."""
+        known = self._robots.get(robot)
+        return None if known is None else known.diagnosis
+
+    def model_of(self, robot: str) -> str:  # noqa: D102
+        return self.changes_of(robot).version.fingerprint if robot in self._changes else ""
+
+    def forget(self, robot: str) -> None:  # noqa: D102
+        known = self._robots.pop(robot, None)
+        if known is not None:
+            self._numbers[robot] = known.diagnosis.number
+            known.diagnosis.close()
+            self.changes_of(robot).propose(known.diagnosis.number, {})
+
+    def _robot(self, robot: str, changes: ModelChanges, period: float) -> _Robot:
+        if robot not in self._robots:
+            number = self._numbers.get(robot, 0)
+            diagnosis = RobotDiagnosis(
+                robot, changes.version.document, self._worker, folder=self._folder, period=period, number=number
+            )
+            self._robots[robot] = _Robot(diagnosis)
+        return self._robots[robot]
+
+    def _check(self, state: StateMessage) -> None:
+        if len(state.values) != len(self._system.state) or len(state.applied) != len(self._system.action):
+            raise MessageError(
+                f"state: got {len(state.values)} values and {len(state.applied)} actions, wanted those of a "
+                f"{self._system.name}"
+            )
+
+    def _propose(self, known: _Robot, changes: ModelChanges) -> None:
+        """Hands on what may be accepted; when a person rejected all of it, the error is usual from now on."""
+        outcome, number = known.diagnosis.outcome, known.diagnosis.number
+        if outcome is not known.told:
+            known.told = outcome
+            effects = () if outcome is None else outcome.effects
+            changes.propose(number, {effect: Candidate(effect) for effect in effects})
+            if self._foretell is not None:
+                known.ahead.begin(self._works(known, changes, effects))
+        if outcome is not None and outcome.effects and {(number, e) for e in outcome.effects} <= changes.rejected:
+            known.diagnosis.dismiss()
+
+    def _prepare(self, robot: str, known: _Robot, changes: ModelChanges) -> None:
+        """Has the model with the accepted effect made, and its margin calibrated on the newest data."""
+        wanted = changes.wanted
+        if wanted is None and known.preparing is None:
+            known.ahead.step(robot, self._worker)
+            return
+        if known.preparing is not None:
+            if wanted is None or wanted.effect != known.preparing.effect:
+                self._worker.cancel(robot)
+                known.preparing = None
+            elif (outcome := self._worker.outcome(robot)) is not None:
+                work, known.preparing = known.preparing, None
+                _hand_over(changes, work, outcome)
+            return
+        works = [] if wanted is None else self._works(known, changes, (wanted.effect,))
+        if not works:
+            changes.failed("the finding is not open any more: the error is back in its band")
+            return
+        known.diagnosis.pause()
+        known.ahead.interrupted()
+        known.preparing = works[0]
+        self._worker.begin(robot, known.preparing)
+
+    def _works(self, known: _Robot, changes: ModelChanges, effects: tuple[str, ...]) -> list[Work]:
+        """To make the models with these effects, on the newest data; none where no finding is open."""
+        run, outcome = known.diagnosis.data(), known.diagnosis.outcome
+        if run is None or outcome is None:
+            return []
+        work = Work("prepare", changes.version.document, run, footprint=known.footprint, folder=self._folder)
+        return [replace(work, effect=effect, document=outcome.documents.get(effect, "")) for effect in effects]
+
+
+def _hand_over(changes: ModelChanges, work: Work, outcome: Outcome) -> None:
+    if outcome.failure:
+        changes.failed(outcome.failure)
+        return
+    document = outcome.documents[work.effect]
+    data = f"{work.run.name}, {work.run.t[0]:.2f} to {work.run.t[-1]:.2f} s of its clock"
+    version = Candidate(work.effect, fingerprint(parse_model(document, work.folder)), document, outcome.margin, data)
+    changes.prepared(version)

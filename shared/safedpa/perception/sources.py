@@ -1,0 +1,99 @@
+"""What is known of each source of scans: when it measured last, and what is wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import TYPE_CHECKING, final
+
+from safedpa.bus.wire.messages import ScanMessage, StateMessage
+from safedpa.perception.settings import PerceptionSettings
+
+if TYPE_CHECKING:
+    from safedpa.perception.sweep import Sweep
+
+__all__ = ["Sources"]
+
+_FROZEN = 3
+"""Scans that are the same to the last digit: no sensor with noise does that."""
+_CONTRADICTS = 0.6
+"""Share of a scan's cells that may move. Six people in a room of 7 x 6 m make 0.15 of them, the same room seen
+the wrong way round 0.9, from a mount that is knocked by 60 degrees 0.9."""
+_CONTRADICTIONS = 3
+_SEES = 0.25
+"""Share of the rays that must measure something."""
+
+
+@dataclass
+class _Source:
+    time: float | None = None
+    """s; when it measured what was looked at last."""
+    heard: float | None = None
+    """s; when it measured what was heard last."""
+    number: int = -1
+    ranges: tuple[float, ...] = ()
+    same: int = 0
+    contradictions: int = 0
+    believed: float = 1.0
+
+
+@final
+class Sources:
+    """Of one robot, by the names that its states give."""
+
+    def __init__(self, settings: PerceptionSettings) -> None:
+        self._settings = settings
+        self._known: dict[str, _Source] = {}
+
+    def expect(self, state: StateMessage) -> None:
+        """The sources that there are now."""
+        self._known = {name: self._known.get(name) or _Source() for name in state.sources}
+
+    def believes(self, scan: ScanMessage, state: StateMessage) -> bool:
+        """Whether a scan is of a source of this robot, newer than the last one, and not the same once more."""
+        source = self._known.get(scan.source)
+        if (
+            source is None
+            or scan.epoch != state.epoch
+            or (source.heard is not None and scan.robot_time <= source.heard)
+        ):
+            return False
+        source.same = source.same + 1 if scan.ranges == source.ranges else 0
+        source.heard, source.number, source.ranges = scan.robot_time, scan.number, scan.ranges
+        return source.same < _FROZEN
+
+    def looked(self, scan: ScanMessage, sweep: Sweep, contradicted: float) -> None:
+        """What a scan that was taken up looked like."""
+        source = self._known[scan.source]
+        source.time = scan.robot_time
+        source.believed = sweep.believed
+        again = contradicted > _CONTRADICTS
+        source.contradictions = (
+            min(source.contradictions + 1, 2 * _CONTRADICTIONS) if again else max(source.contradictions - 1, 0)
+        )
+
+    def ages(self, now: float) -> tuple[float, ...]:
+        """s since each source measured what was looked at last; -1 where nothing was."""
+        return tuple(-1.0 if one.time is None else now - one.time for one in self._known.values())
+
+    def amiss(self, now: float) -> tuple[str, ...]:
+        """A sentence for each thing that is wrong."""
+        return tuple(filter(None, (self._wrong(name, one, now) for name, one in self._known.items())))
+
+    def _wrong(self, name: str, source: _Source, now: float) -> str:
+        own = self._settings
+        if source.time is None and source.same < _FROZEN:
+            return f"nothing was {'heard of' if source.heard is None else 'looked at of'} the source {name}"
+        if source.believed < _SEES:
+            return f"the source {name} measures {100.0 * source.believed:.0f} % of its rays, wanted {100 * _SEES:.0f} %"
+        if source.same >= _FROZEN and source.heard is not None and now - source.heard <= own.time_out:
+            return f"the source {name} has told the same for {source.same + 1} scans: it is frozen"
+        age = inf if source.time is None else now - source.time
+        if age > own.time_out:
+            return f"the source {name} was silent for {age:.2f} s, its time-out is {own.time_out:g} s"
+        if source.contradictions >= _CONTRADICTIONS:
+            return (
+                f"the source {name} contradicts what it saw before: is its mount, its direction or the robot's own way "
+                "wrong?"
+            )
+        return ""

@@ -1,0 +1,121 @@
+"""The surroundings of one robot, from its scans and its own way: kept from tick to tick, told for the tick's moment."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus.wire.messages import ScanMessage, StateMessage
+from safedpa.errors import MessageError
+from safedpa.perception.discs import covering
+from safedpa.perception.grid import CELL
+from safedpa.perception.odometry import Odometry
+from safedpa.perception.settings import PerceptionSettings
+from safedpa.perception.sources import Sources
+from safedpa.perception.sweep import Sweep, check_scan, within_body
+from safedpa.perception.things import Things
+
+__all__ = ["Seen", "Surroundings"]
+
+Values = NDArray[np.float64]
+Rows = tuple[tuple[float, ...], ...]
+
+_WAITING = 64
+"""Scans that wait for the state after them."""
+_LEAP = 10.0
+"""s; after a leap of the clock by so much, or any backwards, nothing of before is believed."""
+_HALF_DIAGONAL = CELL / 2**0.5
+
+
+@final
+class Seen:
+    """What is told of one tick; fields as in ``SurroundingsMessage``."""
+
+    def __init__(self, points: Rows, movers: Rows, hidden: Rows) -> None:
+        self.points, self.movers, self.hidden = points, movers, hidden
+
+
+@final
+class Surroundings:
+    """Call ``hear`` for each scan as it comes, and ``at`` once for each state, ticks growing."""
+
+    def __init__(self, settings: PerceptionSettings) -> None:
+        self.settings = settings
+        self.sources = Sources(settings)
+        self._odometry = Odometry()
+        self._waiting: deque[ScanMessage] = deque(maxlen=_WAITING)
+        self._things: Things | None = None
+        self._looked = 0.0
+        """s; when the front of what hides was last drawn."""
+        self._now: tuple[int, float] | None = None
+        """Epoch and time [s] of the last state."""
+
+    def hear(self, scan: ScanMessage) -> None:
+        """Keeps a scan for the next state. Raises MessageError for one that can be none."""
+        check_scan(scan)
+        self._waiting.append(scan)
+
+    def at(self, state: StateMessage) -> Seen:
+        """What is around the robot at the moment of ``state``. Raises MessageError for a robot that is nowhere."""
+        if len(state.values) < 3:
+            raise MessageError(f"state: got {len(state.values)} values, wanted x, y, yaw first")
+        x, y, yaw = state.values[:3]
+        if self._now is not None and not self._goes_on(state, *self._now):
+            self.sources, self._odometry, self._things = Sources(self.settings), Odometry(), None
+        self._now = state.epoch, state.robot_time
+        self._odometry.add(state.robot_time, (x, y, yaw))
+        self.sources.expect(state)
+        if self._things is None:
+            self._things, self._looked = Things(self.settings, x, y), state.robot_time
+        self._things.follow(x, y)
+        self._things.driven += self._odometry.last_step
+        for scan in self._due(state):
+            self._take(scan, state, self._things)
+        while state.robot_time - self._looked > self._things.hiding.patience:
+            self._looked += self._things.hiding.patience
+            self._things.hiding.wait(self._looked)
+        return self._told(state, self._things)
+
+    def _goes_on(self, state: StateMessage, epoch: int, before: float) -> bool:
+        return state.epoch == epoch and -1e-9 <= state.robot_time - before <= _LEAP
+
+    def _due(self, state: StateMessage) -> list[ScanMessage]:
+        due = [scan for scan in self._waiting if scan.robot_time <= state.robot_time + 1e-9]
+        self._waiting = deque((one for one in self._waiting if one not in due), maxlen=_WAITING)
+        return sorted(due, key=lambda scan: scan.robot_time)
+
+    def _take(self, scan: ScanMessage, state: StateMessage, things: Things) -> None:
+        pose = self._odometry.at(scan.robot_time)
+        if not self.sources.believes(scan, state) or pose is None:
+            return
+        sweep = Sweep(scan, pose, state, open_air=self.settings.open_air)
+        middles = np.column_stack([part.ravel() for part in things.grid.middles])
+        own = within_body(middles, pose, state, CELL).reshape(things.grid.size, -1)
+        things.take(sweep, own)
+        self._looked = scan.robot_time  # however late it comes: from there on the front is drawn anew
+        self.sources.looked(scan, sweep, things.contradicted)
+
+    def _told(self, state: StateMessage, things: Things) -> Seen:
+        own, now = self.settings, state.robot_time
+        x, y, yaw = state.values[:3]
+        here = np.array((x, y))
+        at_rest = things.at_rest(now)
+        rest, ago = things.places(at_rest), things.driven - things.seen_at[at_rest]
+        outside = ~within_body(rest, (x, y, yaw), state, 0.0)
+        points = covering(rest[outside], own.point_radius + own.drift * ago[outside], here, own.most)
+        moving = things.moving_now(now)
+        age = np.maximum(now - things.last[moving], 0.0)
+        movers = covering(things.places(moving), own.point_radius + own.fastest * age, here, own.most)
+        grid_x, grid_y = things.grid.middles
+        ways_out = things.hiding.ways_out
+        places = np.column_stack([grid_x[ways_out], grid_y[ways_out]])
+        ahead = own.fastest * (now - self._looked)
+        hidden = covering(places, np.full(len(places), own.slimmest + _HALF_DIAGONAL + ahead), here, own.most)
+        return Seen(
+            tuple((x, y, radius) for x, y, radius in points.tolist()),
+            tuple((x, y, radius, 0.0, 0.0, own.fastest) for x, y, radius in movers.tolist()),
+            tuple((x, y, radius, own.coming) for x, y, radius in hidden.tolist()),
+        )

@@ -1,0 +1,188 @@
+"""What was seen around the robot, on cells: what is at rest, what may move, and what was seen to be empty.
+
+A cell that is hit for the first time holds something at rest where nothing that moves can have come (``hiding``),
+beside what has long been at rest (noise), and, of cells that nobody ever saw empty, beside what is at rest: more of the
+same thing comes into view. It holds something that may move where something hidden may have come, until it has stayed
+``still_after``; and where it was seen to be empty before, something that was seen to move, until it has stayed
+``restless``. What is seen through is empty; what may move and is not seen again is empty too, since it either is seen
+elsewhere or hides (``leaves``).
+"""
+
+from __future__ import annotations
+
+from math import inf
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.perception.grid import CELL, Grid, grown, moved
+from safedpa.perception.hiding import Hiding
+from safedpa.perception.settings import PerceptionSettings
+from safedpa.perception.sweep import Sweep
+
+__all__ = ["Things"]
+
+Values = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+_BEHIND = 0.15
+"""m that a cell's middle must lie before what ends the rays, so that the cell is seen through: noise and its corner."""
+_WIDTH = 0.06
+"""m around the middle through which every ray must pass."""
+_BESIDE = 1.5 * CELL
+"""m; noise throws a point so far."""
+_SLACK = 8
+"""Cells by which the robot leaves the grid's middle before the grid follows."""
+_LONG = 0.5
+"""s at rest, after which something is solid: nobody hides in it, and noise about it is nothing new."""
+_UNSEEN = 0.25
+"""s after which something that may move is not where it was seen: two scans at 10 Hz missed it."""
+_GOES_ON = 0.3
+"""m that something goes on from scan to scan at most, and a bit: 1.5 m/s at 10 Hz, and where on its body it is hit."""
+_FRESH = 0.3
+"""Share of a new point in a cell's mean."""
+
+
+@final
+class Things:
+    """The cells' contents, in the frame of the robot's position."""
+
+    def __init__(self, settings: PerceptionSettings, x: float, y: float) -> None:
+        self.settings = settings
+        self.grid = Grid(settings.reach, x, y)
+        size = self.grid.size
+        self.hiding = Hiding(size, settings.slimmest, settings.fastest)
+        self.first: Values = np.full((size, size), inf)
+        """s; when what is in a cell was first seen there; infinity: nothing is."""
+        self.last: Values = np.full((size, size), -inf)
+        """s; when it was seen last."""
+        self.driven = 0.0
+        """m that the robot drove so far."""
+        self.seen_at: Values = np.zeros((size, size))
+        """m that it had driven when a cell's content was seen last."""
+        self._moved: Values = np.full((size, size), -inf)
+        """s; when it was last seen to move."""
+        self._doubtful: Flags = np.zeros((size, size), dtype=bool)
+        """Whether it may be something that had been hidden."""
+        self._by: dict[str, Flags] = {}
+        """By source: the cells whose content it has hit, and not seen through since."""
+        self._emptied: dict[str, Flags] = {}
+        """By source: the cells that it ever saw empty."""
+        self._x, self._y = self.grid.middles
+        self.contradicted = 0.0
+        """Share of the cells hit by the last sweep whose content may move; 0 while nobody knows what is at rest."""
+        self._began: float | None = None
+        self._newest: dict[str, float] = {}
+        """By source: s; when its newest sweep was measured."""
+
+    def follow(self, x: float, y: float) -> None:
+        """Moves the grid with the robot."""
+        way = self.grid.way_to(x, y, _SLACK)
+        if way == (0, 0):
+            return
+        self.grid.move(way)
+        self.hiding.move(way)
+        self.first, self.last = moved(self.first, way, inf), moved(self.last, way, -inf)
+        self._moved, self.seen_at = moved(self._moved, way, -inf), moved(self.seen_at, way, 0.0)
+        for flags in (self._by, self._emptied):
+            flags.update({source: moved(cells, way, False) for source, cells in flags.items()})
+        self._doubtful = moved(self._doubtful, way, False)
+        middles = self.grid.middles
+        self._x, self._y = moved(self._x, way, 0.0), moved(self._y, way, 0.0)
+        empty = self.first == inf
+        self._x[empty], self._y[empty] = middles[0][empty], middles[1][empty]
+
+    def take(self, sweep: Sweep, own: Flags) -> None:
+        """Takes up one sweep; ``own`` (size, size): where the robot itself is."""
+        time = sweep.time
+        middles = self.grid.middles
+        distance, sight = sweep.sight(*middles, _WIDTH)
+        i, j, within = self.grid.cells(sweep.ends)
+        i, j, ends = i[within], j[within], sweep.ends[within]
+        hit = np.zeros_like(own)
+        hit[i, j] = True
+        seen = (distance < sight - _BEHIND) & ~hit
+        empty = seen & ~grown(hit, _BESIDE, beyond=False)  # along a wall one sees far past what stands beside the ray
+        self._forget(empty, sweep)
+        self._add(hit, sweep)
+        self._place(i, j, ends)
+        moving = self.moving(time)
+        self._began = time if self._began is None else self._began
+        self._newest[sweep.source] = max(self._newest.get(sweep.source, -inf), time)
+        knows = time > self._began + 2.0 * _LONG
+        self.contradicted = float((hit & moving).sum() / max(hit.sum(), 1)) if knows else 0.0
+        past = sweep.farthest_past(*middles, self.hiding.width)
+        looked_through = (distance < past - _BEHIND) & ~hit
+        looked_through |= grown(hit & moving, CELL, beyond=False) & (distance < sight)
+        self.hiding.look(time, looked_through, self._solid(time), own, moving)
+        self._emptied[sweep.source] |= empty
+        self._clear(moving & (self.last < time - _UNSEEN))
+
+    def _solid(self, time: float) -> Flags:
+        return self.at_rest(time) & (self.first <= time - _LONG)
+
+    def _forget(self, empty: Flags, sweep: Sweep) -> None:
+        """What a source sees through is gone once every source that hit it does: one may look over a low thing."""
+        time, none = sweep.time, np.zeros_like(empty)
+        for flags in (self._by, self._emptied):
+            flags.setdefault(sweep.source, none.copy())
+        mine = empty & (self.last <= time)
+        self._by[sweep.source][mine] = False
+        held = np.logical_or.reduce(list(self._by.values()))
+        self._clear((mine & ~held) | (self.last < time - self.settings.memory))
+
+    def _clear(self, gone: Flags) -> None:
+        self.first[gone], self.last[gone], self._moved[gone] = inf, -inf, -inf
+        self._doubtful[gone] = False
+        for cells in self._by.values():
+            cells[gone] = False
+
+    def _add(self, hit: Flags, sweep: Sweep) -> None:
+        """Says of each cell that is hit for the first time what it holds."""
+        own, time, emptied = self.settings, sweep.time, self._emptied[sweep.source]
+        new = hit & (self.first == inf)
+        beside = grown(self._solid(time), _BESIDE, beyond=False)
+        beside |= grown(self.at_rest(time), _BESIDE, beyond=False) & ~emptied
+        appeared = new & ~beside & emptied
+        came = new & ~beside & ~appeared & grown(self.hiding.reached(time), own.widest, beyond=True)
+        restless = grown(self._moved > time - own.restless, _BESIDE, beyond=False)
+        self._moved[appeared | (new & ~beside & restless)] = time
+        self._doubtful[came] = True
+        self.first[new] = time
+        self.last[hit] = np.maximum(self.last[hit], time)
+        self.seen_at[hit] = self.driven
+        self._by[sweep.source] |= hit
+
+    def _place(self, i: NDArray[np.int64], j: NDArray[np.int64], ends: Values) -> None:
+        """Moves each cell's mean towards its points; of a cell that was empty, to their mean."""
+        flat = i * self.grid.size + j
+        cells, where = np.unique(flat, return_inverse=True)
+        count = np.bincount(where)
+        for mean, column in ((self._x, ends[:, 0]), (self._y, ends[:, 1])):
+            fresh = np.bincount(where, weights=column) / count
+            known = mean.ravel()[cells]
+            started = self.first.ravel()[cells] >= self.last.ravel()[cells]
+            mean.ravel()[cells] = np.where(started, fresh, known + _FRESH * (fresh - known))
+
+    def moving(self, time: float) -> Flags:
+        """(size, size) cells that hold something that may move."""
+        own = self.settings
+        doubtful = self._doubtful & (time - self.first < own.still_after)
+        return (self.first < inf) & (doubtful | (self._moved > time - own.restless))
+
+    def moving_now(self, time: float) -> Flags:
+        """Those of ``moving`` that the newest sweep of a source saw, and those missed of which none saw anything near:
+        what is seen to have gone on is not told twice. Each source sees its own side of what stands between them."""
+        moving, fresh = self.moving(time), np.zeros_like(self._doubtful)
+        for source, newest in self._newest.items():
+            fresh |= moving & self._by[source] & (self.last >= newest)
+        return fresh | (moving & ~grown(fresh, _GOES_ON, beyond=False))
+
+    def at_rest(self, time: float) -> Flags:
+        """(size, size) cells that hold something at rest."""
+        return (self.first < inf) & ~self.moving(time)
+
+    def places(self, cells: Flags) -> Values:
+        """(n, 2) m; where the things in ``cells`` are."""
+        return np.column_stack([self._x[cells], self._y[cells]])

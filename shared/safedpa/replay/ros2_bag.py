@@ -1,0 +1,217 @@
+"""A recording of the bus as a rosbag2: standard messages that Foxglove, Rerun and ROS 2 open."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from safedpa.bus.wire.messages import ComputedMessage, Message, SetupMessage, StateMessage, VerdictMessage, WishMessage
+from safedpa.bus.wire.topics import SETUP, STATE, VERDICT, WISH, topic_of
+from safedpa.dynamics import PhysicsModel
+from safedpa.dynamics.model_file import parse_model
+from safedpa.errors import InputError, RecordingError, RunError, did_you_mean
+from safedpa.records.mcap_messages import read_messages
+from safedpa.records.run import Finding
+from safedpa.robot import AbstractRobot, robot_like, robots
+from safedpa.ros.encoding import encode, stamp_of, type_store
+from safedpa.ros.face import AbstractFace
+from safedpa.ros.telling import diagnostics_of, odometry_of, path_marker, transform_of
+
+__all__ = ["ExportedBag", "export_bag"]
+
+_WORLD, _BODY = "odom", "base_link"
+_TYPES = {
+    "odom": "nav_msgs/msg/Odometry",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "state": "sensor_msgs/msg/JointState",
+    "action": "sensor_msgs/msg/JointState",
+    "wish": "sensor_msgs/msg/JointState",
+    "markers": "visualization_msgs/msg/MarkerArray",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+"""By topic below the robot's name, or with a slash for all robots."""
+
+
+@dataclass
+class ExportedBag:
+    """What was written."""
+
+    robot: str
+    messages: int = 0
+    findings: list[str] = field(default_factory=list)
+
+
+def export_bag(recording: Path, out: Path, robot: str | None = None) -> ExportedBag:
+    """Writes one robot's drive as a rosbag2 folder ``out``, MCAP inside; times are those of ``_Clock``.
+
+    Topics: odometry, tf and the command for a robot on the plane; state, wish and action as numbers with names;
+    diagnostics of every verdict; markers of what it perceives and of what the filter foresees. Raises InputError where
+    ``out`` is there already, RunError where the recording cannot be used, RecordingError when it cannot be written.
+    """
+    if out.exists():
+        raise InputError(f"{out}: is there already; name a new folder for the bag")
+    findings: list[Finding] = []
+    name, first = _robot_in(recording, robot)
+    speaks = _Speaker(name, *(_told_by_setup(recording, name) or (_kind_of(recording, first), None)))
+    exported = ExportedBag(name)
+    writer = _writer(out)
+    try:
+        with writer:
+            lines: dict[str, Any] = {}
+            for topic, message, at, values in _told(recording, name, speaks, findings):
+                if topic not in lines:
+                    lines[topic] = writer.add_connection(topic, message, typestore=type_store())
+                writer.write(lines[topic], at, encode(message, values))
+                exported.messages += 1
+    except OSError as error:
+        shutil.rmtree(out, ignore_errors=True)
+        raise RecordingError(f"{out}: cannot be written ({error.strerror}); make room") from error
+    exported.findings = [finding.message for finding in findings]
+    return exported
+
+
+def _writer(out: Path) -> Any:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    return Writer(out, version=9, storage_plugin=StoragePlugin.MCAP)
+
+
+def _robot_in(recording: Path, robot: str | None) -> tuple[str, StateMessage]:
+    """The robot's name and its first state. Raises RunError where there is none, or several and nobody says which."""
+    found: dict[str, StateMessage] = {}
+    for key, _, message in read_messages(recording, None, (STATE,)):
+        if isinstance(message, StateMessage):
+            found.setdefault(topic_of(key)[1], message)
+    if not found:
+        raise RunError(f"{recording}: holds no state of a robot; wanted a recording of the bus")
+    if robot is None and len(found) > 1:
+        raise RunError(f"{recording}: holds robots {', '.join(sorted(found))}; name one with --robot")
+    name = robot or next(iter(found))
+    if name not in found:
+        raise RunError(f"{recording}: robot '{name}': {did_you_mean(name, found)}")
+    return name, found[name]
+
+
+def _told_by_setup(recording: Path, name: str) -> tuple[AbstractRobot, PhysicsModel] | None:
+    """The robot as the model declares it with which the services say that they run: a throttle is no speed."""
+    for key, _, message in read_messages(recording, None, (SETUP,)):
+        if isinstance(message, SetupMessage) and message.document and topic_of(key)[1] in (name, "-"):
+            try:
+                model = parse_model(message.document, recording.parent)
+            except InputError:
+                continue  # networks whose weights lie elsewhere
+            found = robot_like(model.system)
+            if found is not None:
+                return found, model
+    return None
+
+
+def _kind_of(recording: Path, state: StateMessage) -> AbstractRobot:
+    for known in robots().values():
+        shape = (len(known.system.state), len(known.system.action), not known.ros_face() or bool(state.field))
+        if shape == (len(state.values), len(state.applied), True):
+            return known
+    raise RunError(
+        f"{recording}: its robot has {len(state.values)} states, {len(state.applied)} actions: no known kind of robot"
+    )
+
+
+Told = tuple[str, str, int, Mapping[str, Any]]
+
+
+def _told(recording: Path, name: str, speaks: _Speaker, findings: list[Finding]) -> Iterator[Told]:
+    """(topic, type, ns, fields) of everything that is written, in the recording's order."""
+    clock = _Clock()
+    for key, _, message in read_messages(recording, findings, (STATE, VERDICT, WISH)):
+        if topic_of(key)[1] == name:
+            at = clock.of(message)
+            for topic, kind, values in speaks.of(message, at):
+                yield (topic if topic.startswith("/") else f"/{_plain(name)}/{topic}"), kind, at, values
+
+
+class _Clock:
+    """When a message belongs into the bag [ns]: when it was sent; in lockstep by the robot's own time.
+
+    There it is sent as soon as everybody has answered, many times as fast as the robot drives.
+    """
+
+    def __init__(self) -> None:
+        self._begun: dict[int, float | None] = {}
+        self._last = 0.0
+
+    def of(self, message: Message) -> int:
+        if not isinstance(message, ComputedMessage | StateMessage):
+            return round(message.publish_time * 1e9)
+        if message.epoch not in self._begun and isinstance(message, StateMessage):
+            first = max(message.publish_time, self._last + message.period) - message.robot_time
+            self._begun[message.epoch] = first if message.lockstep else None
+        begin = self._begun.get(message.epoch)
+        at = message.publish_time if begin is None else begin + message.robot_time
+        self._last = max(self._last, at)
+        return round(at * 1e9)
+
+
+def _plain(name: str) -> str:
+    """As ROS writes names: letters, digits and underscores, not a digit first."""
+    plain = "".join(sign if sign.isascii() and (sign.isalnum() or sign == "_") else "_" for sign in name)
+    return plain if plain[:1].isalpha() else f"robot_{plain}"
+
+
+class _Speaker:
+    """Messages of ROS out of those of the bus, for one robot."""
+
+    def __init__(self, name: str, robot: AbstractRobot, model: PhysicsModel | None = None) -> None:
+        self._name, self._system = name, robot.system
+        self._face: AbstractFace | None = robot.ros_face(model)
+        self._frame = f"{_plain(name)}/{_BODY}"
+        self._values: tuple[float, ...] = ()
+        self._stamp = (0, -1)
+
+    def of(self, message: Message, at: int) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+        head = {"stamp": stamp_of(at), "frame_id": _WORLD}
+        if isinstance(message, StateMessage):
+            if (message.epoch, message.tick) == self._stamp:
+                return  # in lockstep a robot repeats itself until it is answered
+            self._stamp, self._values = (message.epoch, message.tick), message.values
+            yield "state", _TYPES["state"], self._numbers(head, self._system.state_names, message.values)
+            yield "action", _TYPES["action"], self._numbers(head, self._system.action_names, message.applied)
+            if self._face is not None:
+                pose = self._face.planar(message.values)
+                yield "odom", _TYPES["odom"], odometry_of(head, self._frame, *pose)
+                yield "/tf", _TYPES["/tf"], {"transforms": [transform_of(head, self._frame, *pose[:3])]}
+                command = self._face.commands[0]
+                beside = {"header": head} if command.endswith("Stamped") else {}
+                yield "command", command, {**beside, **self._face.message(command, message.applied, message.values)}
+                if message.obstacles:
+                    yield "markers", _TYPES["markers"], {"markers": _discs(head, message.obstacles)}
+        elif isinstance(message, WishMessage):
+            yield "wish", _TYPES["wish"], self._numbers(head, self._system.action_names, message.values)
+        elif isinstance(message, VerdictMessage):
+            yield "/diagnostics", _TYPES["/diagnostics"], diagnostics_of(head, self._name, message)
+            if self._face is not None and len(message.predicted) > 1:
+                places = [self._face.planar(row)[:2] for row in message.predicted]
+                yield "markers", _TYPES["markers"], {"markers": [path_marker(head, places)]}
+
+    @staticmethod
+    def _numbers(head: Mapping[str, Any], names: tuple[str, ...], values: tuple[float, ...]) -> dict[str, Any]:
+        return {"header": head, "name": list(names), "position": list(values)}
+
+
+def _discs(head: Mapping[str, Any], obstacles: tuple[tuple[float, ...], ...]) -> list[dict[str, Any]]:
+    return [
+        {
+            "header": head,
+            "ns": "obstacles",
+            "id": number,
+            "type": 3,  # a cylinder
+            "pose": {"position": {"x": x, "y": y}, "orientation": {"w": 1.0}},
+            "scale": {"x": 2.0 * radius, "y": 2.0 * radius, "z": 0.1},
+            "color": {"r": 0.8, "g": 0.3, "b": 0.2, "a": 0.9},
+        }
+        for number, (x, y, radius) in enumerate(obstacles)
+        if math.isfinite(radius)
+    ]

@@ -1,0 +1,189 @@
+"""The figures of a comparison, as plain dictionaries in the form that plotly.js draws."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from safedpa.compare.comparison import Comparison
+from safedpa.compare.where import PLACE, Bin
+from safedpa.report.panels import Panels, label, rounded
+
+__all__ = [
+    "COLOURS",
+    "LEGEND",
+    "MOST_RUNS",
+    "horizon_figure",
+    "place_figure",
+    "residual_figure",
+    "time_figure",
+    "where_figure",
+]
+
+COLOURS = {
+    "measured": "#222222",
+    "model": "#0072B2",
+    "no_change": "#E69F00",
+    "constant_velocity": "#009E73",
+    "before": "#D55E00",
+    "after": "#0072B2",
+    "before_bar": "#F0C4A4",
+    "after_bar": "#0072B2",
+    "worst": "#0072B2",
+    "bar": "#B8C4CE",
+    "dot": "#8A96A3",
+}
+"""From the palette of Okabe and Ito, which people with colour blindness can tell apart; greys for the rest."""
+
+LINES = {
+    "model": ("model", "solid", 2.5),
+    "no_change": ("no change", "dash", 1.5),
+    "constant_velocity": ("constant velocity", "dot", 2),
+}
+"""By predictor: name, dash, width."""
+
+LEGEND = {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.1, "yanchor": "bottom"}
+
+MOST_RUNS = 12
+"""Runs whose error is drawn over time."""
+
+POINTS = 600
+"""Most points of one cloud; a page with every window would be slow and no clearer."""
+
+
+def horizon_figure(comparison: Comparison) -> dict[str, Any]:
+    """Trimmed RMS error over the horizon, one panel a state, the model beside the naive predictors."""
+    states = comparison.windows.system.state
+    panels = Panels(rows=1, columns=len(states), height=300)
+    seconds = [item.seconds for item in comparison.horizons]
+    for index, state in enumerate(states):
+        at = panels.add(state.name, "horizon [s]", f"error [{state.unit}]")
+        for name, (title, dash, width) in LINES.items():
+            errors = [item.errors[name] for item in comparison.horizons]
+            values = [0.0, *(error.per_state[index] * error.scale[index] for error in errors)]
+            line = {"color": COLOURS[name], "dash": dash, "width": width}
+            panels.draw(at, [0.0, *seconds], values, mode="lines", name=title, line=line, showlegend=index == 0)
+        panels.axis(at, "y", rangemode="tozero")
+    return panels.figure("horizon", legend=LEGEND, margin={"l": 62, "r": 14, "t": 70, "b": 52})
+
+
+def where_figure(comparison: Comparison) -> dict[str, Any]:
+    """Error by bins of every variable but time, the variable that explains most first; the line is the average."""
+    factors = [item for item in comparison.factors if item.kind != "time"]
+    panels = Panels(rows=-(-len(factors) // 3), columns=min(3, len(factors)), height=250)
+    for factor in factors:
+        at = panels.add(f"{factor.variable} (explains {100 * max(factor.explained, 0):.0f} %)", label(factor), "error")
+        _bars(panels, at, factor.bins, comparison.error.value)
+        panels.axis(at, "y", range=_heights(comparison))
+    return panels.figure("where", bargap=0)
+
+
+def time_figure(comparison: Comparison) -> dict[str, Any]:
+    """Error over the time of each run; of many runs those with the largest errors."""
+    factor = next(item for item in comparison.factors if item.kind == "time")
+    worst = sorted((run for run in comparison.runs if run.windows), key=lambda run: -run.error)[:MOST_RUNS]
+    runs = [run.name for run in comparison.runs if run in worst]
+    panels = Panels(rows=-(-len(runs) // 2), columns=min(2, len(runs)), height=210)
+    for name in runs:
+        at = panels.add(name, "time [s]", "error")
+        _bars(panels, at, [item for item in factor.bins if item.run == name], comparison.error.value)
+        panels.axis(at, "y", range=_heights(comparison))
+    return panels.figure("time", bargap=0)
+
+
+def place_figure(comparison: Comparison) -> dict[str, Any] | None:
+    """Error in the plane; None for a robot that does not move about."""
+    if not comparison.cells:
+        return None
+    cells = comparison.cells
+    width = cells[0].x_high - cells[0].x_low
+    left, low = min(cell.x_low for cell in cells), min(cell.y_low for cell in cells)
+    shape = (
+        round((max(cell.y_high for cell in cells) - low) / width),
+        round((max(cell.x_high for cell in cells) - left) / width),
+    )
+    errors, counts = np.full(shape, np.nan), np.zeros(shape)
+    for cell in cells:
+        at = round((cell.y_low - low) / width), round((cell.x_low - left) / width)
+        errors[at], counts[at] = cell.error, cell.samples
+    panels = Panels(rows=1, columns=1, height=520)
+    at_panel = panels.add("", "x [m]", "y [m]")
+    panels.heat(
+        at_panel,
+        rounded(left + width * (np.arange(shape[1]) + 0.5)),
+        rounded(low + width * (np.arange(shape[0]) + 0.5)),
+        [rounded(row) for row in errors],
+        text=[[f"{int(count)} windows" for count in row] for row in counts],
+        title="error",
+    )
+    panels.axis(at_panel, "y", scaleanchor="x", constrain="domain")
+    panels.axis(at_panel, "x", constrain="domain")
+    return panels.figure("place")
+
+
+def residual_figure(comparison: Comparison) -> dict[str, Any]:
+    """Residual rates against state and action, one row a state; the line is the median of each tenth of the points."""
+    system, found = comparison.windows.system, comparison.residuals
+    shown = [(index, v) for index, v in enumerate((*system.state, *system.action)) if v.name not in PLACE]
+    panels = Panels(rows=len(system.state), columns=len(shown), height=225)
+    keep = np.linspace(0, len(found.rates) - 1, min(POINTS, len(found.rates))).astype(np.int64)
+    for row, state in enumerate(system.state):
+        rates = found.rates[:, row]
+        low, high = _span(rates)
+        for index, variable in shown:
+            values = found.values[:, index]
+            if variable.angle:
+                values = (values + np.pi) % (2 * np.pi) - np.pi
+            unit = f"{state.unit}/s".replace("/s/s", "/s²")
+            at = panels.add("", label(variable), f"{state.name} residual [{unit}]")
+            inside = keep[(rates[keep] >= low) & (rates[keep] <= high)]
+            marker = {"color": COLOURS["dot"], "size": 3, "opacity": 0.5}
+            panels.draw(at, values[inside], rates[inside], mode="markers", marker=marker, hoverinfo="skip")
+            x, y = _medians(values, rates)
+            line = {"color": COLOURS["model"], "width": 2.5}
+            panels.draw(at, x, y, mode="lines+markers", line=line, marker={"size": 5})
+            panels.axis(at, "y", range=[low, high], zeroline=True, zerolinecolor="#888")
+            panels.axis(at, "x", range=_span(values))
+    return panels.figure("residuals")
+
+
+def _bars(panels: Panels, at: int, bins: tuple[Bin, ...] | list[Bin], average: float) -> None:
+    worst = max((item.error for item in bins), default=0.0)
+    panels.bars(
+        at,
+        [0.5 * (item.low + item.high) for item in bins],
+        [item.error for item in bins],
+        [item.high - item.low for item in bins],
+        [COLOURS["worst"] if item.error == worst else COLOURS["bar"] for item in bins],
+        [
+            f"{item.low:.3g} to {item.high:.3g}<br>error {item.error:.3f}, {item.ratio:.2f} x average<br>"
+            f"{item.share:.1%} of the squared error<br>{item.samples} windows"
+            for item in bins
+        ],
+    )
+    panels.level(at, average)
+
+
+def _heights(comparison: Comparison) -> list[float | None]:
+    """One range for all bars, so that panels can be compared."""
+    errors = [item.error for factor in comparison.factors for item in factor.bins]
+    return [0.0, *rounded([1.08 * max((error for error in errors if math.isfinite(error)), default=1.0)])]
+
+
+def _span(values: Any) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    low, high = np.quantile(finite, [0.01, 0.99]) if len(finite) else (-1.0, 1.0)
+    margin = 0.1 * max(high - low, 1e-9)
+    return float(low - margin), float(high + margin)
+
+
+def _medians(values: Any, rates: Any, groups: int = 10) -> tuple[Any, Any]:
+    values, rates = values[np.isfinite(rates)], rates[np.isfinite(rates)]
+    order = np.argsort(values, kind="stable")
+    parts = [part for part in np.array_split(order, groups) if len(part)]
+    return (
+        np.array([np.median(values[part]) for part in parts]),
+        np.array([np.median(rates[part]) for part in parts]),
+    )

@@ -1,0 +1,160 @@
+"""Predicted and measured trajectories of some windows, one figure a window, from the worst to the best."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from safedpa.compare.comparison import Comparison
+from safedpa.compare.naive import measured_rates
+from safedpa.compare.rollout import rollout
+from safedpa.compare.where import PLACE
+from safedpa.compare.windows import Floats, Rows, Windows
+from safedpa.report.comparison_figures import COLOURS, LEGEND
+from safedpa.report.panels import Panels, label
+
+__all__ = ["chosen_windows", "overlay_figures", "window_figure"]
+
+EACH = 4
+"""Windows of each kind."""
+
+MOST_ROWS = 250
+"""Most points of one line."""
+
+STYLES = {
+    "measured": (2.0, "solid"),
+    "model": (2.5, "solid"),
+    "constant_velocity": (1.5, "dot"),
+    "before": (2.0, "dash"),
+    "after": (2.5, "solid"),
+}
+"""Width and dash of a line, by what it shows."""
+
+
+def overlay_figures(comparison: Comparison) -> list[dict[str, Any]]:
+    """One figure for each window of ``chosen_windows``, with a ``label`` for the list to choose from."""
+    chosen = chosen_windows(comparison)
+    windows = comparison.windows.select(np.array([index for _, index in chosen], dtype=np.int64))
+    predicted = rollout(comparison.model, windows)
+    rates = measured_rates(windows)
+    figures = []
+    for number, (kind, index) in enumerate(chosen):
+        figure = _figure(windows, number, predicted[: windows.steps[number] + 1, number], rates[number])
+        error = comparison.window_errors[index]
+        at, run = windows.time[windows.start[number]], windows.names[windows.run[number]]
+        figure["label"] = f"{kind}: error {error:.2f}, {run} at {at:.1f} s"
+        figures.append(figure)
+    return figures
+
+
+def chosen_windows(comparison: Comparison) -> list[tuple[str, int]]:
+    """(kind, window): the worst, those at the 95 % quantile, the median and the best, none overlapping within a kind.
+
+    Windows in which nothing moves are no test: those whose measured states change by less than a tenth of what is usual
+    are passed over where others are left.
+    """
+    windows, errors = comparison.windows, comparison.window_errors
+    scale = np.where(comparison.error.scale > 0, comparison.error.scale, np.inf)
+    change = windows.system.difference(windows.states[windows.end], windows.states[windows.start])
+    moving = np.flatnonzero(np.isfinite(errors) & (np.sqrt(((change / scale) ** 2).mean(axis=1)) > 0.1))
+    if not len(moving):
+        moving = np.flatnonzero(np.isfinite(errors))
+    if not len(moving):
+        moving = np.arange(len(errors))
+    order = moving[np.argsort(-errors[moving], kind="stable")]
+    chosen: list[tuple[str, int]] = []
+    for kind, share in (("worst", 0.0), ("95 % quantile", 0.05), ("median", 0.5), ("best", 1.0)):
+        near = np.argsort(np.abs(np.arange(len(order)) - share * (len(order) - 1)), kind="stable")
+        chosen += [(kind, index) for index in _apart(windows, order[near], EACH)]
+    return chosen
+
+
+def _apart(windows: Windows, order: Rows, count: int) -> list[int]:
+    kept: list[int] = []
+    for index in order.tolist():
+        middle = windows.clock[windows.start[index]]
+        if all(abs(middle - windows.clock[windows.start[other]]) > windows.horizon for other in kept):
+            kept.append(index)
+        if len(kept) == count:
+            break
+    return kept
+
+
+def _figure(windows: Windows, number: int, predicted: Floats, rates: Floats) -> dict[str, Any]:
+    rows = np.arange(windows.start[number], windows.end[number] + 1)
+    elapsed = (windows.clock[rows] - windows.clock[rows[0]])[:, None]
+    lines = {"model": predicted, "constant_velocity": windows.states[rows[0]] + rates * elapsed}
+    return window_figure(windows, number, lines)
+
+
+def window_figure(windows: Windows, number: int, predicted: Mapping[str, Floats]) -> dict[str, Any]:
+    """Path, states and actions of one window, measured from half a horizon before it.
+
+    ``predicted``: by style, the states (steps + 1, states) of one predictor from the window's start to its end.
+    """
+    start, end = int(windows.start[number]), int(windows.end[number])
+    past = int(np.searchsorted(windows.clock, windows.clock[start] - 0.5 * windows.horizon))
+    first = max(past, int(windows.begin[number]))
+    shown = _thinned(np.arange(first, end + 1))
+    ahead = _thinned(np.arange(start, end + 1))
+    lines = {"measured": (shown, windows.states[shown])}
+    lines |= {name: (ahead, states[ahead - start]) for name, states in predicted.items()}
+    time = windows.clock - windows.clock[start]
+    system = windows.system
+    flat = all(name in system.state_names for name in PLACE)
+    states = [(i, v) for i, v in enumerate(system.state) if not (flat and v.name in PLACE)]
+    panels, places = _layout(len(states) + len(system.action), flat)
+    if flat:
+        x, y = (system.state_names.index(name) for name in PLACE)
+        at = panels.place("path", "x [m]", "y [m]", (0.0, 0.36), (0.0, 1.0))
+        for name, (_, values) in lines.items():
+            panels.draw(at, values[:, x], values[:, y], **_style(name), showlegend=True)
+        panels.axis(at, "y", scaleanchor="x")
+    for (index, variable), (across, up) in zip(states, places, strict=False):
+        at = panels.place(variable.name, "time from start [s]", label(variable), across, up)
+        for name, (rows, values) in lines.items():
+            turns = 2.0 * np.pi * np.round(windows.states[start, index] / (2.0 * np.pi)) if variable.angle else 0.0
+            panels.draw(at, time[rows], values[:, index] - turns, **_style(name), showlegend=at == 1)
+    usual = 0.2 * np.ptp(np.quantile(windows.actions, [0.01, 0.99], axis=0), axis=0)
+    for index, (variable, (across, up)) in enumerate(zip(system.action, places[len(states) :], strict=True)):
+        at = panels.place(variable.name, "time from start [s]", label(variable), across, up)
+        line = {"color": COLOURS["measured"], "width": 1.5, "shape": "hv"}
+        panels.draw(at, time[shown], windows.actions[shown, index], mode="lines", line=line)
+        panels.axis(at, "y", range=_wide(windows.actions[shown, index], usual[index]))
+    return panels.figure("overlay", legend=LEGEND, margin={"l": 62, "r": 14, "t": 70, "b": 52})
+
+
+def _layout(count: int, flat: bool) -> tuple[Panels, list[tuple[tuple[float, float], tuple[float, float]]]]:
+    """Places for ``count`` panels in two columns, right of the path when there is one."""
+    left = 0.44 if flat else 0.0
+    width = (1.0 - left - 0.08) / 2
+    rows = -(-count // 2)
+    tall = (1.0 - 0.2 * (rows - 1)) / rows
+    places = []
+    for number in range(count):
+        row, column = divmod(number, 2)
+        across = left + column * (width + 0.08)
+        top = 1.0 - row * (tall + 0.2)
+        places.append(((across, across + width), (max(top - tall, 0.0), top)))
+    return Panels(rows=rows, columns=1, height=210), places
+
+
+def _wide(values: Floats, least: float) -> list[float]:
+    """A range around the values of at least that width: the last digit of a command should not look like a jump."""
+    middle, width = 0.5 * (values.min() + values.max()), max(1.1 * float(np.ptp(values)), least)
+    half = 0.5 * width or 1.0
+    return [float(middle - half), float(middle + half)]
+
+
+def _style(name: str) -> dict[str, Any]:
+    width, dash = STYLES[name]
+    line = {"color": COLOURS[name], "width": width, "dash": dash}
+    return {"mode": "lines", "name": name.replace("_", " "), "line": line}
+
+
+def _thinned(rows: Rows) -> Rows:
+    if len(rows) <= MOST_ROWS:
+        return rows
+    return rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).astype(np.int64))]

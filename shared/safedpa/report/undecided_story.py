@@ -1,0 +1,118 @@
+"""What a diagnosis says where the data are not sure, and what they would have shown: sentences from report.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+__all__ = [
+    "closest_rows", "detectable_rows", "naive_sentence", "nothing_sentence", "undecided_sentence", "unsure_sentence",
+]  # fmt: skip
+
+_NAIVE = {"no_change": "assuming no change", "constant_velocity": "assuming constant velocity"}
+_EXAMPLES = 3
+"""Sizes that are told in a sentence; the table has all."""
+
+
+def undecided_sentence(document: Mapping[str, Any]) -> str:
+    """Why nothing was decided, and what comes closest."""
+    rest, closest = document.get("unexplained"), document.get("closest") or []
+    why = f"{rest['expression']}" if rest else _why(document, closest)
+    if not closest:
+        return f"Undecided: {why}."
+    nearest = closest[0]
+    numbers = ", ".join(_number_text(path, value) for path, value in nearest["parameters"].items())
+    fall = nearest.get("heldout_fall")
+    off = "" if fall is None else f"; it would take {100.0 * fall:.0f} % off the error"
+    others = [item["effect"] for item in closest[1:]]
+    also = f" Next: {', '.join(others)}." if others else ""
+    return f"Undecided: {why}. Closest, likely but not proven: {nearest['effect']} ({numbers}{off}).{also}"
+
+
+def unsure_sentence(document: Mapping[str, Any], lacking: str, first: float, last: float) -> str:
+    """What was added and helps where it was driven, and what of it these data do not tell the size of."""
+    unsure = [item for item in document.get("closest") or () if item["effect"] in document["added"]]
+    numbers = "; ".join(
+        f"{item['effect']} ({', '.join(_number_text(path, value) for path, value in item['parameters'].items())})"
+        for item in unsure
+    )
+    return (
+        f"Undecided: with {lacking} the error on such driving falls from {first:.3g} to {last:.3g}, but these data do "
+        f"not tell the size of {numbers}. Do not believe the model in other driving."
+    )
+
+
+def _why(document: Mapping[str, Any], closest: Sequence[Mapping[str, Any]]) -> str:
+    if closest:
+        return "not enough data to tell whether an effect is missing"
+    hidden = [item["effect"] for item in document.get("detectable") or () if not _shown(item)]
+    names = ", ".join(dict.fromkeys(hidden))
+    return f"the data are too uniform: an ordinary size of {names} would not have been found"
+
+
+def naive_sentence(document: Mapping[str, Any]) -> str:
+    """That the given model, its free numbers refitted, is worse than what knows no physics; else empty."""
+    naive = {name: value for name, value in (document.get("naive") or {}).items() if value is not None}
+    if not naive or document["stages"][0]["heldout_error"] is None:
+        return ""
+    given = float(document["stages"][0]["heldout_error"])
+    name = min(naive, key=lambda item: naive[item])
+    if not given > naive[name] > 0:
+        return ""
+    return (
+        f"The given model, its free numbers refitted, predicts worse than {_NAIVE.get(name, name)}: an error of "
+        f"{given:.3g} where that has {naive[name]:.3g}."
+    )
+
+
+def nothing_sentence(document: Mapping[str, Any]) -> str:
+    """From which size on an effect would have been found."""
+    every = document.get("detectable") or []
+    shown = [item for item in every if item.get("smallest") is not None]
+    if not shown:
+        return ""
+    order = sorted(shown, key=lambda item: item["smallest"] / item["ordinary"])
+    sizes = "; ".join(f"{item['effect']} {_size_text(item)}" for item in order[:_EXAMPLES])
+    never = list(dict.fromkeys(item["effect"] for item in every if not _shown(item)))
+    rest = f" Of {', '.join(never)} an ordinary size would not have been found." if never else ""
+    return f"Of {len(every)} sizes that were asked for, {len(shown)} would have been found, from {sizes} on.{rest}"
+
+
+def closest_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """(effect, numbers, share of the error that it would take off, what to drive) of effects that may be missing."""
+    rows = []
+    for item in document.get("closest") or ():
+        numbers = ", ".join(_number_text(path, value) for path, value in item["parameters"].items())
+        fall = item.get("heldout_fall")
+        rows.append((item["effect"], numbers, "" if fall is None else f"{100.0 * fall:.0f} %", item["drive"]))
+    return rows
+
+
+def detectable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
+    """(effect, number, smallest size, ordinary size, what stands in the way) of everything that may be missing."""
+    rows = []
+    for item in document.get("detectable") or ():
+        unit = "" if item["unit"] == "1" else f" {item['unit']}"
+        smallest = "not at all" if item.get("smallest") is None else f"{item['smallest']:.2g}{unit}"
+        beside = f"only as a sum with {', '.join(item['only_with'])}" if item["only_with"] else ""
+        drive = f"drive: {item['drive']}" if item["drive"] else ""
+        note = "; ".join(part for part in (beside, drive) if part)
+        rows.append((item["effect"], item["parameter"], smallest, f"{item['ordinary']:.2g}{unit}", note))
+    return rows
+
+
+def _shown(item: Mapping[str, Any]) -> bool:
+    return item.get("smallest") is not None and item["smallest"] <= item["ordinary"]
+
+
+def _size_text(item: Mapping[str, Any]) -> str:
+    unit = "" if item["unit"] == "1" else f" {item['unit']}"
+    return f"{item['parameter']} {item['smallest']:.2g}{unit}"
+
+
+def _number_text(path: str, value: Mapping[str, Any]) -> str:
+    spread = "" if value.get("std") is None else f" +- {value['std']:.2g}"
+    unit = "" if value["unit"] == "1" else f" {value['unit']}"
+    number = math.nan if value["value"] is None else float(value["value"])
+    return f"{path.rsplit('.', maxsplit=1)[-1]} {number:.3g}{spread}{unit}"

@@ -1,0 +1,121 @@
+"""Discs around a car that may move by themselves: passive safety, told as one h for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from safedpa.equations import Given
+from safedpa.errors import InputError
+from safedpa.operations import Operations, Scalar
+from safedpa.robots.car.barriers import Footprint
+from safedpa.robots.car.counter_braking import CounterBraking
+from safedpa.robots.car.swept import body_of, hitch_of, to_segment
+from safedpa.robots.car.swept import steepest as steepest_of_body
+from safedpa.robots.car.towed_reach import TowedReach
+from safedpa.safety.braking import Braking
+from safedpa.safety.equation_barrier import AbstractEquationBarrier
+
+__all__ = ["MoverBarrier"]
+
+_BODY = 4
+"""Shared numbers of the body, as ``body_of`` takes them."""
+_OWN = 8
+"""Shared numbers without those of what is towed."""
+
+
+@final
+class MoverBarrier(AbstractEquationBarrier):
+    """h_i = distance(c_i, S(x)) - (R_i + r + clearance + w_i a) - w_i T(v), for discs (c_i, R_i) with speeds w_i.
+
+    S(x) is the segment of ``ObstacleBarrier``, stretched by the way D(v) in which the car stands that drives against
+    its own motion, T(v) the time that it takes (``CounterBraking``), a one period: so long nobody looks again. While
+    h_i >= 0 the car can brake and stands before anything that is no faster than w_i can have reached it: passive
+    safety. Under that braking S shrinks into itself and T does not grow, so h_i does not fall.
+
+    Of a disc that nobody sees (``hidden``) and that lies behind the end that the car drives away from, w_i T counts 0:
+    who comes from behind has to see the car. With something ``towed`` h_i is also no more than the room of its hitch.
+    Source: Macek, Vasquez, Fraichard, Siegwart, Towards safe vehicle navigation in dynamic urban scenarios, 2009.
+
+    ``discs`` (m, 4): x, y, R [m], w [m/s]. Raises InputError for a wrong shape, NaN, or a length or speed below 0.
+    """
+
+    kind = "mover"
+    at_once = True
+    reads = ("x", "y", "yaw", "speed")
+    numbers = 5
+    written = "safedpa.robots.car.written_barriers"
+
+    def __init__(
+        self,
+        discs: ArrayLike,
+        hidden: Sequence[bool],
+        body: Footprint,
+        braking: Braking,
+        counter: CounterBraking,
+        clearance: float = 0.0,
+        period: float = 0.0,
+        names: Sequence[str] | None = None,
+        towed: TowedReach | None = None,
+    ) -> None:
+        table = np.asarray(discs, dtype=np.float64).reshape(-1, 4)
+        if not np.isfinite(table).all() or (table[:, 2:] < 0.0).any():
+            raise InputError("discs: got NaN, infinity, or a radius or speed below 0, wanted finite ones of 0 or more")
+        self.names = tuple(names) if names is not None else tuple(f"disc {index}" for index in range(len(table)))
+        if not len(self.names) == len(hidden) == len(table):
+            raise InputError(f"discs: got {len(table)}, and {len(self.names)} names; wanted one for each")
+        rear, front, radius = body
+        fastest = float(table[:, 3].max()) if len(table) else 0.0
+        own = (rear, front, braking.deceleration, braking.gain, *counter.numbers[1:], counter.deceleration, fastest)
+        self.shared = own if towed is None else (*own, *towed.numbers)
+        kept = radius + clearance
+        self.each = tuple(
+            (x, y, size + kept + speed * period, speed, 0.0 if unseen else speed)
+            for (x, y, size, speed), unseen in zip(table.tolist(), hidden, strict=True)
+        )
+
+    @staticmethod
+    def h(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """Of a disc x, y, what its distance has to exceed [m], its speed, and the one that counts behind [m/s]."""
+        x, y, reach, fastest, fastest_behind = given.each
+        rear, front, _, _, soft, corner, hard, _ = given.shared[:_OWN]
+        body, towing = body_of(_of_body(given), operations), _of_body(given)
+        speed, numbers = given.state[3], (hard, soft, corner)
+        low, high = _ends(given, operations)
+        apart_x, apart_y = x - given.state[0], y - given.state[1]
+        along = body.cosine * apart_x + body.sine * apart_y
+        across = body.cosine * apart_y - body.sine * apart_x
+        room = operations.hypot(along - operations.clip(along, low, high), across) - reach
+        hitch = hitch_of(body, towing, operations)
+        if hitch is not None:
+            end, growth = hitch
+            towed = to_segment(body, given, body.rear, end, (x, y), operations) - reach - growth
+            room = operations.minimum(room, towed)
+        behind = operations.where(speed >= 0.0, -rear - along, along - front)
+        coming = operations.where(behind > 0.0, fastest_behind, fastest)
+        return (room - coming * CounterBraking.seconds(speed, numbers, operations),)
+
+    @staticmethod
+    def steepest(given: Given, operations: Operations) -> Sequence[Scalar]:
+        """As of the body, or of its own way where that is longer; and what the time until it stands changes."""
+        _, _, _, _, soft, corner, hard, fastest = given.shared[:_OWN]
+        place, _, arm, change, *rest = steepest_of_body(_of_body(given), operations)
+        low, high = _ends(given, operations)
+        arm = operations.maximum(arm, operations.maximum(operations.absolute(low), operations.absolute(high)))
+        way, time = CounterBraking.steepest(given.state[3], (hard, soft, corner), operations)
+        return [place, place, arm, operations.maximum(change, way) + fastest * time, *rest]
+
+
+def _ends(given: Given, operations: Operations) -> tuple[Scalar, Scalar]:
+    """Rear and front end along the heading [m] of the segment that the way until the car stands stretches."""
+    rear, front, _, _, soft, corner, hard, _ = given.shared[:_OWN]
+    way = CounterBraking.distance(given.state[3], (hard, soft, corner), operations)
+    return -rear + operations.minimum(way, 0.0), front + operations.maximum(way, 0.0)
+
+
+def _of_body(given: Given) -> Given:
+    """What ``body_of`` and ``hitch_of`` are given: without the numbers of this barrier's own."""
+    return Given(given.state, (*given.shared[:_BODY], *given.shared[_OWN:]), given.each, given.form)

@@ -1,0 +1,1608 @@
+"""The car's barriers as recorded from ``barriers.py``; written by ``safedpa.robots.car.write_barriers``, not by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, hypot, sin, sqrt
+from typing import Any, final
+
+from safedpa.equations.chain_rule import chain_rule
+
+__all__ = ["WRITTEN", "Open", "OpenTowing", "Sensed", "SensedTowing", "Walled", "WalledTowing"]
+
+
+@final
+class Open:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n36 = (1.0) / p0_3
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n36: float = n36
+        self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
+        self._items1: list[tuple[float, float]] = [(item[0], item[1],) for item in each[1]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        h: list[float] = []
+        for e0_0, e0_1, e0_2 in self._items0:
+            n22 = e0_0 - s0
+            n23 = e0_1 - s1
+            n26 = (n15 * n22) + (n16 * n23)
+            n29 = (n15 * n23) - (n16 * n22)
+            n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+            n32_square = n31 * n31 + n29 * n29
+            n33 = ((sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))) - e0_2
+            h.append(n33)
+        for e1_0, e1_1 in self._items1:
+            n34 = e1_1 - s3
+            n35 = s3 - e1_0
+            h += [n34, n35]
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
+        n18_3 = (0.0 if (0.0) < n14 else n14_3)
+        n20_3 = (0.0 if (0.0) > n14 else n14_3)
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        end2 = end1 + 2 * len(self._items1)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, _ = self._items0[row - end0]
+                n22 = e0_0 - s0
+                n23 = e0_1 - s1
+                n26 = (n15 * n22) + (n16 * n23)
+                n29 = (n15 * n23) - (n16 * n22)
+                n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+                n32_square = n31 * n31 + n29 * n29
+                n32 = (sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))
+                d_n31 = (n31 / n32 if n32 > 0.0 else 0.0)
+                d_n29 = (n29 / n32 if n32 > 0.0 else 1.0)
+                d_n26 = d_n31 + (0.0 if n26 <= n19 else (0.0 if n26 >= n21 else -d_n31))
+                d_n23 = d_n29 * n15 + d_n26 * n16
+                d_n22 = -d_n29 * n16 + d_n26 * n15
+                d_n19 = (-d_n31 if n26 <= n19 else 0.0)
+                d_n21 = (0.0 if n26 <= n19 else (-d_n31 if n26 >= n21 else 0.0))
+                d_n16 = -d_n29 * n22 + d_n26 * n23
+                d_n15 = d_n29 * n23 + d_n26 * n22
+                found.append((-d_n22, -d_n23, d_n16 * n15 + d_n15 * -n16, d_n19 * n18_3 + d_n21 * n20_3))
+            else:
+                which = (row - end1) % 2
+                if which == 0:
+                    found.append((0.0, 0.0, 0.0, -1.0))
+                else:
+                    found.append((0.0, 0.0, 0.0, 1.0))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n36 = self._n36
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n37 = n1 / p0_2
+        n38 = (n37 if n37 > n36 else n36)
+        n39 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n40 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n41 = (n40 if n40 > n39 else n39)
+        n42 = ((1.0) if (1.0) > n38 else n38)
+        return (1.0), (1.0), n41, n42
+
+
+@final
+class Walled:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n52 = (1.0) / p0_3
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n52: float = n52
+        self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
+        self._items1: list[tuple[float, float, float, float]] = [(item[0], item[1], item[2], item[3],) for item in each[1]]
+        self._items2: list[tuple[float, float]] = [(item[0], item[1],) for item in each[2]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n35 = s0 + (n21 * n15)
+        n37 = s1 + (n21 * n16)
+        n43 = s0 + (n19 * n15)
+        n45 = s1 + (n19 * n16)
+        h: list[float] = []
+        for e0_0, e0_1, e0_2 in self._items0:
+            n22 = e0_0 - s0
+            n23 = e0_1 - s1
+            n26 = (n15 * n22) + (n16 * n23)
+            n29 = (n15 * n23) - (n16 * n22)
+            n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+            n32_square = n31 * n31 + n29 * n29
+            n33 = ((sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))) - e0_2
+            h.append(n33)
+        for e1_0, e1_1, e1_2, e1_3 in self._items1:
+            n38 = n35 - e1_0
+            n39 = e1_1 - n35
+            n40 = n37 - e1_2
+            n41 = e1_3 - n37
+            n46 = n43 - e1_0
+            n47 = e1_1 - n43
+            n48 = n45 - e1_2
+            n49 = e1_3 - n45
+            h += [n38, n39, n40, n41, n46, n47, n48, n49]
+        for e2_0, e2_1 in self._items2:
+            n50 = e2_1 - s3
+            n51 = s3 - e2_0
+            h += [n50, n51]
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
+        n18_3 = (0.0 if (0.0) < n14 else n14_3)
+        n20_3 = (0.0 if (0.0) > n14 else n14_3)
+        n34_2 = -n16 * n21
+        n34_3 = n20_3 * n15
+        n36_2 = n15 * n21
+        n36_3 = n20_3 * n16
+        n42_2 = -n16 * n19
+        n42_3 = n18_3 * n15
+        n44_2 = n15 * n19
+        n44_3 = n18_3 * n16
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        end2 = end1 + 8 * len(self._items1)
+        end3 = end2 + 2 * len(self._items2)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, _ = self._items0[row - end0]
+                n22 = e0_0 - s0
+                n23 = e0_1 - s1
+                n26 = (n15 * n22) + (n16 * n23)
+                n29 = (n15 * n23) - (n16 * n22)
+                n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+                n32_square = n31 * n31 + n29 * n29
+                n32 = (sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))
+                d_n31 = (n31 / n32 if n32 > 0.0 else 0.0)
+                d_n29 = (n29 / n32 if n32 > 0.0 else 1.0)
+                d_n26 = d_n31 + (0.0 if n26 <= n19 else (0.0 if n26 >= n21 else -d_n31))
+                d_n23 = d_n29 * n15 + d_n26 * n16
+                d_n22 = -d_n29 * n16 + d_n26 * n15
+                d_n19 = (-d_n31 if n26 <= n19 else 0.0)
+                d_n21 = (0.0 if n26 <= n19 else (-d_n31 if n26 >= n21 else 0.0))
+                d_n16 = -d_n29 * n22 + d_n26 * n23
+                d_n15 = d_n29 * n23 + d_n26 * n22
+                found.append((-d_n22, -d_n23, d_n16 * n15 + d_n15 * -n16, d_n19 * n18_3 + d_n21 * n20_3))
+            elif row < end2:
+                which = (row - end1) % 8
+                if which == 0:
+                    found.append((1.0, 0.0, n34_2, n34_3))
+                elif which == 1:
+                    found.append((-1.0, 0.0, -n34_2, -n34_3))
+                elif which == 2:
+                    found.append((0.0, 1.0, n36_2, n36_3))
+                elif which == 3:
+                    found.append((0.0, -1.0, -n36_2, -n36_3))
+                elif which == 4:
+                    found.append((1.0, 0.0, n42_2, n42_3))
+                elif which == 5:
+                    found.append((-1.0, 0.0, -n42_2, -n42_3))
+                elif which == 6:
+                    found.append((0.0, 1.0, n44_2, n44_3))
+                else:
+                    found.append((0.0, -1.0, -n44_2, -n44_3))
+            else:
+                which = (row - end2) % 2
+                if which == 0:
+                    found.append((0.0, 0.0, 0.0, -1.0))
+                else:
+                    found.append((0.0, 0.0, 0.0, 1.0))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n52 = self._n52
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n53 = n1 / p0_2
+        n54 = (n53 if n53 > n52 else n52)
+        n55 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n56 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n57 = (n56 if n56 > n55 else n55)
+        n58 = ((1.0) if (1.0) > n54 else n54)
+        return (1.0), (1.0), n57, n58
+
+
+@final
+class Sensed:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        p1_0: float = shared[1][0]
+        p1_1: float = shared[1][1]
+        p1_2: float = shared[1][2]
+        p1_3: float = shared[1][3]
+        p1_4: float = shared[1][4]
+        p1_5: float = shared[1][5]
+        p1_6: float = shared[1][6]
+        p1_7: float = shared[1][7]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n34 = p1_2 / p1_3
+        n35 = n34 / p1_3
+        n36 = n34 * n34
+        n38 = (2.0) * p1_2
+        n46 = -p1_0
+        n55 = (2.0) * p1_4
+        n59 = p1_5 * p1_5
+        n61 = (2.0) * p1_6
+        n102 = (1.0) / p0_3
+        n108 = (1.0) / p1_3
+        n118 = (1.0) / p1_6
+        n119 = (1.0) / p1_4
+        n120 = (n119 if n119 > n118 else n118)
+        n125 = p1_7 * ((n120 if n120 > (0.5) else (0.5)))
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._p1_1: float = p1_1
+        self._p1_2: float = p1_2
+        self._p1_3: float = p1_3
+        self._p1_4: float = p1_4
+        self._p1_5: float = p1_5
+        self._p1_6: float = p1_6
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n34: float = n34
+        self._n35: float = n35
+        self._n36: float = n36
+        self._n38: float = n38
+        self._n46: float = n46
+        self._n55: float = n55
+        self._n59: float = n59
+        self._n61: float = n61
+        self._n102: float = n102
+        self._n108: float = n108
+        self._n120: float = n120
+        self._n125: float = n125
+        self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
+        self._items1: list[tuple[float, float, float, float, float]] = [(item[0], item[1], item[2], item[3], item[4],) for item in each[1]]
+        self._items2: list[tuple[float, float]] = [(item[0], item[1],) for item in each[2]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p1_1 = self._p1_1
+        p1_4 = self._p1_4
+        p1_5 = self._p1_5
+        p1_6 = self._p1_6
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n46 = self._n46
+        n55 = self._n55
+        n59 = self._n59
+        n61 = self._n61
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n51 = (p1_5 if p1_5 < n1 else n1)
+        n52 = (p1_5 if p1_5 > n1 else n1)
+        n63 = (((0.05) * n1) + ((n51 * n51) / n55)) + (((n52 * n52) - n59) / n61)
+        n65 = (n63 if n11 else (-n63))
+        n67 = n46 + (((0.0) if (0.0) < n65 else n65))
+        n69 = p1_1 + (((0.0) if (0.0) > n65 else n65))
+        n82 = s3 >= (0.0)
+        n90 = n51 - (0.1)
+        n94 = n1 - p1_5
+        n97 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n90 else n90)) / p1_4)) + ((((0.0) if (0.0) > n94 else n94)) / p1_6)
+        h: list[float] = []
+        for e0_0, e0_1, e0_2 in self._items0:
+            n22 = e0_0 - s0
+            n23 = e0_1 - s1
+            n26 = (n15 * n22) + (n16 * n23)
+            n29 = (n15 * n23) - (n16 * n22)
+            n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+            n32_square = n31 * n31 + n29 * n29
+            n33 = ((sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))) - e0_2
+            h.append(n33)
+        for e1_0, e1_1, e1_2, e1_3, e1_4 in self._items1:
+            n70 = e1_0 - s0
+            n71 = e1_1 - s1
+            n74 = (n15 * n70) + (n16 * n71)
+            n77 = (n15 * n71) - (n16 * n70)
+            n79 = n74 - ((n67 if n74 < n67 else n69 if n74 > n69 else n74))
+            n80_square = n79 * n79 + n77 * n77
+            n99 = (((sqrt(n80_square) if 1e-290 < n80_square < 1e+290 else hypot(n79, n77))) - e1_2) - (((e1_4 if ((((n46 - n74) if n82 else (n74 - p1_1))) > (0.0)) else e1_3)) * n97)
+            h.append(n99)
+        for e2_0, e2_1 in self._items2:
+            n100 = e2_1 - s3
+            n101 = s3 - e2_0
+            h += [n100, n101]
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p1_1 = self._p1_1
+        p1_4 = self._p1_4
+        p1_5 = self._p1_5
+        p1_6 = self._p1_6
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n46 = self._n46
+        n55 = self._n55
+        n59 = self._n59
+        n61 = self._n61
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n51 = (p1_5 if p1_5 < n1 else n1)
+        n52 = (p1_5 if p1_5 > n1 else n1)
+        n63 = (((0.05) * n1) + ((n51 * n51) / n55)) + (((n52 * n52) - n59) / n61)
+        n65 = (n63 if n11 else (-n63))
+        n67 = n46 + (((0.0) if (0.0) < n65 else n65))
+        n69 = p1_1 + (((0.0) if (0.0) > n65 else n65))
+        n82 = s3 >= (0.0)
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
+        n18_3 = (0.0 if (0.0) < n14 else n14_3)
+        n20_3 = (0.0 if (0.0) > n14 else n14_3)
+        n51_3 = (0.0 if p1_5 < n1 else n1_3)
+        n52_3 = (0.0 if p1_5 > n1 else n1_3)
+        n63_3 = ((n1_3 * (0.05)) + ((n51_3 * n51 + n51_3 * n51) / n55)) + ((n52_3 * n52 + n52_3 * n52) / n61)
+        n65_3 = (n63_3 if n11 else 0.0) + (0.0 if n11 else -n63_3)
+        n66_3 = (0.0 if (0.0) < n65 else n65_3)
+        n68_3 = (0.0 if (0.0) > n65 else n65_3)
+        n97_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > (n51 - (0.1)) else n51_3)) / p1_4)) + (((0.0 if (0.0) > (n1 - p1_5) else n1_3)) / p1_6)
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        end2 = end1 + 1 * len(self._items1)
+        end3 = end2 + 2 * len(self._items2)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, _ = self._items0[row - end0]
+                n22 = e0_0 - s0
+                n23 = e0_1 - s1
+                n26 = (n15 * n22) + (n16 * n23)
+                n29 = (n15 * n23) - (n16 * n22)
+                n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+                n32_square = n31 * n31 + n29 * n29
+                n32 = (sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))
+                d_n31 = (n31 / n32 if n32 > 0.0 else 0.0)
+                d_n29 = (n29 / n32 if n32 > 0.0 else 1.0)
+                d_n26 = d_n31 + (0.0 if n26 <= n19 else (0.0 if n26 >= n21 else -d_n31))
+                d_n23 = d_n29 * n15 + d_n26 * n16
+                d_n22 = -d_n29 * n16 + d_n26 * n15
+                d_n19 = (-d_n31 if n26 <= n19 else 0.0)
+                d_n21 = (0.0 if n26 <= n19 else (-d_n31 if n26 >= n21 else 0.0))
+                d_n16 = -d_n29 * n22 + d_n26 * n23
+                d_n15 = d_n29 * n23 + d_n26 * n22
+                found.append((-d_n22, -d_n23, d_n16 * n15 + d_n15 * -n16, d_n19 * n18_3 + d_n21 * n20_3))
+            elif row < end2:
+                e1_0, e1_1, _, e1_3, e1_4 = self._items1[row - end1]
+                n70 = e1_0 - s0
+                n71 = e1_1 - s1
+                n74 = (n15 * n70) + (n16 * n71)
+                n77 = (n15 * n71) - (n16 * n70)
+                n79 = n74 - ((n67 if n74 < n67 else n69 if n74 > n69 else n74))
+                n80_square = n79 * n79 + n77 * n77
+                n80 = (sqrt(n80_square) if 1e-290 < n80_square < 1e+290 else hypot(n79, n77))
+                n87 = (e1_4 if ((((n46 - n74) if n82 else (n74 - p1_1))) > (0.0)) else e1_3)
+                d_n79 = (n79 / n80 if n80 > 0.0 else 0.0)
+                d_n77 = (n77 / n80 if n80 > 0.0 else 1.0)
+                d_n74 = d_n79 + (0.0 if n74 <= n67 else (0.0 if n74 >= n69 else -d_n79))
+                d_n71 = d_n77 * n15 + d_n74 * n16
+                d_n70 = -d_n77 * n16 + d_n74 * n15
+                d_n67 = (-d_n79 if n74 <= n67 else 0.0)
+                d_n69 = (0.0 if n74 <= n67 else (-d_n79 if n74 >= n69 else 0.0))
+                d_n16 = -d_n77 * n70 + d_n74 * n71
+                d_n15 = d_n77 * n71 + d_n74 * n70
+                found.append((-d_n70, -d_n71, d_n16 * n15 + d_n15 * -n16, -n87 * n97_3 + d_n67 * n66_3 + d_n69 * n68_3))
+            else:
+                which = (row - end2) % 2
+                if which == 0:
+                    found.append((0.0, 0.0, 0.0, -1.0))
+                else:
+                    found.append((0.0, 0.0, 0.0, 1.0))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        p1_1 = self._p1_1
+        p1_2 = self._p1_2
+        p1_3 = self._p1_3
+        p1_5 = self._p1_5
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n34 = self._n34
+        n35 = self._n35
+        n36 = self._n36
+        n38 = self._n38
+        n46 = self._n46
+        n55 = self._n55
+        n59 = self._n59
+        n61 = self._n61
+        n102 = self._n102
+        n108 = self._n108
+        n120 = self._n120
+        n125 = self._n125
+        n1 = abs(s3)
+        n3 = n1 * n1
+        n8 = n2 + ((n3 - n4) / n6)
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
+        n40 = n35 + ((n3 - n36) / n38)
+        n45 = ((s3 / p1_3) if (n1 <= n34) else ((n40 if n11 else (-n40))))
+        n51 = (p1_5 if p1_5 < n1 else n1)
+        n52 = (p1_5 if p1_5 > n1 else n1)
+        n63 = (((0.05) * n1) + ((n51 * n51) / n55)) + (((n52 * n52) - n59) / n61)
+        n65 = (n63 if n11 else (-n63))
+        n103 = n1 / p0_2
+        n104 = (n103 if n103 > n102 else n102)
+        n105 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n106 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n107 = (n106 if n106 > n105 else n105)
+        n109 = n1 / p1_2
+        n110 = (n109 if n109 > n108 else n108)
+        n111 = abs((n46 + (((0.0) if (0.0) < n45 else n45))))
+        n112 = abs((p1_1 + (((0.0) if (0.0) > n45 else n45))))
+        n113 = (n112 if n112 > n111 else n111)
+        n114 = abs((n46 + (((0.0) if (0.0) < n65 else n65))))
+        n115 = abs((p1_1 + (((0.0) if (0.0) > n65 else n65))))
+        n116 = (n115 if n115 > n114 else n114)
+        n117 = (n116 if n116 > n113 else n113)
+        n122 = (0.05) + (n1 * n120)
+        n126 = ((n122 if n122 > n110 else n110)) + n125
+        n127 = (n117 if n117 > n107 else n107)
+        n128 = (n126 if n126 > n104 else n104)
+        n129 = ((1.0) if (1.0) > n128 else n128)
+        return (1.0), (1.0), n127, n129
+
+
+@final
+class OpenTowing:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        p0_4: float = shared[0][4]
+        p0_5: float = shared[0][5]
+        p0_6: float = shared[0][6]
+        p0_7: float = shared[0][7]
+        p0_8: float = shared[0][8]
+        p0_9: float = shared[0][9]
+        p0_10: float = shared[0][10]
+        p0_11: float = shared[0][11]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n55 = (1.0) / p0_3
+        n61 = (1.0) + p0_5
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._p0_4: float = p0_4
+        self._p0_5: float = p0_5
+        self._p0_6: float = p0_6
+        self._p0_7: float = p0_7
+        self._p0_8: float = p0_8
+        self._p0_9: float = p0_9
+        self._p0_10: float = p0_10
+        self._p0_11: float = p0_11
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n55: float = n55
+        self._n61: float = n61
+        self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
+        self._items1: list[tuple[float, float]] = [(item[0], item[1],) for item in each[1]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_7 = self._p0_7
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n39 = p0_7 - ((p0_10 * (s0 - p0_8)) + (p0_11 * (s1 - p0_9)))
+        n41 = -n14
+        n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
+        n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        h: list[float] = []
+        for e0_0, e0_1, e0_2 in self._items0:
+            n22 = e0_0 - s0
+            n23 = e0_1 - s1
+            n26 = (n15 * n22) + (n16 * n23)
+            n29 = (n15 * n23) - (n16 * n22)
+            n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+            n32_square = n31 * n31 + n29 * n29
+            n33 = ((sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))) - e0_2
+            n48 = n26 - ((n19 if n26 < n19 else n17 if n26 > n17 else n26))
+            n49_square = n48 * n48 + n29 * n29
+            n51 = (((sqrt(n49_square) if 1e-290 < n49_square < 1e+290 else hypot(n48, n29))) - e0_2) - n46
+            n52 = (n51 if n51 < n33 else n33)
+            h.append(n52)
+        for e1_0, e1_1 in self._items1:
+            n53 = e1_1 - s3
+            n54 = s3 - e1_0
+            h += [n53, n54]
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_7 = self._p0_7
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n39 = p0_7 - ((p0_10 * (s0 - p0_8)) + (p0_11 * (s1 - p0_9)))
+        n41 = -n14
+        n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
+        n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
+        n18_3 = (0.0 if (0.0) < n14 else n14_3)
+        n20_3 = (0.0 if (0.0) > n14 else n14_3)
+        n46_0 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_10 if n39 > (0.0) else 0.0)) * p0_5)))
+        n46_1 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_11 if n39 > (0.0) else 0.0)) * p0_5)))
+        n46_3 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-n14_3 if n41 > (0.0) else 0.0)) * p0_5)))
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        end2 = end1 + 2 * len(self._items1)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, e0_2 = self._items0[row - end0]
+                n22 = e0_0 - s0
+                n23 = e0_1 - s1
+                n26 = (n15 * n22) + (n16 * n23)
+                n29 = (n15 * n23) - (n16 * n22)
+                n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+                n32_square = n31 * n31 + n29 * n29
+                n32 = (sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))
+                n33 = n32 - e0_2
+                n48 = n26 - ((n19 if n26 < n19 else n17 if n26 > n17 else n26))
+                n49_square = n48 * n48 + n29 * n29
+                n49 = (sqrt(n49_square) if 1e-290 < n49_square < 1e+290 else hypot(n48, n29))
+                n51 = (n49 - e0_2) - n46
+                d_n51 = (1.0 if n51 < n33 else 0.0)
+                d_n48 = (d_n51 * n48 / n49 if n49 > 0.0 else 0.0)
+                d_n33 = (0.0 if n51 < n33 else 1.0)
+                d_n31 = (d_n33 * n31 / n32 if n32 > 0.0 else 0.0)
+                d_n29 = (d_n51 * n29 / n49 if n49 > 0.0 else d_n51) + (d_n33 * n29 / n32 if n32 > 0.0 else d_n33)
+                d_n26 = d_n48 + (0.0 if n26 <= n19 else (0.0 if n26 >= n17 else -d_n48)) + d_n31 + (0.0 if n26 <= n19 else (0.0 if n26 >= n21 else -d_n31))
+                d_n23 = d_n29 * n15 + d_n26 * n16
+                d_n22 = -d_n29 * n16 + d_n26 * n15
+                d_n19 = (-d_n48 if n26 <= n19 else 0.0) + (-d_n31 if n26 <= n19 else 0.0)
+                d_n21 = (0.0 if n26 <= n19 else (-d_n31 if n26 >= n21 else 0.0))
+                d_n16 = -d_n29 * n22 + d_n26 * n23
+                d_n15 = d_n29 * n23 + d_n26 * n22
+                found.append((-d_n51 * n46_0 - d_n22, -d_n51 * n46_1 - d_n23, d_n16 * n15 + d_n15 * -n16, -d_n51 * n46_3 + d_n19 * n18_3 + d_n21 * n20_3))
+            else:
+                which = (row - end1) % 2
+                if which == 0:
+                    found.append((0.0, 0.0, 0.0, -1.0))
+                else:
+                    found.append((0.0, 0.0, 0.0, 1.0))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n55 = self._n55
+        n61 = self._n61
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n56 = n1 / p0_2
+        n58 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n59 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n60 = (n59 if n59 > n58 else n58)
+        n62 = ((n56 if n56 > n55 else n55)) * n61
+        n63 = ((1.0) if (1.0) > n62 else n62)
+        return n61, n61, n60, n63
+
+
+@final
+class WalledTowing:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        p0_4: float = shared[0][4]
+        p0_5: float = shared[0][5]
+        p0_6: float = shared[0][6]
+        p0_7: float = shared[0][7]
+        p0_8: float = shared[0][8]
+        p0_9: float = shared[0][9]
+        p0_10: float = shared[0][10]
+        p0_11: float = shared[0][11]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n92 = (1.0) / p0_3
+        n98 = (1.0) + p0_5
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._p0_4: float = p0_4
+        self._p0_5: float = p0_5
+        self._p0_6: float = p0_6
+        self._p0_7: float = p0_7
+        self._p0_8: float = p0_8
+        self._p0_9: float = p0_9
+        self._p0_10: float = p0_10
+        self._p0_11: float = p0_11
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n92: float = n92
+        self._n98: float = n98
+        self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
+        self._items1: list[tuple[float, float, float, float]] = [(item[0], item[1], item[2], item[3],) for item in each[1]]
+        self._items2: list[tuple[float, float]] = [(item[0], item[1],) for item in each[2]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_7 = self._p0_7
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n39 = p0_7 - ((p0_10 * (s0 - p0_8)) + (p0_11 * (s1 - p0_9)))
+        n41 = -n14
+        n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
+        n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        n54 = s0 + (n21 * n15)
+        n56 = s1 + (n21 * n16)
+        n62 = s0 + (n19 * n15)
+        n64 = s1 + (n19 * n16)
+        n69 = n46 > (0.0)
+        n71 = s0 + (n17 * n15)
+        n73 = s1 + (n17 * n16)
+        h: list[float] = []
+        for e0_0, e0_1, e0_2 in self._items0:
+            n22 = e0_0 - s0
+            n23 = e0_1 - s1
+            n26 = (n15 * n22) + (n16 * n23)
+            n29 = (n15 * n23) - (n16 * n22)
+            n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+            n32_square = n31 * n31 + n29 * n29
+            n33 = ((sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))) - e0_2
+            n48 = n26 - ((n19 if n26 < n19 else n17 if n26 > n17 else n26))
+            n49_square = n48 * n48 + n29 * n29
+            n51 = (((sqrt(n49_square) if 1e-290 < n49_square < 1e+290 else hypot(n48, n29))) - e0_2) - n46
+            n52 = (n51 if n51 < n33 else n33)
+            h.append(n52)
+        for e1_0, e1_1, e1_2, e1_3 in self._items1:
+            n57 = n54 - e1_0
+            n58 = e1_1 - n54
+            n59 = n56 - e1_2
+            n60 = e1_3 - n56
+            n65 = n62 - e1_0
+            n66 = e1_1 - n62
+            n67 = n64 - e1_2
+            n68 = e1_3 - n64
+            n74 = n71 - e1_0
+            n75 = e1_1 - n71
+            n76 = n73 - e1_2
+            n77 = e1_3 - n73
+            n86 = ((((n74 if n74 < n65 else n65)) - n46) if n69 else n65)
+            n87 = ((((n75 if n75 < n66 else n66)) - n46) if n69 else n66)
+            n88 = ((((n76 if n76 < n67 else n67)) - n46) if n69 else n67)
+            n89 = ((((n77 if n77 < n68 else n68)) - n46) if n69 else n68)
+            h += [n57, n58, n59, n60, n86, n87, n88, n89]
+        for e2_0, e2_1 in self._items2:
+            n90 = e2_1 - s3
+            n91 = s3 - e2_0
+            h += [n90, n91]
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_7 = self._p0_7
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n39 = p0_7 - ((p0_10 * (s0 - p0_8)) + (p0_11 * (s1 - p0_9)))
+        n41 = -n14
+        n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
+        n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        n62 = s0 + (n19 * n15)
+        n64 = s1 + (n19 * n16)
+        n69 = n46 > (0.0)
+        n71 = s0 + (n17 * n15)
+        n73 = s1 + (n17 * n16)
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
+        n18_3 = (0.0 if (0.0) < n14 else n14_3)
+        n20_3 = (0.0 if (0.0) > n14 else n14_3)
+        n46_0 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_10 if n39 > (0.0) else 0.0)) * p0_5)))
+        n46_1 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_11 if n39 > (0.0) else 0.0)) * p0_5)))
+        n46_3 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-n14_3 if n41 > (0.0) else 0.0)) * p0_5)))
+        n53_2 = -n16 * n21
+        n53_3 = n20_3 * n15
+        n55_2 = n15 * n21
+        n55_3 = n20_3 * n16
+        n61_2 = -n16 * n19
+        n61_3 = n18_3 * n15
+        n63_2 = n15 * n19
+        n63_3 = n18_3 * n16
+        n70_2 = -n16 * n17
+        n72_2 = n15 * n17
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        end2 = end1 + 8 * len(self._items1)
+        end3 = end2 + 2 * len(self._items2)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, e0_2 = self._items0[row - end0]
+                n22 = e0_0 - s0
+                n23 = e0_1 - s1
+                n26 = (n15 * n22) + (n16 * n23)
+                n29 = (n15 * n23) - (n16 * n22)
+                n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+                n32_square = n31 * n31 + n29 * n29
+                n32 = (sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))
+                n33 = n32 - e0_2
+                n48 = n26 - ((n19 if n26 < n19 else n17 if n26 > n17 else n26))
+                n49_square = n48 * n48 + n29 * n29
+                n49 = (sqrt(n49_square) if 1e-290 < n49_square < 1e+290 else hypot(n48, n29))
+                n51 = (n49 - e0_2) - n46
+                d_n51 = (1.0 if n51 < n33 else 0.0)
+                d_n48 = (d_n51 * n48 / n49 if n49 > 0.0 else 0.0)
+                d_n33 = (0.0 if n51 < n33 else 1.0)
+                d_n31 = (d_n33 * n31 / n32 if n32 > 0.0 else 0.0)
+                d_n29 = (d_n51 * n29 / n49 if n49 > 0.0 else d_n51) + (d_n33 * n29 / n32 if n32 > 0.0 else d_n33)
+                d_n26 = d_n48 + (0.0 if n26 <= n19 else (0.0 if n26 >= n17 else -d_n48)) + d_n31 + (0.0 if n26 <= n19 else (0.0 if n26 >= n21 else -d_n31))
+                d_n23 = d_n29 * n15 + d_n26 * n16
+                d_n22 = -d_n29 * n16 + d_n26 * n15
+                d_n19 = (-d_n48 if n26 <= n19 else 0.0) + (-d_n31 if n26 <= n19 else 0.0)
+                d_n21 = (0.0 if n26 <= n19 else (-d_n31 if n26 >= n21 else 0.0))
+                d_n16 = -d_n29 * n22 + d_n26 * n23
+                d_n15 = d_n29 * n23 + d_n26 * n22
+                found.append((-d_n51 * n46_0 - d_n22, -d_n51 * n46_1 - d_n23, d_n16 * n15 + d_n15 * -n16, -d_n51 * n46_3 + d_n19 * n18_3 + d_n21 * n20_3))
+            elif row < end2:
+                e1_0, e1_1, e1_2, e1_3 = self._items1[(row - end1) // 8]
+                which = (row - end1) % 8
+                if which == 0:
+                    found.append((1.0, 0.0, n53_2, n53_3))
+                elif which == 1:
+                    found.append((-1.0, 0.0, -n53_2, -n53_3))
+                elif which == 2:
+                    found.append((0.0, 1.0, n55_2, n55_3))
+                elif which == 3:
+                    found.append((0.0, -1.0, -n55_2, -n55_3))
+                elif which == 4:
+                    n65 = n62 - e1_0
+                    n74 = n71 - e1_0
+                    d_n79 = (1.0 if n69 else 0.0)
+                    d_n74 = (d_n79 if n74 < n65 else 0.0)
+                    d_n65 = (0.0 if n69 else 1.0) + (0.0 if n74 < n65 else d_n79)
+                    found.append((-d_n79 * n46_0 + d_n74 + d_n65, -d_n79 * n46_1, d_n74 * n70_2 + d_n65 * n61_2, -d_n79 * n46_3 + d_n65 * n61_3))
+                elif which == 5:
+                    n66 = e1_1 - n62
+                    n75 = e1_1 - n71
+                    d_n81 = (1.0 if n69 else 0.0)
+                    d_n75 = (d_n81 if n75 < n66 else 0.0)
+                    d_n66 = (0.0 if n69 else 1.0) + (0.0 if n75 < n66 else d_n81)
+                    found.append((-d_n81 * n46_0 - d_n75 - d_n66, -d_n81 * n46_1, -d_n75 * n70_2 - d_n66 * n61_2, -d_n81 * n46_3 - d_n66 * n61_3))
+                elif which == 6:
+                    n67 = n64 - e1_2
+                    n76 = n73 - e1_2
+                    d_n83 = (1.0 if n69 else 0.0)
+                    d_n76 = (d_n83 if n76 < n67 else 0.0)
+                    d_n67 = (0.0 if n69 else 1.0) + (0.0 if n76 < n67 else d_n83)
+                    found.append((-d_n83 * n46_0, -d_n83 * n46_1 + d_n76 + d_n67, d_n76 * n72_2 + d_n67 * n63_2, -d_n83 * n46_3 + d_n67 * n63_3))
+                else:
+                    n68 = e1_3 - n64
+                    n77 = e1_3 - n73
+                    d_n85 = (1.0 if n69 else 0.0)
+                    d_n77 = (d_n85 if n77 < n68 else 0.0)
+                    d_n68 = (0.0 if n69 else 1.0) + (0.0 if n77 < n68 else d_n85)
+                    found.append((-d_n85 * n46_0, -d_n85 * n46_1 - d_n77 - d_n68, -d_n77 * n72_2 - d_n68 * n63_2, -d_n85 * n46_3 - d_n68 * n63_3))
+            else:
+                which = (row - end2) % 2
+                if which == 0:
+                    found.append((0.0, 0.0, 0.0, -1.0))
+                else:
+                    found.append((0.0, 0.0, 0.0, 1.0))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n92 = self._n92
+        n98 = self._n98
+        n1 = abs(s3)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if (s3 > (0.0)) else (-n8))))
+        n93 = n1 / p0_2
+        n95 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n96 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n97 = (n96 if n96 > n95 else n95)
+        n99 = ((n93 if n93 > n92 else n92)) * n98
+        n100 = ((1.0) if (1.0) > n99 else n99)
+        return n98, n98, n97, n100
+
+
+@final
+class SensedTowing:
+    """h of all rows at a state, and its slopes."""
+
+    def __init__(self, shared: Sequence[Sequence[float]], each: Sequence[Sequence[Sequence[float]]]) -> None:
+        p0_0: float = shared[0][0]
+        p0_1: float = shared[0][1]
+        p0_2: float = shared[0][2]
+        p0_3: float = shared[0][3]
+        p0_4: float = shared[0][4]
+        p0_5: float = shared[0][5]
+        p0_6: float = shared[0][6]
+        p0_7: float = shared[0][7]
+        p0_8: float = shared[0][8]
+        p0_9: float = shared[0][9]
+        p0_10: float = shared[0][10]
+        p0_11: float = shared[0][11]
+        p1_0: float = shared[1][0]
+        p1_1: float = shared[1][1]
+        p1_2: float = shared[1][2]
+        p1_3: float = shared[1][3]
+        p1_4: float = shared[1][4]
+        p1_5: float = shared[1][5]
+        p1_6: float = shared[1][6]
+        p1_7: float = shared[1][7]
+        p1_8: float = shared[1][8]
+        p1_9: float = shared[1][9]
+        p1_10: float = shared[1][10]
+        p1_11: float = shared[1][11]
+        p1_12: float = shared[1][12]
+        p1_13: float = shared[1][13]
+        p1_14: float = shared[1][14]
+        p1_15: float = shared[1][15]
+        n0 = p0_2 / p0_3
+        n2 = n0 / p0_3
+        n4 = n0 * n0
+        n6 = (2.0) * p0_2
+        n17 = -p0_0
+        n53 = p1_2 / p1_3
+        n54 = n53 / p1_3
+        n55 = n53 * n53
+        n57 = (2.0) * p1_2
+        n65 = -p1_0
+        n74 = (2.0) * p1_4
+        n78 = p1_5 * p1_5
+        n80 = (2.0) * p1_6
+        n140 = (1.0) / p0_3
+        n146 = (1.0) + p0_5
+        n148 = (1.0) / p1_3
+        n154 = (1.0) + p1_9
+        n160 = (1.0) / p1_6
+        n161 = (1.0) / p1_4
+        n162 = (n161 if n161 > n160 else n160)
+        n167 = p1_7 * ((n162 if n162 > (0.5) else (0.5)))
+        n169 = (n154 if n154 > n146 else n146)
+        self._p0_1: float = p0_1
+        self._p0_2: float = p0_2
+        self._p0_3: float = p0_3
+        self._p0_4: float = p0_4
+        self._p0_5: float = p0_5
+        self._p0_6: float = p0_6
+        self._p0_7: float = p0_7
+        self._p0_8: float = p0_8
+        self._p0_9: float = p0_9
+        self._p0_10: float = p0_10
+        self._p0_11: float = p0_11
+        self._p1_1: float = p1_1
+        self._p1_2: float = p1_2
+        self._p1_3: float = p1_3
+        self._p1_4: float = p1_4
+        self._p1_5: float = p1_5
+        self._p1_6: float = p1_6
+        self._p1_8: float = p1_8
+        self._p1_9: float = p1_9
+        self._p1_10: float = p1_10
+        self._p1_11: float = p1_11
+        self._p1_12: float = p1_12
+        self._p1_13: float = p1_13
+        self._p1_14: float = p1_14
+        self._p1_15: float = p1_15
+        self._n0: float = n0
+        self._n2: float = n2
+        self._n4: float = n4
+        self._n6: float = n6
+        self._n17: float = n17
+        self._n53: float = n53
+        self._n54: float = n54
+        self._n55: float = n55
+        self._n57: float = n57
+        self._n65: float = n65
+        self._n74: float = n74
+        self._n78: float = n78
+        self._n80: float = n80
+        self._n140: float = n140
+        self._n146: float = n146
+        self._n148: float = n148
+        self._n154: float = n154
+        self._n162: float = n162
+        self._n167: float = n167
+        self._n169: float = n169
+        self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
+        self._items1: list[tuple[float, float, float, float, float]] = [(item[0], item[1], item[2], item[3], item[4],) for item in each[1]]
+        self._items2: list[tuple[float, float]] = [(item[0], item[1],) for item in each[2]]
+
+    def heights(self, state: Sequence[float]) -> list[float]:
+        """h (rows,) at ``state``."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_7 = self._p0_7
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        p1_1 = self._p1_1
+        p1_3 = self._p1_3
+        p1_4 = self._p1_4
+        p1_5 = self._p1_5
+        p1_6 = self._p1_6
+        p1_8 = self._p1_8
+        p1_9 = self._p1_9
+        p1_10 = self._p1_10
+        p1_11 = self._p1_11
+        p1_12 = self._p1_12
+        p1_13 = self._p1_13
+        p1_14 = self._p1_14
+        p1_15 = self._p1_15
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n53 = self._n53
+        n54 = self._n54
+        n55 = self._n55
+        n57 = self._n57
+        n65 = self._n65
+        n74 = self._n74
+        n78 = self._n78
+        n80 = self._n80
+        n1 = abs(s3)
+        n3 = n1 * n1
+        n8 = n2 + ((n3 - n4) / n6)
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n39 = p0_7 - ((p0_10 * (s0 - p0_8)) + (p0_11 * (s1 - p0_9)))
+        n41 = -n14
+        n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
+        n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        n59 = n54 + ((n3 - n55) / n57)
+        n64 = ((s3 / p1_3) if (n1 <= n53) else ((n59 if n11 else (-n59))))
+        n67 = n65 + (((0.0) if (0.0) < n64 else n64))
+        n70 = (p1_5 if p1_5 < n1 else n1)
+        n71 = (p1_5 if p1_5 > n1 else n1)
+        n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
+        n84 = (n82 if n11 else (-n82))
+        n86 = n65 + (((0.0) if (0.0) < n84 else n84))
+        n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
+        n106 = p1_11 - ((p1_14 * (s0 - p1_12)) + (p1_15 * (s1 - p1_13)))
+        n108 = -n64
+        n112 = ((((n106 if n106 > (0.0) else (0.0))) + ((n108 if n108 > (0.0) else (0.0)))) - p1_8) * p1_9
+        n113 = ((0.0) if n112 < (0.0) else p1_10 if n112 > p1_10 else n112)
+        n120 = s3 >= (0.0)
+        n128 = n70 - (0.1)
+        n132 = n1 - p1_5
+        n135 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n128 else n128)) / p1_4)) + ((((0.0) if (0.0) > n132 else n132)) / p1_6)
+        h: list[float] = []
+        for e0_0, e0_1, e0_2 in self._items0:
+            n22 = e0_0 - s0
+            n23 = e0_1 - s1
+            n26 = (n15 * n22) + (n16 * n23)
+            n29 = (n15 * n23) - (n16 * n22)
+            n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+            n32_square = n31 * n31 + n29 * n29
+            n33 = ((sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))) - e0_2
+            n48 = n26 - ((n19 if n26 < n19 else n17 if n26 > n17 else n26))
+            n49_square = n48 * n48 + n29 * n29
+            n51 = (((sqrt(n49_square) if 1e-290 < n49_square < 1e+290 else hypot(n48, n29))) - e0_2) - n46
+            n52 = (n51 if n51 < n33 else n33)
+            h.append(n52)
+        for e1_0, e1_1, e1_2, e1_3, e1_4 in self._items1:
+            n89 = e1_0 - s0
+            n90 = e1_1 - s1
+            n93 = (n15 * n89) + (n16 * n90)
+            n96 = (n15 * n90) - (n16 * n89)
+            n98 = n93 - ((n86 if n93 < n86 else n88 if n93 > n88 else n93))
+            n99_square = n98 * n98 + n96 * n96
+            n100 = ((sqrt(n99_square) if 1e-290 < n99_square < 1e+290 else hypot(n98, n96))) - e1_2
+            n115 = n93 - ((n67 if n93 < n67 else n65 if n93 > n65 else n93))
+            n116_square = n115 * n115 + n96 * n96
+            n118 = (((sqrt(n116_square) if 1e-290 < n116_square < 1e+290 else hypot(n115, n96))) - e1_2) - n113
+            n137 = ((n118 if n118 < n100 else n100)) - (((e1_4 if ((((n65 - n93) if n120 else (n93 - p1_1))) > (0.0)) else e1_3)) * n135)
+            h.append(n137)
+        for e2_0, e2_1 in self._items2:
+            n138 = e2_1 - s3
+            n139 = s3 - e2_0
+            h += [n138, n139]
+        return h
+
+    def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
+        """d(h_i)/d(state) of the rows asked for."""
+        s0: float = state[0]
+        s1: float = state[1]
+        s2: float = state[2]
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_3 = self._p0_3
+        p0_4 = self._p0_4
+        p0_5 = self._p0_5
+        p0_6 = self._p0_6
+        p0_7 = self._p0_7
+        p0_8 = self._p0_8
+        p0_9 = self._p0_9
+        p0_10 = self._p0_10
+        p0_11 = self._p0_11
+        p1_1 = self._p1_1
+        p1_3 = self._p1_3
+        p1_4 = self._p1_4
+        p1_5 = self._p1_5
+        p1_6 = self._p1_6
+        p1_8 = self._p1_8
+        p1_9 = self._p1_9
+        p1_10 = self._p1_10
+        p1_11 = self._p1_11
+        p1_12 = self._p1_12
+        p1_13 = self._p1_13
+        p1_14 = self._p1_14
+        p1_15 = self._p1_15
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n53 = self._n53
+        n54 = self._n54
+        n55 = self._n55
+        n57 = self._n57
+        n65 = self._n65
+        n74 = self._n74
+        n78 = self._n78
+        n80 = self._n80
+        n1 = abs(s3)
+        n3 = n1 * n1
+        n8 = n2 + ((n3 - n4) / n6)
+        n9 = n1 <= n0
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
+        n15 = cos(s2)
+        n16 = sin(s2)
+        n19 = n17 + (((0.0) if (0.0) < n14 else n14))
+        n21 = p0_1 + (((0.0) if (0.0) > n14 else n14))
+        n39 = p0_7 - ((p0_10 * (s0 - p0_8)) + (p0_11 * (s1 - p0_9)))
+        n41 = -n14
+        n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
+        n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        n59 = n54 + ((n3 - n55) / n57)
+        n60 = n1 <= n53
+        n64 = ((s3 / p1_3) if n60 else ((n59 if n11 else (-n59))))
+        n67 = n65 + (((0.0) if (0.0) < n64 else n64))
+        n70 = (p1_5 if p1_5 < n1 else n1)
+        n71 = (p1_5 if p1_5 > n1 else n1)
+        n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
+        n84 = (n82 if n11 else (-n82))
+        n86 = n65 + (((0.0) if (0.0) < n84 else n84))
+        n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
+        n106 = p1_11 - ((p1_14 * (s0 - p1_12)) + (p1_15 * (s1 - p1_13)))
+        n108 = -n64
+        n112 = ((((n106 if n106 > (0.0) else (0.0))) + ((n108 if n108 > (0.0) else (0.0)))) - p1_8) * p1_9
+        n113 = ((0.0) if n112 < (0.0) else p1_10 if n112 > p1_10 else n112)
+        n120 = s3 >= (0.0)
+        n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
+        n3_3 = n1_3 * n1 + n1_3 * n1
+        n7_3 = n3_3 / n6
+        n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
+        n18_3 = (0.0 if (0.0) < n14 else n14_3)
+        n20_3 = (0.0 if (0.0) > n14 else n14_3)
+        n46_0 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_10 if n39 > (0.0) else 0.0)) * p0_5)))
+        n46_1 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_11 if n39 > (0.0) else 0.0)) * p0_5)))
+        n46_3 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-n14_3 if n41 > (0.0) else 0.0)) * p0_5)))
+        n58_3 = n3_3 / n57
+        n64_3 = ((1.0 / p1_3) if n60 else 0.0) + (0.0 if n60 else ((n58_3 if n11 else 0.0) + (0.0 if n11 else -n58_3)))
+        n66_3 = (0.0 if (0.0) < n64 else n64_3)
+        n70_3 = (0.0 if p1_5 < n1 else n1_3)
+        n71_3 = (0.0 if p1_5 > n1 else n1_3)
+        n82_3 = ((n1_3 * (0.05)) + ((n70_3 * n70 + n70_3 * n70) / n74)) + ((n71_3 * n71 + n71_3 * n71) / n80)
+        n84_3 = (n82_3 if n11 else 0.0) + (0.0 if n11 else -n82_3)
+        n85_3 = (0.0 if (0.0) < n84 else n84_3)
+        n87_3 = (0.0 if (0.0) > n84 else n84_3)
+        n113_0 = (0.0 if n112 <= (0.0) else (0.0 if n112 >= p1_10 else (((-p1_14 if n106 > (0.0) else 0.0)) * p1_9)))
+        n113_1 = (0.0 if n112 <= (0.0) else (0.0 if n112 >= p1_10 else (((-p1_15 if n106 > (0.0) else 0.0)) * p1_9)))
+        n113_3 = (0.0 if n112 <= (0.0) else (0.0 if n112 >= p1_10 else (((-n64_3 if n108 > (0.0) else 0.0)) * p1_9)))
+        n135_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > (n70 - (0.1)) else n70_3)) / p1_4)) + (((0.0 if (0.0) > (n1 - p1_5) else n1_3)) / p1_6)
+        end0 = 0
+        end1 = end0 + 1 * len(self._items0)
+        end2 = end1 + 1 * len(self._items1)
+        end3 = end2 + 2 * len(self._items2)
+        found: list[tuple[float, float, float, float]] = []
+        for row in rows:
+            if row < end1:
+                e0_0, e0_1, e0_2 = self._items0[row - end0]
+                n22 = e0_0 - s0
+                n23 = e0_1 - s1
+                n26 = (n15 * n22) + (n16 * n23)
+                n29 = (n15 * n23) - (n16 * n22)
+                n31 = n26 - ((n19 if n26 < n19 else n21 if n26 > n21 else n26))
+                n32_square = n31 * n31 + n29 * n29
+                n32 = (sqrt(n32_square) if 1e-290 < n32_square < 1e+290 else hypot(n31, n29))
+                n33 = n32 - e0_2
+                n48 = n26 - ((n19 if n26 < n19 else n17 if n26 > n17 else n26))
+                n49_square = n48 * n48 + n29 * n29
+                n49 = (sqrt(n49_square) if 1e-290 < n49_square < 1e+290 else hypot(n48, n29))
+                n51 = (n49 - e0_2) - n46
+                d_n51 = (1.0 if n51 < n33 else 0.0)
+                d_n48 = (d_n51 * n48 / n49 if n49 > 0.0 else 0.0)
+                d_n33 = (0.0 if n51 < n33 else 1.0)
+                d_n31 = (d_n33 * n31 / n32 if n32 > 0.0 else 0.0)
+                d_n29 = (d_n51 * n29 / n49 if n49 > 0.0 else d_n51) + (d_n33 * n29 / n32 if n32 > 0.0 else d_n33)
+                d_n26 = d_n48 + (0.0 if n26 <= n19 else (0.0 if n26 >= n17 else -d_n48)) + d_n31 + (0.0 if n26 <= n19 else (0.0 if n26 >= n21 else -d_n31))
+                d_n23 = d_n29 * n15 + d_n26 * n16
+                d_n22 = -d_n29 * n16 + d_n26 * n15
+                d_n19 = (-d_n48 if n26 <= n19 else 0.0) + (-d_n31 if n26 <= n19 else 0.0)
+                d_n21 = (0.0 if n26 <= n19 else (-d_n31 if n26 >= n21 else 0.0))
+                d_n16 = -d_n29 * n22 + d_n26 * n23
+                d_n15 = d_n29 * n23 + d_n26 * n22
+                found.append((-d_n51 * n46_0 - d_n22, -d_n51 * n46_1 - d_n23, d_n16 * n15 + d_n15 * -n16, -d_n51 * n46_3 + d_n19 * n18_3 + d_n21 * n20_3))
+            elif row < end2:
+                e1_0, e1_1, e1_2, e1_3, e1_4 = self._items1[row - end1]
+                n89 = e1_0 - s0
+                n90 = e1_1 - s1
+                n93 = (n15 * n89) + (n16 * n90)
+                n96 = (n15 * n90) - (n16 * n89)
+                n98 = n93 - ((n86 if n93 < n86 else n88 if n93 > n88 else n93))
+                n99_square = n98 * n98 + n96 * n96
+                n99 = (sqrt(n99_square) if 1e-290 < n99_square < 1e+290 else hypot(n98, n96))
+                n100 = n99 - e1_2
+                n115 = n93 - ((n67 if n93 < n67 else n65 if n93 > n65 else n93))
+                n116_square = n115 * n115 + n96 * n96
+                n116 = (sqrt(n116_square) if 1e-290 < n116_square < 1e+290 else hypot(n115, n96))
+                n118 = (n116 - e1_2) - n113
+                n125 = (e1_4 if ((((n65 - n93) if n120 else (n93 - p1_1))) > (0.0)) else e1_3)
+                d_n118 = (1.0 if n118 < n100 else 0.0)
+                d_n115 = (d_n118 * n115 / n116 if n116 > 0.0 else 0.0)
+                d_n100 = (0.0 if n118 < n100 else 1.0)
+                d_n98 = (d_n100 * n98 / n99 if n99 > 0.0 else 0.0)
+                d_n96 = (d_n118 * n96 / n116 if n116 > 0.0 else d_n118) + (d_n100 * n96 / n99 if n99 > 0.0 else d_n100)
+                d_n93 = d_n115 + (0.0 if n93 <= n67 else (0.0 if n93 >= n65 else -d_n115)) + d_n98 + (0.0 if n93 <= n86 else (0.0 if n93 >= n88 else -d_n98))
+                d_n90 = d_n96 * n15 + d_n93 * n16
+                d_n89 = -d_n96 * n16 + d_n93 * n15
+                d_n67 = (-d_n115 if n93 <= n67 else 0.0)
+                d_n86 = (-d_n98 if n93 <= n86 else 0.0)
+                d_n88 = (0.0 if n93 <= n86 else (-d_n98 if n93 >= n88 else 0.0))
+                d_n16 = -d_n96 * n89 + d_n93 * n90
+                d_n15 = d_n96 * n90 + d_n93 * n89
+                found.append((-d_n118 * n113_0 - d_n89, -d_n118 * n113_1 - d_n90, d_n16 * n15 + d_n15 * -n16, -n125 * n135_3 - d_n118 * n113_3 + d_n67 * n66_3 + d_n86 * n85_3 + d_n88 * n87_3))
+            else:
+                which = (row - end2) % 2
+                if which == 0:
+                    found.append((0.0, 0.0, 0.0, -1.0))
+                else:
+                    found.append((0.0, 0.0, 0.0, 1.0))
+        return found
+
+    def along(
+        self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
+    ) -> list[list[float]]:
+        """d(h_i)/d(a_j) of the rows asked for, where the state moves by g (states, actions) a."""
+        return chain_rule(self.slopes(state, rows), g)
+
+    def steepest(self, state: Sequence[float]) -> tuple[float, float, float, float]:
+        """Of each entry of the state: no |d(h_i)/d(entry)| is greater at ``state``, whatever the row."""
+        s3: float = state[3]
+        p0_1 = self._p0_1
+        p0_2 = self._p0_2
+        p0_3 = self._p0_3
+        p1_1 = self._p1_1
+        p1_2 = self._p1_2
+        p1_3 = self._p1_3
+        p1_5 = self._p1_5
+        n0 = self._n0
+        n2 = self._n2
+        n4 = self._n4
+        n6 = self._n6
+        n17 = self._n17
+        n53 = self._n53
+        n54 = self._n54
+        n55 = self._n55
+        n57 = self._n57
+        n65 = self._n65
+        n74 = self._n74
+        n78 = self._n78
+        n80 = self._n80
+        n140 = self._n140
+        n146 = self._n146
+        n148 = self._n148
+        n154 = self._n154
+        n162 = self._n162
+        n167 = self._n167
+        n169 = self._n169
+        n1 = abs(s3)
+        n3 = n1 * n1
+        n8 = n2 + ((n3 - n4) / n6)
+        n11 = s3 > (0.0)
+        n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
+        n59 = n54 + ((n3 - n55) / n57)
+        n64 = ((s3 / p1_3) if (n1 <= n53) else ((n59 if n11 else (-n59))))
+        n70 = (p1_5 if p1_5 < n1 else n1)
+        n71 = (p1_5 if p1_5 > n1 else n1)
+        n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
+        n84 = (n82 if n11 else (-n82))
+        n141 = n1 / p0_2
+        n143 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n144 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n145 = (n144 if n144 > n143 else n143)
+        n147 = ((n141 if n141 > n140 else n140)) * n146
+        n149 = n1 / p1_2
+        n151 = abs((n65 + (((0.0) if (0.0) < n64 else n64))))
+        n152 = abs((p1_1 + (((0.0) if (0.0) > n64 else n64))))
+        n153 = (n152 if n152 > n151 else n151)
+        n155 = ((n149 if n149 > n148 else n148)) * n154
+        n156 = abs((n65 + (((0.0) if (0.0) < n84 else n84))))
+        n157 = abs((p1_1 + (((0.0) if (0.0) > n84 else n84))))
+        n158 = (n157 if n157 > n156 else n156)
+        n159 = (n158 if n158 > n153 else n153)
+        n164 = (0.05) + (n1 * n162)
+        n168 = ((n164 if n164 > n155 else n155)) + n167
+        n170 = (n159 if n159 > n145 else n145)
+        n171 = (n168 if n168 > n147 else n147)
+        n172 = ((1.0) if (1.0) > n171 else n171)
+        return n169, n169, n170, n172
+
+
+WRITTEN: dict[str, Any] = {
+    "4: ObstacleBarrier 4 3 () -1, SpeedBarrier 0 2 (3,) -1": Open,
+    "4: ObstacleBarrier 4 3 () -1, FieldBarrier 4 4 () 0, SpeedBarrier 0 2 (3,) -1": Walled,
+    "4: ObstacleBarrier 4 3 () -1, MoverBarrier 8 5 () -1, SpeedBarrier 0 2 (3,) -1": Sensed,
+    "4: ObstacleBarrier 12 3 () -1, SpeedBarrier 0 2 (3,) -1": OpenTowing,
+    "4: ObstacleBarrier 12 3 () -1, FieldBarrier 12 4 () 0, SpeedBarrier 0 2 (3,) -1": WalledTowing,
+    "4: ObstacleBarrier 12 3 () -1, MoverBarrier 16 5 () -1, SpeedBarrier 0 2 (3,) -1": SensedTowing,
+}
+"""By what was recorded."""

@@ -1,0 +1,25 @@
+"""The differential drive: two driven wheels on one axle, told a speed and a turn rate, as by a Twist of ROS."""
+
+from __future__ import annotations
+
+from math import inf
+
+from safedpa.systems.system import System, Variable
+
+__all__ = ["DIFFERENTIAL_DRIVE", "TRACK"]
+
+TRACK = 0.233
+"""m between the wheels, where a model does not say."""
+
+DIFFERENTIAL_DRIVE = System(
+    name="differential_drive",
+    state=(
+        Variable("x", "m", -1e4, 1e4),
+        Variable("y", "m", -1e4, 1e4),
+        Variable("yaw", "rad", -inf, inf, angle=True),
+        Variable("speed", "m/s", -10.0, 10.0),
+        Variable("turn_rate", "rad/s", -30.0, 30.0),
+    ),
+    action=(Variable("target_speed", "m/s", -5.0, 5.0), Variable("target_turn_rate", "rad/s", -20.0, 20.0)),
+)
+"""Position of the middle of the axle; speed along the heading."""

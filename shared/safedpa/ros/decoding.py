@@ -1,0 +1,325 @@
+"""Encoded messages: the wanted numbers out of each, and nothing else of it.
+
+A type is flattened once into a short program: stretches of fixed layout, which one call of ``struct`` reads whole, with
+strings and sequences between them. Nothing behind the last wanted number is looked at, so a scan of a thousand rays
+costs nothing beside the pose that is asked for. Every length is held against the bytes that are there before it is
+believed.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from safedpa.errors import InputError, did_you_mean
+from safedpa.ros.definitions import NUMBERS, QUATERNION, TIMES, Definitions, Field, numeric_fields
+
+__all__ = ["Decoder", "DecodingError"]
+
+_LENGTH = {"<": struct.Struct("<I"), ">": struct.Struct(">I")}
+_MOST_STEPS = 20_000
+"""Fields of a flattened type; a message of 6 covariances has 250."""
+_STEP = re.compile(r"([^.\[\]]+)((?:\[\d{1,6}\])*)")
+
+_FURTHER = re.compile(r"\[[1-9]")
+"""In the path of another entry than the first: not named in an error."""
+
+
+class DecodingError(ValueError):
+    """The bytes are no message of this type."""
+
+
+@dataclass
+class _Numbers:
+    """A stretch of fixed layout: (letter, bytes, slot) each; slot -1: not wanted."""
+
+    items: list[tuple[str, int, int]] = field(default_factory=list)
+    compiled: dict[tuple[str, int], tuple[struct.Struct, tuple[int, ...], int]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Text:
+    slot: int
+    wide: int = 1
+
+
+@dataclass(frozen=True)
+class _Many:
+    """A sequence; ``elements`` are programs of those that are wanted, by index, ``other`` that of the rest."""
+
+    size: int
+    """Bytes of an element where it is a number, else 0."""
+    letter: str
+    other: list[Any]
+    elements: dict[int, list[Any]]
+
+
+class Decoder:
+    """Reads chosen fields of one type: numbers, times [ns], strings, and quaternions as four numbers.
+
+    ``paths`` are like ``pose.pose.position.x`` or ``data[3]``. Raises InputError naming the fields that are there when
+    the type has no such field.
+    """
+
+    def __init__(self, definitions: Definitions, name: str, paths: Sequence[str], *, ros1: bool = False) -> None:
+        self._definitions, self._ros1, self._steps = definitions, ros1, 0
+        self.paths = tuple(paths)
+        self._slots: list[int] = []
+        self.kinds: list[str] = []
+        """number, text, time or quaternion, of each path."""
+        wanted: dict[tuple[str | int, ...], int] = {}
+        for path in paths:
+            self._want(name, path, wanted)
+        try:
+            self._program = self._flat(name, (), wanted)
+        except RecursionError as error:
+            raise InputError(f"type '{name}': it holds itself; wanted types of ROS") from error
+        _cut(self._program)
+        self._count = sum(self._widths())
+
+    def _widths(self) -> list[int]:
+        return [{"time": 2, "quaternion": 4}.get(kind, 1) for kind in self.kinds]
+
+    def _want(self, name: str, path: str, wanted: dict[tuple[str | int, ...], int]) -> None:
+        steps: list[str | int] = []
+        for part in path.split("."):
+            found = _STEP.fullmatch(part)
+            if found is None:
+                raise self._missing(name, path)
+            steps += [found[1], *(int(index) for index in re.findall(r"\d+", found[2]))]
+        kind = self._kind_at(name, path, steps)
+        first = sum(self._widths())
+        self._slots.append(first)
+        if kind in TIMES:
+            self.kinds.append("time")
+            names = [item.name for item in self._definitions.of(kind)]
+        elif kind == QUATERNION:
+            self.kinds.append("quaternion")
+            names = ["x", "y", "z", "w"]
+        else:
+            self.kinds.append("text" if kind in ("string", "wstring") else "number")
+            wanted[tuple(steps)] = first
+            return
+        for offset, inner in enumerate(names):
+            wanted[(*steps, inner)] = first + offset
+
+    def _kind_at(self, name: str, path: str, steps: list[str | int]) -> str:
+        """The type of what a path leads to."""
+        kind, at = name, 0
+        while at < len(steps):
+            if kind in NUMBERS or kind in ("string", "wstring"):
+                raise self._missing(name, path)
+            here = next((item for item in self._definitions.of(kind) if item.name == steps[at]), None)
+            if here is None or not isinstance(steps[at], str):
+                raise self._missing(name, path)
+            at += 1
+            if here.times != 0:
+                index = steps[at] if at < len(steps) else None
+                if not isinstance(index, int) or (here.times > 0 and index >= here.times):
+                    raise self._missing(name, path)
+                at += 1
+            kind = here.type
+        if kind not in (*NUMBERS, *TIMES, QUATERNION, "string"):
+            raise self._missing(name, path)
+        return kind
+
+    def _missing(self, name: str, path: str) -> InputError:
+        known = [one for one in numeric_fields(self._definitions, name) if not _FURTHER.search(one)]
+        return InputError(f"field '{path}' of {name}: {did_you_mean(path, known)}")
+
+    # flattening
+
+    def _flat(self, name: str, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]) -> list[Any]:
+        program: list[Any] = []
+        fields = self._definitions.of(name)
+        if not fields and not self._ros1:
+            _add_number(program, "B", 1, -1)  # an empty message carries one byte
+        for item in fields:
+            self._add(program, item, (*at, item.name), wanted)
+        return program
+
+    def _add(
+        self, program: list[Any], item: Field, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]
+    ) -> None:
+        if item.times < 0:
+            program.append(self._sequence(item, at, wanted))
+            return
+        plain = item.type in NUMBERS and item.times > 0 and not any(key[: len(at)] == at for key in wanted)
+        if plain:
+            letter, size = NUMBERS[item.type]
+            self._step()
+            _add_number(program, f"{item.times}{letter}", size, -1)
+            return
+        for place in [at] if item.times == 0 else [(*at, index) for index in range(item.times)]:
+            self._step()
+            if item.type in NUMBERS:
+                letter, size = NUMBERS[item.type]
+                _add_number(program, letter, size, wanted.get(place, -1))
+            elif item.type == "string":
+                program.append(_Text(wanted.get(place, -1)))
+            elif item.type == "wstring":
+                program.append(_Text(-1, 2))
+            else:
+                for part in self._flat(item.type, place, wanted):
+                    _append(program, part)
+
+    def _sequence(self, item: Field, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]) -> _Many:
+        indexes = {
+            key[len(at)]
+            for key in wanted
+            if key[: len(at)] == at and len(key) > len(at) and isinstance(key[len(at)], int)
+        }
+        elements = {
+            index: self._element(item, (*at, index), wanted) for index in sorted(indexes) if isinstance(index, int)
+        }
+        letter, size = NUMBERS.get(item.type, ("", 0))
+        return _Many(size, letter, self._element(item, (*at, -1), {}), elements)
+
+    def _element(self, item: Field, at: tuple[str | int, ...], wanted: dict[tuple[str | int, ...], int]) -> list[Any]:
+        program: list[Any] = []
+        self._step()
+        if item.type in NUMBERS:
+            letter, size = NUMBERS[item.type]
+            _add_number(program, letter, size, wanted.get(at, -1))
+        elif item.type in ("string", "wstring"):
+            program.append(_Text(wanted.get(at, -1), 1 if item.type == "string" else 2))
+        else:
+            program = self._flat(item.type, at, wanted)
+        return program
+
+    def _step(self) -> None:
+        self._steps += 1  # an array is counted by element
+        if self._steps > _MOST_STEPS:
+            raise InputError(f"a message of more than {_MOST_STEPS} fields; wanted fewer")
+
+    # reading
+
+    def __call__(self, data: bytes) -> list[Any]:
+        """One value for each path; None where a sequence is shorter. Raises DecodingError."""
+        values: list[Any] = [None] * self._count
+        try:
+            if self._ros1:
+                _run(self._program, data, 0, "<", 0, values)
+            else:
+                if len(data) < 4 or data[0] != 0 or data[1] > 1:
+                    raise DecodingError("no plain CDR")
+                _run(self._program, data, 4, "<" if data[1] else ">", 4, values)
+        except (struct.error, UnicodeDecodeError) as error:
+            raise DecodingError("it ends too early") from error
+        return [self._value(kind, values, first) for kind, first in zip(self.kinds, self._slots, strict=True)]
+
+    @staticmethod
+    def _value(kind: str, values: list[Any], first: int) -> Any:
+        if kind == "time":
+            return None if values[first] is None else values[first] * 1_000_000_000 + values[first + 1]
+        if kind == "quaternion":
+            return None if values[first] is None else tuple(values[first : first + 4])
+        return values[first]
+
+
+def _add_number(program: list[Any], letter: str, size: int, slot: int) -> None:
+    if not program or not isinstance(program[-1], _Numbers):
+        program.append(_Numbers())
+    program[-1].items.append((letter, size, slot))
+
+
+def _append(program: list[Any], part: Any) -> None:
+    """Stretches that meet become one."""
+    if isinstance(part, _Numbers) and program and isinstance(program[-1], _Numbers):
+        program[-1].items.extend(part.items)
+    else:
+        program.append(part)
+
+
+def _cut(program: list[Any]) -> None:
+    """Takes away what stands behind the last wanted number."""
+    while program and not _wants(program[-1]):
+        program.pop()
+    if program and isinstance(program[-1], _Numbers):
+        items = program[-1].items
+        while items[-1][2] < 0:
+            items.pop()
+
+
+def _wants(part: Any) -> bool:
+    if isinstance(part, _Numbers):
+        return any(slot >= 0 for _, _, slot in part.items)
+    return part.slot >= 0 if isinstance(part, _Text) else bool(part.elements)
+
+
+def _run(program: list[Any], data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
+    """Where the program ends; ``base``: from where CDR aligns, 0 where nothing is aligned."""
+    for part in program:
+        if isinstance(part, _Numbers):
+            phase = (at - base) % 8 if base else -1
+            compiled = part.compiled.get((order, phase))
+            if compiled is None:
+                compiled = part.compiled[(order, phase)] = _layout(part.items, order, phase)
+            layout, slots, size = compiled
+            found = layout.unpack_from(data, at)
+            for slot, value in zip(slots, found, strict=True):
+                values[slot] = value
+            at += size
+        elif isinstance(part, _Text):
+            at = _text(part, data, at, order, base, values)
+        else:
+            at = _many(part, data, at, order, base, values)
+    return at
+
+
+def _layout(items: list[tuple[str, int, int]], order: str, phase: int) -> tuple[struct.Struct, tuple[int, ...], int]:
+    letters, slots, at = [order], [], phase
+    for letter, size, slot in items:
+        gap = -at % size if phase >= 0 else 0
+        count = int(letter[:-1]) if len(letter) > 1 else 1
+        if gap:
+            letters.append(f"{gap}x")
+        if slot >= 0:
+            letters.append(letter)
+            slots.append(slot)
+        else:
+            letters.append(f"{count * size}x")
+        at += gap + count * size
+    layout = struct.Struct("".join(letters))
+    return layout, tuple(slots), layout.size
+
+
+def _length(data: bytes, at: int, order: str, base: int) -> tuple[int, int]:
+    if base:
+        at += (base - at) % 4
+    (length,) = _LENGTH[order].unpack_from(data, at)
+    return length, at + 4
+
+
+def _text(part: _Text, data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
+    length, at = _length(data, at, order, base)
+    end = at + part.wide * length
+    if end > len(data):
+        raise DecodingError("a text is longer than the message")
+    if part.slot >= 0:
+        values[part.slot] = data[at:end].rstrip(b"\0").decode("utf-8", "replace")
+    return end
+
+
+def _many(part: _Many, data: bytes, at: int, order: str, base: int, values: list[Any]) -> int:
+    length, at = _length(data, at, order, base)
+    if length > len(data) - at:
+        raise DecodingError("a sequence is longer than the message")
+    if part.size:
+        if length and base:
+            at += (base - at) % part.size
+        end = at + length * part.size
+        if end > len(data):
+            raise DecodingError("a sequence is longer than the message")
+        for index, program in part.elements.items():
+            if index < length:
+                _run(program, data, at + index * part.size, order, base, values)
+        return end
+    if not part.other:  # elements of no bytes
+        return at
+    for index in range(length):
+        at = _run(part.elements.get(index, part.other), data, at, order, base, values)
+    return at

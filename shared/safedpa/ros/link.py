@@ -1,0 +1,197 @@
+"""A session on a robot's side: hears its topics, drives it, knows who else is there. No ROS is needed for it.
+
+Two forms: ``rmw_zenoh`` (ROS 2 nodes on Zenoh) and ``bridge`` (zenoh-bridge-ros2dds beside nodes on DDS: plain keys,
+no attachment, no tokens of ROS).
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from itertools import count
+from types import TracebackType
+from typing import Any, Literal, final
+
+from safedpa.errors import BusError, InputError
+from safedpa.ros.encoding import encode, hash_of
+from safedpa.ros.graph import PUBLISHER, QOS, Attachment, Endpoint, data_key, node_token
+
+__all__ = ["FORMS", "Heard", "RosLink", "RosPublisher"]
+
+Form = Literal["rmw_zenoh", "bridge"]
+FORMS: tuple[Form, ...] = ("rmw_zenoh", "bridge")
+_LOOK_SECONDS = 2.0
+_PATIENCE_MILLISECONDS = 5000
+_MOST_SEEN = 10_000
+"""Tokens that are remembered."""
+
+Heard = Callable[[bytes, "Attachment | None"], None]
+"""Called on the network's thread for each message: its bytes, and what stood beside it."""
+
+
+@final
+class RosLink:
+    """Joins the robot's Zenoh router as a client. Raises BusError where nobody answers at the endpoint."""
+
+    def __init__(self, endpoint: str, domain: int = 0, form: Form = "rmw_zenoh", node: str = "/safedpa") -> None:
+        import zenoh
+
+        settings = zenoh.Config()
+        for path, value in (
+            ("mode", "client"),
+            ("connect/endpoints", [endpoint]),
+            ("connect/timeout_ms", _PATIENCE_MILLISECONDS),
+            ("connect/exit_on_failure", True),
+            ("scouting/multicast/enabled", False),
+            ("scouting/gossip/enabled", False),
+            ("timestamping/enabled", True),
+            ("transport/shared_memory/enabled", False),
+        ):
+            try:
+                settings.insert_json5(path, json.dumps(value))
+            except zenoh.ZError as error:
+                raise InputError(f"{endpoint}: is no endpoint; wanted one such as tcp/robot:7447") from error
+        try:
+            self._session = zenoh.open(settings)
+        except zenoh.ZError as error:
+            raise BusError(
+                f"{endpoint}: no Zenoh router answers ({str(error).split(' at ')[0][:80]}); wanted that of the robot: "
+                "ros2 run rmw_zenoh_cpp rmw_zenohd, or zenoh-bridge-ros2dds"
+            ) from error
+        self.domain, self.form, self.node = domain, form, node
+        self._held: list[Any] = []
+        self._lock = threading.Lock()
+        self._seen: dict[str, Endpoint] | None = None
+
+    @property
+    def session(self) -> str:
+        """Its name in tokens."""
+        return str(self._session.info.zid())
+
+    def endpoints(self) -> list[Endpoint]:
+        """Every publisher and subscriber of the domain that shows itself, by topic."""
+        replies = self._session.liveliness().get(f"@ros2_lv/{self.domain}/**", timeout=_LOOK_SECONDS)
+        tokens = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+        found = [endpoint for endpoint in map(Endpoint.of, tokens) if endpoint is not None]
+        return sorted(found, key=lambda one: (one.topic, one.kind, one.node, one.session, one.number))
+
+    def others_on(self, topic: str, kind: str) -> list[Endpoint]:
+        """Endpoints of a topic that are not this session's."""
+        mine = self.session
+        wanted = f"/{topic.strip('/')}"
+        return [one for one in self.endpoints() if one.topic == wanted and one.kind == kind and one.session != mine]
+
+    def watched(self, topic: str, kind: str) -> list[Endpoint]:
+        """The same from what was told since the start; never waits for anybody."""
+        if self._seen is None:
+            self._watch()
+        mine, wanted = self.session, f"/{topic.strip('/')}"
+        with self._lock:
+            seen = list((self._seen or {}).values())
+        return [one for one in seen if one.topic == wanted and one.kind == kind and one.session != mine]
+
+    def _watch(self) -> None:
+        import zenoh
+
+        self._seen = {}
+
+        def told(sample: zenoh.Sample) -> None:
+            token = str(sample.key_expr)
+            endpoint = Endpoint.of(token)
+            with self._lock:
+                if self._seen is None or endpoint is None:
+                    return
+                if sample.kind == zenoh.SampleKind.DELETE:
+                    self._seen.pop(token, None)
+                elif len(self._seen) < _MOST_SEEN:
+                    self._seen[token] = endpoint
+
+        key = f"@ros2_lv/{self.domain}/**"
+        callback = zenoh.handlers.Callback(told, indirect=False)
+        self._held.append(self._session.liveliness().declare_subscriber(key, callback, history=True))
+
+    def hear(self, topic: str, type_name: str, heard: Heard) -> None:
+        """Has ``heard`` called for each message of a topic, whatever hash its sender gives the type."""
+        self._subscribe(data_key(self.domain, topic, type_name, "*"), topic, heard, overhear=False)
+
+    def overhear(self, topic: str, heard: Heard) -> None:
+        """The same for messages of any type that other sessions send on a topic, whether they show a token or not."""
+        self._subscribe(f"{self.domain}/{topic.strip('/')}/*/*", topic, heard, overhear=True)
+
+    def _subscribe(self, key: str, topic: str, heard: Heard, *, overhear: bool) -> None:
+        import zenoh
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            beside = None if sample.attachment is None else Attachment.unpacked(sample.attachment.to_bytes())
+            heard(sample.payload.to_bytes(), beside)
+
+        self._held.append(
+            self._session.declare_subscriber(
+                topic.strip("/") if self.form == "bridge" else key,
+                zenoh.handlers.Callback(on_sample, indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE if overhear else None,
+            )
+        )
+
+    def publisher(self, topic: str, type_name: str, type_hash: str = "", qos: str = QOS) -> RosPublisher:
+        """One that speaks on a topic, and shows that it does; ``type_hash``: as its readers ask, else the type's."""
+        return RosPublisher(self, self._session, topic, type_name, type_hash or hash_of(type_name), qos)
+
+    def next_number(self) -> int:
+        """Of an entity of this session."""
+        return len(self._held) + 1
+
+    def hold(self, thing: Any) -> None:
+        """Keeps what is declared until the end."""
+        self._held.append(thing)
+
+    def close(self) -> None:
+        """Leaves; tokens go with it."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> RosLink:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leaves."""
+        self.close()
+
+
+@final
+class RosPublisher:
+    """Messages of one topic; numbered, stamped and signed as rmw_zenoh does, or plain for a bridge."""
+
+    def __init__(self, link: RosLink, session: Any, topic: str, type_name: str, type_hash: str, qos: str) -> None:
+        import zenoh
+
+        self.type, self._form, self._numbers = type_name, link.form, count(1)
+        self._sender = secrets.token_bytes(16)
+        plain = topic.strip("/") if link.form == "bridge" else data_key(link.domain, topic, type_name, type_hash)
+        self._publisher = session.declare_publisher(
+            plain,
+            encoding="application/cdr",
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+        )
+        link.hold(self._publisher)
+        if link.form == "rmw_zenoh":
+            number = str(link.next_number())
+            wanted = f"/{topic.strip('/')}"
+            me = Endpoint(
+                link.domain, link.session, link.node, PUBLISHER, wanted, type_name, type_hash, qos, "0", number
+            )
+            for token in (node_token(me), me.token()):
+                link.hold(session.liveliness().declare_token(token))
+
+    def put(self, values: Any) -> None:
+        """Sends a message with these fields, from any thread. Raises InputError for a field that its type has not."""
+        number = next(self._numbers)
+        beside = Attachment(number, time.time_ns(), self._sender).packed() if self._form == "rmw_zenoh" else None
+        self._publisher.put(encode(self.type, values), attachment=beside)

@@ -1,0 +1,88 @@
+"""What a model predicts for many robots at a moment: x[t+1] over their actions, and its slopes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
+
+__all__ = ["AbstractManyPredictions", "AffinePredictions", "ManyPredictions"]
+
+Values = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+class AbstractManyPredictions(ABC):
+    """The next states of robots at ``state`` (robots, states), whatever they do."""
+
+    state: Values
+    affine: bool
+    """Whether the slopes are the same about every action."""
+
+    @abstractmethod
+    def only(self, which: Indices) -> AbstractManyPredictions:
+        """Those of the robots of these indices."""
+
+    @abstractmethod
+    def next_state(self, action: Values) -> Values:
+        """(robots, states) under ``action`` (robots, actions)."""
+
+    @abstractmethod
+    def slopes(self, around: Values) -> Values:
+        """g (robots, states, actions) about ``around`` (robots, actions), an array of its own."""
+
+
+@final
+class ManyPredictions(AbstractManyPredictions):
+    """By a model of this project: networks are asked once, physics for every action."""
+
+    def __init__(self, model: AbstractDynamics, state: Values, latent: Values | None) -> None:
+        self._model, self.state, self._latent = model, state, latent
+        self._affine: tuple[Values, Values] | None = None
+        if isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase) and not model.effects:
+            known = np.zeros((len(state), 0)) if latent is None else latent
+            f, g = model.base.networks.increment(state, known)
+            self._affine = state + f, g
+        self.affine = self._affine is not None
+
+    def only(self, which: Indices) -> ManyPredictions:  # noqa: D102
+        some = object.__new__(ManyPredictions)
+        some._model, some.state = self._model, self.state[which]
+        some.affine = self.affine
+        some._latent = None if self._latent is None else self._latent[which]
+        some._affine = None if self._affine is None else (self._affine[0][which], self._affine[1][which])
+        return some
+
+    def next_state(self, action: Values) -> Values:  # noqa: D102
+        if self._affine is not None:
+            return np.asarray(self._affine[0] + (self._affine[1] @ action[:, :, np.newaxis])[..., 0])
+        return np.asarray(self._model.step(self.state, action, self._latent))
+
+    def slopes(self, around: Values) -> Values:  # noqa: D102
+        if self._affine is not None:
+            return self._affine[1].copy()
+        return np.array(self._model.affine(self.state, self._latent, around=around)[1])
+
+
+@final
+class AffinePredictions(AbstractManyPredictions):
+    """x[t+1] = f + g a, ``f`` (robots, states) and ``g`` (robots, states, actions) known: of a simulator, say."""
+
+    affine = True
+
+    def __init__(self, state: Values, f: Values, g: Values) -> None:
+        self.state, self.f, self.g = state, f, g
+
+    def only(self, which: Indices) -> AffinePredictions:  # noqa: D102
+        return AffinePredictions(self.state[which], self.f[which], self.g[which])
+
+    def next_state(self, action: Values) -> Values:  # noqa: D102
+        return np.asarray(self.f + (self.g @ action[:, :, np.newaxis])[..., 0])
+
+    def slopes(self, around: Values) -> Values:  # noqa: D102
+        del around
+        return self.g.copy()

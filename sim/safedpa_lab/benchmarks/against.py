@@ -1,0 +1,146 @@
+"""Two checkouts side by side: short drives in turn, so that what the machine does meanwhile happens to both.
+
+A drive of one checkout is followed by one of the other, and the order changes from pair to pair. Each pair gives one
+ratio; what is told is the median of them, and an interval that holds the true median with 95 % whatever the
+distribution is (the order statistics of the sign test).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from safedpa.errors import InputError, SafedpaError
+from safedpa_lab.benchmarks.usage import load_average
+
+__all__ = ["FIGURES", "against", "checkout_of", "driven", "interval_of_median"]
+
+FIGURES: Final = {
+    "sense to act, p50": "us",
+    "sense to act, p99": "us",
+    "start to the first action": "s",
+}
+"""What one drive gives, with units."""
+_ROOMS: Final = ("shared", "services", "sim")
+_COVERAGE: Final = 0.95
+_LONGEST_SECONDS: Final = 60.0
+"""Beyond the drive itself, until a run is given up."""
+
+Drive = Callable[[Path], Mapping[str, float]]
+
+
+def checkout_of(folder: Path) -> Path:
+    """The folder, if it holds the packages of this project. Raises InputError when it does not."""
+    absent = [name for name in _ROOMS if not (folder / name).is_dir()]
+    if absent or not (folder / "shared" / "safedpa" / "__init__.py").is_file():
+        raise InputError(f"{folder}: got no {', '.join(absent) or 'shared/safedpa'}; wanted a checkout of this project")
+    return folder.resolve()
+
+
+def interval_of_median(values: Sequence[float]) -> tuple[float, float]:
+    """Two of the values between which the true median lies with at least 95 %; of fewer than six the least and most."""
+    ordered, most = sorted(values), (1.0 - _COVERAGE) / 2.0
+    below, rank = 0.0, 0
+    while rank < len(ordered) // 2:
+        below += math.comb(len(ordered), rank) / 2.0 ** len(ordered)
+        if below > most:
+            break
+        rank += 1
+    return ordered[max(rank - 1, 0)], ordered[len(ordered) - max(rank, 1)]
+
+
+def against(
+    ours: Path,
+    other: Path,
+    pairs: int,
+    seconds: float,
+    tell: Callable[[int, int], None] = lambda _done, _all: None,
+    drive: Drive | None = None,
+) -> dict[str, Any]:
+    """Drives both in turn, ``pairs`` times, after one of each that is not counted.
+
+    Ratios are ours over the other's. Raises SafedpaError when a drive fails.
+    """
+    before = load_average()
+    found: tuple[list[Mapping[str, float]], list[Mapping[str, float]]] = ([], [])
+    with tempfile.TemporaryDirectory(prefix="safedpa-against-", ignore_cleanup_errors=True) as compiled:
+        run = drive or (lambda folder: driven(folder, seconds, Path(compiled)))
+        for number in range(pairs + 1):
+            for which in (0, 1) if number % 2 else (1, 0):
+                measured = run((ours, other)[which])
+                if number:
+                    found[which].append(measured)
+            tell(number, pairs)
+    return {
+        "pairs": pairs,
+        "seconds": seconds,
+        "figures": {name: _compared(name, *found) for name in found[0][0]},
+        "load_average": [before, load_average()],
+    }
+
+
+def _compared(name: str, ours: Sequence[Mapping[str, float]], others: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    ratios = [mine[name] / other[name] for mine, other in zip(ours, others, strict=True)]
+    low, high = interval_of_median(ratios)
+    return {
+        "unit": FIGURES.get(name, ""),
+        "ours": round(statistics.median(entry[name] for entry in ours), 4),
+        "other": round(statistics.median(entry[name] for entry in others), 4),
+        "ratio": round(statistics.median(ratios), 4),
+        "interval": [round(low, 4), round(high, 4)],
+        "ratios": [round(ratio, 4) for ratio in ratios],
+    }
+
+
+def driven(folder: Path, seconds: float, compiled: Path) -> dict[str, float]:
+    """One ``safedpa up`` of a checkout in real time, with this Python and what is installed in it.
+
+    Modules are compiled once, into the folder ``compiled``, as for what is installed: otherwise the start would tell
+    how many lines of source there are.
+    """
+    paths = os.pathsep.join(str(folder / name) for name in _ROOMS)
+    with tempfile.TemporaryDirectory() as out:
+        command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--load", "box"]
+        command += ["--seconds", repr(seconds), "--out", out]
+        environment = {**os.environ, "PYTHONPATH": paths, "PYTHONPYCACHEPREFIX": str(compiled)}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        began = time.time()
+        try:
+            done = subprocess.run(
+                command,
+                capture_output=True,
+                text=True,
+                check=False,
+                cwd=out,
+                env=environment,
+                timeout=seconds + _LONGEST_SECONDS,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise SafedpaError(f"{folder}: safedpa up did not end within {error.timeout:.0f} s") from error
+        if done.returncode != 0:
+            raise SafedpaError(f"{folder}: safedpa up: {done.stderr.strip()[-500:]}")
+        summary = json.loads(done.stdout)
+        first = _first_action(Path(summary["recording"])) - began
+    latency = summary["latency_us"]
+    return dict(zip(FIGURES, (latency["p50"], latency["p99"], first), strict=True))
+
+
+def _first_action(recording: Path) -> float:
+    """s of the wall clock; when the first action was published, whatever else a message of that version holds."""
+    import msgpack
+    from mcap.reader import make_reader
+
+    with recording.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages():
+            if channel.topic.endswith("/action"):
+                return float(msgpack.unpackb(message.data)["publish_time"])
+    raise SafedpaError(f"{recording}: got no action, wanted some; the loop did not begin")

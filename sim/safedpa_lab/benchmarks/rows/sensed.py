@@ -1,0 +1,165 @@
+"""One decision among what a laser sees, beside eight circles and the program alone; and the chain from scan to action.
+
+All of them in turn within one run, so that what else the machine does is shared by all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import StateMessage, SurroundingsMessage
+from safedpa.compiled import compiled_modules
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.robots.car.car_scene import CarScene
+from safedpa.safety import SafetyFilter, Status
+from safedpa.safety.conditions import Conditions
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_lab.benchmarks.filter_problem import car_message, problem_with
+from safedpa_lab.benchmarks.results import Effort, Entry, Row, Target, microseconds
+from safedpa_lab.benchmarks.sensed_chain import chain_times
+from safedpa_lab.benchmarks.timing import in_turn, percentiles
+
+__all__ = ["measure", "places_seen"]
+
+Values = NDArray[np.float64]
+
+_COUNTS: Final = (64, 256, 1080)
+_HALF: Final = 4.0
+"""m; half an edge of the room."""
+_PILLARS: Final = ((1.5, 1.2, 0.3), (-1.4, 1.6, 0.25), (-1.2, -1.5, 0.35), (1.8, -1.6, 0.2))
+_RADIUS: Final = 0.05
+"""m of a point."""
+_WISH: Final = (1.6, 0.1)
+_STATES: Final = 48
+_FOOTPRINT: Final = (0.08, 0.4, 0.12)
+
+
+def measure(effort: Effort) -> Row:
+    """Decisions that need the program, from the message to the verdict, with 64, 256 and 1,080 points."""
+    counts = effort.of((64, 256), _COUNTS)
+    calls, seconds = effort.of((100, 1.0), (4000, 30.0))
+    asked: dict[str, tuple[Callable[[Any], Any], Sequence[Any]]] = {
+        f"{count} points": _sensed(places_seen(count)) for count in counts
+    }
+    asked["8 circles"] = _told()
+    asked["the program alone, 256 points"] = _alone(places_seen(256))
+    times = in_turn(asked, calls, seconds)
+    built = "compiled" if compiled_modules() else "Python source, nothing compiled"
+    ours = [microseconds("safedpa, physics", found, name, built) for name, found in times.items()]
+    chains = {
+        rays: tuple(map(percentiles, chain_times(rays, effort.of(60, 400)))) for rays in effort.of((360,), (360, 1080))
+    }
+    note = "the nodes of one robot in turn"
+    ours += [
+        Entry("safedpa, scan to action", wall, "us", processor, problem=f"{rays} rays", note=note)
+        for rays, (wall, processor) in chains.items()
+    ]
+    targets = (
+        Target("p50 with 256 points", 200.0, times["256 points"]["wall"]["p50"], "us"),
+        Target("p99 from scan to action, 360 rays", 10_000.0, chains[360][0]["p99"], "us"),
+    )
+    work = "one decision among what a laser sees: message to barriers, model, QP, verdict"
+    return Row("sensed", work, "p50", tuple(ours), targets=targets)
+
+
+def places_seen(count: int) -> Values:
+    """(count, 2) m; evenly over four walls and four pillars around a car in their middle."""
+    edge = 8.0 * _HALF
+    begins = np.cumsum([edge, *(2.0 * np.pi * radius for _, _, radius in _PILLARS)])
+    found = []
+    for way in (np.arange(count) + 0.5) * begins[-1] / count:
+        which = int(np.searchsorted(begins, way))
+        if which > 0:
+            x, y, radius = _PILLARS[which - 1]
+            turn = (way - begins[which - 1]) / radius
+            found.append((x + radius * np.cos(turn), y + radius * np.sin(turn)))
+        else:
+            side, along = divmod(way, 2.0 * _HALF)
+            cosine, sine = np.cos(side * np.pi / 2.0), np.sin(side * np.pi / 2.0)
+            found.append((cosine * (along - _HALF) + sine * _HALF, sine * (along - _HALF) - cosine * _HALF))
+    return np.array(found)
+
+
+def _sensed(places: Values) -> tuple[Callable[[Any], Any], list[tuple[StateMessage, SurroundingsMessage]]]:
+    """What decides, and states in which it has to solve its program, with what is seen there."""
+    model, settings = load_model("car"), settings_named("car")
+    one, scene = SafetyFilter.for_model(model, settings), CarScene(settings)
+    epsilon = _margins(model)
+    points = tuple((x, y, _RADIUS) for x, y in places.tolist())
+
+    def decided(asked: tuple[StateMessage, SurroundingsMessage]) -> Any:
+        state, seen = asked
+        barriers = scene.around(state, seen, epsilon)
+        assert not isinstance(barriers, str), barriers
+        return one.decide(state.values, _WISH, model.latent, barriers=barriers, epsilon=epsilon)
+
+    draw, found = np.random.default_rng([7, 256]), list[tuple[StateMessage, SurroundingsMessage]]()
+    while len(found) < _STATES:
+        values = (
+            *draw.uniform(-3.0, 3.0, 2).tolist(),
+            float(draw.uniform(-np.pi, np.pi)),
+            float(draw.uniform(0.2, 1.5)),
+        )
+        state = replace(car_message(len(found), np.zeros((0, 3)), values), sources=("laser",))
+        seen = _message(state, points)
+        verdict = decided((state, seen))
+        if verdict.status is Status.corrected and verdict.solver == "solved":
+            found.append((state, seen))
+    return decided, found
+
+
+def _margins(model: PhysicsModel) -> dict[str, float]:
+    """By kind of barrier, of those that the model was calibrated for."""
+    known = margin_for(model)
+    return {} if known is None else dict(known.epsilon)
+
+
+def _message(state: StateMessage, points: tuple[tuple[float, ...], ...]) -> SurroundingsMessage:
+    return SurroundingsMessage(
+        epoch=state.epoch,
+        tick=state.tick,
+        robot_time=state.robot_time,
+        publish_time=state.publish_time,
+        points=points,
+        movers=(),
+        hidden=(),
+        ages=(0.05,),
+    )
+
+
+def _told() -> tuple[Callable[[Any], Any], list[StateMessage]]:
+    """The same of a car that is told eight circles and a field."""
+    model, problem = load_model("car"), problem_with(8)
+    one, scene = SafetyFilter.for_model(model, problem.settings), CarScene(problem.settings)
+    epsilon = _margins(model)
+
+    def decided(state: StateMessage) -> Any:
+        barriers = scene.of(state)
+        assert not isinstance(barriers, str), barriers
+        return one.decide(state.values, _WISH, model.latent, barriers=barriers, epsilon=epsilon)
+
+    states = enumerate(problem.states.tolist())
+    return decided, [car_message(tick, problem.obstacles, tuple(values)) for tick, values in states]
+
+
+def _alone(places: Values) -> tuple[Callable[[Any], Any], list[tuple[Any, Any]]]:
+    """The first quadratic program of each of the same decisions."""
+    model, settings = load_model("car"), settings_named("car")
+    one, scene = SafetyFilter.for_model(model, settings), CarScene(settings)
+    tools, posed = one.tools, []
+    for state, seen in _sensed(places)[1]:
+        barriers = scene.around(state, seen, _margins(model))
+        assert not isinstance(barriers, str), barriers
+        epsilon, _ = tools.margins.of(barriers, _margins(model))
+        latent = tuple(model.latent.tolist())
+        conditions = Conditions(
+            barriers, tools.prediction, state.values, latent, None, settings.eta, epsilon, tools.program.sides
+        )
+        about = conditions.outcome(_WISH)
+        posed.append(conditions.linearised(about).at(about.residual, _WISH, 0.0))
+    return lambda rows: tools.program.solve(rows[0], rows[1], _WISH), posed

@@ -1,0 +1,45 @@
+"""``safedpa results``: where the figures come from, and which are older than the code that they speak of."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.group(name="results")
+def command() -> None:
+    """Where figures come from."""
+
+
+@command.command(name="check")
+@click.argument("folder", type=click.Path(path_type=Path), default=Path("docs/results"))
+@click.option(
+    "--strict", is_flag=True, help="exit with 1 where one is older than its code, or says not where it is from"
+)
+@click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
+def _check(folder: Path, strict: bool, as_json: bool) -> int:
+    """Which results are older than the code that made them.
+
+    Each file of results holds its command, date, commit and digests of the code behind it, room by room; comments and
+    docstrings do not count. A room that differs today is named.
+    """
+    from safedpa_lab.provenance.check import standings
+
+    found = list(standings(folder))
+    if as_json:
+        click.echo(json.dumps({"results": [{**asdict(each), "told": each.told} for each in found]}))
+    else:
+        for each in found:
+            click.echo(f"{each.name:32} {(each.date or 'no date')[:10]:10}  {each.told}")
+            if each.command:
+                click.echo(f"{'':34}{each.command}")
+            if each.changed:
+                click.echo(f"{'':34}differ: {', '.join(each.changed)}")
+        told = sum(not each.changed and each.rooms > 0 for each in found)
+        click.echo(f"{told} of {len(found)} were made by the code of today")
+    return int(strict and any(each.changed or not each.rooms for each in found))

@@ -1,0 +1,153 @@
+"""Drives with a laser alone, beside the same drives told everything: who touches whom, and what is reached.
+
+A collision counts as the car's where it moved (``STANDS`` and faster); who walks into a standing car is counted apart.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import AbstractNode
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.perception import PerceptionNode, PerceptionSettings
+from safedpa.policy import PolicyNode
+from safedpa.robots.car.counter_braking import STANDS
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, TimeToCollision
+from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
+from safedpa_lab.experiments.sensing_told import TellsEverything
+from safedpa_lab.experiments.statistics import clopper_pearson_interval, ratio_interval
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.loads import LOADS as TOWED
+from safedpa_sim.robots.scene import Scene
+from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
+from safedpa_sim.sensing.senses import Senses
+
+__all__ = ["GUARDS", "LOADS", "SCENES", "Drive", "run_drive", "sensing_experiment"]
+
+GUARDS = ("safedpa", "told", "monitor", "monitor-2s", "time-to-collision", "nothing")
+"""Who stands between policy and car: the filter with the laser alone; the filter that is told everything; nav2's
+collision monitor by its defaults and with more time; the F1TENTH course's brake; nobody. The last four hear the same
+scans."""
+LOADS = ("none", *TOWED)
+POLICY = "goal_seeker"
+_PERIOD = 0.05
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One drive; speeds in m/s."""
+
+    scene: str
+    seed: int
+    seconds: float
+    coming: float
+    """Speed that perception reckons with for what nobody sees."""
+    guard: str = GUARDS[0]
+    load: str = LOADS[0]
+    policy: str = POLICY
+
+
+def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Person]) -> list[AbstractNode]:
+    """In the order of the data flow."""
+    policy = PolicyNode(model, wanted.policy)
+    peers: dict[str, Callable[[], AbstractNode]] = {
+        "monitor": CollisionMonitor,
+        "monitor-2s": lambda: CollisionMonitor(2.0, 3),
+        "time-to-collision": TimeToCollision,
+        "nothing": NoFilter,
+    }
+    if wanted.guard in peers:
+        return [AdaptationNode(model), policy, peers[wanted.guard]()]
+    sees = PerceptionNode(PerceptionSettings(coming=wanted.coming))
+    return [
+        AdaptationNode(model),
+        TellsEverything(scene, people) if wanted.guard == "told" else sees,
+        policy,
+        SafetyFilterNode(model, settings_named("car"), margin_for(model)),
+    ]
+
+
+def run_drive(wanted: Drive) -> dict[str, Any]:
+    """Drives it; the same drive gives the same numbers."""
+    model = load_model("car")
+    scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load)
+    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), wanted.seed),), people))
+    nodes = _nodes(wanted, model, scene, people)
+    way, microseconds, wished, kept = 0.0, [], 0.0, 0.0
+    for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD)):
+        if tick.verdict.wish:
+            wished += abs(tick.verdict.wish[0])
+            kept += min(max(tick.verdict.action[0] * np.sign(tick.verdict.wish[0]), 0.0), abs(tick.verdict.wish[0]))
+        way += abs(tick.state.values[3]) * _PERIOD
+        microseconds.append(tick.verdict.microseconds)
+    moving = [str(hit) for hit in robot.collisions if hit.speed >= STANDS]
+    return {
+        **asdict(wanted),
+        "moving": moving,
+        "standing": len(robot.collisions) - len(moving),
+        "stepped_out": any(isinstance(person, StepsOut) and person.stepped for person in people),
+        "goals": robot.goals_reached,
+        "way": way,
+        "kept": kept / max(wished, 1e-9),
+        "microseconds": float(np.median(microseconds)),
+        "trajectory": robot.trajectory_hash,
+    }
+
+
+def sensing_experiment(
+    seeds: Sequence[int],
+    seconds: float,
+    coming: float,
+    processes: int = 2,
+    guards: Sequence[str] = GUARDS,
+    on_drive: Callable[[int, int], None] = lambda _done, _all: None,
+    scenes: Sequence[str] = SCENES,
+    loads: Sequence[str] = LOADS[:1],
+) -> dict[str, Any]:
+    """Every scene with every seed and load behind each guard; one row for each scene and guard."""
+    kinds = [(scene, guard) for scene in scenes for guard in guards]
+    wanted = [
+        Drive(scene, seed, seconds, coming, guard, load) for scene, guard in kinds for seed in seeds for load in loads
+    ]
+    found: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for outcome in pool.map(run_drive, wanted):
+            found.append(outcome)
+            on_drive(len(found), len(wanted))
+    by_kind = {kind: [one for one in found if (one["scene"], one["guard"]) == kind] for kind in kinds}
+    rows = [_row(kind, drives, by_kind.get((kind[0], "told"), []), seconds) for kind, drives in by_kind.items()]
+    return {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "rows": rows}
+
+
+def _row(
+    kind: tuple[str, str], drives: list[dict[str, Any]], told: list[dict[str, Any]], seconds: float
+) -> dict[str, Any]:
+    """``told``: the same drives with perfect knowledge, in the same order, where there are any."""
+    hit = sum(bool(one["moving"]) for one in drives)
+    goals = np.array([float(one["goals"]) for one in drives])
+    others = np.array([float(one["goals"]) for one in told])
+    return {
+        "scene": kind[0],
+        "guard": kind[1],
+        "drives": len(drives),
+        "drives_in_which_the_car_moved_into_something": hit,
+        "share_95": clopper_pearson_interval(hit, len(drives)),
+        "which": [f"seed {one['seed']}, load {one['load']}: {what}" for one in drives for what in one["moving"]],
+        "touched_while_it_stood": sum(one["standing"] for one in drives),
+        "drives_in_which_somebody_stepped_out": sum(one["stepped_out"] for one in drives),
+        "goals_a_minute": 60.0 * float(goals.sum()) / (seconds * len(drives)),
+        "goals_beside_perfect_knowledge": ratio_interval(goals, others) if others.sum() > 0.0 else None,
+        "share_of_the_wished_speed": float(np.mean([one["kept"] for one in drives])),
+        "metres_a_minute": 60.0 * sum(one["way"] for one in drives) / (seconds * len(drives)),
+        "median_microseconds": float(np.median([one["microseconds"] for one in drives])),
+    }

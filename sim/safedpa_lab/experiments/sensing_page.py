@@ -1,0 +1,55 @@
+"""The page of a result of ``safedpa experiment sensing``: one line a scene and guard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["page_of"]
+
+_GUARDS = {
+    "safedpa": "this filter, laser alone",
+    "told": "this filter, told everything",
+    "monitor": "nav2's collision monitor, its defaults (1.2 s, 6 points)",
+    "monitor-2s": "the same with 2 s, 3 points",
+    "time-to-collision": "time to collision below 0.8 s (F1TENTH course)",
+    "nothing": "nothing",
+}
+
+
+def page_of(result: Mapping[str, Any], title: str = "Drives with a laser") -> str:
+    """Markdown with a table of all rows, and the command that made it."""
+    seeds, made = result["seeds"], result.get("provenance", {})
+    lines = [
+        f"# {title}",
+        "",
+        f"Seeds {seeds[0]} to {seeds[-1]}, loads {', '.join(result['loads'])}, {result['seconds']:g} s each. "
+        "A collision is the car's where it was at 0.1 m/s or more.",
+        "",
+        f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
+        "",
+        "| scene | behind | drives | car moved into something | 95 % of it | touched while it stood | goals a minute "
+        "| of those of who is told everything | m a minute |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    lines += [_line(row) for row in result["rows"]]
+    hit = [f"- {row['scene']}, {row['guard']}: {what}" for row in result["rows"] for what in row["which"]]
+    return "\n".join([*lines, *(["", "Into what:", "", *hit] if hit else []), ""])
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    low, high = row["share_95"]
+    beside = row["goals_beside_perfect_knowledge"]
+    ratio = "" if beside is None else f"{beside[0]:.2f} ({beside[1]:.2f} to {beside[2]:.2f})"
+    cells = (
+        row["scene"],
+        _GUARDS[row["guard"]],
+        f"{row['drives']}",
+        f"{row['drives_in_which_the_car_moved_into_something']}",
+        f"{100.0 * low:.1f} to {100.0 * high:.1f} %",
+        f"{row['touched_while_it_stood']}",
+        f"{row['goals_a_minute']:.1f}",
+        ratio,
+        f"{row['metres_a_minute']:.0f}",
+    )
+    return f"| {' | '.join(cells)} |"

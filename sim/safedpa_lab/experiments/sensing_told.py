@@ -1,0 +1,69 @@
+"""Perception that is told everything: what a laser has to find out, for the same drives with perfect knowledge."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from math import ceil
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import SURROUNDINGS, AbstractNode, Inputs, Outputs, StateMessage, SurroundingsMessage
+from safedpa.perception import PerceptionSettings
+from safedpa_sim.robots.scene import Scene
+from safedpa_sim.sensing import Person
+from safedpa_sim.sensing.shapes import Outline
+
+__all__ = ["TellsEverything"]
+
+_APART = 0.1
+"""m between the points that stand for an edge: between two of them a car's body gets 7 mm nearer to it."""
+_RADIUS = 0.01
+"""m of each."""
+
+
+@final
+class TellsEverything(AbstractNode):
+    """Tells of each state the scene as it is and where everybody is; nothing is hidden.
+
+    Nobody's next step is known: whoever may move may do so at the speed that perception reckons with.
+    """
+
+    name = "perception"
+    inputs = ()
+    outputs = (SURROUNDINGS,)
+    share = 0.0
+    lingers = False
+
+    def __init__(self, scene: Scene, people: Sequence[Person]) -> None:
+        self._people, self._settings = people, PerceptionSettings()
+        outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
+        self._points = np.vstack([outline.discs, *map(_along, outline.edges)])
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
+        del robot, inputs
+        here = np.array(state.values[:2])
+        away = np.hypot(*(self._points[:, :2] - here).T) - self._points[:, 2]
+        order = np.argsort(away)
+        near = self._points[order[away[order] < self._settings.reach]]
+        message = SurroundingsMessage(
+            epoch=state.epoch,
+            tick=state.tick,
+            robot_time=state.robot_time,
+            publish_time=time.time(),
+            points=tuple(map(tuple, near.tolist())),
+            movers=tuple((*one.place, one.radius, 0.0, 0.0, self._settings.fastest) for one in self._people),
+            hidden=(),
+            ages=(0.0,) * len(state.sources),
+        )
+        return {SURROUNDINGS: message}
+
+
+def _along(edge: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) with a radius, from one end of an edge x, y, x, y [m] to the other."""
+    start, end = edge[:2], edge[2:]
+    share = np.linspace(0.0, 1.0, ceil(float(np.hypot(*(end - start))) / _APART) + 1)[:, np.newaxis]
+    places = start + share * (end - start)
+    return np.column_stack([places, np.full(len(places), _RADIUS)])

@@ -1,0 +1,76 @@
+"""Which results are older than the code that they speak of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from safedpa.errors import InputError
+from safedpa_lab.provenance.code import digests
+from safedpa_lab.provenance.record import KEY
+
+__all__ = ["Standing", "standings"]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A file of results, or a row of a benchmark's, beside the code of today."""
+
+    name: str
+    command: str | None
+    date: str | None
+    commit: str | None
+    changed: tuple[str, ...]
+    """Rooms whose code, or data, is another one by now."""
+    rooms: int
+    """Through which its code passes; 0 where nobody wrote that down."""
+
+    @property
+    def told(self) -> str:
+        """In words: of today, older in so many rooms, or unknown."""
+        if not self.rooms:
+            return "made before its code was written down"
+        if not self.changed:
+            return "made by the code of today"
+        return f"older than its code in {len(self.changed)} of {self.rooms} rooms"
+
+
+def standings(folder: Path) -> Iterator[Standing]:
+    """Every ``*.json`` of the folder, by name. Raises InputError for a folder without any, or for what is no JSON."""
+    files = sorted(folder.glob("*.json")) if folder.is_dir() else []
+    if not files:
+        raise InputError(f"{folder}: got no file of results (*.json) there; name the folder that holds them")
+    for path in files:
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InputError(f"{path}: got no JSON ({error}); make it anew") from error
+        rows = _table(found).get("rows")
+        if isinstance(rows, dict):  # of a benchmark: each was measured by itself
+            yield from (_standing(f"{path.name}: {name}", row) for name, row in rows.items())
+        else:
+            yield _standing(path.name, found)
+
+
+def _standing(name: str, document: Any) -> Standing:
+    """Of what is no such record, or names no module, nothing is known; of a module that is gone every room differs."""
+    document = _table(document)
+    kept = _table(document.get(KEY))
+    module, then = kept.get("module"), _table(kept.get("code"))
+    if not isinstance(module, str):
+        then = {}
+    now = digests(module) if isinstance(module, str) and then else {}
+    changed = tuple(sorted(room for room in {*then, *now} if then.get(room) != now.get(room)))
+    told = {key: _text(kept.get(key, document.get(key))) for key in ("command", "date", "commit")}
+    return Standing(name, **told, changed=changed, rooms=len({*then, *now}))
+
+
+def _table(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _text(value: Any) -> str | None:
+    return value if isinstance(value, str) else None

@@ -1,0 +1,128 @@
+"""What is written beside a figure: how to make it again, and what it was made with."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import shlex
+import subprocess
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path, PurePath
+from typing import Any
+
+import click
+
+import safedpa
+from safedpa.records.atomic import atomic_path
+from safedpa_lab.provenance.code import digests
+
+__all__ = ["KEY", "command_line", "provenance", "write_result"]
+
+KEY = "provenance"
+"""Of the table that a file of results holds."""
+
+_PACKAGES = ("numpy", "piqp", "pymunk", "torch")
+_ELSEWHERE = (
+    "out", "page", "record", "keep", "recordings", "models", "baselines", "data", "file", "markdown", "pictures",
+    "peers",
+)  # fmt: skip
+"""Options that name a place on a machine, where they do: they change nothing of a result but where it stands."""
+_NO_RESULT = ("as_json", "processes", "workers", "jobs", "listed", "resume")
+"""Options on which no result depends."""
+
+
+def write_result(path: Path, result: Mapping[str, Any]) -> None:
+    """Writes a result as JSON, whole or not at all, with its provenance, where the command of this context made it.
+
+    What is not finite becomes null: JSON has no word for it, and hours of work are not lost for one number.
+    """
+    document = _plain({**result, KEY: provenance()})
+    with atomic_path(path) as unfinished:
+        unfinished.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if value is None or isinstance(value, (str, int)):
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def provenance() -> dict[str, Any]:
+    """Command and what was chosen for it, date, commit, machine and load, versions, digests of the code behind it."""
+    context = click.get_current_context(silent=True)
+    module = None if context is None or context.command.callback is None else context.command.callback.__module__
+    return {
+        "command": None if context is None else command_line(context),
+        "module": module,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": _commit(),
+        "machine": {
+            "cores": os.cpu_count(),
+            "load": round(os.getloadavg()[0], 1),
+            "python": platform.python_version(),
+            **{name: found for name in _PACKAGES if (found := _version(name)) is not None},
+        },
+        "code": {} if module is None else digests(module),
+    }
+
+
+def command_line(context: click.Context) -> str:
+    """The command with every option that was given and that its result depends on, as one types it."""
+    words: list[str] = []
+    for item in context.command.params:
+        value = context.params.get(item.name or "")
+        elsewhere = item.name in _ELSEWHERE and not isinstance(value, bool)
+        if elsewhere or item.name in _NO_RESULT or value is None or value == item.get_default(context):
+            continue
+        many = isinstance(value, (tuple, list)) and (item.multiple if isinstance(item, click.Option) else True)
+        for one in value if many else (value,):
+            words += _words(item, one)
+    return f"{context.command_path} {shlex.join(words)}".strip()
+
+
+def _words(item: click.Parameter, value: Any) -> Sequence[str]:
+    """As it is typed; of a place on this machine the last part alone."""
+    told = [str(one) for one in (value if isinstance(value, (tuple, list)) else (value,))]
+    told = [PurePath(one).name if isinstance(value, Path) or PurePath(one).is_absolute() else one for one in told]
+    if isinstance(item, click.Argument):
+        return told
+    if isinstance(value, bool):
+        return ((item.opts if value else item.secondary_opts or item.opts)[0],)
+    if isinstance(item, click.Option) and item.count:
+        return [item.opts[0]] * int(value)
+    return (item.opts[0], *told)
+
+
+def _commit() -> str | None:
+    """Of the sources, with "+" where files that are followed differ from it; None where they lie in no repository of
+    their own, such as in an environment within another project's."""
+    assert safedpa.__file__ is not None
+    folder = Path(safedpa.__file__).parent
+    try:
+        _git(folder, "ls-files", "--error-unmatch", "__init__.py")
+        commit = _git(folder, "rev-parse", "--short=12", "HEAD")
+        changed = _git(folder, "status", "--porcelain", "--untracked-files=no", ":/shared", ":/services", ":/sim")
+        return f"{commit}+" if changed else commit
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _git(folder: Path, *words: str) -> str:
+    done = subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, timeout=20, check=True)
+    return done.stdout.strip()
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

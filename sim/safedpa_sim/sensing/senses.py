@@ -1,0 +1,99 @@
+"""What a simulated car senses with, and whom it meets: laser scanners and people, in its world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import cos, hypot, sin
+from typing import TYPE_CHECKING, final
+
+from safedpa.bus.wire.messages import ScanMessage
+from safedpa_sim.sensing.laser import Laser
+from safedpa_sim.sensing.people import Person
+from safedpa_sim.sensing.shapes import Outline, Polygon, box
+
+if TYPE_CHECKING:
+    import pymunk
+
+    from safedpa_sim.robots.scene import Scene
+    from safedpa_sim.robots.world import CarWorld
+
+__all__ = ["Senses"]
+
+_TOUCHES = 0.01
+"""m"""
+_STEP = 0.05
+"""s; people choose their way so often, and walk straight in between."""
+
+
+@final
+class Senses:
+    """Laser scanners and people of one car. ``glass`` names the polygons of the scene that let rays through."""
+
+    def __init__(
+        self,
+        lasers: Sequence[Laser],
+        people: Sequence[Person] = (),
+        glass: Sequence[int] = (),
+        *,
+        sees_load: bool = True,
+    ) -> None:
+        self.lasers, self.people = tuple(lasers), tuple(people)
+        self.names = tuple(laser.settings.name for laser in self.lasers)
+        """Of the sensors."""
+        self._glass, self._sees_load = frozenset(glass), sees_load
+        self._bodies: list[pymunk.Body] = []
+        self._steps = 0
+
+    def join(self, world: CarWorld, scene: Scene, epoch: int) -> None:
+        """Puts the people into the world; once, before anything else."""
+        self._world, self._epoch = world, epoch
+        self._solid = Outline(scene.obstacles, scene.polygons, (scene.field,))
+        seen = tuple(one for index, one in enumerate(scene.polygons) if index not in self._glass)
+        self._seen = Outline(scene.obstacles, seen, (scene.field,))
+        self._bodies = [
+            world.add_person(*person.place, person.radius, f"person {index}")
+            for index, person in enumerate(self.people)
+        ]
+
+    def moments(self, end: float) -> Iterator[float]:
+        """s; in order, up to and with ``end``, when somebody chooses a way or a scanner measures."""
+        while (moment := min([self._steps * _STEP, *(laser.next_scan for laser in self.lasers)])) <= end + 1e-9:
+            yield moment
+
+    def sense(self, tick: int) -> None:
+        """Does what is due at the world's time."""
+        now = self._world.time + 1e-9
+        for person, body in zip(self.people, self._bodies, strict=True):
+            person.place = (body.position.x, body.position.y)
+        if self._steps * _STEP <= now:
+            self._steps += 1
+            x, y, _, _ = self._world.state
+            for person, body in zip(self.people, self._bodies, strict=True):
+                if self._to_car(person) < _TOUCHES:
+                    person.touched(self._world.time)
+                body.velocity = person.velocity(self._world.time, (x, y), self._solid)
+        for laser in self.lasers:
+            if laser.next_scan <= now:
+                laser.scan(self._world.state[:3], self._outline(), self._epoch, tick)
+
+    def _to_car(self, person: Person) -> float:
+        """m from somebody to the car's body; 0 or less where they touch."""
+        car, (x, y, yaw, _) = self._world.parameters, self._world.state
+        apart_x, apart_y = person.place[0] - x, person.place[1] - y
+        along, across = apart_x * cos(yaw) + apart_y * sin(yaw), apart_y * cos(yaw) - apart_x * sin(yaw)
+        beyond = max(-car.rear - along, along - car.front, 0.0), max(abs(across) - car.width / 2, 0.0)
+        return hypot(*beyond) - person.radius
+
+    def told(self) -> list[ScanMessage]:
+        """The scans that are due by now."""
+        return [message for laser in self.lasers for message in laser.told(self._world.time)]
+
+    def _outline(self) -> Outline:
+        """What can be seen now: things at rest, people, and the load that is towed."""
+        people = tuple((*person.place, person.radius) for person in self.people)
+        towed = self._world.towed if self._sees_load else None
+        load: tuple[Polygon, ...] = ()
+        if towed is not None:
+            x, y, yaw, length, width = towed.pose
+            load = (box(x, y, length, width, yaw),)
+        return Outline(self._seen.circles + people, self._seen.polygons + load, self._seen.rooms)

@@ -1,0 +1,114 @@
+"""Things as a laser sees them from above: circles and straight edges, and the way of a ray to the first of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import cos, inf, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Outline", "Point", "Polygon", "box", "cast", "room_to", "rooms_to"]
+
+Values = NDArray[np.float64]
+Point = tuple[float, float]
+Polygon = tuple[Point, ...]
+"""Corners of something convex in m, anticlockwise."""
+
+_PARALLEL = 1e-12
+"""Sine of the angle between a ray and an edge, below which they do not meet."""
+
+
+def box(x: float, y: float, length: float, width: float, yaw: float = 0.0) -> Polygon:
+    """A rectangle around (x, y) [m], turned by ``yaw`` [rad]."""
+    along, across = (cos(yaw), sin(yaw)), (-sin(yaw), cos(yaw))
+    return tuple(
+        (x + a * along[0] + b * across[0], y + a * along[1] + b * across[1])
+        for a, b in (
+            (-length / 2, -width / 2),
+            (length / 2, -width / 2),
+            (length / 2, width / 2),
+            (-length / 2, width / 2),
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Everything that a ray can meet at one moment; lengths in m."""
+
+    circles: tuple[tuple[float, float, float], ...] = ()
+    """x, y, radius of each."""
+    polygons: tuple[Polygon, ...] = ()
+    rooms: tuple[tuple[float, float, float, float], ...] = ()
+    """Lowest x, highest x, lowest y, highest y of each rectangle that is seen from within."""
+    edges: Values = field(init=False, repr=False, compare=False)
+    """(edges, 4): x and y of both ends."""
+    discs: Values = field(init=False, repr=False, compare=False)
+    """(circles, 3)."""
+
+    def __post_init__(self) -> None:
+        corners = [*self.polygons, *(_corners(*room) for room in self.rooms)]
+        rows = [
+            (*one, *other) for polygon in corners for one, other in zip(polygon, polygon[1:] + polygon[:1], strict=True)
+        ]
+        object.__setattr__(self, "discs", np.array(self.circles, dtype=np.float64).reshape(-1, 3))
+        object.__setattr__(self, "edges", np.array(rows, dtype=np.float64).reshape(-1, 4))
+
+
+def _corners(low_x: float, high_x: float, low_y: float, high_y: float) -> Polygon:
+    return (low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)
+
+
+def cast(outline: Outline, x: float, y: float, angles: Values) -> Values:
+    """(rays,) m from (x, y) along each of ``angles`` (rays,) [rad] to the first thing; infinity where there is none."""
+    ahead, aside = np.cos(angles), np.sin(angles)
+    return np.minimum(_to_edges(outline.edges, x, y, ahead, aside), _to_circles(outline.discs, x, y, ahead, aside))
+
+
+def _to_edges(edges: Values, x: float, y: float, ahead: Values, aside: Values) -> Values:
+    """p + t d = a + s (b - a) for each ray d and edge (a, b), 0 <= s <= 1: the least t >= 0."""
+    if not len(edges):
+        return np.full(len(ahead), inf)
+    start_x, start_y = (edges[:, 0] - x)[:, np.newaxis], (edges[:, 1] - y)[:, np.newaxis]
+    way_x, way_y = (edges[:, 2] - edges[:, 0])[:, np.newaxis], (edges[:, 3] - edges[:, 1])[:, np.newaxis]
+    cross = ahead * way_y - aside * way_x
+    meets = np.abs(cross) > _PARALLEL
+    safe = np.where(meets, cross, 1.0)
+    distance = (start_x * way_y - start_y * way_x) / safe
+    share = (start_x * aside - start_y * ahead) / safe
+    hit = meets & (distance >= 0.0) & (share >= 0.0) & (share <= 1.0)
+    least: Values = np.where(hit, distance, inf).min(axis=0)
+    return least
+
+
+def _to_circles(table: Values, x: float, y: float, ahead: Values, aside: Values) -> Values:
+    if not len(table):
+        return np.full(len(ahead), inf)
+    apart_x, apart_y = (table[:, 0] - x)[:, np.newaxis], (table[:, 1] - y)[:, np.newaxis]
+    along = apart_x * ahead + apart_y * aside
+    across = apart_x * aside - apart_y * ahead
+    half = table[:, 2:] ** 2 - across**2
+    reach = along - np.sqrt(np.maximum(half, 0.0))
+    least: Values = np.where((half >= 0.0) & (reach >= 0.0), reach, inf).min(axis=0)
+    return least
+
+
+def room_to(outline: Outline, x: float, y: float) -> float:
+    """m from (x, y) to the nearest thing; below 0 within a circle."""
+    return float(rooms_to(outline, np.array([[x, y]]))[0])
+
+
+def rooms_to(outline: Outline, places: Values) -> Values:
+    """(places,) m from each of ``places`` (places, 2) to the nearest thing; below 0 within a circle."""
+    rooms: Values = np.full(len(places), inf)
+    if len(outline.discs):
+        apart = places[:, np.newaxis] - outline.discs[:, :2]
+        rooms = (np.hypot(apart[..., 0], apart[..., 1]) - outline.discs[:, 2]).min(axis=1)
+    if len(outline.edges):
+        start, way = outline.edges[:, :2], outline.edges[:, 2:] - outline.edges[:, :2]
+        apart = places[:, np.newaxis] - start
+        share = np.clip((apart * way).sum(axis=2) / (way * way).sum(axis=1), 0.0, 1.0)
+        apart -= share[..., np.newaxis] * way
+        rooms = np.minimum(rooms, np.hypot(apart[..., 0], apart[..., 1]).min(axis=1))
+    return rooms

@@ -1,0 +1,26 @@
+"""Compiled modules define no exception whose base stands in another module: its words would be memory of others."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+from pathlib import Path
+
+import pytest
+
+from safedpa.compiled import MODULES
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def is_builtin_exception(name: str) -> bool:
+    found = getattr(builtins, name, None)
+    return isinstance(found, type) and issubclass(found, BaseException)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_its_exceptions_derive_from_those_of_python_alone(module: str) -> None:
+    tree = ast.parse((SHARED / module.replace(".", "/")).with_suffix(".py").read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef) and node.name.endswith("Error"):
+            assert all(is_builtin_exception(ast.unparse(base)) for base in node.bases), f"{module}.{node.name}"

@@ -1,0 +1,154 @@
+"""The command that plants faults finds their places, plants one at a time, and tells who noticed from who did not."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MUTATION = str(ROOT / "deploy" / "mutation")
+SOURCE = '''"""A margin."""
+
+import os
+
+__all__ = ["margin", "widest"]
+
+PATIENCE_SECONDS = 2.0
+
+
+def margin(errors, predicted, kept, deadline):
+    """The margin."""
+    if deadline and not kept:
+        return None
+    largest = max(abs(error - predicted) for error in errors if error > 0.0)
+    os.fsync(3)
+    return largest / 1000.0
+
+
+def widest(fields, count):
+    """The widest."""
+    count += 1
+    same = (fields.a, fields.b)
+    return same, fields[1:], count.sqrt(4.0), any(fields)
+'''
+JUDGE = """
+from safedpa.safety.margin import margin
+def test_the_margin(): assert margin([2000.0, 1000.0], 0.0, True, 1) == 2.0
+def test_never_true(): assert False
+"""
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A working tree with one module and one file of tests, of which one test always fails."""
+    root = tmp_path_factory.mktemp("tree")
+    for name, text in {
+        "shared/safedpa/__init__.py": "",
+        "shared/safedpa/safety/__init__.py": "",
+        "shared/safedpa/safety/margin.py": SOURCE.replace("    os.fsync(3)\n", ""),
+        "tests/safety/test_margin.py": JUDGE,
+        "tests/bus/test_other.py": "from safedpa.nothing import nothing\n",
+        "pyproject.toml": '[tool.pytest.ini_options]\nmarkers = ["slow: slow"]\n',
+    }.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text, encoding="utf-8")
+    subprocess.run(["git", "init", "-q"], cwd=root, check=True)
+    return root
+
+
+@pytest.fixture(autouse=True)
+def _found_beside_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(MUTATION)
+
+
+@pytest.mark.parametrize(
+    ("change", "before", "after"),
+    [
+        ("turned", "error - predicted", "predicted - error"),
+        ("turned", "abs(error - predicted)", "error - predicted"),
+        ("dropped", "deadline and not kept", "not kept"),
+        ("other_extreme", "max(", "min("),
+        ("one_ahead", "fields[1:]", "fields[:-1]"),
+        ("everything_used", "for error in errors if error > 0.0", "for error in errors)"),
+        ("spread", "count.sqrt(4.0)", "4.0"),
+        ("field_left_out", "(fields.a, fields.b)", "(fields.b,)"),
+        ("unit_lost", "largest / 1000.0", "largest * 1000.0"),
+        ("later_wins", "error > 0.0", "error < 0.0"),
+        ("not_durable", "os.fsync(3)", "pass"),
+        ("longer", "PATIENCE_SECONDS = 2.0", "PATIENCE_SECONDS = 20.0"),
+        ("miscounted", "count += 1", "pass"),
+        ("miscounted", "any(fields)", "all(fields)"),
+    ],
+)
+def test_a_slip_is_made_where_its_form_stands(change: str, before: str, after: str) -> None:
+    import changes
+
+    made = [
+        (ast.get_source_segment(SOURCE, node) or "", ast.unparse(ast.fix_missing_locations(one)))
+        for node in ast.walk(ast.parse(SOURCE))
+        for one in getattr(changes, change)(node)
+    ]
+    assert any(before in was and after in becomes for was, becomes in made), made
+
+
+def test_a_check_that_leads_away_is_gone_and_nothing_else() -> None:
+    import changes
+
+    (check,) = [node for node in ast.walk(ast.parse(SOURCE)) if isinstance(node, ast.If)]
+    assert ast.unparse(next(iter(changes.guard_gone(check)))) == "if False:\n    return None"
+
+
+def test_every_class_has_files_and_its_places_are_planted_alone(tree: Path) -> None:
+    from fault_classes import CLASSES, faults_in
+
+    for kind in CLASSES:
+        assert all(any(ROOT.glob(glob)) for glob in kind.where), kind.name
+    source = (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
+    found = [fault for kind in CLASSES for fault in faults_in(tree, kind)]
+    assert len({fault.kind for fault in found}) >= 5
+    for fault in found:
+        planted = fault.planted(source)
+        ast.parse(planted)
+        assert source.encode()[fault.first : fault.end].decode() == fault.before
+        assert len(planted) - len(source) == len(fault.after) - len(fault.before)
+        assert "__all__" not in fault.before
+        assert '"margin"' not in fault.before
+
+
+def test_a_seed_draws_the_same_places_from_every_class(tree: Path) -> None:
+    from planted import drawn
+
+    first, second, other = drawn(tree, 1, 8), drawn(tree, 1, 8), drawn(tree, 2, 8)
+    assert first == second != other
+    assert len({fault.kind for fault in first}) >= 5
+    assert len({(fault.path, fault.first, fault.after) for fault in first}) == 8
+
+
+def test_the_nearest_tests_import_the_module(tree: Path) -> None:
+    from near import Nearness
+
+    assert Nearness(tree).files("shared/safedpa/safety/margin.py", "margin", 5) == ["tests/safety/test_margin.py"]
+    near = Nearness(ROOT).files("shared/safedpa/safety/margin.py", "OnlineMargin", 20)
+    assert "tests/safety/test_margin_conformal.py" in near
+
+
+@pytest.mark.slow
+def test_who_notices_is_told_from_who_fails_anyway(tree: Path, tmp_path: Path) -> None:
+    from planted import Copy, Outcome, drawn
+
+    copy = Copy(tree, tmp_path)
+    tests = ["tests/safety/test_margin.py"]
+    faults = {(fault.before, fault.after): fault for fault in drawn(tree, 1, 1000)}
+    of_a_margin = next(fault for (before, after), fault in faults.items() if after.startswith("min("))
+    found = copy.tried(of_a_margin, tests, 60.0)
+    assert (found.result, found.by) == ("noticed", f"{tests[0]}::test_the_margin")
+    of_a_check = next(fault for (before, after), fault in faults.items() if after.startswith("if False"))
+    found = copy.tried(of_a_check, tests, 60.0)
+    assert (found.result, found.unsound) == ("unnoticed", (f"{tests[0]}::test_never_true",))
+    assert copy.tried(of_a_check, tests, 0.0).result == "cut"
+    assert copy.tried(of_a_margin, [], 60.0) == Outcome("unnoticed")  # the whole suite is not near
+    kept = (tmp_path / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
+    assert kept == (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")

@@ -1,0 +1,136 @@
+"""``safedpa up --secure`` whose processes are killed: nothing of it drives on, no key stays, the next one starts."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes by their environment"),
+]
+KILLED = ("router", "adaptation", "policy", "safety_filter", "recorder")
+
+
+class Run:
+    """One ``up --secure``, and every process that has anything to do with it: by the folder that it was told."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        (folder / "private").mkdir(exist_ok=True)
+        self.folder = folder
+        command = [sys.executable, "-m", "safedpa_services", "up", "--secure", "--headless", "--no-diagnosis", "--json"]
+        self.launcher = subprocess.Popen(
+            [*command, "--out", str(folder / "runs"), *options],
+            env={**os.environ, "TMPDIR": str(folder / "private")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def processes(self) -> dict[int, str]:
+        """Its command line by process id; a process that shows nobody its environment does so by its parent."""
+        own, parents = dict[int, str](), dict[int, int]()
+        for path in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
+                parents[int(path.name)] = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+                if str(self.folder).encode() in (path / "environ").read_bytes():
+                    own[int(path.name)] = words
+            except OSError:
+                continue
+        family = {self.launcher.pid, *own}
+        return {pid: own.get(pid, "?") for pid in {*own, *(pid for pid, above in parents.items() if above in family)}}
+
+    def pid_of(self, service: str) -> int:
+        """Of the newest process of a service; 0 without one."""
+        return max(
+            (pid for pid, words in self.processes().items() if f"safedpa_services.{service} " in words), default=0
+        )
+
+    def files(self) -> list[str]:
+        """What lies in its private place."""
+        return sorted(path.name for path in (self.folder / "private").rglob("*") if path.is_file())
+
+    def recorded(self) -> int:
+        """Bytes of its recordings, which grow while it drives."""
+        return sum(path.stat().st_size for path in self.folder.glob("runs/*/recording*.mcap"))
+
+
+def _is_new(run: Run, service: str, before: int) -> bool:
+    return run.pid_of(service) not in (0, before)
+
+
+def _has_grown(run: Run, size: int) -> bool:
+    return run.recorded() > size + 20_000
+
+
+def until(true: Callable[[], Any], seconds: float = 40.0) -> bool:
+    end = time.monotonic() + seconds
+    while not true():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+@contextmanager
+def driving(folder: Path, *options: str) -> Iterator[Run]:
+    run = Run(folder, *options)
+    try:
+        assert until(lambda: run.recorded() > 60_000), "it drives"
+        yield run
+    finally:
+        for pid in [run.launcher.pid, *run.processes()]:
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        run.launcher.communicate()
+
+
+def test_with_the_launcher_everything_ends_and_the_next_one_starts(tmp_path: Path) -> None:
+    with driving(tmp_path, "--seconds", "600") as run:
+        assert len(run.processes()) > 6
+        assert [name for name in run.files() if name.endswith(".key.pem")] == ["operator.key.pem"]
+        run.launcher.kill()
+        run.launcher.wait()
+        assert until(lambda: not run.processes()), f"left behind: {run.processes()}"
+        assert run.files() == [], "no key, and nothing else"
+        account = json.loads(next(tmp_path.glob("runs/*/robot.json")).read_text(encoding="utf-8"))
+        assert account["collisions"] == 0
+        assert account["watchdog_ticks"] > 0, "it braked to a standstill by itself"
+        output, errors = Run(tmp_path, "--seconds", "1", "--lockstep").launcher.communicate(timeout=120)
+        assert json.loads(output)["ticks"] == 20, errors
+
+
+def test_each_service_that_is_killed_comes_back_and_the_robot_brakes_meanwhile(tmp_path: Path) -> None:
+    with driving(tmp_path, "--seconds", "600") as run:
+        for service in KILLED:
+            before = run.pid_of(service)
+            assert before
+            os.kill(before, signal.SIGKILL)
+            assert until(partial(_is_new, run, service, before)), f"{service} did not come back"
+            assert before not in run.processes()
+            size = run.recorded()
+            assert until(partial(_has_grown, run, size)), f"it does not drive on after {service}"
+            assert [name for name in run.files() if name.endswith(".key.pem")] == ["operator.key.pem"]
+        run.launcher.send_signal(signal.SIGINT)
+        output, errors = run.launcher.communicate(timeout=60)
+        assert run.launcher.returncode == 0, errors
+        told = json.loads(output)
+        assert told["collisions"] == 0
+        assert {entry["name"] for entry in told["services"] if entry["restarts"]} >= set(KILLED)
+        assert until(lambda: not run.processes())
+        assert run.files() == []

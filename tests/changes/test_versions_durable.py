@@ -1,0 +1,37 @@
+"""What is kept of a model's versions is on the disk before its name is given, so that a power failure loses nothing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from safedpa.live.versions import Kept, Version, VersionFolder
+
+
+def test_each_file_is_whole_on_the_disk_before_it_takes_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = list[tuple[str, str, int]]()
+    sync, put = os.fsync, os.replace
+
+    def synced(descriptor: int) -> None:
+        order.append(("synced", Path(os.readlink(f"/proc/self/fd/{descriptor}")).name, os.fstat(descriptor).st_size))
+        sync(descriptor)
+
+    def placed(source: Path, target: Path) -> None:
+        order.append(("placed", target.name, source.stat().st_size))
+        put(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", placed)
+    VersionFolder(tmp_path).save(Kept((Version("print", "a model's text", "a margin's text"),)))
+    names = ["model-000-print.toml", "model-000-print.margin.json", "changes.json"]
+    sizes = [(tmp_path / name).stat().st_size for name in names]
+    assert sizes[0] == len("a model's text")
+    assert order == [
+        step
+        for name, size in zip(names, sizes, strict=True)
+        for step in (("synced", f"{name}.new", size), ("placed", name, size))
+    ]

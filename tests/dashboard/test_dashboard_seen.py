@@ -1,0 +1,76 @@
+"""What sensors see is drawn where it is told, with what holds the action back; an odd message draws nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from safedpa.bus import StateMessage, SurroundingsMessage
+from safedpa.drawing import Discs, Lines, Rings
+from safedpa.dynamics import load_model
+from safedpa.safety.shipped import settings_named
+from safedpa_services.dashboard.look import look_of
+from safedpa_services.dashboard.now_page import NowPage
+from safedpa_services.dashboard.world import holding_entry, seen_entries
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.scene import Scene
+from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.senses import Senses
+
+SEEN = SurroundingsMessage(
+    epoch=1,
+    tick=4,
+    robot_time=0.2,
+    publish_time=0.0,
+    points=((1.0, 2.0, 0.05), (1.5, 2.0, 0.1)),
+    movers=((3.0, 0.5, 0.2, 0.0, 0.0, 1.5),),
+    hidden=((-1.0, 0.0, 0.4, 1.5),),
+    ages=(0.05,),
+)
+
+
+def state() -> StateMessage:
+    scene = Scene(0, None, (-4.0, 4.0, -4.0, 4.0), (), (0.0, 0.0, 0.0))
+    return CarRobot(scene, senses=Senses((Laser(LaserSettings()),))).state_message()
+
+
+def test_every_disc_is_drawn_as_wide_as_it_is_told() -> None:
+    drawn = {entry.path[-1]: entry.shape for entry in seen_entries(SEEN)}
+    points, movers, hidden = drawn["at_rest"], drawn["may_move"], drawn["hidden"]
+    assert isinstance(points, Discs)
+    assert (points.centres, points.radii) == (((1.0, 2.0), (1.5, 2.0)), (0.05, 0.1))
+    assert isinstance(movers, Discs)
+    assert (movers.centres, movers.radii) == (((3.0, 0.5),), (0.2,))
+    assert isinstance(hidden, Rings)
+    assert hidden.centres == ((-1.0, 0.0),)
+
+
+def test_a_line_leads_to_each_disc_that_holds_back() -> None:
+    entry = holding_entry(("mover 0", "point 1", "highest speed", "hidden 7"), SEEN, (0.0, 0.0))
+    assert isinstance(entry.shape, Lines)
+    assert entry.shape.strips == (((0.0, 0.0), (3.0, 0.5)), ((0.0, 0.0), (1.5, 2.0)))
+    assert len(entry.shape.colours) == 2
+    for nothing in (holding_entry(("mover 0",), None, (0.0, 0.0)), holding_entry(("mover 0",), SEEN, None)):
+        assert isinstance(nothing.shape, Lines)
+        assert nothing.shape.strips == ()
+
+
+@pytest.mark.parametrize("row", [(), (1.0,), (float("nan"), 0.0, 0.1), (1.0, 0.0, -0.1), (1e30, 0.0, 0.1)])
+def test_what_cannot_be_drawn_is_left_out(row: tuple[float, ...]) -> None:
+    odd = replace(SEEN, points=(row, SEEN.points[0]))
+    points = seen_entries(odd)[0].shape
+    assert isinstance(points, Discs)
+    assert points.centres == ((1.0, 2.0),)
+
+
+def test_the_page_tells_the_age_of_each_source_and_what_is_wrong_with_one() -> None:
+    page = NowPage(look_of(load_model("car"), settings_named("car")))
+    page.take(state(), 0.0)
+    page.take(replace(SEEN, amiss=("the source laser is frozen",)), 0.0)
+    text = page.page(0.5).text
+    assert "laser 0.05 s old" in text
+    assert "the source laser is frozen" in text
+    page.take(replace(SEEN, ages=(-1.0,)), 0.0)
+    assert "laser never heard" in page.page(0.5).text
+    assert "perception" in page.page(9.0).text or "silent" in page.page(9.0).text

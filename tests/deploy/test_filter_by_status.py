@@ -1,0 +1,34 @@
+"""The times of decisions status by status: problems follow from the seed, and every tree decides the same ones."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def told(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "deploy" / "filter_by_status.py"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
+def test_a_tree_beside_itself_decides_alike_and_every_status_is_counted() -> None:
+    tree = str(ROOT / "shared")
+    found = told(f"before={tree}", f"after={tree}", "--scenes", "2", "--rounds", "1", "--seed", "7")
+    assert found.returncode == 0, found.stderr
+    lines = found.stdout.splitlines()
+    assert [line.partition(" (")[0] for line in lines[:2]] == ["before", "after"]
+    assert all("0 of 32 statuses differ, actions by 0.0e+00 at most" in line for line in lines[:2])
+    counted = {line.split(",")[0]: int(line.split(",")[1].partition(":")[0]) for line in lines[2:]}
+    assert sum(counted.values()) == 32
+    assert {"passed", "corrected", "violated"} <= set(counted)
+    assert all(re.search(r"before \d+ \(1\.00\), \d+ \(1\.00\); after", line) for line in lines[2:])
+
+
+def test_a_tree_without_a_name_is_refused() -> None:
+    found = told("somewhere")
+    assert found.returncode == 2
+    assert "got somewhere, wanted NAME=FOLDER" in found.stderr

@@ -1,0 +1,17 @@
+"""A robot's side: its router and its processes, by another implementation of the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from safedpa_lab.ros.side import Side
+from safedpa_lab.ros.side import side as robot_side
+
+
+@pytest.fixture
+def side(tmp_path: Path) -> Iterator[Side]:
+    with robot_side(tmp_path) as found:
+        yield found

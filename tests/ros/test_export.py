@@ -1,0 +1,147 @@
+"""A recorded drive as a rosbag2: read by others, and by us again, to the last digit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safedpa.bus.wire.messages import StateMessage, VerdictMessage
+from safedpa.errors import InputError, RunError
+from safedpa.records import load_run, read_messages
+from safedpa.records.column_map_file import parse_column_map
+from safedpa.records.mcap_run import read_recording
+from safedpa.replay.ros2_bag import _Speaker, export_bag
+from safedpa.robot import robot_named
+from safedpa.robots.car.system import CAR
+from safedpa_services.command_line.group import safedpa
+
+MAP = """
+format = 1
+robot = "car"
+[columns]
+t = { topic = "/r1/odom", clock = "receipt" }
+x = { topic = "/r1/odom", field = "pose.pose.position.x" }
+y = { topic = "/r1/odom", field = "pose.pose.position.y" }
+yaw = { topic = "/r1/state", field = "position[2]" }
+speed = { topic = "/r1/odom", field = "twist.twist.linear.x" }
+target_speed = { topic = "/r1/wish", field = "position[0]" }
+steer = { topic = "/r1/wish", field = "position[1]" }
+"""
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("drive")
+    arguments = ["up", "--headless", "--lockstep", "--seconds", "6", "--seed", "3", "--out", str(out)]
+    done = subprocess.run([sys.executable, "-m", "safedpa_services", *arguments], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return next(out.glob("*/recording.mcap"))
+
+
+def test_others_read_the_bag_and_it_says_what_was_recorded(drive: Path, tmp_path: Path) -> None:
+    from rosbags.highlevel import AnyReader
+
+    out = tmp_path / "bag"
+    exported = export_bag(drive, out)
+    ticks = read_recording(drive)
+    verdicts = [message for _, _, message in read_messages(drive) if isinstance(message, VerdictMessage)]
+    told: dict[str, list[Any]] = {}
+    with AnyReader([out]) as reader:
+        for connection, _, raw in reader.messages():
+            told.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
+    assert sum(map(len, told.values())) == exported.messages
+    places = [(m.pose.pose.position.x, m.pose.pose.position.y, m.twist.twist.linear.x) for m in told["/r1/odom"]]
+    assert places == [(row[0], row[1], row[3]) for row in ticks.states.tolist()]
+    assert [list(m.position) for m in told["/r1/state"]] == ticks.states.tolist()
+    assert told["/r1/state"][0].name == list(CAR.state_names)
+    commands = [(m.drive.speed, m.drive.steering_angle) for m in told["/r1/command"]][1:]
+    np.testing.assert_allclose(commands, ticks.actions[:-1], rtol=1e-6)
+    said = [m.status[0] for m in told["/diagnostics"]]
+    assert [one.message for one in said] == [verdict.sentence for verdict in verdicts]
+    assert {one.level for one, verdict in zip(said, verdicts, strict=True) if verdict.status == "passed"} == {0}
+    assert {marker.ns for m in told["/r1/markers"] for marker in m.markers} == {"obstacles", "predicted"}
+    assert all(m.transforms[0].child_frame_id == "r1/base_link" for m in told["/tf"])
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in told["/r1/odom"]]
+    np.testing.assert_allclose(np.diff(stamps), 0.05, atol=1e-6, err_msg="in lockstep messages are sent much faster")
+
+
+def test_the_bag_comes_in_again_as_a_run(drive: Path, tmp_path: Path) -> None:
+    export_bag(drive, tmp_path / "bag")
+    ticks = read_recording(drive)
+    columns = parse_column_map(MAP)
+    from safedpa.records.bags import read_log_table, topic_log
+
+    table = read_log_table(topic_log(tmp_path / "bag"), columns, CAR)
+    assert table.columns["/r1/odom:pose.pose.position.x"].tolist() == ticks.states[:, 0].tolist()
+    assert table.columns["/r1/state:position[2]"].tolist() == ticks.states[:, 2].tolist()
+
+
+def test_rerun_reads_the_bag(drive: Path, tmp_path: Path) -> None:
+    export_bag(drive, tmp_path / "bag")
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    command = [sys.executable, "-m", "rerun", "mcap", "convert", str(file), "-o", str(tmp_path / "bag.rrd")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "bag.rrd").stat().st_size > 10_000
+
+
+def test_the_command_says_what_it_wrote_and_replaces_nothing(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bag"
+    arguments = ["export", str(drive), "--format", "ros2", "--out", str(out)]
+    assert safedpa.run(arguments) == 0
+    assert "ros2 bag play" in capsys.readouterr().out
+    assert safedpa.run(arguments) == 2
+    assert "is there already; name a new folder" in capsys.readouterr().err
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("t,x\n0,0\n")
+    with pytest.raises(RunError):
+        export_bag(log, tmp_path / "bag")
+    with pytest.raises(InputError, match="is there already"):
+        export_bag(log, tmp_path)
+    with pytest.raises(RunError):
+        load_run(log, CAR, parse_column_map(MAP))
+
+
+def test_a_state_that_is_repeated_in_lockstep_is_told_once() -> None:
+    state = StateMessage(
+        epoch=1, tick=0, robot_time=0.0, publish_time=1.0, values=(0.0, 0.0, 0.0, 0.0), applied=(0.0, 0.0),
+        applied_by="none", period=0.05, lockstep=True, goal=(1.0, 1.0), obstacles=(), field=(-1.0, 1.0, -1.0, 1.0),
+        footprint=(0.1, 0.1, 0.1),
+    )  # fmt: skip
+    speaks = _Speaker("r1", robot_named("car"))
+    assert list(speaks.of(state, 1))
+    assert not list(speaks.of(replace(state, publish_time=1.1), 2))
+    assert list(speaks.of(replace(state, tick=1), 3))
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize(("robot", "model"), [("car", "dart_car"), ("differential_drive", "differential_drive")])
+def test_what_another_robot_was_told_is_a_speed_in_the_bag(tmp_path: Path, robot: str, model: str) -> None:
+    from rosbags.highlevel import AnyReader
+
+    words = ["up", "--robot", robot, "--model", model, "--headless", "--lockstep", "--seconds", "3", "--seed", "3"]
+    assert safedpa.run([*words, "--out", str(tmp_path / "runs"), "--no-diagnosis"]) == 0
+    (recording,) = (tmp_path / "runs").glob("*/recording.mcap")
+    export_bag(recording, tmp_path / "bag")
+    states = [m for _, _, m in read_messages(recording) if isinstance(m, StateMessage)]
+    ticks = {(state.epoch, state.tick): state for state in states}
+    with AnyReader([tmp_path / "bag"]) as reader:
+        told: list[Any] = [
+            reader.deserialize(raw, line.msgtype) for line, _, raw in reader.messages() if line.topic == "/r1/command"
+        ]
+    assert len(told) == len(ticks)
+    for message, state in zip(told, ticks.values(), strict=True):
+        speed = message.drive.speed if robot == "car" else message.linear.x
+        wanted = state.values[3] + 0.2 * 4.48 * state.applied[0] if robot == "car" else state.applied[0]
+        assert speed == pytest.approx(wanted, abs=1e-5)

@@ -1,0 +1,268 @@
+"""The gateway against another implementation of ROS 2 over Zenoh: odometry in, filtered commands out, and faults."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from safedpa.bus.transport import ports
+from safedpa_lab.ros.foreign import HASHES
+from safedpa_lab.ros.side import Loop, Side, robot_file, services
+from safedpa_services.command_line.group import safedpa
+
+TWIST = "geometry_msgs/msg/Twist"
+
+
+def file_of(side: Side, seed: int = 0, **tables: dict[str, str]) -> Path:
+    return robot_file(side.folder / f"robot-{seed}.toml", side.endpoint, seed, tables)
+
+
+pytestmark = [pytest.mark.slow, pytest.mark.processes]
+
+
+@pytest.mark.parametrize("seed", [11])
+def test_a_policy_that_looks_at_nothing_drives_through_the_filter_without_a_collision(
+    side: Side, tmp_path: Path, seed: int
+) -> None:
+    blind = side.car(8.0, seed, "--straight")
+    blind.say("go")
+    without = blind.told()
+    car = side.car(8.0, seed)
+    with services(tmp_path) as loop:
+        loop.start("ros_gateway", str(file_of(side, seed)))
+        loop.wait_for("ros_gateway", "robot is on the bus")
+        car.say("go")
+        found = car.told()
+        assert found["collisions"] == 0, loop.log("ros_gateway")
+        assert found["moved"] > 1.0, loop.log("ros_gateway") + loop.log("safety_filter")
+        assert found["commands"] > 100
+    assert without["collisions"] > 0
+
+
+def test_discover_lists_who_is_there(side: Side, capsys: pytest.CaptureFixture[str]) -> None:
+    car = side.car(6.0)
+    car.say("go")
+    assert safedpa.run(["ros", "discover", side.endpoint, "--json"]) == 0
+    topics = json.loads(capsys.readouterr().out)["topics"]
+    assert topics["/odom"]["publishers"] == ["/base"]
+    assert topics["/drive"]["subscribers"] == ["/driver"]
+    assert topics["/drive"]["hash"] == HASHES["ackermann_msgs/msg/AckermannDriveStamped"]
+    assert topics["/drive_in"]["publishers"] == ["/policy"]
+    assert safedpa.run(["ros", "discover", side.endpoint]) == 0
+    assert "/odom   nav_msgs/msg/Odometry\n    from /base; to nobody" in capsys.readouterr().out
+
+
+def test_a_driver_that_is_not_there_or_wants_something_else_is_named_before_anything_moves(
+    side: Side, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(path: Path) -> str:
+        assert safedpa.run(["ros", "run", str(path), "--fleet", "alone"]) == 2
+        return capsys.readouterr().err
+
+    car = side.car(60.0)
+    car.say("go")
+    assert "wants 'ackermann_msgs/msg/AckermannDriveStamped'" in refused(file_of(side, command={"type": TWIST}))
+    assert "/nowhere: nobody listens there after 10 s" in refused(file_of(side, command={"topic": "/nowhere"}))
+    assert "wish.topic: got the command's own, '/drive'" in refused(file_of(side, wish={"topic": "/drive"}))
+    assert "wanted one of ackermann_msgs/msg/AckermannDriveStamped" in refused(
+        file_of(side, command={"type": "std_msgs/msg/String"})
+    )
+    blind = side.car(60.0, 0, "--straight")
+    blind.say("go")
+    assert "/policy publishes there already; have it publish /drive_in" in refused(file_of(side))
+    nobody = safedpa.run(["ros", "discover", "tcp/127.0.0.1:9"])
+    assert nobody == 1
+    assert "no Zenoh router answers" in capsys.readouterr().err
+
+
+def test_the_car_brakes_and_it_is_told_whatever_ends(side: Side, tmp_path: Path) -> None:
+    car = side.car(60.0, 11)
+    with services(tmp_path) as loop:
+        loop.start("ros_gateway", str(file_of(side, 11)))
+        loop.wait_for("ros_gateway", "robot is on the bus")
+        car.say("go")
+        loop.wait_for("ros_gateway", "the filter drives")
+        loop.children["safety_filter"].send_signal(signal.SIGSTOP)
+        loop.wait_for("ros_gateway", "the gateway brakes: no action of the filter came in time", 5.0)
+        loop.children["safety_filter"].send_signal(signal.SIGCONT)
+        before = loop.log("ros_gateway").count("the filter drives")
+        end = time.monotonic() + 5.0
+        while loop.log("ros_gateway").count("the filter drives") == before and time.monotonic() < end:
+            time.sleep(0.05)
+        assert loop.log("ros_gateway").count("the filter drives") > before  # it goes on when the filter does
+        side.car(60.0, 0, "--straight")  # somebody else on the driver's topic
+        loop.wait_for("ros_gateway", "/policy publishes on /drive too; remap it to another topic", 5.0)
+        time.sleep(1.0)
+        car.say("end")
+        found = car.told()
+        assert found["collisions"] == 0
+        assert abs(found["speed"]) < 0.05
+        assert found["fastest"] > 0.3
+
+
+@pytest.mark.parametrize("option", ["--freeze-after", "--policy-ends"])
+def test_without_news_of_the_robot_or_a_wish_it_stands(side: Side, tmp_path: Path, option: str) -> None:
+    car = side.car(5.5, 11, option, "3.0")
+    with services(tmp_path) as loop:
+        loop.start("ros_gateway", str(file_of(side, 11)))
+        loop.wait_for("ros_gateway", "robot is on the bus")
+        car.say("go")
+        found = car.told()
+        if option == "--freeze-after":
+            loop.wait_for("ros_gateway", "the gateway brakes: the odometry is 0.1", 2.0)
+        assert found["moved"] > 0.3
+        assert abs(found["speed"]) < 0.05
+        assert found["driver_brakes"] < 60  # the commands to brake came from the gateway
+
+
+def test_a_killed_gateway_leaves_a_driver_that_brakes_and_a_clock_that_jumps_hurts_nothing(
+    side: Side, tmp_path: Path
+) -> None:
+    car = side.car(60.0, 11, "--rewind-after", "1.0")
+    with services(tmp_path) as loop:
+        loop.start("ros_gateway", str(file_of(side, 11)))
+        loop.wait_for("ros_gateway", "robot is on the bus")
+        car.say("go")
+        loop.wait_for("ros_gateway", "the filter drives")
+        time.sleep(2.0)
+        end = time.monotonic() + 2.0  # a busy machine may keep it braking for a tick
+        while "the filter drives" not in loop.log("ros_gateway").splitlines()[-1] and time.monotonic() < end:
+            time.sleep(0.02)
+        assert "the filter drives" in loop.log("ros_gateway").splitlines()[-1]
+        loop.children["ros_gateway"].kill()
+        time.sleep(1.5)
+        car.say("end")
+        found = car.told()
+        assert found["driver_brakes"] > 20
+        assert abs(found["speed"]) < 0.05
+        assert found["collisions"] == 0
+
+
+def test_serve_starts_what_is_needed_and_ends_in_order(side: Side, tmp_path: Path) -> None:
+    car = side.car(8.0, 11)
+    command = [
+        sys.executable,
+        "-m",
+        "safedpa_services",
+        "serve",
+        str(file_of(side, 11)),
+        "--headless",
+        "--no-diagnosis",
+    ]
+    log = (tmp_path / "serve.log").open("wb")
+    served = subprocess.Popen([*command, "--out", str(tmp_path / "runs")], stdout=log, stderr=log)
+    try:
+        end = time.monotonic() + 30.0
+        while not list((tmp_path / "runs").glob("*/robot.log")) and time.monotonic() < end:
+            time.sleep(0.1)
+        car.say("go")
+        found = car.told()
+        served.send_signal(signal.SIGINT)
+        said = (tmp_path / "serve.log").read_text
+        assert served.wait(30.0) == 0, said()
+    finally:
+        served.kill()
+        served.wait()
+        log.close()
+    assert found["collisions"] == 0, said()
+    assert found["moved"] > 1.0, said()
+    assert "the filter drives" in said()
+    (recording,) = (tmp_path / "runs").glob("*/recording.mcap")
+    from safedpa.records import load_run
+    from safedpa.robots.car.system import CAR
+
+    run = load_run(recording, CAR)
+    assert run.duration > 5.0
+
+
+def test_a_robot_that_speaks_the_bus_itself_needs_a_name_for_who_wishes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text('format = 1\nrobot = "car"\nname = "r1"\n')
+    assert safedpa.run(["serve", str(path), "--headless"]) == 2
+    assert "nobody wishes; name one with --policy" in capsys.readouterr().err
+
+
+def test_serve_without_ros_waits_for_a_robot_of_the_bus(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text('format = 1\nrobot = "car"\nname = "r1"\n')
+    where = f"tcp/127.0.0.1:{ports.free_port()}"
+    command = [sys.executable, "-m", "safedpa_services", "serve", str(path), "--headless", "--policy", "goal_seeker"]
+    with (tmp_path / "serve.log").open("wb") as log:
+        served = subprocess.Popen(
+            [*command, "--listen", where, "--out", str(tmp_path), "--no-diagnosis"], stdout=log, stderr=log
+        )
+        try:
+            robot = [sys.executable, "-m", "safedpa_sim.robots", "--name", "r1", "--seed", "3", "--seconds", "5"]
+            done = subprocess.run([*robot, "--connect", where], capture_output=True, text=True, check=False, timeout=60)
+            served.send_signal(signal.SIGINT)
+            assert served.wait(30.0) == 0
+        finally:
+            served.kill()
+            served.wait()
+    account = json.loads(done.stdout.splitlines()[-1])
+    assert account["ticks"] == 100
+    assert account["collisions"] == 0
+    assert account["watchdog_ticks"] < 60
+
+
+def test_the_robot_s_router_is_lost_and_found(side: Side, tmp_path: Path) -> None:
+    car = side.car(60.0, 11)
+    with services(tmp_path) as loop:
+        loop.start("ros_gateway", str(file_of(side, 11)))
+        loop.wait_for("ros_gateway", "robot is on the bus")
+        car.say("go")
+        loop.wait_for("ros_gateway", "the filter drives")
+        side.router.kill()
+        loop.wait_for("ros_gateway", "the gateway brakes: the odometry is 0.", 3.0)
+        before = loop.log("ros_gateway").count("the filter drives")
+        time.sleep(1.0)
+        side.restart_router()
+        end = time.monotonic() + 8.0
+        while loop.log("ros_gateway").count("the filter drives") == before and time.monotonic() < end:
+            time.sleep(0.05)
+        assert loop.log("ros_gateway").count("the filter drives") > before
+        car.say("end")
+        found = car.told()
+        assert found["driver_brakes"] > 20
+        assert found["collisions"] == 0
+
+
+def test_over_mutual_tls_the_gateway_is_robot_and_policy_and_whoever_shows_no_token_is_braked(
+    side: Side, tmp_path: Path
+) -> None:
+    folder = str(tmp_path / "certificates")
+    assert safedpa.run(["certificates", folder, "--robot", "r1"]) == 0
+    loop = Loop(tmp_path)
+    loop.fleet, loop.endpoint = "fleet", f"tls/127.0.0.1:{ports.free_port()}"
+    shown = ("--certificates", folder)
+    try:
+        loop.start("router", *shown, "--robot", "r1")
+        loop.start("adaptation", *shown, "--role", "adaptation", "--model", "car")
+        loop.start("safety_filter", *shown, "--role", "safety_filter", "--model", "car", "--settings", "car")
+        car, stranger = side.car(60.0, 11), side.speaker("/drive", "--without-token")
+        loop.start("ros_gateway", str(file_of(side, 11)), *shown)
+        loop.wait_for("ros_gateway", "robot is on the bus", 40.0)
+        car.say("go")
+        loop.wait_for("ros_gateway", "the filter drives")
+        time.sleep(1.5)
+        car.say("mark")
+        stranger.say("go")
+        loop.wait_for("ros_gateway", "somebody who shows no token")
+        time.sleep(1.5)
+        car.say("end")
+        found = car.told()
+        assert "bus.denied" not in loop.log("router")
+    finally:
+        loop.end()
+    assert found["moved"] > 0.3
+    assert found["collisions"] == 0
+    assert abs(found["speed"]) < 0.2
+    assert any("who shows no token" in said for said in found["mark"]["said"])

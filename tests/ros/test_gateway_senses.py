@@ -1,0 +1,340 @@
+"""What the gateway hears beside odometry and wish: scans, goals, a localisation, and who speaks out of turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as some
+from tests.ros.test_gateway_alone import ASKED, LIMITS, Link, Publisher, Quiet
+
+from safedpa.bus import SCAN, STATE, Bus, MemoryBroker, MemoryTransport, Received, ScanMessage, StateMessage
+from safedpa.bus.wire.messages import VerdictMessage
+from safedpa.errors import InputError
+from safedpa.robots.car.ros_face import CarFace
+from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
+from safedpa.ros.encoding import encode
+from safedpa.ros.graph import Attachment
+from safedpa.ros.telling import odometry_of, transform_of
+from safedpa_services.ros_gateway.gateway import Gateway
+from safedpa_services.ros_gateway.localisation import TRANSFORMS, Localised
+from safedpa_services.ros_gateway.overheard import Overheard
+from safedpa_services.ros_gateway.robot_file import Localisation, RobotFile, Scan, Surroundings, load_robot_file
+from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
+from safedpa_services.ros_gateway.senses import Newest, Pose, Senses, goal_paths, pose_paths
+from safedpa_services.ros_gateway.voice import Voice
+
+INFINITE, NONE = math.inf, math.nan
+
+
+def scan_of(ranges: list[float], **changes: Any) -> bytes:
+    fields = {
+        "header": {"stamp": {"sec": 1, "nanosec": 1}, "frame_id": changes.pop("frame", "laser")},
+        "angle_min": -1.5, "angle_max": 1.5, "angle_increment": 0.5, "range_min": 0.1, "range_max": 12.0,
+        "ranges": ranges,
+    }  # fmt: skip
+    return encode(SCAN_TYPE, {**fields, **changes})
+
+
+def test_what_a_ray_says_is_kept_and_what_it_does_not_say_is_not_made_up() -> None:
+    scanner = Scanner("laser", clock=lambda: 7.0)
+    scanner.take(scan_of([2.0, INFINITE, -INFINITE, NONE, 0.0, 0.05, 13.0]))
+    (turn,) = scanner.taken()
+    assert turn.ranges == (2.0, 12.0, pytest.approx(0.1), -1.0, -1.0, -1.0, 12.0)
+    assert (turn.arrived, turn.first_angle, turn.angle_step, turn.farthest) == (7.0, -1.5, 0.5, 12.0)
+    assert scanner.taken() == []
+    scanner.take(scan_of([2.0] * 7))
+    assert scanner.taken() == [], "the same stamp again is no news"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"angle_increment": 0.0}, {"angle_min": NONE}, {"range_max": INFINITE}, {"range_min": 20.0},
+        {"range_min": -1.0}, {"ranges": []}, {"angle_increment": 3.0}, {"frame": "camera"},
+    ],
+)  # fmt: skip
+def test_a_scan_that_is_none_is_refused_and_counted(changes: dict[str, Any]) -> None:
+    scanner = Scanner("laser")
+    scanner.take(scan_of([1.0] * 7, **changes) if "ranges" not in changes else scan_of(**changes))
+    assert scanner.taken() == []
+    assert scanner.refused == 1
+    assert scanner.why
+
+
+@settings(max_examples=200, deadline=None)
+@given(some.data())
+def test_mutated_messages_end_no_sense(data: some.DataObject) -> None:
+    head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "map"}
+    whole = {
+        SCAN_TYPE: scan_of([1.0] * 7),
+        TRANSFORMS: encode(TRANSFORMS, {"transforms": [transform_of(head, "odom", 1.0, 2.0, 0.3)]}),
+    }
+    name = data.draw(some.sampled_from(sorted(whole)))
+    message = bytearray(whole[name])
+    for _ in range(data.draw(some.integers(1, 6))):
+        message[data.draw(some.integers(0, len(message) - 1))] = data.draw(some.integers(0, 255))
+    cut = data.draw(some.integers(0, len(message)))
+    scanner, localised = Scanner(), Localised("map", "odom")
+    for sense in (scanner, localised):
+        sense.take(bytes(message[:cut]) if data.draw(some.booleans()) else bytes(message))
+    for turn in scanner.taken():
+        assert all(-1.0 <= one <= turn.farthest for one in turn.ranges)
+    assert all(map(math.isfinite, localised.read()[0]))
+
+
+def test_the_pose_is_moved_into_the_map_by_the_newest_transform_of_those_two_frames() -> None:
+    now = [5.0]
+    localised = Localised("map", "/odom", clock=lambda: now[0])
+    assert localised.read()[1] == INFINITE
+
+    def told(frame: str, child: str, x: float, yaw: float) -> None:
+        head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": frame}
+        localised.take(encode(TRANSFORMS, {"transforms": [transform_of(head, child, x, 2.0, yaw)]}))
+
+    told("odom", "base_link", 9.0, 0.0)
+    assert localised.read()[1] == INFINITE
+    told("map", "odom", 1.0, math.pi / 2)
+    now[0] = 5.5
+    frame, age = localised.read()
+    assert age == 0.5
+    moved = Pose(1.0, 0.0, 0.25, 0.7, 0.1).seen_from(frame)
+    assert (moved.x, moved.y, moved.yaw) == (pytest.approx(1.0), pytest.approx(3.0), pytest.approx(0.25 + math.pi / 2))
+    told("map", "odom", NONE, 0.0)
+    assert localised.read() == (frame, 0.5)
+    assert localised.refused == 1
+
+
+def test_whoever_speaks_on_the_driver_s_topic_is_told_and_answered_though_he_shows_no_token() -> None:
+    now, answers = [1.0], [0]
+    heard = Overheard("/drive", clock=lambda: now[0])
+
+    def answer() -> None:
+        answers[0] += 1
+
+    heard.answer = answer
+    assert heard.why == ""
+    heard.take(b"", Attachment(1, 2, b"\xab" * 16))
+    assert heard.why == "somebody who shows no token (sender abababab) publishes on /drive too; find and end it"
+    for _ in range(1000):
+        heard.take(b"")
+    assert answers == [1], "a flood is answered once in a millisecond"
+    assert "a sender without a name" in heard.why
+    now[0] += 1.01
+    assert heard.why == ""
+    heard.take(b"")
+    assert answers == [2]
+
+
+def signed(sender: bytes) -> Attachment:
+    return Attachment(1, 2, sender * 16)
+
+
+def odometry_at(x: float, nanoseconds: int) -> bytes:
+    head = {"stamp": {"sec": 1, "nanosec": nanoseconds}, "frame_id": "odom"}
+    return encode("nav_msgs/msg/Odometry", odometry_of(head, "base_link", x, 0.0, 0.0, 0.0, 0.0))
+
+
+def transform_at(x: float, nanoseconds: int) -> bytes:
+    head = {"stamp": {"sec": 1, "nanosec": nanoseconds}, "frame_id": "map"}
+    return encode(TRANSFORMS, {"transforms": [transform_of(head, "odom", x, 0.0, 0.0)]})
+
+
+def test_of_two_that_speak_neither_is_believed_though_one_signs_nothing() -> None:
+    now = [5.0]
+    clock = lambda: now[0]  # noqa: E731
+    odometry = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
+    localised, scanner = Localised("map", "odom", clock), Scanner("laser", clock)
+    for turn, beside in enumerate((signed(b"a"), None, signed(b"a"), None)):
+        odometry.take(odometry_at(float(turn), turn), beside)
+        now[0] += 0.02
+    assert odometry.read()[1] == INFINITE
+    for turn, sender in enumerate((b"a", b"b", b"a")):
+        localised.take(transform_at(float(turn), turn), signed(sender))
+        scanner.take(scan_of([1.0 + turn] * 7, header=_head(turn)), signed(sender))
+        now[0] += 0.02
+    assert localised.read()[1] == INFINITE
+    assert "two publishers" in localised.why
+    assert "two publishers" in scanner.why
+    assert [turn.ranges[0] for turn in scanner.taken()] == [1.0]
+    now[0] += 1.01
+    odometry.take(odometry_at(7.0, 9), signed(b"a"))
+    localised.take(transform_at(7.0, 9), signed(b"a"))
+    assert (odometry.read()[1], localised.read()) == (0.0, ((7.0, 0.0, 0.0), 0.0))
+
+
+def _head(nanoseconds: int) -> dict[str, Any]:
+    return {"stamp": {"sec": 1, "nanosec": nanoseconds}, "frame_id": "laser"}
+
+
+def test_who_speaks_of_other_frames_is_no_second_voice_and_what_is_repeated_grows_old() -> None:
+    now = [5.0]
+    localised = Localised("map", "odom", lambda: now[0])
+    head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "odom"}
+    other = encode(TRANSFORMS, {"transforms": [transform_of(head, "base_link", 9.0, 0.0, 0.0)]})
+    for _ in range(3):
+        localised.take(other, signed(b"o"))
+        localised.take(transform_at(1.0, 5), signed(b"a"))
+        now[0] += 0.5
+    assert localised.read() == ((1.0, 0.0, 0.0), 1.5)
+
+
+def test_a_number_that_the_bus_would_refuse_is_refused_where_it_is_heard() -> None:
+    odometry = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom")
+    odometry.take(odometry_at(1e13, 1))
+    goal = Newest("geometry_msgs/msg/PoseStamped", goal_paths(), "")
+    goal.take(encode("geometry_msgs/msg/PoseStamped", {"pose": {"position": {"x": 1e300}}}))
+    localised, scanner = Localised("map", "odom"), Scanner("laser")
+    localised.take(transform_at(-1e15, 1))
+    scanner.take(scan_of([1.0] * 7, angle_min=1e30))
+    assert [one.refused for one in (odometry, goal, localised, scanner)] == [1, 1, 1, 1]
+    senses = Senses(odometry, Overheard("/drive"), None, goal, localised, (scanner,))
+    assert sorted(senses.not_believed(["laser"])) == ["goal_refused", "laser_refused"]
+
+
+class Markers:
+    type = "visualization_msgs/msg/MarkerArray"
+
+    def __init__(self) -> None:
+        self.said: list[Any] = []
+
+    def put(self, values: Any) -> None:
+        self.said.append(values)
+
+
+def test_a_path_of_another_model_is_not_drawn_and_ends_no_drive() -> None:
+    markers: Any = Markers()
+    voice = Voice("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: 7.0)
+    verdict = VerdictMessage(
+        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), wish=(),
+        slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
+        predicted=((0.0, 0.0, 0.0, 1.0),),
+    )  # fmt: skip
+    voice.verdict(verdict)
+    assert markers.said == []
+    voice._next_marker = 0.0
+    voice.verdict(replace(verdict, predicted=((0.5, 0.0, 0.0, 1.0, 0.0),)))
+    assert markers.said[0]["markers"][0]["points"] == [{"x": 0.5, "y": 0.0}]
+
+
+class Diagnostics:
+    type = "diagnostic_msgs/msg/DiagnosticArray"
+
+    def __init__(self) -> None:
+        self.said: list[Any] = []
+
+    def put(self, values: Any) -> None:
+        self.said.append(values["status"][0])
+
+
+def test_the_gateway_tells_goal_place_in_the_map_scans_and_why_it_brakes() -> None:
+    now = [100.0]
+    file = RobotFile(
+        robot="car", odometry=ASKED.odometry, command=ASKED.command, wire=ASKED.wire,
+        surroundings=Surroundings((-4.0, 4.0, -4.0, 4.0), (0.1, 0.4, 0.1)),
+        localisation=Localisation("/tf"), scans=(Scan("/scan", mount=(0.2, 0.0, 0.0), delay=0.02),),
+    )  # fmt: skip
+    clock = lambda: now[0]  # noqa: E731
+    odometry = Newest("nav_msgs/msg/Odometry", pose_paths(), "odom", clock)
+    goal = Newest("geometry_msgs/msg/PoseStamped", goal_paths(), "map", clock)
+    localised, scanner = Localised("map", "odom", clock), Scanner("", clock)
+    driver, drive, diagnostics = Overheard("/drive", clock), Publisher(), Diagnostics()
+    broker, states, scans = MemoryBroker(), list[StateMessage](), list[ScanMessage]()
+    link: Any = Link()
+    command: Any = drive
+    shown: Any = diagnostics
+    with Bus(MemoryTransport(broker), "fleet") as bus, Bus(MemoryTransport(broker), "fleet") as other:
+        inbox = other.inbox((STATE, SCAN), "r1")
+        senses = Senses(odometry, driver, None, goal, localised, (scanner,))
+        voice = Voice("r1", file.frame, CarFace(), shown, None, clock)
+        gateway = Gateway(bus, link, file, CarFace(), LIMITS, senses, command, voice, 0.05, clock)
+        gateway._verdicts = Quiet(now)  # type: ignore[assignment]
+        gateway._inbox = Quiet(now)  # type: ignore[assignment]
+
+        def turn(nanoseconds: int) -> None:
+            head = {"stamp": {"sec": 5, "nanosec": nanoseconds}, "frame_id": "odom"}
+            odometry.take(encode("nav_msgs/msg/Odometry", odometry_of(head, "b", 1.0, 0.0, 0.0, 0.5, 0.0)))
+            gateway._turn(now[0])
+            for item in inbox.take(0.0):
+                if isinstance(item, Received) and isinstance(item.message, StateMessage):
+                    states.append(item.message)
+                elif isinstance(item, Received) and isinstance(item.message, ScanMessage):
+                    scans.append(item.message)
+
+        turn(1)
+        assert diagnostics.said[-1]["message"] == "the gateway brakes: the transform from map to odom is never there"
+        head = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "map"}
+        localised.take(encode(TRANSFORMS, {"transforms": [transform_of(head, "odom", 0.0, 2.0, 0.0)]}))
+        pose = {"position": {"x": 3.0, "y": -1.0}}
+        goal.take(encode("geometry_msgs/msg/PoseStamped", {"header": head, "pose": pose}))
+        scanner.take(scan_of([2.0] * 7))
+        turn(2)
+    assert states[-1].values == (1.0, 2.0, 0.0, 0.5)
+    assert (states[-1].goal, states[-1].sources) == ((3.0, -1.0), ("laser",))
+    assert (scans[-1].source, scans[-1].mount, scans[-1].number) == ("laser", (0.2, 0.0, 0.0), 1)
+    assert scans[-1].robot_time == pytest.approx(0.05 - 0.02)
+    assert diagnostics.said[-1]["message"] == "the gateway brakes: no action of the filter came in time"
+    facts = {pair["key"]: pair["value"] for pair in diagnostics.said[-1]["values"]}
+    assert facts["odometry_stamp"] == str(5 * 10**9 + 2)
+    driver.take(b"")
+    assert drive.sent[-1] == (0.0, 0.0)
+
+
+WHOLE = (
+    'format = 1\nrobot = "car"\n[odometry]\ntopic = "/odom"\n[wish]\ntopic = "/drive_in"\n[command]\ntopic = "/drive"\n'
+    "[surroundings]\nfield = [-4, 4, -4, 4]\nfootprint = [0.08, 0.4, 0.12]\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('"car"', '"carr"', "robot 'carr': did you mean 'car'"),
+        ('robot = "car"\n', 'robot = "car"\nname = "a/b"\n', "name: 'a/b': got nothing, or one of / * $"),
+        (
+            "[-4, 4, -4, 4]",
+            "[4, -4, -4, 4]",
+            "surroundings.field: got [4.0, -4.0, -4.0, 4.0], wanted lowest x",
+        ),
+        ("[-4, 4, -4, 4]", "[0, 0.2, -4, 4]", "room for a robot that is 0.24 m wide"),
+        ("[-4, 4, -4, 4]", "[-1e9, 4, -4, 4]", "surroundings.field: got [-1000000000.0"),
+        ("0.12]", "0.0]", "surroundings.footprint: got [0.08, 0.4, 0.0], wanted how far it reaches"),
+        ("[0.08, 0.4", "[-0.5, 0.4", "surroundings.footprint: got [-0.5, 0.4, 0.12]"),
+        ('"/odom"', '"/od om"', "odometry.topic: got '/od om', wanted a topic such as /odom"),
+        ('"/drive_in"', '"/drive/*"', "wish.topic: got '/drive/*'"),
+        ('"/odom"', '"/odom"\ntype = "nav_msgs/msg/Path"', "odometry.type: got 'nav_msgs/msg/Path', wanted nav_msgs"),
+        ('"/drive"', '"/drive"\nhash = "x"', "command.hash: got 'x', wanted RIHS01_ and 64 hex digits"),
+        ("[surr", '[wire]\nendpoint = "robot"\n[surr', "wire.endpoint: got 'robot', wanted one such as tcp/robot:7447"),
+        ("[surr", '[[scans]]\ntopic = "/scan"\nmount = [1, 2]\n[surr', "scans.mount: got [1.0, 2.0], wanted x ahead"),
+        ("[surr", '[scans]\ntopic = "/scan"\n[surr', "scans: got {'topic': '/scan'}, wanted tables [[scans]]"),
+        ("0.12]", "0.12]\ngoal = [9, 9]", "surroundings.goal: got [9.0, 9.0], wanted x and y within the field"),
+        (
+            "0.12]",
+            '0.12]\nobstacles = [[0, 0, 1]]\n[[scans]]\ntopic = "/scan"',
+            "surroundings.obstacles: got some",
+        ),
+        ("[surr", '[wire]\ndiagnostics = "drive"\n[surr', "wire.diagnostics: got the command's own topic, 'drive'"),
+        ("[surr", '[wire]\nmarkers = "/a/**"\n[surr', "wire.markers: got '/a/**', wanted a topic such as /odom"),
+        (
+            "[surr",
+            '[localisation]\ntopic = "/tf"\nframe = "odom"\n[surr',
+            "localisation.frame: got 'odom', wanted the map",
+        ),
+        ("0.12]", "0.12]\nobstacles = [[0, 0, -1]]", "surroundings.obstacles: wanted x, y and a radius above 0"),
+    ],
+)
+def test_an_impossible_robot_file_is_refused_in_one_line_that_names_the_key(
+    tmp_path: Path, before: str, after: str, said: str
+) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(WHOLE)
+    assert load_robot_file(path).name == "r1"
+    path.write_text(WHOLE.replace(before, after, 1))
+    with pytest.raises(InputError) as caught:
+        load_robot_file(path)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,147 @@
+"""JavaScript reads what is encoded here, and drives a robot of its own over the bus."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.bus.transport import ports
+from safedpa.bus.wire.messages import VerdictMessage
+from safedpa.robots.car.ros_face import CarFace
+from safedpa.ros.encoding import encode, type_store
+from safedpa.ros.telling import diagnostics_of, odometry_of, path_marker, transform_of
+from safedpa_lab.ros.side import Loop
+
+HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
+NODE, NPM = shutil.which("node"), shutil.which("npm")
+PACKAGES = ("@foxglove/rosmsg2-serialization@3.1.0", "@foxglove/rosmsg@5.0.5")
+HEAD = {"stamp": {"sec": 1_700_000_000, "nanosec": 123_456_789}, "frame_id": "odom"}
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if NODE is None or NPM is None:
+        pytest.skip("node or npm is missing")
+    folder = tmp_path_factory.mktemp("npm")
+    words = [
+        NPM,
+        "install",
+        "--prefix",
+        str(folder),
+        "--silent",
+        "--no-audit",
+        "--no-fund",
+        "--ignore-scripts",
+        *PACKAGES,
+    ]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=90)
+    except subprocess.TimeoutExpired:
+        pytest.skip("npm reaches no registry")
+    if done.returncode:
+        pytest.skip(f"npm cannot install {PACKAGES[0]}: {done.stderr[-200:]}")
+    return folder
+
+
+def within(wanted: Any, found: Any, path: str = "") -> list[str]:
+    """What of the one is not in the other."""
+    if isinstance(wanted, dict):
+        return [line for key, value in wanted.items() for line in within(value, found[key], f"{path}.{key}")]
+    if isinstance(wanted, list):
+        assert len(wanted) == len(found), path
+        return [line for k, value in enumerate(wanted) for line in within(value, found[k], f"{path}[{k}]")]
+    same = found == pytest.approx(wanted, rel=1e-6) if isinstance(wanted, float) else found == wanted
+    return [] if same else [f"{path}: {found!r}, wanted {wanted!r}"]
+
+
+def messages() -> dict[str, dict[str, Any]]:
+    verdict = VerdictMessage(
+        epoch=1, tick=7, robot_time=0.35, publish_time=1.0, status="corrected", sentence="Bäume", action=(0.5, 0.1),
+        wish=(1.0, 0.0), slack=0.0, active=("obstacle 3",), h_now=0.25, h_next=0.2, margin=0.01, solver="solved",
+        microseconds=40.0,
+    )  # fmt: skip
+    stamped = "ackermann_msgs/msg/AckermannDriveStamped"
+    drive = {"header": HEAD, **CarFace().message(stamped, (1.25, -0.2), (0.0,) * 4)}
+    twist = {"header": HEAD, **CarFace().message("geometry_msgs/msg/TwistStamped", (1.25, -0.2), (0.0,) * 4)}
+    return {
+        stamped: drive,
+        "geometry_msgs/msg/TwistStamped": twist,
+        "nav_msgs/msg/Odometry": odometry_of(HEAD, "base_link", 1.5, -2.25, 0.5, 0.75, 0.125),
+        "tf2_msgs/msg/TFMessage": {"transforms": [transform_of(HEAD, "base_link", 1.5, -2.25, 0.5)] * 2},
+        "diagnostic_msgs/msg/DiagnosticArray": diagnostics_of(HEAD, "r1", verdict),
+        "visualization_msgs/msg/MarkerArray": {"markers": [path_marker(HEAD, [(0.0, 0.5), (1.0, 1.5)])]},
+    }
+
+
+def test_an_npm_package_decodes_every_message_that_is_sent(packages: Path) -> None:
+    assert NODE is not None
+    sent = messages()
+    lines = []
+    for name, values in sent.items():
+        definition, _ = type_store().generate_msgdef(name, ros_version=2)
+        lines.append(json.dumps({"definition": definition, "hex": encode(name, values).hex()}))
+    words = [NODE, str(HERE / "decode.mjs"), str(packages)]
+    done = subprocess.run(words, input="\n".join(lines), capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(found) == len(sent)
+    for (name, values), other in zip(sent.items(), found, strict=True):
+        for header in (other.get("header"), *(one["header"] for one in other.get("transforms", ()))):
+            if header is not None:  # the package calls nanoseconds so, as ROS 1 did
+                header["stamp"]["nanosec"] = header["stamp"].pop("nsec", header["stamp"].get("nanosec"))
+        for marker in other.get("markers", ()):
+            stamp = marker["header"]["stamp"]
+            stamp["nanosec"] = stamp.pop("nsec", stamp.get("nanosec"))
+        assert within(json.loads(json.dumps(values)), other, name) == []
+
+
+@pytest.mark.slow
+@pytest.mark.processes
+def test_a_robot_in_javascript_is_driven_round_an_obstacle_and_brakes_without_answers(tmp_path: Path) -> None:
+    if NODE is None:
+        pytest.skip("node is missing")
+    script = str(ROOT / "docs" / "examples" / "javascript_robot" / "robot.mjs")
+    loop = Loop(tmp_path)
+    try:
+        loop.start("adaptation", "--model", "car")
+        loop.start("policy", "--model", "car", "--controller", "goal_seeker")
+        loop.start("safety_filter", "--model", "car", "--settings", "car")
+        for name in loop.children:
+            loop.wait_for(name, "is on the bus", 60.0)
+        host, port = loop.endpoint.removeprefix("tcp/").split(":")
+        words = [NODE, script, host, port, loop.fleet, "r1", "8"]
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+        assert done.returncode == 0, done.stderr
+        driven = json.loads(done.stdout)
+        assert driven["ticks"] == 160
+        assert driven["braked"] < 120  # a busy machine may brake it for a while; it must not for most of the time
+        assert driven["nearest"] > 0.0
+        assert driven["x"] > -1.9
+        loop.stop("safety_filter")
+        done = subprocess.run([*words[:-1], "1"], capture_output=True, text=True, check=False, timeout=60)
+        assert json.loads(done.stdout)["braked"] == 20
+    finally:
+        loop.end()
+    nobody = subprocess.run(
+        [NODE, script, "127.0.0.1", str(ports.free_port()), "f", "r1", "1"], capture_output=True, text=True, check=False
+    )
+    assert nobody.returncode != 0
+
+
+def test_the_robot_in_cpp_compiles_where_its_headers_are() -> None:
+    compiler = shutil.which("c++")
+    if compiler is None:
+        pytest.skip("no C++ compiler")
+    for header in ("zenoh.hxx", "msgpack.hpp"):
+        words = [compiler, "-std=c++17", "-DZENOHCXX_ZENOHC", "-x", "c++", "-fsyntax-only", "-"]
+        done = subprocess.run(words, input=f"#include <{header}>\n", capture_output=True, text=True, check=False)
+        if done.returncode:
+            pytest.skip(f"the header {header} is not there")
+    source = str(ROOT / "docs" / "examples" / "cpp_robot" / "robot.cpp")
+    done = subprocess.run([compiler, "-std=c++17", "-DZENOHCXX_ZENOHC", "-fsyntax-only", source], check=False)
+    assert done.returncode == 0

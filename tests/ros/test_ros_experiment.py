@@ -1,0 +1,62 @@
+"""The experiment with a ROS 2 car: its page is that of its figures, and what did not hold is not told as held."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from subprocess import run
+
+import pytest
+
+from safedpa_lab.experiments.ros_faults import FAULTS, _judged
+from safedpa_lab.experiments.ros_report import page_of
+from safedpa_services.command_line.group import safedpa
+
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
+
+
+def test_the_page_is_made_of_the_figures_that_are_kept() -> None:
+    result = json.loads((RESULTS / "ros.json").read_text(encoding="utf-8"))
+    assert page_of(result) == (RESULTS / "ros.md").read_text(encoding="utf-8")
+    assert result["with_filter"]["drives"] == 100
+    assert {one["fault"] for one in result["faults"]} == {*FAULTS}
+    assert all(one["held"] for one in result["faults"])
+
+
+@pytest.mark.parametrize(
+    ("mark", "collisions", "held"),
+    [
+        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 0, True),
+        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": 0.5}, 1, False),
+        ({"said": ["r1: gateway: the gateway brakes: no action"], "stood_after": None}, 0, False),
+        ({"said": ["r1: something else"], "stood_after": 0.5}, 0, False),
+        ({"said": [], "stood_after": 0.5}, 0, False),
+    ],
+)
+def test_a_fault_holds_where_the_car_stands_untouched_and_the_right_one_told(
+    mark: dict[str, object], collisions: int, held: bool
+) -> None:
+    whole = {"speed": 1.0, "stopping_way": 0.3, "told_after": 0.1, **mark}
+    found = {"mark": whole, "collisions": collisions, "driver_brakes": 0}
+    assert _judged("filter killed", 1, found, "the gateway brakes: no action")["held"] is held
+
+
+def test_what_cannot_be_asked_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, said in (
+        (["--fault", "filter kiled"], "did you mean 'filter killed'"),
+        (["--drives", "0"], "--drives: got 0"),
+        (["--out", str(tmp_path / "no" / "x.json")], "does not exist; create it"),
+    ):
+        assert safedpa.run(["experiment", "ros", *words]) == 2
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("module", ["car", "speaker", "router", "foreign"])
+def test_the_robot_s_side_imports_nothing_of_ours_but_the_simulator(module: str) -> None:
+    def loaded(names: str) -> set[str]:
+        code = f"import sys, {names}; print(*[name for name in sys.modules if name.startswith('safedpa')])"
+        return set(run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+
+    beside = loaded(f"safedpa_lab.ros.{module}") - loaded("safedpa_sim.robots.scene, safedpa_sim.robots.world")
+    assert {name for name in beside if not name.startswith("safedpa_lab.ros.")} <= {"safedpa_lab", "safedpa_lab.ros"}

@@ -1,0 +1,138 @@
+"""``safedpa serve`` over mutual TLS: with certificates of its own, or with a person's, and strangers stay outside."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.bus import ZenohSettings, ZenohTransport
+from safedpa.bus.security.certificates import Certificates
+from safedpa.bus.transport import ports
+from safedpa.errors import BusError
+from safedpa_lab.ros.side import Side, robot_file
+from safedpa_services.command_line.group import safedpa
+
+BY_ITSELF = 'format = 1\nrobot = "car"\nname = "r1"\n'
+QUIET = ("--headless", "--no-diagnosis")
+
+
+def certificates(folder: Path, *robots: str) -> str:
+    named = [word for robot in robots for word in ("--robot", robot)]
+    assert safedpa.run(["certificates", str(folder), *named]) == 0
+    return str(folder)
+
+
+@contextmanager
+def served(folder: Path, file: Path, *options: str) -> Iterator[Callable[[str], str]]:
+    """The command while it runs; called with a process's name it tells that one's log. Ends in order."""
+    words = [sys.executable, "-m", "safedpa_services", "serve", str(file), *QUIET, "--out", str(folder / "runs")]
+    said = folder / "serve.log"
+    with said.open("wb") as log, subprocess.Popen([*words, *options], stdout=log, stderr=log) as process:
+
+        def tells(name: str) -> str:
+            paths = [said] if name == "serve" else list((folder / "runs").glob(f"*/{name}.log"))
+            return "".join(path.read_text(encoding="utf-8") for path in paths)
+
+        try:
+            end = time.monotonic() + 60.0
+            while "router.open" not in tells("router") and process.poll() is None and time.monotonic() < end:
+                time.sleep(0.05)
+            yield tells
+            process.send_signal(signal.SIGINT)
+            assert process.wait(60.0) == 0, tells("serve")
+        finally:
+            process.kill()
+
+
+def endpoint_in(log: str) -> str:
+    events = [json.loads(line) for line in log.splitlines() if line.startswith("{")]
+    opened = next(event for event in events if event["kind"] == "router.open")
+    return str(opened["sentence"]).split(" on ")[1]
+
+
+@pytest.mark.slow
+@pytest.mark.processes
+@pytest.mark.parametrize("own", [False, True])
+def test_a_robot_of_ros_drives_and_a_foreign_certificate_stays_outside(side: Side, tmp_path: Path, own: bool) -> None:
+    shown = ("--certificates", certificates(tmp_path / "own", "r1")) if own else ("--secure",)
+    car = side.car(8.0, 11)
+    with served(tmp_path, robot_file(tmp_path / "r.toml", side.endpoint, 11), *shown) as tells:
+        endpoint = endpoint_in(tells("router"))
+        foreign = Certificates(Path(certificates(tmp_path / "foreign", "r1")), "safety_filter")
+        with pytest.raises(BusError, match="could not open"):
+            ZenohTransport(ZenohSettings("client", (), (endpoint,), foreign, patience=0.5))
+        car.say("go")
+        if own:  # as a container's health check asks, again and again; a busy machine answers late
+            assert any(healthy(endpoint, shown[1]) for _ in range(3)), tells("robot")
+        found = car.told()
+    assert found["collisions"] == 0, tells("robot")
+    assert found["moved"] > 0.3, tells("robot") + tells("serve")
+    assert "bus.denied" not in tells("router"), "everybody may do what he has to do"
+    assert "bus.handshake_refused" in tells("router")
+    assert "the filter drives" in tells("serve")
+
+
+def healthy(endpoint: str, folder: str) -> bool:
+    words = ["robot", "--robot", "r1", "--connect", endpoint, "--certificates", folder, "--role", "healthcheck"]
+    return not subprocess.run([sys.executable, "-m", "safedpa_services.healthcheck", *words], check=False).returncode
+
+
+def robot(endpoint: str, folder: str, name: str, seconds: str) -> subprocess.CompletedProcess[str]:
+    words = ["--name", name, "--seed", "3", "--seconds", seconds, "--connect", endpoint]
+    shown = ["--certificates", folder, "--role", f"robot.{name}"]
+    command = [sys.executable, "-m", "safedpa_sim.robots", *words, *shown]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=90)
+
+
+@pytest.mark.slow
+@pytest.mark.processes
+def test_a_robot_of_the_bus_joins_with_its_own_key_and_another_one_moves_nothing(tmp_path: Path) -> None:
+    folder, file = certificates(tmp_path / "own", "r1", "r2"), tmp_path / "robot.toml"
+    (tmp_path / "own" / "robot.r1.key.pem").rename(tmp_path / "r1.key")  # it lies on the robot
+    file.write_text(BY_ITSELF, encoding="utf-8")
+    port = ports.free_port()
+    where = ("--certificates", folder, "--listen", f"tls/0.0.0.0:{port}", "--policy", "goal_seeker")
+    with served(tmp_path, file, *where) as tells:
+        (tmp_path / "r1.key").rename(tmp_path / "own" / "robot.r1.key.pem")
+        accounts: list[dict[str, Any]] = []
+        for name, seconds in (("r2", "2"), ("r1", "5")):
+            done = robot(f"tls/127.0.0.1:{port}", folder, name, seconds)
+            assert done.stdout, done.stderr
+            accounts.append(json.loads(done.stdout.splitlines()[-1]))
+    another, known = accounts
+    assert another["watchdog_ticks"] == another["ticks"], "nobody answers a robot that was not named"
+    assert known["ticks"] == 100
+    assert known["watchdog_ticks"] < 60
+    assert known["collisions"] == 0
+    assert "with the certificate of role robot.r1" in tells("serve")
+    assert "'safedpa/fleet/r2/state'" in tells("router")
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    assert safedpa.run(["serve", *words, *QUIET, "--policy", "goal_seeker"]) == 2
+    return capsys.readouterr().err
+
+
+def test_what_does_not_go_together_is_refused_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, folder = tmp_path / "robot.toml", certificates(tmp_path / "own", "r1")
+    file.write_text(BY_ITSELF, encoding="utf-8")
+    words = (str(file), "--out", str(tmp_path / "runs"))
+    assert "--secure: its certificates go with this start" in refused(capsys, *words, "--secure")
+    assert "--secure: got it with --certificates" in refused(capsys, *words, "--secure", "--certificates", folder)
+    plain = refused(capsys, *words, "--certificates", folder, "--listen", "tcp/0.0.0.0:7447")
+    assert "--listen: got 'tcp/0.0.0.0:7447' with certificates, wanted tls/HOST:PORT" in plain
+    (tmp_path / "own" / "safety_filter.key.pem").unlink()
+    missing = refused(capsys, *words, "--certificates", folder)
+    assert "safety_filter.key.pem: is not there; make it with 'safedpa certificates" in missing
+    assert "authority.pem: is not there" in refused(capsys, *words, "--certificates", str(tmp_path / "nowhere"))

@@ -1,0 +1,93 @@
+"""One question to the search for the least unsafe action: h as a plain function of the action."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.safety import Barriers, FunctionBarrier, Prediction, QuadraticProgram
+from safedpa.safety.conditions import Conditions, Outcome
+from safedpa.safety.highest import HighestProgram
+from safedpa.safety.lattice import lattice
+from safedpa.safety.least_unsafe import least_unsafe
+
+Values = NDArray[np.float64]
+
+
+class Counted:
+    """A program that counts how often it is asked."""
+
+    def __init__(self, program: Any) -> None:
+        self._program, self.solved = program, 0
+
+    def solve(self, *arguments: Any) -> Any:
+        """What the program says."""
+        self.solved += 1
+        return self._program.solve(*arguments)
+
+
+class Case:
+    """h(a) (rows,) of actions within -1 and 1, at a state whose h are ``now``; the state is a itself."""
+
+    def __init__(
+        self,
+        h: Callable[[Values], Sequence[float]],
+        now: Sequence[float],
+        wish: Sequence[float],
+        *,
+        eta: float = 1.0,
+        epsilon: float = 0.0,
+        limit: float = 1.0,
+        affine: bool = True,
+        backup: Sequence[float] | None = None,
+        program: Any = None,
+        highest: Any = None,
+    ) -> None:
+        self.h, self.wish, actions = h, tuple(wish), len(wish)
+        self.affine, self.resting, self.stuck = affine, backup, ("not run",)
+        self.asked: list[tuple[float, ...]] = []
+        start = (9.0,) * actions
+
+        def heights(x: Values) -> Sequence[float]:
+            if tuple(x) == start:
+                return now
+            return h(x)
+
+        names = tuple(f"h{row}" for row in range(len(now)))
+        low, high = np.full(actions, -limit), np.full(actions, limit)
+        self.program = QuadraticProgram(low, high, np.ones(actions)) if program is None else program
+        self.highest = HighestProgram(actions) if highest is None else highest
+        self.conditions = Conditions(
+            Barriers([FunctionBarrier(heights, names=names)]),
+            self._prediction(),
+            start,
+            None,
+            None,
+            eta,
+            [epsilon] * len(now),
+            QuadraticProgram(low, high, np.ones(actions)).sides,
+        )
+
+    def _prediction(self) -> Prediction:
+        eye = np.eye(len(self.wish))
+        prediction = Prediction(lambda x, around: (0.0 * eye[0], eye), self._step)
+        prediction.affine = self.affine
+        return prediction
+
+    def _step(self, state: Values, action: Values) -> Values:
+        self.asked.append(tuple(action.tolist()))
+        return action
+
+    @property
+    def backup(self) -> Outcome:
+        return self.conditions.outcome(tuple(self.wish if self.resting is None else self.resting))
+
+    def run(self, *known: Sequence[float]) -> Outcome:
+        begun = [self.conditions.outcome(tuple(action)) for action in known or [self.wish]]
+        spread = [self.conditions.outcome(action) for action in lattice(self.conditions._sides, affine=self.affine)]
+        known = [*begun, *spread]
+        found, self.stuck = least_unsafe(self.conditions, self.program, self.highest, self.wish, self.backup, known)
+        return found

@@ -1,0 +1,301 @@
+"""Edges of a filter's check: several actions, several barriers, and which of several cases is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.safety.checked import Values, first, made, probe
+
+from safedpa.errors import InputError
+from safedpa.safety import FunctionBarrier, RolloutBarrier, check_filter
+from safedpa.safety.check_backup import backup_issues, horizon_issues
+from safedpa.safety.check_barriers import gradient_issues, margin_issues, scale_issues, tick_issues
+from safedpa.safety.check_influence import condition_issues
+from safedpa.safety.check_probes import Checked, probed
+from safedpa.safety.verdict import Status, resting_verdict
+
+
+def wide(x: Values) -> tuple[Values, Values]:
+    return x, np.full((len(x), 2), 0.1)
+
+
+# the backup
+
+
+@pytest.mark.parametrize(
+    ("action", "told"),
+    [([0.0, 0.0], False), ([0.0, np.nan], True), ([-1.5, 0.0], True), ([0.0, 2.5], True), ([2.0, -1.0], False)],
+)
+def test_one_entry_of_a_backup_is_enough(action: list[float], told: bool) -> None:
+    checked = made(first, model=wide, actions=2, backup=lambda x: action if x[0] == 1.0 else [0.0, 0.0])
+    assert bool(backup_issues(checked, [probe(0.0), probe(1.0)], stands=False)) is told
+
+
+@pytest.mark.parametrize(("beyond", "told"), [(3e-6, False), (5e-6, True)])
+def test_rounding_is_a_share_of_the_range(beyond: float, told: bool) -> None:
+    """4000 from end to end: a billionth of that is 4e-6."""
+    limits = (-1000.0, 3000.0)
+    checked = made(first, limits=limits, backup=lambda x: [3000.0 + beyond * (x[0] == 1.0)])
+    assert bool(backup_issues(checked, [probe(1.0)], stands=False)) is told
+    part = RolloutBarrier(lambda x: (x, 0.1 * np.eye(1)), [0.0], first, 5, ["r"])
+    other = made(part, limits=limits, backup=lambda x: [beyond])
+    assert bool(backup_issues(other, [probe(1.0)], stands=False)) is told
+
+
+def test_one_entry_of_another_backup_is_enough() -> None:
+    part = RolloutBarrier(wide, [0.0, 0.5], first, 5, ["r"])
+    checked = made(part, model=wide, actions=2, backup=lambda x: [0.0, 0.4])
+    assert len(backup_issues(checked, [probe(1.0), probe(2.0)], stands=False)) == 1
+
+
+def test_the_condition_that_breaks_most_is_named_first() -> None:
+    checked = made(first, lambda x: 3.0 * x[0], backup=lambda x: [-1.0])
+    (found,) = backup_issues(checked, [probe(0.5, h=[0.5, 1.5])], stands=True)
+    assert found.names == ("h1", "h0")
+
+
+def test_of_a_rollout_with_two_values_both_count() -> None:
+    """The second falls for ever, the first stands; and one that is below its threshold is no promise."""
+    part = RolloutBarrier(lambda x: (x - 0.1, 0.1 * np.eye(1)), [0.0], lambda x: [9.0, x[0]], 3, ["a", "b"])
+    checked = made(part, epsilon=0.5, eta=0.5)
+    assert len(horizon_issues(checked, [probe(8.0, h=[9.0, 7.7]), probe(7.0, h=[9.0, 6.7])])) == 1
+    assert horizon_issues(checked, [probe(8.0, h=[9.0, 1.0])]), "just at the threshold is inside"
+    assert horizon_issues(checked, [probe(8.0, h=[9.0, 0.99])]) == []
+
+
+# what the actions can do
+
+
+def recorded(checked: Checked) -> tuple[Checked, list[float]]:
+    asked: list[float] = []
+    affine = checked.safe.tools.prediction._affine
+
+    class Asked:
+        def following(self, state: Any, action: Any, latent: Any, memory: Any) -> list[float]:
+            asked.append(action[0])
+            f, g = affine(np.array(state))
+            return list((f + g @ np.array(action)).tolist())
+
+    tools = replace(checked.safe.tools, prediction=Asked())  # type: ignore[arg-type]
+    safe: Any = type("Safe", (), {"settings": checked.safe.settings, "tools": tools})()
+    return Checked(safe, checked.barriers, checked.margins, None), asked
+
+
+def test_an_action_is_moved_by_a_tenth_of_its_range_and_inward() -> None:
+    checked, asked = recorded(made(first))
+    condition_issues(checked, [probe(0.5, h=0.5, residuals=[[-0.3], [-0.1]], kept=False)])
+    assert sorted({round(action, 9) for action in asked}) == [-1.0, -0.7, 0.5, 0.8, 1.7, 2.0]
+
+
+def curving(x: Values) -> tuple[Values, Values]:
+    """Position follows the push at once where x_0 < 1, half of it within the tick below 5, none of it beyond."""
+    now = 0.1 if x[0] < 1.0 else 0.005 if x[0] < 5.0 else 0.0
+    return np.array([x[0] + 0.1 * x[1], x[1]]), np.array([[now], [0.1]])
+
+
+def test_states_where_the_condition_breaks_are_judged_and_no_others() -> None:
+    """Two break it; one is outside, one keeps it by little, one only just; of 30 the first 24 are judged."""
+    broken = probe(2.0, -1.0, h=0.5, residuals=[[-0.3], [0.1]])
+    others = [
+        probe(2.1, -1.0, h=0.5, residuals=[[-0.3], [-0.1]], inside=False),
+        probe(2.2, -1.0, h=0.5, residuals=[[0.5], [0.9]]),
+        probe(2.3, -1.0, h=0.5, residuals=[[0.0], [0.9]]),
+    ]
+    (found,) = condition_issues(made(first, model=curving), [*others, broken, broken])
+    assert "answers with its time to the 2 at any of 2 states" in found.sentence
+    (many,) = condition_issues(made(first, model=curving), [broken] * 30)
+    assert "at any of 24 states" in many.sentence
+
+
+def test_where_it_answers_at_once_somewhere_the_degree_is_one() -> None:
+    here = [probe(at, -1.0, h=at, residuals=[[-0.3], [0.1]]) for at in (0.5, 2.0, 7.0)]
+    assert condition_issues(made(first, model=curving), here) == []
+    (found,) = condition_issues(made(first, model=curving), here[1:])
+    assert "answers with its time to the 2 at any of 2 states" in found.sentence, "the quickest answer counts"
+
+
+def test_the_condition_that_is_missed_by_most_at_its_best_is_named_first() -> None:
+    one = probe(0.5, h=[0.5] * 2, residuals=[[-0.1, -0.3], [-0.9, -0.3]], kept=False)
+    (found,) = condition_issues(made(first, first), [one])
+    assert found.names == ("h1", "h0")
+
+
+def test_a_condition_that_some_action_just_keeps_is_not_missed() -> None:
+    one = probe(0.5, h=0.5, residuals=[[-0.1], [0.0]], kept=False)
+    (found,) = condition_issues(made(first), [one])
+    assert found.names == (), "all of them together, it says then"
+
+
+def test_an_effect_that_is_rounding_beside_h_is_none() -> None:
+    (found,) = condition_issues(
+        made(lambda x: 1e6 + 1e-6 * x[0]), [probe(0.5, h=1e6, residuals=[[-0.3], [-0.1]], kept=False)]
+    )
+    assert "does not answer to the action in one tick" in found.sentence
+
+
+# where it is looked
+
+
+def test_a_kind_without_a_margin_has_none() -> None:
+    checked = replace(made(first), margins={"some": 0.3})
+    assert checked.epsilon.tolist() == [0.0]
+
+
+def test_the_middle_lies_between_the_ends() -> None:
+    assert made(first, limits=(-1.0, 3.0)).corners()[-1] == [1.0]
+
+
+class Refuses:
+    """Stands for a filter that finds no action, or lets every wish pass."""
+
+    def __init__(self, checked: Checked, *, passes: bool) -> None:
+        self.settings, self.tools, self._passes = checked.safe.settings, checked.safe.tools, passes
+        self.wishes: list[tuple[float, ...]] = []
+
+    def decide(self, state: Values, wish: Values, latent: Any, **_: Any) -> Any:
+        self.wishes.append(tuple(wish.tolist()))
+        return replace(resting_verdict(np.array(wish), ""), status=Status.passed if self._passes else Status.relaxed)
+
+
+def refused(checked: Checked, *, passes: bool = False) -> tuple[Checked, Refuses]:
+    safe: Any = Refuses(checked, passes=passes)
+    return Checked(safe, checked.barriers, checked.margins, None), safe
+
+
+@pytest.mark.parametrize(("missed", "kept"), [(-0.001, True), (0.0005, True), (0.0015, False)])
+def test_where_the_filter_finds_nothing_the_actions_tried_say_whether_it_was_slight(missed: float, kept: bool) -> None:
+    """From x the best of them leads to x + 0.2, which is asked to be 0.9 x + 0.02: it misses 0.001 at -1.81."""
+    checked, _ = refused(made(first, lambda x: 50.0 + x[0], epsilon=0.02))
+    given, driven, *_ = probed(checked, [np.array([-1.8 - 10.0 * missed])], 8, 0)
+    assert given.kept, "not asked there"
+    assert driven.kept is kept
+
+
+def test_inside_is_where_every_h_is_at_its_threshold() -> None:
+    checked, _ = refused(made(first, lambda x: x[0] - 4.0, epsilon=0.5, eta=0.5))
+    for at, inside in ((5.0, True), (4.999, False), (1.0, False), (0.5, False)):
+        (one, *_) = probed(checked, [np.array([at])], 1, 0)
+        assert one.inside is inside
+
+
+def test_every_extreme_action_is_held_to_the_end_in_six_drives() -> None:
+    checked, safe = refused(made(first, model=lambda x: (x, np.full((1, 4), 0.1)), actions=4), passes=True)
+    probed(checked, [np.array([9.0])], 60, 0)
+    drives = [set(safe.wishes[60 * drive : 60 * drive + 60]) for drive in range(12)]
+    assert [len(drive) == 1 for drive in drives] == [True] * 6 + [False] * 6
+    assert len(set().union(*drives[:6])) == 6
+    two, both = refused(made(first), passes=True)
+    probed(two, [np.array([9.0])], 60, 0)
+    held = [set(both.wishes[60 * drive : 60 * drive + 60]) for drive in range(12)]
+    assert held[:2] == [{(-1.0,)}, {(2.0,)}]
+    assert sum(len(drive) == 2 for drive in held[2:]) >= 8, "some are held for all of it by chance"
+
+
+# margins, units, gradients
+
+
+def test_of_a_kind_with_some_margin_nothing_is_said() -> None:
+    assert margin_issues(made(first, epsilon={"function": 0.1}), []) == []
+
+
+def test_how_far_off_a_unit_is_counts_by_its_ratio() -> None:
+    parts = [FunctionBarrier(first, names=(name,), kind=name) for name in ("a", "b")]
+    checked = made(*parts, epsilon={"a": 1e-3, "b": 1e3})
+    (found,) = scale_issues(checked, [probe(0.0, h=[1e6, 1e6], reached=[1e-6, 1e-2])])
+    assert found.names == ("b", "a"), "five decades, three"
+
+
+def sloped(h: Callable[[Values], float], *gradient: float) -> FunctionBarrier:
+    return FunctionBarrier(h, lambda x: np.array(gradient), ("h",))
+
+
+@pytest.mark.parametrize(
+    ("gradient", "told"),
+    [((2.0, 0.001), ""), ((2.0, 0.015), ""), ((2.04, 0.001), "got a slope of 2.04 in entry 0 of the state, wanted 2,")],
+)
+def test_a_hundredth_of_the_largest_part_may_be_missing(gradient: tuple[float, float], told: str) -> None:
+    barrier = sloped(lambda x: 2.0 * x[0] + 0.001 * x[1], *gradient)
+    found = gradient_issues(made(barrier), [probe(at, 0.0, h=2.0 * at, moved=[0.1, 0.1]) for at in (0.0, 1.0)])
+    assert bool(found) is bool(told)
+    assert told in "".join(issue.sentence for issue in found)
+
+
+def test_the_entry_that_matters_most_in_a_tick_is_told_of_the_worst_state() -> None:
+    """Entry 1 is off by less, but moves a thousand times as far; the state at 3 is the worst."""
+    barrier = FunctionBarrier(lambda x: x[0] + x[1], lambda x: np.array([30.0, 1.5 + x[0]]), ("h",))
+    probes = [probe(at, 0.0, h=at, moved=[0.001, 1.0]) for at in (1.0, 3.0, 2.0)]
+    (found,) = gradient_issues(made(barrier), probes)
+    assert "got a slope of 4.5 in entry 1 of the state, wanted 1," in found.sentence
+
+
+def test_what_moves_somewhere_is_judged_everywhere() -> None:
+    barrier = sloped(lambda x: x[0], 5.0)
+    assert gradient_issues(made(barrier), [probe(0.0, h=0.0, moved=0.1), probe(1.0, h=1.0, moved=0.0)])
+
+
+@pytest.mark.parametrize("moved", [0.1, 1e-6])
+def test_what_bends_is_compared_close_by(moved: float) -> None:
+    for slope, told in ((2.0, False), (2.05, True)):
+        barrier = sloped(lambda x: x[0] ** 2, slope)
+        found = gradient_issues(made(barrier), [probe(1.0, h=1.0, moved=moved)] * 2)
+        assert bool(found) is told
+    assert "wanted 2," in found[0].sentence
+
+
+def test_rounding_about_a_constant_is_no_gradient() -> None:
+    assert gradient_issues(made(sloped(lambda x: 7.0, 1e-10)), [probe(0.0, h=7.0)] * 3) == []
+
+
+# what lies between two ticks
+
+
+def walls(*deep: tuple[float, float]) -> Callable[[Values], float]:
+    """Falls by depth about some places, a twentieth wide; and a little to the right."""
+    return lambda x: float(1.0 - 0.01 * x[0] - sum(depth * (abs(x[0] - at) < 0.025) for at, depth in deep))
+
+
+def test_h_is_chased_by_the_actions_that_lower_it_most() -> None:
+    """To the right by 0.3 a tick, with an action of 3: at 0.3 and 0.6, and what lies at 0.45 is jumped over."""
+    checked = made(walls((0.45, 3.0)), limits=(-1.0, 3.0))
+    (found,) = tick_issues(checked, [probe(0.0, h=1.0)])
+    assert "got h = 0.994 at two ticks and -2 between them" in found.sentence
+    (left,) = tick_issues(made(lambda x: walls((0.35, 3.0))(-x), limits=(-3.0, 1.0)), [probe(0.0, h=1.0)])
+    assert "at two ticks" in left.sentence
+
+
+def test_of_several_actions_those_that_do_something_are_taken() -> None:
+    checked = made(walls((0.45, 3.0)), limits=(-1.0, 3.0), actions=2, model=lambda x: (x, np.array([[0.1, 0.0]])))
+    (found,) = tick_issues(checked, [probe(0.0, h=1.0)])
+    assert "got h = 0.994 at two ticks" in found.sentence
+
+
+def test_the_deepest_of_all_dips_is_told() -> None:
+    for deep in (((0.45, 3.0), (1.05, 2.5)), ((0.45, 2.5), (1.05, 3.0))):
+        (found,) = tick_issues(made(walls(*deep), limits=(-1.0, 3.0)), [probe(0.0, h=1.0)])
+        assert "and -1.5" not in found.sentence
+
+
+def test_the_barrier_that_dips_is_named_and_every_start_is_tried() -> None:
+    checked = made(first, first, lambda x: walls((20.45, 3.0))(x) + 0.011 * x[0], limits=(-1.0, 0.0))
+    low, high = probe(0.0, h=[0.0, 0.0, 1.0]), probe(20.6, h=[20.6, 20.6, 1.02])
+    (found,) = tick_issues(checked, [low, high])
+    assert found.names == ("h2",)
+
+
+# all of it
+
+
+@pytest.mark.parametrize("states", [[[np.nan, 0.0]], [[0.0, np.inf]], [[[0.0]]], []])
+def test_states_that_are_none_are_refused(states: Any) -> None:
+    with pytest.raises(InputError, match="states: got shape"):
+        check_filter(made(first).safe, states)
+
+
+def test_a_backup_is_meant_to_keep_every_condition_unless_told_otherwise() -> None:
+    checked = made(first, backup=lambda x: [-1.0])
+    assert "backup" in check_filter(checked.safe, [0.5], ticks=8).subjects
+    assert "backup" not in check_filter(checked.safe, [0.5], ticks=8, stands=False).subjects

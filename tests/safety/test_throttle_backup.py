@@ -1,0 +1,171 @@
+"""The backup of a car with a throttle brakes as its barriers count on, whatever the model knows of the motor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from safedpa.bus import ACTION, LATENT, SURROUNDINGS, WISH, LatentMessage, Stale, StateMessage, WishMessage
+from safedpa.dynamics import PhysicsModel, Setting, fingerprint, load_model
+from safedpa.effects import effect
+from safedpa.errors import InputError
+from safedpa.robot import robot_like, robots
+from safedpa.robots.car.barriers import braking_of
+from safedpa.robots.car.throttle import BrakingByThrottle, throttle_for
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.scenes import scene_of
+from safedpa.safety.shipped import margin_for, settings_named
+
+SETTINGS = settings_named("car_throttle")
+BRAKING = braking_of(SETTINGS)
+EFFECTS = {
+    "nothing": {},
+    "dead zone": {"drive_dead_zone": {"width": 0.16}},
+    "back-EMF and friction": {"back_emf": {"coefficient": 1.5}, "rolling_resistance": {"deceleration": 0.8}},
+    "lag": {"drive_lag": {"time_constant": 0.08}},
+}
+
+
+def model_with(effects: dict[str, dict[str, float]]) -> PhysicsModel:
+    model = load_model("dart_car")
+    for name, numbers in effects.items():
+        model = model.with_effect(effect("car", name), {key: Setting(value) for key, value in numbers.items()})
+    return model
+
+
+def backup_of(model: PhysicsModel) -> BrakingByThrottle:
+    return BrakingByThrottle(model, BRAKING, (-1.0, 1.0))
+
+
+def told(values: tuple[float, ...], tick: int = 0) -> StateMessage:
+    return StateMessage(
+        epoch=1, tick=tick, robot_time=0.05 * tick, publish_time=0.0, values=values, applied=(0.0, 0.0),
+        applied_by="filter", period=0.05, lockstep=True, goal=(1.0, 0.0), obstacles=((3.0, 0.0, 0.3),),
+        field=(-9.0, 9.0, -9.0, 9.0), footprint=(0.05, 0.23, 0.1),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("speed", [2.0, 0.9, 0.3, -0.7])
+def test_it_brakes_as_the_barriers_count_on(name, speed):
+    model = model_with(EFFECTS[name])
+    action = backup_of(model)(np.array([1.0, 2.0, 0.4, speed]))
+    after = model.step(np.array([1.0, 2.0, 0.4, speed]), action)[3]
+    wanted = min(BRAKING.gain * abs(speed), BRAKING.deceleration)
+    assert (abs(speed) - abs(after)) / model.period == pytest.approx(wanted, abs=0.02)
+    assert np.sign(after) == np.sign(speed)
+    assert action[1] == 0.0
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_no_h_falls_under_it(name):
+    model = model_with(EFFECTS[name])
+    scene = scene_of(model, SETTINGS)
+    state, lowest = (0.0, 0.2, 0.1, 1.8), []
+    for tick in range(60):
+        stack = scene.of(told(state, tick))
+        lowest.append(min(stack.heights(state)[:-2]))  # room; the last two are the limits of the speed
+        state = tuple(model.step(np.array(state), scene.backup(np.array(state))).tolist())
+    assert np.diff(lowest).min() > -2e-4
+    assert abs(state[3]) < 0.05
+
+
+def test_with_friction_beyond_the_wished_braking_it_does_not_push():
+    model = model_with({"rolling_resistance": {"deceleration": 3.0}})
+    action = backup_of(model)(np.array([0.0, 0.0, 0.0, 2.0]))
+    assert action[0] == pytest.approx((3.0 - 2.0) / 4.48, abs=1e-3)
+
+
+def test_a_state_that_tells_nothing_is_braked_from_the_last_that_did_and_no_further():
+    model = model_with({})
+    scene = scene_of(model, SETTINGS)
+    assert scene.backup(None).tolist() == [0.0, 0.0]
+    scene.of(told((0.0, 0.0, 0.0, 1.5)))
+    nothing, throttles = (float("nan"),) * 4, []
+    for tick in range(1, 40):
+        scene.of(told(nothing, tick))
+        throttles.append(float(scene.backup(None)[0]))
+    assert throttles[0] == pytest.approx(-BRAKING.deceleration / 4.48, abs=1e-3)
+    assert all(now >= before - 1e-9 for before, now in pairwise(throttles))
+    assert throttles[-1] == pytest.approx(0.0, abs=0.02)
+    assert max(throttles) <= 0.0
+
+
+def test_another_model_takes_over_what_the_last_one_knew():
+    before, after = scene_of(model_with({}), SETTINGS), scene_of(model_with(EFFECTS["dead zone"]), SETTINGS)
+    before.of(told((0.0, 0.0, 0.0, 1.0)))
+    after.remember(before)
+    assert after.backup(None)[0] < -0.16
+
+
+def test_the_latent_counts():
+    model = model_with({})
+    backup = backup_of(model)
+    weak = backup(np.array([0.0, 0.0, 0.0, 1.0]))[0]
+    backup.learn(np.array([9.0]))
+    assert backup(np.array([0.0, 0.0, 0.0, 1.0]))[0] == pytest.approx(weak * 4.48 / 9.0, abs=1e-3)
+
+
+def test_more_than_the_motor_can_is_its_bound():
+    model = model_with({})
+    state = np.array([0.0, 0.0, 0.0, 1.0])
+    assert throttle_for(model, state, 0.0, -50.0, (-1.0, 1.0)) == pytest.approx(-1.0, abs=1e-3)
+    assert throttle_for(model, state, 0.0, 50.0, (-0.5, 0.5)) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_the_model_says_which_car_it_is():
+    model = load_model("dart_car")
+    assert robot_like(model.system).settings_name == "car_throttle"
+    assert robots()["car"].of_system(model.system) is robot_like(model.system)
+    assert robots()["car"].of_system(load_model("car").system) is robots()["car"]
+    with pytest.raises(InputError, match="the system 'car' takes -1 to 1"):
+        scene_of(model, settings_named("car"))
+
+
+def rolled(broken, ticks: int = 60) -> float:
+    """The true speed after 3 s from 1.5 m/s, under what the filter's service answers to states that are ``broken``."""
+    model = load_model("dart_car")
+    node, true = SafetyFilterNode(model, SETTINGS, margin_for(model)), np.array([0.0, 0.0, 0.0, 1.5])
+    for tick in range(ticks):
+        state = replace(told(tuple(true.tolist()), tick), obstacles=())
+        state, values = (state, tuple(model.latent.tolist())) if tick == 0 else broken(state, tuple(model.latent))
+        stamp = {"epoch": 1, "tick": tick, "robot_time": state.robot_time, "publish_time": 0.0}
+        latent = LatentMessage(**stamp, model=fingerprint(model), values=values, deviations=(0.1,) * len(model.latent))
+        wish = WishMessage(**stamp, values=(0.2, 0.0), controller="t")
+        seen = Stale(SURROUNDINGS, 1)
+        action = node.step("r", state, {LATENT: latent, WISH: wish, SURROUNDINGS: seen})[ACTION].values
+        node.afterwards("r")
+        true = np.asarray(model.step(true, np.array(action), model.latent))
+    return float(true[3])
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        lambda state, latent: (replace(state, values=()), latent),
+        lambda state, latent: (replace(state, values=(), sources=("laser",)), latent),
+        lambda state, latent: (replace(state, values=(0.0, 0.0, 0.0, 60.0)), latent),
+        lambda state, latent: (state, (*latent, 1.0)),
+        lambda state, latent: (state, ()),
+        lambda state, latent: (state, (1e9,) * len(latent)),
+        lambda state, latent: (state, (-1e9,) * len(latent)),
+    ],
+    ids=["no values", "no values, sources", "speed of 60", "long latent", "no latent", "vast latent", "vast negative"],
+)
+def test_whatever_is_told_wrong_the_backup_stops_the_car_and_never_drives_it(broken):
+    assert abs(rolled(broken)) < 0.2
+
+
+def test_after_a_step_that_raised_the_car_is_braked_and_not_let_roll():
+    model = load_model("dart_car")
+    node = SafetyFilterNode(model, SETTINGS, margin_for(model))
+    state = told((0.0, 0.0, 0.0, 1.5))
+    node.prepare("r", state)
+    first = node.rescue("r", state, "a fault")[ACTION].values
+    again = node.rescue("r", replace(state, tick=1), "a fault")[ACTION].values
+    assert first[0] < -0.2
+    assert again[0] < -0.2
+    assert node.rescue("nobody", state, "a fault")[ACTION].values == (0.0, 0.0), "nothing is known of it"

@@ -1,0 +1,282 @@
+"""An empty world is believed only where somebody looked: late lasers, restarts, lost sources, leaps of the clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from safedpa.bus import LATENT, SURROUNDINGS, VERDICT, WISH, StateMessage, SurroundingsMessage
+from safedpa.bus.wire.messages import ActionMessage, LatentMessage, VerdictMessage, WishMessage
+from safedpa.dynamics import PhysicsModel, fingerprint, load_model
+from safedpa.dynamics.model_file import parse_model, write_model
+from safedpa.perception import PerceptionNode
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.scenes import scene_of
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.scene import Scene
+from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.senses import Senses
+
+MODEL, SETTINGS = load_model("car"), settings_named("car")
+PILLAR = Scene(0, None, (-3.0, 4.0, -3.0, 3.0), ((1.2, 0.0, 0.3),), (0.0, 0.0, 0.0))
+
+
+def car(latency: float = 0.05) -> CarRobot:
+    return CarRobot(PILLAR, senses=Senses((Laser(LaserSettings(latency=latency), 1),)))
+
+
+def stamp(state: StateMessage) -> dict[str, object]:
+    return {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
+
+
+def asked(
+    node: SafetyFilterNode, state: StateMessage, seen: SurroundingsMessage, model: PhysicsModel = MODEL
+) -> VerdictMessage:
+    known, stamped = model.latent, stamp(state)
+    latent = LatentMessage(  # type: ignore[arg-type]
+        **stamped, model=fingerprint(model), values=tuple(known.tolist()), deviations=(0.1,) * len(known)
+    )
+    wish = WishMessage(**stamped, values=(1.0, 0.0), controller="t")  # type: ignore[arg-type]
+    node.step("r", state, {LATENT: latent, WISH: wish, SURROUNDINGS: seen})
+    verdict = node.afterwards("r")[VERDICT]
+    assert isinstance(verdict, VerdictMessage)
+    return verdict
+
+
+def surroundings(state: StateMessage, **known: object) -> SurroundingsMessage:
+    empty: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,)}
+    return SurroundingsMessage(**stamp(state), **{**empty, **known})  # type: ignore[arg-type]
+
+
+def seen_by(node: PerceptionNode, robot: CarRobot) -> tuple[StateMessage, SurroundingsMessage]:
+    state = robot.state_message()
+    for scan in robot.scans():
+        node.hear("r", scan)
+    message = node.step("r", state, {})[SURROUNDINGS]
+    assert isinstance(message, SurroundingsMessage)
+    return state, message
+
+
+@pytest.mark.parametrize("latency", [0.05, 0.15, 0.2, 0.3, 0.4])
+def test_a_late_laser_is_looked_at_all_the_same(latency: float) -> None:
+    robot, node, safe = car(latency), PerceptionNode(), SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+    blind = 0
+    for tick in range(60):
+        state, message = seen_by(node, robot)
+        blind += not message.amiss and not (message.points or message.movers or message.hidden)
+        action = asked(safe, state, message).action
+        robot.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=action))
+        robot.advance()
+    assert blind == 0
+    assert robot.collisions == []
+
+
+@pytest.mark.parametrize("latency", [0.05, 0.3])
+def test_perception_that_begins_anew_mid_drive_says_that_it_has_not_looked_yet(latency: float) -> None:
+    robot, node = car(latency), PerceptionNode()
+    for tick in range(60):
+        if tick == 21:
+            node.rescue("r", robot.state_message(), "a fault")
+        _, message = seen_by(node, robot)
+        assert message.amiss or message.points or message.movers or message.hidden
+        assert tick != 21 or message.amiss
+        robot.advance()
+
+
+def test_sources_that_vanish_leave_no_empty_world() -> None:
+    state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0))
+    node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+    wall = tuple((0.8, 0.1 * k, 0.05) for k in range(-5, 6))
+    assert asked(node, state, surroundings(state, points=wall)).status == "violated"
+    gone = replace(state, tick=state.tick + 1, robot_time=state.robot_time + state.period, sources=())
+    verdict = asked(node, gone, surroundings(gone))
+    assert (verdict.status, verdict.action) == ("fallback", (0.0, 0.0))
+    assert "no longer named" in verdict.sentence
+    anew = replace(gone, epoch=2, tick=0, obstacles=())
+    assert asked(node, anew, surroundings(anew)).status == "passed", "a robot that was started anew may have none"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"ages": (-1.0,)}, "old"),
+        ({"ages": (9.0,)}, "old"),
+        ({"ages": (-5.0,)}, "old"),
+        ({"epoch": 77}, "another moment"),
+        ({"tick": 500}, "another moment"),
+        ({"ages": (0.05, 0.05)}, "ages"),
+        ({"points": tuple((3.0, 0.1 * k, 0.05) for k in range(100)), "movers": ((np.nan,) * 6,)}, "NaN"),
+    ],
+)
+def test_surroundings_that_cannot_be_of_this_moment_brake_the_robot(wrong: dict[str, object], said: str) -> None:
+    state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0))
+    node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+    seen = replace(surroundings(state), **wrong)  # type: ignore[arg-type]
+    verdict = asked(node, state, seen)
+    assert (verdict.status, verdict.action) == ("fallback", (-0.6, 0.0)), "as hard as it can, at 1 m/s"
+    assert said in verdict.sentence
+
+
+@pytest.mark.parametrize("until_action", [0.0, 0.1])
+@pytest.mark.parametrize("wrong", [{"movers": ((0.9, 0, 1, 0, 0, -9.0),)}, {"hidden": ((0.9, 0, 1, -9.0),)}])
+def test_who_is_told_to_be_slower_than_at_rest_brakes_the_robot(wrong: dict[str, object], until_action: float) -> None:
+    """Such a speed takes away from the radius: whoever stands before the car would be far from it."""
+    state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0), until_action=until_action)
+    verdict = asked(SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), state, surroundings(state, **wrong))
+    assert (verdict.status, verdict.action) == ("fallback", (-0.6, 0.0))
+    assert "speed below 0" in verdict.sentence
+
+
+def test_a_speed_that_stays_whatever_is_done_does_not_drive_the_car_backwards() -> None:
+    """The speed is told wrongly: what brakes hard would reverse for ever, and nobody looks there."""
+    state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0))
+    node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+    commands = []
+    for _ in range(60):
+        verdict = asked(node, state, surroundings(state, amiss=("the source laser is frozen",)))
+        commands.append(verdict.action[0])
+        state = replace(
+            state, tick=state.tick + 1, robot_time=state.robot_time + state.period, applied=tuple(verdict.action)
+        )
+    assert commands[0] == -0.6
+    assert sum(command < 0.0 for command in commands) * state.period < 1.2
+    assert set(commands[-20:]) == {0.0}
+
+
+@pytest.mark.parametrize("until_action", [0.0, 0.05])
+@pytest.mark.parametrize("wrong", [{"movers": ((3.0, 2.0, 0.1),)}, {"hidden": ((3.0, 2.0),)}])
+def test_rows_of_a_wrong_width_are_told_of_however_late_the_action_acts(
+    wrong: dict[str, object], until_action: float
+) -> None:
+    state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0), until_action=until_action)
+    verdict = asked(SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), state, surroundings(state, **wrong))
+    assert (verdict.status, verdict.action) == ("fallback", (-0.6, 0.0))
+    assert "rows of other lengths" in verdict.sentence
+
+
+def commands_while_told(
+    state: StateMessage, speeds: Sequence[float], every: int = 1, applied: bool = True
+) -> list[float]:
+    """What is commanded while the laser is lost and these speeds are told; of the ticks one in ``every`` comes."""
+    node, commands = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL)), []
+    for speed in speeds:
+        state = replace(state, values=(0.0, 0.0, 0.0, speed))
+        action = asked(node, state, surroundings(state, amiss=("the source laser is frozen",))).action
+        commands.append(action[0])
+        state = replace(
+            state,
+            tick=state.tick + every,
+            robot_time=state.robot_time + every * state.period,
+            applied=tuple(action) if applied else (),
+        )
+    return commands
+
+
+@pytest.mark.parametrize("told", [0.03, 0.09, -0.09, 0.101])
+def test_a_speed_that_is_a_little_wrong_at_rest_does_not_make_the_car_creep(told: float) -> None:
+    """A bias of 0.05 m/s, and the car crept backwards for as long as it was to stand."""
+    commands = commands_while_told(car().state_message(), [told] * 120)
+    assert set(commands[-40:]) == {0.0}
+
+
+def test_a_robot_that_does_not_tell_what_was_applied_is_not_driven_backwards_either() -> None:
+    commands = commands_while_told(car().state_message(), [1.0] * 60, applied=False)
+    assert commands[0] == -0.6
+    assert set(commands[-20:]) == {0.0}
+
+
+def test_ticks_that_are_lost_count_among_the_seconds_that_it_was_commanded_backwards() -> None:
+    state = car().state_message()
+    commands = commands_while_told(state, [1.0] * 20, every=5)
+    assert 5 * state.period * sum(command < 0.0 for command in commands) < 1.2 + 5 * state.period
+
+
+def test_a_speed_that_is_lost_now_and_then_begins_no_new_braking() -> None:
+    commands = commands_while_told(car().state_message(), [np.nan if k % 20 == 19 else 1.0 for k in range(80)])
+    assert set(commands[-20:]) == {0.0}
+
+
+def test_a_new_model_begins_no_new_braking() -> None:
+    state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 1.0))
+    old = scene_of(MODEL, SETTINGS)
+    for tick in range(60):
+        old.follow(replace(state, tick=tick, applied=(-0.6, 0.0)))
+    new = scene_of(MODEL, SETTINGS)
+    new.remember(old)
+    new.follow(replace(state, tick=60, applied=(-0.6, 0.0)))
+    assert old.backup is not None
+    assert new.backup is not None
+    assert list(old.backup(np.array(state.values))) == list(new.backup(np.array(state.values))) == [0.0, 0.0]
+
+
+def test_a_car_that_moves_as_it_is_told_may_brake_hard_again() -> None:
+    scene, state = scene_of(MODEL, SETTINGS), car().state_message()
+    told = [(1.0, -0.6)] * 60 + [(0.0, 0.0)] * 10 + [(0.3, 1.0), (0.5, 1.0)]
+    hardest = []
+    for tick, (speed, command) in enumerate(told):
+        scene.follow(replace(state, tick=tick, values=(0.0, 0.0, 0.0, speed), applied=(command, 0.0)))
+        assert scene.backup is not None
+        hardest.append(float(np.asarray(scene.backup(np.array((0.0, 0.0, 0.0, 1.0))))[0]))
+    assert hardest[59] == hardest[69] == 0.0
+    assert hardest[0] == hardest[-1] == -0.6
+
+
+def test_obstacles_beside_sources_are_not_dropped_in_silence() -> None:
+    state = replace(car().state_message(), obstacles=((0.9, 0.0, 0.2),), values=(0.0, 0.0, 0.0, 1.0))
+    node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+    verdict = asked(node, state, surroundings(state))
+    assert verdict.status == "fallback"
+    assert "beside sources" in verdict.sentence
+
+
+def test_a_mover_ahead_counts_though_a_wall_is_nearer_while_the_car_stands() -> None:
+    """64 points at the side have less h at rest; driving off, the mover has."""
+    state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 0.0))
+    wall = tuple((0.02 * k - 0.3, 0.42, 0.05) for k in range(64))
+    for ahead in (0.8, 0.9, 1.05):
+        node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+        mover = ((ahead, 0.0, 0.05, 0.0, 0.0, 1.5),)
+        alone = asked(node, state, surroundings(state, movers=mover))
+        node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+        both = asked(node, state, surroundings(state, movers=mover, points=wall))
+        assert both.action[0] <= alone.action[0] + 1e-6
+
+
+def test_what_may_move_is_wider_where_the_action_acts_late() -> None:
+    state = replace(car().state_message(), values=(0.0, 0.0, 0.0, 0.5))
+    heights = []
+    for until_action in (0.0, 0.1, 0.2):
+        late = replace(state, until_action=until_action)
+        node = SafetyFilterNode(MODEL, SETTINGS, margin_for(MODEL))
+        heights.append(asked(node, late, surroundings(late, movers=((1.8, 0.0, 0.05, 0.0, 0.0, 1.5),))).h_now)
+    assert heights[0] - heights[1] >= 0.1 * 1.5 - 1e-6
+    assert heights[0] - heights[2] >= 0.2 * 1.5 - 1e-6
+
+
+def test_what_may_move_is_wider_where_the_actuators_are_slow() -> None:
+    """The model knows a dead time: until an action acts, somebody goes on walking."""
+    state, heights = replace(car().state_message(), values=(0.0, 0.0, 0.0, 0.0)), []
+    for delay in (0.0, 0.2):
+        model = load_model("car")
+        if delay:
+            model = parse_model(write_model(model) + f'\n[[effects]]\nname = "actuator_delay"\nseconds = {delay}\n')
+        node = SafetyFilterNode(model, SETTINGS)
+        seen = surroundings(state, movers=((1.2, 0.0, 0.05, 0.0, 0.0, 1.5),))
+        heights.append(asked(node, state, seen, model).h_now)
+    assert heights[0] - heights[1] >= 0.2 * 1.5 - 1e-6
+
+
+@pytest.mark.parametrize("leap", [-0.1, -0.5, 60.0])
+def test_after_a_leap_of_the_clock_nothing_of_before_is_believed(leap: float) -> None:
+    robot, node = car(), PerceptionNode()
+    for _ in range(40):
+        state, _ = seen_by(node, robot)
+        robot.advance()
+    leapt = replace(robot.state_message(), robot_time=state.robot_time + leap)
+    message = node.step("r", leapt, {})[SURROUNDINGS]
+    assert isinstance(message, SurroundingsMessage)
+    assert message.amiss

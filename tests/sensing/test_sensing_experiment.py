@@ -1,0 +1,96 @@
+"""The experiment's drives repeat, and know a car that moves into something from one that is walked into."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from safedpa.bus import SURROUNDINGS, SurroundingsMessage
+from safedpa.errors import InputError
+from safedpa_lab.experiments.sensing import LOADS, Drive, run_drive, sensing_experiment
+from safedpa_lab.experiments.sensing_page import page_of
+from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
+from safedpa_lab.experiments.sensing_told import TellsEverything
+from safedpa_sim.robots.contacts import Collision
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.shapes import Outline, room_to
+
+
+def test_a_drive_repeats_and_only_the_sensing_ones_see_people() -> None:
+    once, again = (run_drive(Drive("people", 1000, 4.0, 1.5)) for _ in range(2))
+    assert {**once, "microseconds": 0} == {**again, "microseconds": 0}
+
+
+def test_told_everything_the_car_goes_farther() -> None:
+    way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "safedpa")}
+    assert way["told"] > way["safedpa"] > 0.0
+
+
+def test_who_reckons_with_slower_people_drives_faster() -> None:
+    quick, slow = (run_drive(Drive("pillars", 1001, 8.0, coming))["way"] for coming in (0.0, 1.5))
+    assert quick > slow
+
+
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("kind", SCENES)
+def test_start_and_goals_of_a_scene_are_free_and_the_same_again(kind: str, load: str) -> None:
+    scene, people = scene_and_people(kind, 1002, load)
+    again, others = scene_and_people(kind, 1002, load)
+    assert scene == again
+    assert [one.place for one in people] == [one.place for one in others]
+    solid = Outline(scene.obstacles, scene.polygons, (scene.field,))
+    for x, y in (scene.start[:2], *scene.fixed_goals):
+        assert room_to(solid, x, y) > scene.footprint[2]
+
+
+def test_a_room_has_a_door_that_the_car_fits_through() -> None:
+    for seed in range(1000, 1010):
+        scene, people = scene_and_people("rooms", seed, "large_chair")
+        low, high = scene.polygons[:2]
+        door = min(y for _, y in high) - max(y for _, y in low)
+        assert door >= 2.0 * scene.footprint[2] + 0.9
+        assert len(people) <= 6
+        sides = {x > low[0][0] for x, _ in scene.fixed_goals}
+        assert sides == {True, False}
+
+
+def test_a_scene_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(InputError, match=r"scene 'room'.*rooms"):
+        scene_and_people("room", 1, "none")
+
+
+def test_who_is_told_everything_is_told_of_every_wall_and_everybody() -> None:
+    scene, people = scene_and_people("rooms", 1004, "none")
+    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), people))
+    state = robot.state_message()
+    told = TellsEverything(scene, people).step("r1", state, {})[SURROUNDINGS]
+    assert isinstance(told, SurroundingsMessage)
+    assert [one[:2] for one in told.movers] == [one.place for one in people]
+    points = np.array(told.points)
+    solid = Outline(scene.obstacles, scene.polygons, (scene.field,))
+    x, y, _ = scene.start
+    nearest = (np.hypot(points[:, 0] - x, points[:, 1] - y) - points[:, 2]).min()
+    assert abs(nearest - room_to(solid, x, y)) < 0.02
+
+
+def test_a_result_says_how_much_is_reached_beside_perfect_knowledge_and_its_page_shows_it() -> None:
+    found = sensing_experiment([1003], 2.0, 1.5, 1, ("safedpa", "told"), scenes=["pillars"], loads=["none", "box"])
+    alone, told = found["rows"]
+    assert (alone["drives"], told["drives"]) == (2, 2)
+    assert alone["share_95"][1] == pytest.approx(0.842, abs=0.001)
+    goals = {"goals_a_minute": 30.0, "goals_beside_perfect_knowledge": [0.5, 0.4, 0.6], "which": ["seed 3: a wall"]}
+    page = page_of({**found, "rows": [{**alone, **goals}, told]})
+    assert "| 30.0 | 0.50 (0.40 to 0.60) |" in page
+    assert "loads none, box, 2 s each" in page
+    assert "- pillars, safedpa: seed 3: a wall" in page
+
+
+def test_who_walks_into_a_standing_car_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By hand: of five contacts two with a car that moves."""
+    hits = [Collision(0.1, "car", "obstacle 0", 0.0, 0.0, speed) for speed in (0.0, 1.0, 0.0, 2.0, 0.0)]
+    monkeypatch.setattr(CarRobot, "collisions", property(lambda _: hits))
+    told = run_drive(Drive("pillars", 1000, 0.1, 1.5))
+    assert told["standing"] == 3
+    assert told["moving"] == [str(hits[1]), str(hits[3])]

@@ -1,0 +1,104 @@
+"""A model whose action is a throttle, driven: the whole loop, in real processes, by the command that a person types."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safedpa.dynamics import load_model
+from safedpa.records import load_column_map, load_run
+from safedpa_services.command_line import safedpa
+from safedpa_services.driving import drive_command
+from safedpa_services.workbench import jobs
+from safedpa_services.workbench.saving import saved
+
+pytestmark = [pytest.mark.processes, pytest.mark.slow]
+
+
+def quiet(_share: float) -> None:
+    """Progress that nobody looks at."""
+
+
+def run(words: list[str]) -> dict[str, Any]:
+    done = subprocess.run(
+        [sys.executable, "-m", "safedpa_services", *words], capture_output=True, text=True, timeout=500, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def up(folder: Path, *options: str) -> dict[str, Any]:
+    return run(["up", "--headless", "--json", "--lockstep", "--out", str(folder), *options])
+
+
+def test_it_drives_is_safe_and_repeats_bit_for_bit(tmp_path: Path) -> None:
+    first = up(tmp_path, "--model", "dart_car", "--seconds", "30", "--seed", "3")
+    second = up(tmp_path, "--model", "dart_car", "--seconds", "30", "--seed", "3")
+    assert first["trajectory_sha256"] == second["trajectory_sha256"]
+    assert first["ticks"] == 600
+    assert first["goals_reached"] >= 2
+    assert first["collisions"] == 0
+    assert set(first["verdicts"]) <= {"passed", "corrected", "relaxed"}
+    assert all(service["restarts"] == 0 for service in first["services"])
+    unfiltered = up(tmp_path, "--model", "dart_car", "--seconds", "30", "--seed", "3", "--no-filter")
+    assert unfiltered["collisions"] > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--load", "chair"), "--load: got 'chair' for a car with throttle, steer, whose stand-in has none"),
+        (("--change", "hitch"), "--change: got 'hitch' for a car with throttle, steer, whose stand-in has none"),
+        (("--settings", "car"), "--settings car: settings: got bounds of -0.6 to 2 1 for throttle"),
+        (("--controller", "planner"), "controller 'planner' of a car"),
+        (("--robot", "pendulum"), "wanted a pendulum with torque"),
+    ],
+)
+def test_what_it_cannot_is_refused_before_anything_starts(
+    options: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert safedpa.run(["up", "--model", "dart_car", "--headless", "--out", str(tmp_path), *options]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(tmp_path: Path) -> None:
+    """Dead zone, back-EMF, friction and a bent steering curve: the plain model has none of them, the stand-in has."""
+    drives = [
+        up(tmp_path / "drives", "--model", "dart_car", "--seconds", "30", "--seed", str(seed)) for seed in (11, 12, 13)
+    ]
+    recordings = [drive["recording"] for drive in drives]
+    report = run(["diagnose", "dart_car", *recordings, "--out", str(tmp_path / "found"), "--json"])
+    assert report["verdict"] == "effect_missing"
+    assert {"drive_dead_zone", "rolling_resistance", "turning_drag"} & set(report["added"])
+    assert report["stages"][-1]["heldout_error"] < 0.5 * report["stages"][0]["heldout_error"]
+    model, margin = tmp_path / "found" / "model.toml", tmp_path / "found" / "margin.toml"
+    command = shlex.split(drive_command(load_model(str(model)), model, margin))
+    driven = run([*command[1:], "--headless", "--json", "--lockstep", "--seconds", "30", "--out", str(tmp_path)])
+    assert driven["collisions"] == 0
+    assert driven["goals_reached"] >= 2
+
+
+def test_the_real_cars_story_is_driven(data_folder: Path, tmp_path: Path) -> None:
+    """Logs of the real car, what is missing added as the workbench does, saved; then the command that Save tells."""
+    logs = sorted((data_folder / "dart_rc_car").glob("91*/*.csv"))[:2]
+    if not logs:
+        pytest.skip(f"no car logs in {data_folder}")
+    given = load_model("dart_car")
+    runs = [load_run(path, given.system, load_column_map("dart_car_columns")) for path in logs]
+    before = jobs.opened(given, runs, 1.0, quiet)[-1]
+    found = jobs.search(before.step, runs, 1.0, quiet)
+    version = jobs.taken(before.step, found.proposal, "turning_drag", runs, 1.0, quiet)  # what all four logs name
+    assert version.error < 0.8 * before.error
+    said = saved(version.step, runs, given, tmp_path / "out", quiet)
+    command = shlex.split(said[said.index("safedpa up") :])
+    assert command[1:4] == ["up", "--model", str(tmp_path / "out" / "model.toml")]
+    driven = run([*command[1:], "--headless", "--json", "--lockstep", "--seconds", "30", "--out", str(tmp_path)])
+    assert driven["collisions"] == 0
+    assert driven["goals_reached"] >= 2
