@@ -18,10 +18,11 @@ from typing import Any
 import pytest
 
 from safedpa.bus import ZenohSettings, ZenohTransport
+from safedpa.bus.security import doorkeeper
 from safedpa.bus.security.access import roles_of
 from safedpa.bus.security.authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
-from safedpa.bus.security.doorkeeper import Doorkeeper, _sockets, defer_accept
+from safedpa.bus.security.doorkeeper import Doorkeeper, _sockets, defer_accept, listening_ports
 from safedpa.bus.transport import ports
 from safedpa_services.supervisor.supervisor import Supervisor
 
@@ -115,10 +116,31 @@ def test_in_plain_text_neither(free_port: int, says: bytes) -> None:
             assert took < 0.8 + 5.0 * reference
 
 
+@pytest.mark.processes
+def test_who_came_in_by_another_door_of_the_process_is_left_alone(free_port: int) -> None:
+    """Two sessions in one process each guard their own port; they took each other's members for strangers once."""
+    doors = [f"tcp/127.0.0.1:{port}" for port in (free_port, ports.free_port())]
+    first, second = (ZenohTransport(ZenohSettings("router", (door,))) for door in doors)
+    guests = [ZenohTransport(ZenohSettings("client", connect=(door,))) for door in doors]
+    try:
+        keepers = [transport._doorkeeper for transport in (first, second)]
+        assert [keeper is not None and keeper._ports for keeper in keepers] == [
+            {int(door.rpartition(":")[2])} for door in doors
+        ]
+        before = [transport._far_ends() for transport in (first, second)]
+        assert [len(ends) for ends in before] == [1, 1]
+        time.sleep(doorkeeper._PATIENCE_SECONDS + 0.5)
+        assert [transport._far_ends() for transport in (first, second)] == before, "nobody had to come back"
+    finally:
+        for transport in (*guests, first, second):
+            transport.close()
+
+
 def test_strangers_are_cut_off_and_members_are_not(free_port: int) -> None:
     clock = [100.0]
     with socket.create_server(("127.0.0.1", free_port)) as listening:
-        assert free_port in defer_accept()
+        assert free_port in listening_ports()
+        defer_accept({free_port})
         member, stranger = (socket.create_connection(("127.0.0.1", free_port)) for _ in range(2))
         for link in (member, stranger):
             link.send(b"x")

@@ -15,6 +15,7 @@ from itertools import count
 from types import TracebackType
 from typing import Any, Literal, final
 
+from safedpa.bus.transport.zenoh_transport import close_in_peace
 from safedpa.errors import BusError, InputError
 from safedpa.ros.encoding import encode, hash_of
 from safedpa.ros.graph import PUBLISHER, QOS, Attachment, Endpoint, data_key, node_token
@@ -150,7 +151,7 @@ class RosLink:
 
     def close(self) -> None:
         """Leaves; tokens go with it."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        close_in_peace(self._session)
 
     def __enter__(self) -> RosLink:
         """Itself."""

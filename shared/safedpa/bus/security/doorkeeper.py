@@ -26,7 +26,7 @@ from typing import final
 
 from safedpa.bus.log import log_event
 
-__all__ = ["Doorkeeper", "as_many_descriptors_as_allowed", "cut_off", "defer_accept"]
+__all__ = ["Doorkeeper", "as_many_descriptors_as_allowed", "cut_off", "defer_accept", "listening_ports"]
 
 _SILENT_SECONDS = 250
 """For so long the kernel keeps who connected and said nothing; it costs it some hundred bytes, and us nothing."""
@@ -57,16 +57,25 @@ def as_many_descriptors_as_allowed() -> None:
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
-def defer_accept() -> set[int]:
-    """Has the kernel hold back silent connections at every TCP socket on which this process listens; their ports."""
-    ports = set()
-    for descriptor in _sockets():
-        with contextlib.suppress(OSError, AttributeError), _borrowed(descriptor) as found:
-            if found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and found.family in _INTERNET:
+def listening_ports() -> set[int]:
+    """TCP ports on which this process listens."""
+    return {port for port, _ in _listening()}
+
+
+def defer_accept(ports: Collection[int]) -> None:
+    """Has the kernel hold back silent connections at these ports, on which this process listens."""
+    for port, found in _listening():
+        if port in ports:
+            with contextlib.suppress(OSError, AttributeError):
                 found.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, _SILENT_SECONDS)
                 found.listen(_MOST_WAITING)  # of a socket that listens already, this changes the number alone
-                ports.add(found.getsockname()[1])
-    return ports
+
+
+def _listening() -> Iterator[tuple[int, socket.socket]]:
+    for descriptor in _sockets():
+        with contextlib.suppress(OSError), _borrowed(descriptor) as found:
+            if found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and found.family in _INTERNET:
+                yield found.getsockname()[1], found
 
 
 def cut_off(far_ends: Collection[Address]) -> int:

@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING, Any, Literal, final
 
 from safedpa.bus.log import log_event
 from safedpa.bus.security.certificates import Card, Certificates
-from safedpa.bus.security.doorkeeper import Doorkeeper, cut_off, defer_accept
+from safedpa.bus.security.doorkeeper import Doorkeeper, cut_off, defer_accept, listening_ports
 from safedpa.bus.transport.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
 from safedpa.errors import BusError, JoinError
 
 if TYPE_CHECKING:
     import zenoh
 
-__all__ = ["Mode", "ZenohSettings", "ZenohTransport"]
+__all__ = ["Mode", "ZenohSettings", "ZenohTransport", "close_in_peace"]
 
 Mode = Literal["peer", "client", "router"]
 
@@ -173,6 +173,7 @@ class ZenohTransport(AbstractTransport):
         import zenoh
 
         configuration = zenoh.Config()
+        others = listening_ports()  # whom this process lets in there is nothing to this session
         try:
             for path, value in settings.configuration().items():
                 configuration.insert_json5(path, json.dumps(value))
@@ -183,7 +184,8 @@ class ZenohTransport(AbstractTransport):
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
                 f"({_first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error
-        ports = defer_accept() if settings.listen or settings.mode != "client" else set()
+        ports = listening_ports() - others
+        defer_accept(ports)
         # of TLS each one cut off costs Zenoh 0.1 s; at a socket in the file system there are no strangers
         guards = settings.listen and settings.certificates is None and ports
         self._doorkeeper = Doorkeeper(ports, self._far_ends) if guards else None
@@ -298,15 +300,7 @@ class ZenohTransport(AbstractTransport):
     def close(self) -> None:  # noqa: D102
         if self._doorkeeper is not None:
             self._doorkeeper.close()
-        import zenoh
-
-        if self._session.is_closed():
-            return
-        try:
-            self._session.close()  # type: ignore[no-untyped-call]
-        except zenoh.ZError as error:  # after 10 s, on a busy machine; its links end with the process
-            _UNCLOSED.append(self._session)
-            log_event("bus.unclosed", f"the bus could not be closed in peace ({_first_clause(error)})", level="warning")
+        close_in_peace(self._session)
 
 
 @final
@@ -361,6 +355,19 @@ class _ZenohSubscription(Subscription):
             self._on_sample(str(sample.key_expr), sample.payload.to_bytes())
         except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, deaf
             sys.excepthook(type(error), error, error.__traceback__)
+
+
+def close_in_peace(session: Any) -> None:
+    """Closes a Zenoh session; one that does not close in Zenoh's 10 s is told, and kept: it ends with the process."""
+    import zenoh
+
+    if session.is_closed():
+        return
+    try:
+        session.close()
+    except zenoh.ZError as error:  # https://github.com/eclipse-zenoh/zenoh/issues/2675, on a busy machine
+        _UNCLOSED.append(session)
+        log_event("bus.unclosed", f"the bus could not be closed in peace ({_first_clause(error)})", level="warning")
 
 
 def _warn_of_plain_text(endpoints: tuple[str, ...]) -> None:
