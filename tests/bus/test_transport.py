@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -23,7 +26,7 @@ from safedpa.bus import (
     request_key,
 )
 from safedpa.bus import ZenohTransport as Zenoh
-from safedpa.bus.transport.zenoh_transport import _UNCLOSED
+from safedpa.bus.transport.session import _UNCLOSED
 from safedpa.errors import BusError, InputError
 
 PATIENCE = 30.0
@@ -284,3 +287,33 @@ def test_wrong_message_for_a_topic_is_refused_before_it_is_sent(samples: dict[st
         pytest.raises(Exception, match="state: got ActionMessage, wanted StateMessage"),
     ):
         bus.publish(STATE, "r", samples["action"])
+
+
+@pytest.mark.processes
+def test_links_are_opened_and_closed_by_more_than_one_thread(free_port: int) -> None:
+    """With one, Zenoh's default, a session that stands still keeps all others of its process from closing."""
+    program = (
+        "import os\n"
+        "from safedpa.bus import ZenohSettings, ZenohTransport\n"
+        f"transport = ZenohTransport(ZenohSettings(listen=('tcp/127.0.0.1:{free_port}',)))\n"
+        "names = [open(f'/proc/self/task/{task}/comm').read() for task in os.listdir('/proc/self/task')]\n"
+        "transport.close()\n"
+        "print(sum(name.startswith('net-') for name in names))\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=60)
+    assert found.stdout.strip() == "4", found.stderr
+
+
+@pytest.mark.parametrize(
+    ("settings", "one_of_two"),
+    [
+        (ZenohSettings(), True),
+        (ZenohSettings(connect=("tcp/127.0.0.1:7447",)), True),
+        (ZenohSettings(connect=("tcp/elsewhere:7447",)), False),
+        (ZenohSettings("client", connect=("tcp/127.0.0.1:7447",)), False),
+    ],
+)
+def test_of_two_peers_of_one_machine_one_connects(settings: ZenohSettings, one_of_two: bool) -> None:
+    """Over several machines one of them may be the only one that reaches the other."""
+    assert ("scouting/gossip/autoconnect_strategy" in settings.configuration()) == one_of_two

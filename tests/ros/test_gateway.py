@@ -131,7 +131,7 @@ def test_a_killed_gateway_leaves_a_driver_that_brakes_and_a_clock_that_jumps_hur
         car.say("go")
         loop.wait_for("ros_gateway", "the filter drives")
         time.sleep(2.0)
-        end = time.monotonic() + 2.0  # a busy machine may keep it braking for a tick
+        end = time.monotonic() + 15.0  # a busy machine may keep it braking now and then
         while "the filter drives" not in loop.log("ros_gateway").splitlines()[-1] and time.monotonic() < end:
             time.sleep(0.02)
         assert "the filter drives" in loop.log("ros_gateway").splitlines()[-1]

@@ -33,4 +33,4 @@ def show_keys() -> None:
     with ui.dialog(value=True).props("aria-label=Keys") as dialog, ui.card():
         rows = "".join(f"<dt>{key}</dt><dd>{what}</dd>" for key, what in KEYS.items())
         ui.html(f'<div class="dialog-title"><h2>Keys</h2></div><dl class="keys">{rows}</dl>', sanitize=False)
-        action("Close", dialog.close, main=True).props("autofocus")
+        action("Close", dialog.close, main=True).props("data-autofocus")

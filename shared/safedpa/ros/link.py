@@ -6,7 +6,6 @@ no attachment, no tokens of ROS).
 
 from __future__ import annotations
 
-import json
 import secrets
 import threading
 import time
@@ -15,7 +14,7 @@ from itertools import count
 from types import TracebackType
 from typing import Any, Literal, final
 
-from safedpa.bus.transport.zenoh_transport import close_in_peace
+from safedpa.bus.transport.session import close_in_peace, configuration_of, open_session
 from safedpa.errors import BusError, InputError
 from safedpa.ros.encoding import encode, hash_of
 from safedpa.ros.graph import PUBLISHER, QOS, Attachment, Endpoint, data_key, node_token
@@ -40,23 +39,22 @@ class RosLink:
     def __init__(self, endpoint: str, domain: int = 0, form: Form = "rmw_zenoh", node: str = "/safedpa") -> None:
         import zenoh
 
-        settings = zenoh.Config()
-        for path, value in (
-            ("mode", "client"),
-            ("connect/endpoints", [endpoint]),
-            ("connect/timeout_ms", _PATIENCE_MILLISECONDS),
-            ("connect/exit_on_failure", True),
-            ("scouting/multicast/enabled", False),
-            ("scouting/gossip/enabled", False),
-            ("timestamping/enabled", True),
-            ("transport/shared_memory/enabled", False),
-        ):
-            try:
-                settings.insert_json5(path, json.dumps(value))
-            except zenoh.ZError as error:
-                raise InputError(f"{endpoint}: is no endpoint; wanted one such as tcp/robot:7447") from error
+        settings = {
+            "mode": "client",
+            "connect/endpoints": [endpoint],
+            "connect/timeout_ms": _PATIENCE_MILLISECONDS,
+            "connect/exit_on_failure": True,
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "timestamping/enabled": True,
+            "transport/shared_memory/enabled": False,
+        }
         try:
-            self._session = zenoh.open(settings)
+            configuration = configuration_of(settings)
+        except zenoh.ZError as error:
+            raise InputError(f"{endpoint}: is no endpoint; wanted one such as tcp/robot:7447") from error
+        try:
+            self._session = open_session(configuration)
         except zenoh.ZError as error:
             raise BusError(
                 f"{endpoint}: no Zenoh router answers ({str(error).split(' at ')[0][:80]}); wanted that of the robot: "

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 
-import zenoh
+from safedpa.bus.transport.session import configuration_of, open_session
 
 
 def _main() -> None:
     """Passes on until it is killed."""
-    settings = zenoh.Config()
-    for path, value in (
-        ("mode", "router"),
-        ("listen/endpoints", [f"tcp/127.0.0.1:{int(sys.argv[1])}"]),
-        ("scouting/multicast/enabled", False),
-    ):
-        settings.insert_json5(path, json.dumps(value))
-    with zenoh.open(settings):
+    settings = {
+        "mode": "router",
+        "listen/endpoints": [f"tcp/127.0.0.1:{int(sys.argv[1])}"],
+        "scouting/multicast/enabled": False,
+    }
+    with open_session(configuration_of(settings)):
         sys.stdout.write("there\n")
         sys.stdout.flush()
         threading.Event().wait()

@@ -10,7 +10,6 @@ callbacks that only append to a queue; no shared memory; sends that drop rather 
 from __future__ import annotations
 
 import ipaddress
-import json
 import os
 import sys
 import threading
@@ -21,13 +20,14 @@ from typing import TYPE_CHECKING, Any, Literal, final
 from safedpa.bus.log import log_event
 from safedpa.bus.security.certificates import Card, Certificates
 from safedpa.bus.security.doorkeeper import Doorkeeper, cut_off, defer_accept, listening_ports
+from safedpa.bus.transport.session import close_in_peace, configuration_of, first_clause, open_session
 from safedpa.bus.transport.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
 from safedpa.errors import BusError, JoinError
 
 if TYPE_CHECKING:
     import zenoh
 
-__all__ = ["Mode", "ZenohSettings", "ZenohTransport", "close_in_peace"]
+__all__ = ["Mode", "ZenohSettings", "ZenohTransport"]
 
 Mode = Literal["peer", "client", "router"]
 
@@ -42,9 +42,10 @@ _ACCEPT_MILLISECONDS = 1000
 """For a handshake, once its first bytes are there: it takes 3 ms; by default a stranger has five times as long."""
 _MOST_ON_THEIR_WAY = 2000
 """Connections whose handshake goes on; by default 100, and then nobody else gets in."""
+_ONE_OF_TWO = {"peer": {"to_router": "always", "to_peer": "greater-zid"}}
+"""Of two peers that hear of each other one connects; if both do, one link must go again, and where peers come and go
+a session takes 2 s to close instead of 0.4 s (``deploy/zenoh_churn.py``)."""
 _ALIVE_TIMEOUT_SECONDS = 1.0
-_UNCLOSED: list[Any] = []
-"""Sessions that did not close: letting go of one would close it again, for as long, and abort the thread."""
 _MOST_GATHERED = 4096
 """Messages of one subscription that wait to be collected; beyond, the oldest give way. A thousand robots send so many
 in four of their periods, and the loop collects every few milliseconds."""
@@ -94,13 +95,12 @@ class ZenohSettings:
         )
 
     @property
-    def _lease_milliseconds(self) -> int:
-        alone = self.mode == "peer" and all(map(_is_loopback, (*self.listen, *self.connect)))
-        return _LEASE_ON_ONE_MACHINE_MILLISECONDS if alone else _LEASE_MILLISECONDS
+    def _among_peers_of_one_machine(self) -> bool:
+        return self.mode == "peer" and all(map(_is_loopback, (*self.listen, *self.connect)))
 
     def configuration(self) -> dict[str, Any]:
         """The Zenoh configuration as paths and values."""
-        alone = not self.listen and not self.connect
+        alone, among_peers = not self.listen and not self.connect, self._among_peers_of_one_machine
         listen = self.listen or ((_own_door(self.connect),) if self.mode == "peer" else ())
         return {
             "mode": self.mode,
@@ -112,11 +112,13 @@ class ZenohSettings:
             "scouting/multicast/enabled": alone,
             "scouting/multicast/interface": "lo",
             "scouting/gossip/enabled": self.mode == "peer",
+            # over several machines one of the two may be the only one that reaches the other
+            **({"scouting/gossip/autoconnect_strategy": _ONE_OF_TWO} if among_peers else {}),
             "scouting/delay": 200 if alone else 0,
             "timestamping/enabled": True,
             "transport/unicast/accept_timeout": _ACCEPT_MILLISECONDS,
             "transport/unicast/accept_pending": _MOST_ON_THEIR_WAY,
-            "transport/link/tx/lease": self._lease_milliseconds,
+            "transport/link/tx/lease": _LEASE_ON_ONE_MACHINE_MILLISECONDS if among_peers else _LEASE_MILLISECONDS,
             "transport/shared_memory/enabled": False,
             **({} if self.certificates is None else _tls(self.certificates)),
             **({} if self.access is None else {"access_control": dict(self.access)}),
@@ -172,17 +174,14 @@ class ZenohTransport(AbstractTransport):
     def __init__(self, settings: ZenohSettings) -> None:
         import zenoh
 
-        configuration = zenoh.Config()
         others = listening_ports()  # whom this process lets in there is nothing to this session
         try:
-            for path, value in settings.configuration().items():
-                configuration.insert_json5(path, json.dumps(value))
-            self._session = zenoh.open(configuration)
+            self._session = open_session(configuration_of(settings.configuration()))
         except zenoh.ZError as error:
             kind = JoinError if settings.connect else BusError  # where it listens is the person's choice
             raise kind(
                 f"bus: {settings.mode} could not open listen={list(settings.listen)} connect={list(settings.connect)} "
-                f"({_first_clause(error)}); check the endpoints and whether a router runs there"
+                f"({first_clause(error)}); check the endpoints and whether a router runs there"
             ) from error
         ports = listening_ports() - others
         defer_accept(ports)
@@ -202,7 +201,7 @@ class ZenohTransport(AbstractTransport):
                 publisher = self._publishers[key, never_drop] = self._publisher(key, never_drop)
             publisher.put(payload)
         except zenoh.ZError as error:
-            raise BusError(f"{key}: could not be sent ({_first_clause(error)}); was the bus closed?") from error
+            raise BusError(f"{key}: could not be sent ({first_clause(error)}); was the bus closed?") from error
 
     def _publisher(self, key: str, never_drop: bool) -> zenoh.Publisher:
         import zenoh
@@ -263,7 +262,7 @@ class ZenohTransport(AbstractTransport):
             )
             return next((reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None), None)
         except zenoh.ZError as error:
-            raise BusError(f"{key}: could not be asked ({_first_clause(error)}); was the bus closed?") from error
+            raise BusError(f"{key}: could not be asked ({first_clause(error)}); was the bus closed?") from error
 
     def ask_soon(self, key: str, payload: bytes, timeout: float, on_answer: OnAnswer) -> None:  # noqa: D102
         def ask() -> None:
@@ -357,19 +356,6 @@ class _ZenohSubscription(Subscription):
             sys.excepthook(type(error), error, error.__traceback__)
 
 
-def close_in_peace(session: Any) -> None:
-    """Closes a Zenoh session; one that does not close in Zenoh's 10 s is told, and kept: it ends with the process."""
-    import zenoh
-
-    if session.is_closed():
-        return
-    try:
-        session.close()
-    except zenoh.ZError as error:  # https://github.com/eclipse-zenoh/zenoh/issues/2675, on a busy machine
-        _UNCLOSED.append(session)
-        log_event("bus.unclosed", f"the bus could not be closed in peace ({_first_clause(error)})", level="warning")
-
-
 def _warn_of_plain_text(endpoints: tuple[str, ...]) -> None:
     if endpoints:
         log_event(
@@ -378,8 +364,3 @@ def _warn_of_plain_text(endpoints: tuple[str, ...]) -> None:
             "robot; make certificates with 'safedpa certificates' and name them by --certificates",
             level="warning",
         )
-
-
-def _first_clause(error: Exception) -> str:
-    """What Zenoh says, on one line, without the places in its own sources."""
-    return " ".join(str(error).split(" at /")[0].split())
