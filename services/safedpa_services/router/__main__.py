@@ -10,6 +10,7 @@ from safedpa.bus.log import log_event
 from safedpa.bus.loop.process import Stop, Urgency, add_card_option, identity_from, run_process
 from safedpa.bus.security.access import ROUTER, access_control, rate_limits, size_limits
 from safedpa.errors import InputError
+from safedpa_services.router.pulse import Pulse
 from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals
 from safedpa_services.router.router import Router, revoked_in
 from safedpa_services.router.zenoh_log import capture_zenoh_log
@@ -35,7 +36,7 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
             robots=", ".join(options.robot),
         )
         revoked = None if options.certificates is None else options.certificates / REVOKED
-        Router(bus, refusals, transport.members, transport.cut_off, revoked).run(stop)
+        Router(bus, refusals, transport.members, transport.cut_off, revoked).run(stop, Pulse())
     return 0
 
 

@@ -14,6 +14,7 @@ from safedpa.bus.log import log_event
 from safedpa.bus.security.access import ROLES, ROUTER
 from safedpa.errors import SafedpaError
 from safedpa.limits import text_of_file
+from safedpa_services.router.pulse import Pulse
 from safedpa_services.router.refusals import Refusals
 
 __all__ = ["Revoked", "Router", "Twins", "revoked_in"]
@@ -133,12 +134,14 @@ class Router:
         self._twice: list[str] = []
         self._beats = 0
 
-    def run(self, stopped: Callable[[], bool]) -> None:
-        """Beats until ``stopped`` says so."""
+    def run(self, stopped: Callable[[], bool], pulse: Pulse) -> None:
+        """Beats until ``stopped`` says so; each beat is told to ``pulse``."""
         pause = threading.Event()
         while not stopped():
             self.beat()
+            pulse.beat()
             pause.wait(_HEARTBEAT_SECONDS)
+        pulse.end()
 
     def beat(self) -> None:
         """One heartbeat, and now and then a look at who is there."""

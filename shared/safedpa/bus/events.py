@@ -35,6 +35,7 @@ KINDS = MappingProxyType(
         "recorder.resumed": "The recording goes on in another file, since the disk has room again.",
         "recorder.lost": "The recorder could not keep up; says how many messages are missing.",
         "router.open": "The router accepts connections.",
+        "router.stands": "The router's own work came to a stand; it ends, so that it is started anew.",
         "bus.plain_text": "The bus can be reached from other machines without certificates.",
         "bus.unclosed": "A process ends, and its session with the bus did not close in time; its links end with it.",
         "bus.key_exposed": "A private key can be read by every user of the machine.",

@@ -1,0 +1,74 @@
+"""A router whose own work stands still ends, and says so; one that was merely stopped for a while does not."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from safedpa.bus import Bus
+from safedpa.bus.transport.memory_transport import MemoryBroker, MemoryTransport
+from safedpa_services.router.pulse import Pulse
+from safedpa_services.router.refusals import Refusals
+from safedpa_services.router.router import Router
+
+
+def test_a_router_that_waits_for_the_network_for_ever_ends_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    never, stands = threading.Event(), threading.Event()
+
+    def members() -> list[tuple[str, str]]:
+        never.wait()
+        return []
+
+    with Bus(MemoryTransport(MemoryBroker()), "f") as bus:
+        router = Router(bus, Refusals(), members)
+        pulse = Pulse(stands.set, look_seconds=0.01)
+        thread = threading.Thread(target=router.run, args=(never.is_set, pulse), daemon=True)
+        thread.start()
+        assert stands.wait(20.0)
+        assert "stood still" in json.loads(capsys.readouterr().err)["sentence"]
+        never.set()
+        thread.join(20.0)
+
+
+def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
+    stands = threading.Event()
+    pulse = Pulse(stands.set, look_seconds=0.02, looks=50)
+    for _ in range(60):
+        pulse.beat()
+        time.sleep(0.02)
+    pulse.end()
+    assert not stands.is_set()
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.processes
+def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() -> None:
+    program = (
+        "import time\n"
+        "from safedpa_services.router.pulse import Pulse\n"
+        "pulse = Pulse(look_seconds=0.05, looks=20)\n"
+        "end = time.monotonic() + 6.0\n"
+        "while time.monotonic() < end:\n"
+        "    pulse.beat()\n"
+        "    print(1, flush=True)\n"
+        "    time.sleep(0.05)\n"
+        "time.sleep(600.0)\n"
+    )
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "1\n"
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(2.0)
+        process.send_signal(signal.SIGCONT)
+        for _ in range(20):
+            assert process.stdout.readline() == "1\n", "it goes on"
+        _, told = process.communicate(timeout=120.0)
+    assert process.returncode == 1
+    assert json.loads(told)["kind"] == "router.stands"
