@@ -62,6 +62,14 @@ def bench(free_port, tmp_path):
     made.terminal.close()
 
 
+NOTE_SAVING = """() => {
+    window.saving = false;
+    const look = () => { window.saving ||= document.body.innerText.includes('Saving: '); };
+    new MutationObserver(look).observe(document.body, {childList: true, subtree: true, characterData: true});
+}"""
+"""A busy browser may be told that it was saved before anybody looks whether it is being saved."""
+
+
 def opened(browser, address, bars):
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     page.goto(address)
@@ -91,9 +99,10 @@ def test_nothing_is_lost(browser, bench, drives):
     kept = errors(page)
     assert bench.decisions == [("added", "quadratic_drag")]
 
+    page.evaluate(NOTE_SAVING)
     page.keyboard.press("s")  # while the next search goes on
-    page.wait_for_selector("text=/Saving: /", timeout=PATIENCE)
     page.wait_for_selector("text=/Written: .*model.toml.*: safedpa up --model .*--margin/", timeout=PATIENCE)
+    assert page.evaluate("window.saving"), "while it saves, the page says so"
     page.reload()  # F5
     page.wait_for_function(BARS.format(2), timeout=PATIENCE)
     assert errors(page) == kept
