@@ -37,8 +37,14 @@ def up(folder: Path, *options: str) -> dict[str, Any]:
     return run(["up", "--headless", "--json", "--lockstep", "--out", str(folder), *options])
 
 
-def test_it_drives_is_safe_and_repeats_bit_for_bit(tmp_path: Path) -> None:
-    first = up(tmp_path, "--model", "dart_car", "--seconds", "30", "--seed", "3")
+@pytest.fixture(scope="module")
+def driven_once(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The first drive: it is repeated, and diagnosed together with others."""
+    return up(tmp_path_factory.mktemp("once"), "--model", "dart_car", "--seconds", "30", "--seed", "3")
+
+
+def test_it_drives_is_safe_and_repeats_bit_for_bit(driven_once: dict[str, Any], tmp_path: Path) -> None:
+    first = driven_once
     second = up(tmp_path, "--model", "dart_car", "--seconds", "30", "--seed", "3")
     assert first["trajectory_sha256"] == second["trajectory_sha256"]
     assert first["ticks"] == 600
@@ -68,12 +74,12 @@ def test_what_it_cannot_is_refused_before_anything_starts(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(tmp_path: Path) -> None:
+def test_what_hides_in_the_motor_is_diagnosed_from_its_drives(driven_once: dict[str, Any], tmp_path: Path) -> None:
     """Dead zone, back-EMF, friction and a bent steering curve: the plain model has none of them, the stand-in has."""
-    drives = [
-        up(tmp_path / "drives", "--model", "dart_car", "--seconds", "30", "--seed", str(seed)) for seed in (11, 12, 13)
+    further = [
+        up(tmp_path / "drives", "--model", "dart_car", "--seconds", "30", "--seed", str(seed)) for seed in (11, 12)
     ]
-    recordings = [drive["recording"] for drive in drives]
+    recordings = [drive["recording"] for drive in (driven_once, *further)]
     report = run(["diagnose", "dart_car", *recordings, "--out", str(tmp_path / "found"), "--json"])
     assert report["verdict"] == "effect_missing"
     assert {"drive_dead_zone", "rolling_resistance", "turning_drag"} & set(report["added"])

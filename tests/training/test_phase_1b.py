@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import torch
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.policy import LearnedPolicy
+from safedpa_sim.training import car_task
 from safedpa_sim.training.car_task import evaluate
 from safedpa_sim.training.configuration import Configuration, load_configuration
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes
@@ -30,6 +32,17 @@ SHORT = replace(
 )
 
 
+@pytest.fixture(autouse=True, scope="module")
+def brief_evaluations() -> Iterator[None]:
+    """2 s a drive in place of 15: what an evaluation makes of a training is looked at here, no figure of it.
+
+    The last test of evaluations, and ``test_whole_pipeline.py``, drive at full length.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(car_task, "EPISODE_TICKS", 40)
+        yield
+
+
 @pytest.fixture(scope="module")
 def weights() -> Weights:
     """Networks that nobody trained: mu gives some z for every environment."""
@@ -43,6 +56,7 @@ def weights() -> Weights:
         return export_weights(AffineNetworks("car", sizes, vectors), cars, SMALL, {})
 
 
+WHOLE = car_task.EPISODE_TICKS
 ALONE: dict[str, Any] = {"sheltered": False}
 """Without the stand-in for the filter a training takes an eighth of the time; where it goes on has nothing to do with
 it."""
@@ -134,8 +148,9 @@ def test_good_enough_ends_it(weights: Weights, tmp_path: Path) -> None:
     assert len(summary["learning_curve"]) == 1
 
 
-def test_evaluation_repeats_and_counts_by_footprint(short: Any) -> None:
+def test_evaluation_repeats_and_counts_by_footprint(short: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     made, _ = short
+    monkeypatch.setattr(car_task, "EPISODE_TICKS", WHOLE)
     figures = evaluate(SHORT, made, cars=32, seed=3)
     assert figures == evaluate(SHORT, made, cars=32, seed=3)
     assert set(figures["success_by_radius"]) <= {"0.12", "0.25", "0.35", "0.45"}

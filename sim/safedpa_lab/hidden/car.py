@@ -9,7 +9,7 @@ Source of the method: Hairer, Norsett, Wanner, Solving Ordinary Differential Equ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ class _Cars:
         self.gain = np.array([lane.gain for lane in lanes])
         self.disturbance = per_lane(lanes)
         self.actions = np.zeros((len(lanes), self.rows, 2))
+        self.each = np.arange(len(lanes))
         self._read_command_effects()
         self._read_forces()
         self._read_laws()
@@ -60,6 +61,9 @@ class _Cars:
         self.steer_delay = _steps(both + gathered(lanes, "steering_delay", "seconds"))
         self.drive_follow = _follow(gathered(lanes, "drive_lag", "time_constant"))
         self.steer_follow = _follow(gathered(lanes, "steering_lag", "time_constant"))
+        self.drive_lags, self.steer_lags = (
+            follow < 1.0 if (follow < 1.0).any() else None for follow in (self.drive_follow, self.steer_follow)
+        )
         self.command_gain = gathered(lanes, "speed_command_gain", "gain", 1.0)
         self.dead_zone = gathered(lanes, "drive_dead_zone", "width")
         self.steer_gain = gathered(lanes, "steering_gain", "gain", 1.0)
@@ -67,6 +71,7 @@ class _Cars:
         half = 0.5 * gathered(lanes, "steering_asymmetry", "difference")
         self.left, self.right = 1.0 + half, 1.0 - half
         self.stops = gathered(lanes, "steering_saturation", "limit", _FARTHEST_STEER)
+        self.linked = bool((self.steer_offset != 0.0).any() or half.any() or (self.stops < _FARTHEST_STEER).any())
 
     def _read_forces(self) -> None:
         lanes = self.lanes
@@ -87,6 +92,10 @@ class _Cars:
         self.drift_x = gathered(lanes, "crosswind_drift", "vx")
         self.drift_y = gathered(lanes, "crosswind_drift", "vy")
         self.scale = gathered(lanes, "speed_sensor_scale", "scale", 1.0)
+        self.pushed = bool(self.push_x.any() or self.push_y.any())
+        self.slips, self.turns_hard, self.sags = (
+            bool(item.any()) for item in (self.compliance, self.turning, self.sag)
+        )
 
     def _read_laws(self) -> None:
         """Where and when numbers hold, and how they change: what no lane has is everywhere, always, and constant."""
@@ -101,6 +110,10 @@ class _Cars:
         self.steer_per_time = gathered(lanes, "steering_gain", "gain_per_time")
         self.steer_per_speed = gathered(lanes, "steering_gain", "gain_per_abs_speed")
         self.steer_above = gathered(lanes, "steering_gain", "abs_speed_above", -np.inf)
+        borders = (*self.floor_x, *self.floor_y, self.floor_radius)
+        self.bordered = any(np.isfinite(border).any() for border in borders)
+        changes = (self.steer_per_time, self.steer_per_speed, np.isfinite(self.steer_above))
+        self.steer_changes = any(item.any() for item in changes)
 
     def run(self) -> Trajectories:
         states = np.empty((len(self.lanes), self.rows, 4))
@@ -128,14 +141,16 @@ class _Cars:
         return np.stack([np.where(self.throttle, pedal, drive), np.clip(steer, -most, most)], axis=1)
 
     def _substep(self, row: int, step: int) -> None:
+        """One step of Heun's method; what no lane has is not computed, which changes no bit of the others."""
         now = row * self.substeps + step
         drive, steer = self._felt(now)
         share = step / self.substeps
         noise = (1.0 - share) * self.disturbance[:, row] + share * self.disturbance[:, row + 1]
-        fresh = np.exp(-self.sag * (now * STEP))
-        first = self._rates(self.yaw, self.speed, drive, steer, fresh, noise)
+        motor = _Motor(drive, np.exp(-self.sag * (now * STEP)) if self.sags else None, self)
+        wheels, bend = np.tan(steer), steer**2 if self.turns_hard else None
+        first = self._rates(self.yaw, self.speed, motor, wheels, bend, noise)
         ahead_yaw, ahead_speed = self.yaw + STEP * first[2], self.speed + STEP * first[3]
-        second = self._rates(ahead_yaw, ahead_speed, drive, steer, fresh, noise)
+        second = self._rates(ahead_yaw, ahead_speed, motor, wheels, bend, noise)
         self.x = self.x + 0.5 * STEP * (first[0] + second[0])
         self.y = self.y + 0.5 * STEP * (first[1] + second[1])
         self.yaw = self.yaw + 0.5 * STEP * (first[2] + second[2])
@@ -144,56 +159,93 @@ class _Cars:
         self.speed = np.sign(free) * np.maximum(np.abs(free) - STEP * self._friction(now * STEP), 0.0)
 
     def _friction(self, seconds: float) -> Floats:
-        inside = np.hypot(self.x - self.floor_at_x, self.y - self.floor_at_y) < self.floor_radius
-        for at, ends in ((self.x, self.floor_x), (self.y, self.floor_y)):
-            inside &= (at > ends[0]) & (at < ends[1])
         pull = np.maximum(self.floor + self.floor_per_time * seconds, 0.0)
-        return np.asarray((np.where(inside, pull, 0.0) + self.hitched) / self.train_mass)
+        if self.bordered:
+            inside = np.hypot(self.x - self.floor_at_x, self.y - self.floor_at_y) < self.floor_radius
+            for at, ends in ((self.x, self.floor_x), (self.y, self.floor_y)):
+                inside &= (at > ends[0]) & (at < ends[1])
+            pull = np.where(inside, pull, 0.0)
+        return np.asarray((pull + self.hitched) / self.train_mass)
 
     def _rates(
-        self, yaw: Floats, speed: Floats, drive: Floats, steer: Floats, fresh: Floats, noise: Floats
+        self, yaw: Floats, speed: Floats, motor: _Motor, wheels: Floats, bend: Floats | None, noise: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """d(x, y, yaw, speed)/dt but for dry friction."""
-        servo = np.clip(self.gain * (drive - speed), -ACCELERATION_LIMIT, ACCELERATION_LIMIT)
-        motor = np.where(self.throttle, self.gain * drive, servo) * fresh
-        air = (self.quadratic * np.abs(speed) + self.viscous + self.emf * np.abs(drive) * self.throttle) * speed
-        wind = self.push_x * np.cos(yaw) + self.push_y * np.sin(yaw)
-        curve = self.turning * np.abs(speed) * speed * steer**2
-        pull = ((motor - air + wind) / self.own_mass - curve) / self.train_mass
-        turn = speed * np.tan(steer) / (WHEELBASE + self.understeer * speed**2)
-        course = yaw - np.arctan(self.compliance * speed * turn)
-        along_x, along_y = speed * np.cos(course) + self.drift_x, speed * np.sin(course) + self.drift_y
-        return along_x, along_y, turn + noise[:, 1], pull + noise[:, 0]
+        """d(x, y, yaw, speed)/dt but for dry friction; ``wheels`` is tan(steer), ``bend`` steer squared."""
+        size, cosine, sine = np.abs(speed), np.cos(yaw), np.sin(yaw)
+        pull = motor.pull(speed) - (self.quadratic * size + self.viscous + motor.emf) * speed
+        if self.pushed:
+            pull = pull + (self.push_x * cosine + self.push_y * sine)
+        pull = pull / self.own_mass
+        if bend is not None:
+            pull = pull - self.turning * size * speed * bend
+        turn = speed * wheels / (WHEELBASE + self.understeer * speed**2)
+        if self.slips:
+            course = yaw - np.arctan(self.compliance * speed * turn)
+            cosine, sine = np.cos(course), np.sin(course)
+        along_x, along_y = speed * cosine + self.drift_x, speed * sine + self.drift_y
+        return along_x, along_y, turn + noise[:, 1], pull / self.train_mass + noise[:, 0]
 
     def _felt(self, now: int) -> tuple[Floats, Floats]:
         """Drive and steer that the mechanics feel during step ``now``: scale, delay, lag, linkage."""
-        drive = self._scaled_drive(self._sent(0, now - self.drive_delay), now * STEP)
-        steer = self._steer_scale(now * STEP) * self._sent(1, now - self.steer_delay)
+        drive = self._scaled_drive(self._sent(0, now, self.drive_delay), now * STEP)
+        steer = self._steer_scale(now * STEP) * self._sent(1, now, self.steer_delay)
         before_drive, before_steer = self.drive_felt, self.steer_felt
         self.drive_felt = before_drive + self.drive_follow * (drive - before_drive)
         self.steer_felt = before_steer + self.steer_follow * (steer - before_steer)
-        linked = np.where(self.drive_follow < 1.0, 0.5 * (before_drive + self.drive_felt), self.drive_felt)
-        wheel = np.where(self.steer_follow < 1.0, 0.5 * (before_steer + self.steer_felt), self.steer_felt)
-        wheel = wheel + self.steer_offset
-        wheel = np.where(wheel > 0.0, self.left, self.right) * wheel
-        return linked, np.clip(wheel, -self.stops, self.stops)
+        linked = _halfway(self.drive_lags, before_drive, self.drive_felt)
+        wheel = _halfway(self.steer_lags, before_steer, self.steer_felt)
+        if self.linked:
+            wheel = wheel + self.steer_offset
+            wheel = np.where(wheel > 0.0, self.left, self.right) * wheel
+            wheel = np.minimum(np.maximum(wheel, -self.stops), self.stops)
+        return linked, wheel
 
-    def _sent(self, channel: int, step: NDArray[np.int64]) -> Floats:
-        row = np.maximum(step, 0) // self.substeps
-        return np.asarray(self.actions[np.arange(len(self.lanes)), row, channel])
+    def _sent(self, channel: int, now: int, delay: NDArray[np.int64] | None) -> Floats:
+        if delay is None:
+            return np.asarray(self.actions[:, now // self.substeps, channel])
+        row = np.maximum(now - delay, 0) // self.substeps
+        return np.asarray(self.actions[self.each, row, channel])
 
     def _scaled_drive(self, drive: Floats, seconds: float) -> Floats:
+        wanted = (self.command_gain + self.command_per_time * seconds) * drive
+        if not self.throttle.any():
+            return np.asarray(wanted)
         dead = np.sign(drive) * np.maximum(np.abs(drive) - self.dead_zone, 0.0)
-        return np.where(self.throttle, dead, (self.command_gain + self.command_per_time * seconds) * drive)
+        return np.where(self.throttle, dead, wanted)
 
     def _steer_scale(self, seconds: float) -> Floats:
+        if not self.steer_changes:
+            return self.steer_gain
         size = np.abs(self.speed)
         gain = self.steer_gain + self.steer_per_time * seconds + self.steer_per_speed * size
         return np.where(size > self.steer_above, gain, 1.0)
 
 
-def _steps(seconds: Floats) -> NDArray[np.int64]:
-    return np.rint(seconds / STEP).astype(np.int64)
+class _Motor:
+    """What pulls during one step, in m/s2: a throttle the same at every speed, a servo less the nearer it is."""
+
+    def __init__(self, drive: Floats, fresh: Floats | None, cars: _Cars) -> None:
+        self.drive, self.fresh, self.cars = drive, fresh, cars
+        self.throttled = bool(cars.throttle.any())
+        self.emf: Any = cars.emf * np.abs(drive) * cars.throttle if self.throttled else 0.0
+
+    def pull(self, speed: Floats) -> Floats:
+        """The motor's pull at that speed; ``fresh`` is the battery's share, None where it is full."""
+        gain = self.cars.gain
+        pull = np.minimum(np.maximum(gain * (self.drive - speed), -ACCELERATION_LIMIT), ACCELERATION_LIMIT)
+        if self.throttled:
+            pull = np.where(self.cars.throttle, gain * self.drive, pull)
+        return pull if self.fresh is None else pull * self.fresh
+
+
+def _steps(seconds: Floats) -> NDArray[np.int64] | None:
+    """None where nothing is late."""
+    return np.rint(seconds / STEP).astype(np.int64) if seconds.any() else None
+
+
+def _halfway(lags: NDArray[np.bool_] | None, before: Floats, after: Floats) -> Floats:
+    """The mean over a step where a lane lags; elsewhere, and with None, what is there at once."""
+    return after if lags is None else np.where(lags, 0.5 * (before + after), after)
 
 
 def _follow(time_constant: Floats) -> Floats:

@@ -38,6 +38,7 @@ class _Pendulums:
         self.angle, self.rate = np.array([lane.start for lane in lanes], dtype=np.float64).T.copy()
         self.disturbance = per_lane(lanes)
         self.torques = np.zeros((len(lanes), self.rows))
+        self.each = np.arange(len(lanes))
         self.delay = np.rint(gathered(lanes, "torque_delay", "seconds") / STEP).astype(np.int64)
         lag = np.maximum(gathered(lanes, "torque_lag", "time_constant"), 1e-6)
         self.follow = np.asarray(1.0 - np.exp(-STEP / lag))
@@ -56,6 +57,7 @@ class _Pendulums:
         self.fading = gathered(lanes, "stribeck_friction", "fading_rate", 1.0)
         self.wind = gathered(lanes, "wind", "speed")
         self.air = gathered(lanes, "wind", "drag")
+        self.blows = bool(self.air.any())
         self.stiffness = gathered(lanes, "spring", "stiffness")
         self.rest = gathered(lanes, "spring", "rest_angle")
         self.shown = gathered(lanes, "angle_offset", "offset")
@@ -85,22 +87,25 @@ class _Pendulums:
         self.rate = slowed
 
     def _acceleration(self, angle: Floats, rate: Floats, torque: Floats) -> Floats:
-        tip_x, tip_y = LENGTH * rate * np.cos(angle), LENGTH * rate * np.sin(angle)
-        against_x, against_y = self.wind - tip_x, -tip_y
-        size = np.hypot(against_x, against_y)
-        blown = LENGTH * self.air * size * (np.cos(angle) * against_x + np.sin(angle) * against_y)
+        sine = np.sin(angle)
+        pushed = torque + self.mass * GRAVITY * LENGTH * sine
+        if self.blows:  # else nothing is added, to the last bit
+            cosine = np.cos(angle)
+            tip_x, tip_y = LENGTH * rate * cosine, LENGTH * rate * sine
+            against_x, against_y = self.wind - tip_x, -tip_y
+            size = np.hypot(against_x, against_y)
+            pushed = pushed + LENGTH * self.air * size * (cosine * against_x + sine * against_y)
         spring = self.stiffness * (angle - self.rest)
-        weight = self.mass * GRAVITY * LENGTH * np.sin(angle)
-        return np.asarray((torque + weight + blown - spring - self.viscous * rate) / (self.mass * LENGTH**2))
+        return np.asarray((pushed - spring - self.viscous * rate) / (self.mass * LENGTH**2))
 
     def _felt(self, now: int) -> Floats:
         """The torque at the pivot during step ``now``: gain, delay, lag, offset, play."""
         row = np.maximum(now - self.delay, 0) // self.substeps
-        sent = self._scale() * self.torques[np.arange(len(self.lanes)), row]
+        sent = self._scale() * self.torques[self.each, row]
         before = self.lagged
         self.lagged = before + self.follow * (sent - before)
         at_motor = np.where(self.follow < 1.0, 0.5 * (before + self.lagged), self.lagged) + self.offset
-        self.geared = np.clip(self.geared, at_motor - self.play, at_motor + self.play)
+        self.geared = np.minimum(np.maximum(self.geared, at_motor - self.play), at_motor + self.play)
         return self.geared
 
     def _scale(self) -> Floats:
