@@ -25,6 +25,12 @@ _BODY = 4
 """Shared numbers of the body, as ``body_of`` takes them."""
 _OWN = 8
 """Shared numbers without those of what is towed."""
+_MOST = _OWN + 2
+"""Which of those of what is towed says by how much it reaches beyond the body at any angle."""
+_AWAY = 0.5
+"""m; more than a margin of 0.1 m may widen to."""
+_STILL = 0.01
+"""m/s backwards that a speed may be told of a car that stands."""
 
 
 @final
@@ -37,7 +43,9 @@ class MoverBarrier(AbstractEquationBarrier):
     safety. Under that braking S shrinks into itself and T does not grow, so h_i does not fall.
 
     Of a disc that nobody sees (``hidden``) and that lies behind the end that the car drives away from, w_i T counts 0:
-    who comes from behind has to see the car. With something ``towed`` h_i is also no more than the room of its hitch.
+    who comes from behind has to see the car. With something ``towed`` h_i is also no more than the room that is left
+    where it reaches to at any angle around its hitch, since who may move can come between car and load; and as the load
+    hides what is behind it, a place behind it that nobody sees counts ``_AWAY`` at least: it is driven away from.
     Source: Macek, Vasquez, Fraichard, Siegwart, Towards safe vehicle navigation in dynamic urban scenarios, 2009.
 
     ``discs`` (m, 4): x, y, R [m], w [m/s]. Raises InputError for a wrong shape, NaN, or a length or speed below 0.
@@ -90,13 +98,14 @@ class MoverBarrier(AbstractEquationBarrier):
         across = body.cosine * apart_y - body.sine * apart_x
         room = operations.hypot(along - operations.clip(along, low, high), across) - reach
         hitch = hitch_of(body, towing, operations)
-        if hitch is not None:
-            end, growth = hitch
-            towed = to_segment(body, given, body.rear, end, (x, y), operations) - reach - growth
-            room = operations.minimum(room, towed)
         behind = operations.where(speed >= 0.0, -rear - along, along - front)
         coming = operations.where(behind > 0.0, fastest_behind, fastest)
-        return (room - coming * CounterBraking.seconds(speed, numbers, operations),)
+        if hitch is None:
+            return (room - coming * CounterBraking.seconds(speed, numbers, operations),)
+        towed = to_segment(body, given, body.rear, hitch[0], (x, y), operations) - reach - given.shared[_MOST]
+        kept = operations.minimum(room, towed) - coming * CounterBraking.seconds(speed, numbers, operations)
+        away = operations.where(speed >= -_STILL, (-rear - along) * (fastest - fastest_behind), 0.0)
+        return (operations.where(away > 0.0, operations.maximum(kept, _AWAY), kept),)
 
     @staticmethod
     def steepest(given: Given, operations: Operations) -> Sequence[Scalar]:
