@@ -13,7 +13,7 @@ from safedpa.errors import InputError
 from safedpa.operations import Operations, Scalar
 from safedpa.robots.car.barriers import Footprint
 from safedpa.robots.car.counter_braking import CounterBraking
-from safedpa.robots.car.swept import body_of, hitch_of, to_segment
+from safedpa.robots.car.swept import body_of
 from safedpa.robots.car.swept import steepest as steepest_of_body
 from safedpa.robots.car.towed_reach import TowedReach
 from safedpa.safety.braking import Braking
@@ -90,20 +90,20 @@ class MoverBarrier(AbstractEquationBarrier):
         """Of a disc x, y, what its distance has to exceed [m], its speed, and the one that counts behind [m/s]."""
         x, y, reach, fastest, fastest_behind = given.each
         rear, front, _, _, soft, corner, hard, _ = given.shared[:_OWN]
-        body, towing = body_of(_of_body(given), operations), _of_body(given)
+        body = body_of(_of_body(given), operations)
         speed, numbers = given.state[3], (hard, soft, corner)
         low, high = _ends(given, operations)
         apart_x, apart_y = x - given.state[0], y - given.state[1]
         along = body.cosine * apart_x + body.sine * apart_y
         across = body.cosine * apart_y - body.sine * apart_x
         room = operations.hypot(along - operations.clip(along, low, high), across) - reach
-        hitch = hitch_of(body, towing, operations)
         behind = operations.where(speed >= 0.0, -rear - along, along - front)
         coming = operations.where(behind > 0.0, fastest_behind, fastest)
-        if hitch is None:
+        if len(given.shared) == _OWN:
             return (room - coming * CounterBraking.seconds(speed, numbers, operations),)
-        towed = to_segment(body, given, body.rear, hitch[0], (x, y), operations) - reach - given.shared[_MOST]
-        kept = operations.minimum(room, towed) - coming * CounterBraking.seconds(speed, numbers, operations)
+        hitch = operations.clip(along, low, high - front - rear)  # it goes on as far as both ends do
+        around = operations.hypot(along - hitch, across) - reach - given.shared[_MOST]
+        kept = operations.minimum(room, around) - coming * CounterBraking.seconds(speed, numbers, operations)
         away = operations.where(speed >= -_STILL, (-rear - along) * (fastest - fastest_behind), 0.0)
         return (operations.where(away > 0.0, operations.maximum(kept, _AWAY), kept),)
 
@@ -126,5 +126,5 @@ def _ends(given: Given, operations: Operations) -> tuple[Scalar, Scalar]:
 
 
 def _of_body(given: Given) -> Given:
-    """What ``body_of`` and ``hitch_of`` are given: without the numbers of this barrier's own."""
+    """What ``body_of`` and ``steepest`` of the body are given: without the numbers of this barrier's own."""
     return Given(given.state, (*given.shared[:_BODY], *given.shared[_OWN:]), given.each, given.form)

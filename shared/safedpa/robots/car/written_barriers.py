@@ -1202,15 +1202,15 @@ class SensedTowing:
         n74 = (2.0) * p1_4
         n78 = p1_5 * p1_5
         n80 = (2.0) * p1_6
-        n147 = (1.0) / p0_3
-        n153 = (1.0) + p0_5
-        n155 = (1.0) / p1_3
-        n161 = (1.0) + p1_9
-        n167 = (1.0) / p1_6
-        n168 = (1.0) / p1_4
-        n169 = (n168 if n168 > n167 else n167)
-        n174 = p1_7 * ((n169 if n169 > (0.5) else (0.5)))
-        n176 = (n161 if n161 > n153 else n153)
+        n136 = (1.0) / p0_3
+        n142 = (1.0) + p0_5
+        n144 = (1.0) / p1_3
+        n150 = (1.0) + p1_9
+        n156 = (1.0) / p1_6
+        n157 = (1.0) / p1_4
+        n158 = (n157 if n157 > n156 else n156)
+        n163 = p1_7 * ((n158 if n158 > (0.5) else (0.5)))
+        n165 = (n150 if n150 > n142 else n142)
         self._p0_1: float = p0_1
         self._p0_2: float = p0_2
         self._p0_3: float = p0_3
@@ -1222,6 +1222,7 @@ class SensedTowing:
         self._p0_9: float = p0_9
         self._p0_10: float = p0_10
         self._p0_11: float = p0_11
+        self._p1_0: float = p1_0
         self._p1_1: float = p1_1
         self._p1_2: float = p1_2
         self._p1_3: float = p1_3
@@ -1242,13 +1243,13 @@ class SensedTowing:
         self._n74: float = n74
         self._n78: float = n78
         self._n80: float = n80
-        self._n147: float = n147
-        self._n153: float = n153
-        self._n155: float = n155
-        self._n161: float = n161
-        self._n169: float = n169
-        self._n174: float = n174
-        self._n176: float = n176
+        self._n136: float = n136
+        self._n142: float = n142
+        self._n144: float = n144
+        self._n150: float = n150
+        self._n158: float = n158
+        self._n163: float = n163
+        self._n165: float = n165
         self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
         self._items1: list[tuple[float, float, float, float, float]] = [(item[0], item[1], item[2], item[3], item[4],) for item in each[1]]
         self._items2: list[tuple[float, float]] = [(item[0], item[1],) for item in each[2]]
@@ -1269,8 +1270,8 @@ class SensedTowing:
         p0_9 = self._p0_9
         p0_10 = self._p0_10
         p0_11 = self._p0_11
+        p1_0 = self._p1_0
         p1_1 = self._p1_1
-        p1_3 = self._p1_3
         p1_4 = self._p1_4
         p1_5 = self._p1_5
         p1_6 = self._p1_6
@@ -1280,17 +1281,12 @@ class SensedTowing:
         n4 = self._n4
         n6 = self._n6
         n17 = self._n17
-        n53 = self._n53
-        n54 = self._n54
-        n55 = self._n55
-        n57 = self._n57
         n65 = self._n65
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
         n1 = abs(s3)
-        n3 = n1 * n1
-        n8 = n2 + ((n3 - n4) / n6)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
         n11 = s3 > (0.0)
         n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
         n15 = cos(s2)
@@ -1301,20 +1297,18 @@ class SensedTowing:
         n41 = -n14
         n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
         n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
-        n59 = n54 + ((n3 - n55) / n57)
-        n64 = ((s3 / p1_3) if (n1 <= n53) else ((n59 if n11 else (-n59))))
-        n67 = n65 + (((0.0) if (0.0) < n64 else n64))
         n70 = (p1_5 if p1_5 < n1 else n1)
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
         n84 = (n82 if n11 else (-n82))
         n86 = n65 + (((0.0) if (0.0) < n84 else n84))
         n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
-        n114 = s3 >= (0.0)
-        n128 = n70 - (0.1)
-        n132 = n1 - p1_5
-        n135 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n128 else n128)) / p1_4)) + ((((0.0) if (0.0) > n132 else n132)) / p1_6)
-        n138 = s3 >= (-0.01)
+        n101 = s3 >= (0.0)
+        n108 = (n88 - p1_1) - p1_0
+        n117 = n70 - (0.1)
+        n121 = n1 - p1_5
+        n124 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n117 else n117)) / p1_4)) + ((((0.0) if (0.0) > n121 else n121)) / p1_6)
+        n127 = s3 >= (-0.01)
         h: list[float] = []
         for e0_0, e0_1, e0_2 in self._items0:
             n22 = e0_0 - s0
@@ -1337,17 +1331,17 @@ class SensedTowing:
             n98 = n93 - ((n86 if n93 < n86 else n88 if n93 > n88 else n93))
             n99_square = n98 * n98 + n96 * n96
             n100 = ((sqrt(n99_square) if 1e-290 < n99_square < 1e+290 else hypot(n98, n96))) - e1_2
-            n115 = n65 - n93
-            n121 = n93 - ((n67 if n93 < n67 else n65 if n93 > n65 else n93))
-            n122_square = n121 * n121 + n96 * n96
-            n124 = (((sqrt(n122_square) if 1e-290 < n122_square < 1e+290 else hypot(n121, n96))) - e1_2) - p1_10
-            n137 = ((n124 if n124 < n100 else n100)) - (((e1_4 if (((n115 if n114 else (n93 - p1_1))) > (0.0)) else e1_3)) * n135)
-            n144 = ((((0.5) if (0.5) > n137 else n137)) if ((((n115 * (e1_3 - e1_4)) if n138 else (0.0))) > (0.0)) else n137)
-            h.append(n144)
+            n102 = n65 - n93
+            n110 = n93 - ((n86 if n93 < n86 else n108 if n93 > n108 else n93))
+            n111_square = n110 * n110 + n96 * n96
+            n113 = (((sqrt(n111_square) if 1e-290 < n111_square < 1e+290 else hypot(n110, n96))) - e1_2) - p1_10
+            n126 = ((n113 if n113 < n100 else n100)) - (((e1_4 if (((n102 if n101 else (n93 - p1_1))) > (0.0)) else e1_3)) * n124)
+            n133 = ((((0.5) if (0.5) > n126 else n126)) if ((((n102 * (e1_3 - e1_4)) if n127 else (0.0))) > (0.0)) else n126)
+            h.append(n133)
         for e2_0, e2_1 in self._items2:
-            n145 = e2_1 - s3
-            n146 = s3 - e2_0
-            h += [n145, n146]
+            n134 = e2_1 - s3
+            n135 = s3 - e2_0
+            h += [n134, n135]
         return h
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
@@ -1366,8 +1360,8 @@ class SensedTowing:
         p0_9 = self._p0_9
         p0_10 = self._p0_10
         p0_11 = self._p0_11
+        p1_0 = self._p1_0
         p1_1 = self._p1_1
-        p1_3 = self._p1_3
         p1_4 = self._p1_4
         p1_5 = self._p1_5
         p1_6 = self._p1_6
@@ -1377,17 +1371,12 @@ class SensedTowing:
         n4 = self._n4
         n6 = self._n6
         n17 = self._n17
-        n53 = self._n53
-        n54 = self._n54
-        n55 = self._n55
-        n57 = self._n57
         n65 = self._n65
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
         n1 = abs(s3)
-        n3 = n1 * n1
-        n8 = n2 + ((n3 - n4) / n6)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
         n9 = n1 <= n0
         n11 = s3 > (0.0)
         n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
@@ -1399,39 +1388,33 @@ class SensedTowing:
         n41 = -n14
         n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
         n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
-        n59 = n54 + ((n3 - n55) / n57)
-        n60 = n1 <= n53
-        n64 = ((s3 / p1_3) if n60 else ((n59 if n11 else (-n59))))
-        n67 = n65 + (((0.0) if (0.0) < n64 else n64))
         n70 = (p1_5 if p1_5 < n1 else n1)
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
         n84 = (n82 if n11 else (-n82))
         n86 = n65 + (((0.0) if (0.0) < n84 else n84))
         n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
-        n114 = s3 >= (0.0)
-        n128 = n70 - (0.1)
-        n132 = n1 - p1_5
-        n135 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n128 else n128)) / p1_4)) + ((((0.0) if (0.0) > n132 else n132)) / p1_6)
-        n138 = s3 >= (-0.01)
+        n101 = s3 >= (0.0)
+        n108 = (n88 - p1_1) - p1_0
+        n117 = n70 - (0.1)
+        n121 = n1 - p1_5
+        n124 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n117 else n117)) / p1_4)) + ((((0.0) if (0.0) > n121 else n121)) / p1_6)
+        n127 = s3 >= (-0.01)
         n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
-        n3_3 = n1_3 * n1 + n1_3 * n1
-        n7_3 = n3_3 / n6
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
         n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
         n18_3 = (0.0 if (0.0) < n14 else n14_3)
         n20_3 = (0.0 if (0.0) > n14 else n14_3)
         n46_0 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_10 if n39 > (0.0) else 0.0)) * p0_5)))
         n46_1 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_11 if n39 > (0.0) else 0.0)) * p0_5)))
         n46_3 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-n14_3 if n41 > (0.0) else 0.0)) * p0_5)))
-        n58_3 = n3_3 / n57
-        n66_3 = (0.0 if (0.0) < n64 else (((1.0 / p1_3) if n60 else 0.0) + (0.0 if n60 else ((n58_3 if n11 else 0.0) + (0.0 if n11 else -n58_3)))))
         n70_3 = (0.0 if p1_5 < n1 else n1_3)
         n71_3 = (0.0 if p1_5 > n1 else n1_3)
         n82_3 = ((n1_3 * (0.05)) + ((n70_3 * n70 + n70_3 * n70) / n74)) + ((n71_3 * n71 + n71_3 * n71) / n80)
         n84_3 = (n82_3 if n11 else 0.0) + (0.0 if n11 else -n82_3)
         n85_3 = (0.0 if (0.0) < n84 else n84_3)
         n87_3 = (0.0 if (0.0) > n84 else n84_3)
-        n135_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > n128 else n70_3)) / p1_4)) + (((0.0 if (0.0) > n132 else n1_3)) / p1_6)
+        n124_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > n117 else n70_3)) / p1_4)) + (((0.0 if (0.0) > n121 else n1_3)) / p1_6)
         end0 = 0
         end1 = end0 + 1 * len(self._items0)
         end2 = end1 + 1 * len(self._items1)
@@ -1475,29 +1458,29 @@ class SensedTowing:
                 n99_square = n98 * n98 + n96 * n96
                 n99 = (sqrt(n99_square) if 1e-290 < n99_square < 1e+290 else hypot(n98, n96))
                 n100 = n99 - e1_2
-                n115 = n65 - n93
-                n119 = (e1_4 if (((n115 if n114 else (n93 - p1_1))) > (0.0)) else e1_3)
-                n121 = n93 - ((n67 if n93 < n67 else n65 if n93 > n65 else n93))
-                n122_square = n121 * n121 + n96 * n96
-                n122 = (sqrt(n122_square) if 1e-290 < n122_square < 1e+290 else hypot(n121, n96))
-                n124 = (n122 - e1_2) - p1_10
-                n142 = (((n115 * (e1_3 - e1_4)) if n138 else (0.0))) > (0.0)
-                d_n137 = (0.0 if n142 else 1.0) + (0.0 if (0.5) > (((n124 if n124 < n100 else n100)) - (n119 * n135)) else ((1.0 if n142 else 0.0)))
-                d_n124 = (d_n137 if n124 < n100 else 0.0)
-                d_n121 = (d_n124 * n121 / n122 if n122 > 0.0 else 0.0)
-                d_n100 = (0.0 if n124 < n100 else d_n137)
+                n102 = n65 - n93
+                n106 = (e1_4 if (((n102 if n101 else (n93 - p1_1))) > (0.0)) else e1_3)
+                n110 = n93 - ((n86 if n93 < n86 else n108 if n93 > n108 else n93))
+                n111_square = n110 * n110 + n96 * n96
+                n111 = (sqrt(n111_square) if 1e-290 < n111_square < 1e+290 else hypot(n110, n96))
+                n113 = (n111 - e1_2) - p1_10
+                n131 = (((n102 * (e1_3 - e1_4)) if n127 else (0.0))) > (0.0)
+                d_n126 = (0.0 if n131 else 1.0) + (0.0 if (0.5) > (((n113 if n113 < n100 else n100)) - (n106 * n124)) else ((1.0 if n131 else 0.0)))
+                d_n113 = (d_n126 if n113 < n100 else 0.0)
+                d_n110 = (d_n113 * n110 / n111 if n111 > 0.0 else 0.0)
+                d_n100 = (0.0 if n113 < n100 else d_n126)
                 d_n98 = (d_n100 * n98 / n99 if n99 > 0.0 else 0.0)
-                d_n96 = (d_n124 * n96 / n122 if n122 > 0.0 else d_n124) + (d_n100 * n96 / n99 if n99 > 0.0 else d_n100)
-                d_n93 = d_n121 + (0.0 if n93 <= n67 else (0.0 if n93 >= n65 else -d_n121)) + d_n98 + (0.0 if n93 <= n86 else (0.0 if n93 >= n88 else -d_n98))
+                d_n96 = (d_n113 * n96 / n111 if n111 > 0.0 else d_n113) + (d_n100 * n96 / n99 if n99 > 0.0 else d_n100)
+                d_n93 = d_n110 + (0.0 if n93 <= n86 else (0.0 if n93 >= n108 else -d_n110)) + d_n98 + (0.0 if n93 <= n86 else (0.0 if n93 >= n88 else -d_n98))
                 d_n90 = d_n96 * n15 + d_n93 * n16
                 d_n89 = -d_n96 * n16 + d_n93 * n15
-                d_n135 = -d_n137 * n119
-                d_n67 = (-d_n121 if n93 <= n67 else 0.0)
-                d_n86 = (-d_n98 if n93 <= n86 else 0.0)
+                d_n124 = -d_n126 * n106
+                d_n86 = (-d_n110 if n93 <= n86 else 0.0) + (-d_n98 if n93 <= n86 else 0.0)
+                d_n108 = (0.0 if n93 <= n86 else (-d_n110 if n93 >= n108 else 0.0))
                 d_n88 = (0.0 if n93 <= n86 else (-d_n98 if n93 >= n88 else 0.0))
                 d_n16 = -d_n96 * n89 + d_n93 * n90
                 d_n15 = d_n96 * n90 + d_n93 * n89
-                found.append((-d_n89, -d_n90, d_n16 * n15 + d_n15 * -n16, d_n135 * n135_3 + d_n67 * n66_3 + d_n86 * n85_3 + d_n88 * n87_3))
+                found.append((-d_n89, -d_n90, d_n16 * n15 + d_n15 * -n16, d_n124 * n124_3 + d_n86 * n85_3 + d_n108 * n87_3 + d_n88 * n87_3))
             else:
                 which = (row - end2) % 2
                 if which == 0:
@@ -1535,13 +1518,13 @@ class SensedTowing:
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
-        n147 = self._n147
-        n153 = self._n153
-        n155 = self._n155
-        n161 = self._n161
-        n169 = self._n169
-        n174 = self._n174
-        n176 = self._n176
+        n136 = self._n136
+        n142 = self._n142
+        n144 = self._n144
+        n150 = self._n150
+        n158 = self._n158
+        n163 = self._n163
+        n165 = self._n165
         n1 = abs(s3)
         n3 = n1 * n1
         n8 = n2 + ((n3 - n4) / n6)
@@ -1553,26 +1536,26 @@ class SensedTowing:
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
         n84 = (n82 if n11 else (-n82))
-        n148 = n1 / p0_2
-        n150 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
-        n151 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
-        n152 = (n151 if n151 > n150 else n150)
-        n154 = ((n148 if n148 > n147 else n147)) * n153
-        n156 = n1 / p1_2
-        n158 = abs((n65 + (((0.0) if (0.0) < n64 else n64))))
-        n159 = abs((p1_1 + (((0.0) if (0.0) > n64 else n64))))
-        n160 = (n159 if n159 > n158 else n158)
-        n162 = ((n156 if n156 > n155 else n155)) * n161
-        n163 = abs((n65 + (((0.0) if (0.0) < n84 else n84))))
-        n164 = abs((p1_1 + (((0.0) if (0.0) > n84 else n84))))
-        n165 = (n164 if n164 > n163 else n163)
-        n166 = (n165 if n165 > n160 else n160)
-        n171 = (0.05) + (n1 * n169)
-        n175 = ((n171 if n171 > n162 else n162)) + n174
-        n177 = (n166 if n166 > n152 else n152)
-        n178 = (n175 if n175 > n154 else n154)
-        n179 = ((1.0) if (1.0) > n178 else n178)
-        return n176, n176, n177, n179
+        n137 = n1 / p0_2
+        n139 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n140 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n141 = (n140 if n140 > n139 else n139)
+        n143 = ((n137 if n137 > n136 else n136)) * n142
+        n145 = n1 / p1_2
+        n147 = abs((n65 + (((0.0) if (0.0) < n64 else n64))))
+        n148 = abs((p1_1 + (((0.0) if (0.0) > n64 else n64))))
+        n149 = (n148 if n148 > n147 else n147)
+        n151 = ((n145 if n145 > n144 else n144)) * n150
+        n152 = abs((n65 + (((0.0) if (0.0) < n84 else n84))))
+        n153 = abs((p1_1 + (((0.0) if (0.0) > n84 else n84))))
+        n154 = (n153 if n153 > n152 else n152)
+        n155 = (n154 if n154 > n149 else n149)
+        n160 = (0.05) + (n1 * n158)
+        n164 = ((n160 if n160 > n151 else n151)) + n163
+        n166 = (n155 if n155 > n141 else n141)
+        n167 = (n164 if n164 > n143 else n143)
+        n168 = ((1.0) if (1.0) > n167 else n167)
+        return n165, n165, n166, n168
 
 
 WRITTEN: dict[str, Any] = {
