@@ -1,22 +1,28 @@
-"""A car that tows something, among people: who goes to its load is not forgotten, and its own shadow does not hold it."""
+"""A car that tows, among people: who goes to its load is not forgotten, and its own shadow does not hold it."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import hypot
 
 import numpy as np
 import pytest
 
+from safedpa.adaptation import AdaptationNode
 from safedpa.bus import SURROUNDINGS, StateMessage, SurroundingsMessage
 from safedpa.bus.wire.messages import ActionMessage
+from safedpa.dynamics import load_model
 from safedpa.perception import PerceptionNode, PerceptionSettings
+from safedpa.policy import PolicyNode
 from safedpa.robots.car.car_scene import CarScene
-from safedpa.robots.car.counter_braking import CounterBraking
+from safedpa.robots.car.counter_braking import STANDS, CounterBraking
 from safedpa.robots.car.sensed_barrier import MoverBarrier
 from safedpa.robots.car.sensed_scene import counter_braking_of, sensed_barriers
 from safedpa.robots.car.towed_reach import TowedReach
 from safedpa.safety.braking import Braking
-from safedpa.safety.shipped import settings_named
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.footprint import footprint, towed_reach
 from safedpa_sim.robots.loads import LOADS, load_named
@@ -132,3 +138,24 @@ def test_the_shadow_of_the_load_holds_no_car_that_drives_away_from_it(load: str)
     assert (barrier(load, shadow, True).values(np.array((0.0, 0.0, 0.0, -0.1))) < 0.0).all()
     seen = barrier(load, shadow, False).values(np.array((0.0, 0.0, 0.0, 0.3)))
     assert (seen < 0.0).all(), "who is seen there may come"
+
+
+@pytest.mark.parametrize("load", list(LOADS))
+def test_a_car_tows_through_an_empty_hall_without_going_on_and_off(load: str) -> None:
+    """What nobody sees behind the load is no reason to brake as soon as it moves, and to drive off as soon as not."""
+    model = load_model("car")
+    scene = Scene(0, load_named(load), FIELD, (), (-2.5, 0.0, 0.0), ((2.5, 0.0),))
+    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),)))
+    nodes = [
+        AdaptationNode(model),
+        PerceptionNode(),
+        PolicyNode(model, "goal_seeker"),
+        SafetyFilterNode(model, SETTINGS, margin_for(model)),
+    ]
+    moving = []
+    for tick in drive(robot, nodes, 80):
+        moving.append(abs(tick.state.values[3]) > STANDS)
+        assert not (moving[-1] and tick.verdict.status in ("violated", "stopped"))
+    assert sum(one != other for one, other in pairwise(moving)) == 1
+    assert robot.values[0] > -1.0
+    assert not robot.collisions

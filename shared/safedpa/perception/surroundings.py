@@ -116,7 +116,8 @@ class Surroundings:
         towing = len(state.towed) == 3 and len(state.footprint) == 3
         if not towing or state.robot_time - self._at_load > self.settings.restless:
             return ()
-        x, y = hitch_at(state.values[:3], state).tolist()
+        x, y, yaw = state.values[:3]
+        x, y = hitch_at((x, y, yaw), state).tolist()
         return ((x, y, state.towed[2]),)
 
     def _told(self, state: StateMessage, things: Things) -> Seen:
