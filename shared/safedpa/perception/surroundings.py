@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from math import inf
 from typing import final
 
 import numpy as np
@@ -15,7 +16,7 @@ from safedpa.perception.grid import CELL
 from safedpa.perception.odometry import Odometry
 from safedpa.perception.settings import PerceptionSettings
 from safedpa.perception.sources import Sources
-from safedpa.perception.sweep import Sweep, check_scan, within_body
+from safedpa.perception.sweep import Sweep, check_scan, hitch_at, within_body
 from safedpa.perception.things import Things
 
 __all__ = ["Seen", "Surroundings"]
@@ -28,6 +29,8 @@ _WAITING = 64
 _LEAP = 10.0
 """s; after a leap of the clock by so much, or any backwards, nothing of before is believed."""
 _HALF_DIAGONAL = CELL / 2**0.5
+_STRIDE = 0.3
+"""m beyond what is towed at which somebody may have been seen last who went to it: two scans at 1.5 m/s."""
 
 
 @final
@@ -52,6 +55,8 @@ class Surroundings:
         """s; when the front of what hides was last drawn."""
         self._now: tuple[int, float] | None = None
         """Epoch and time [s] of the last state."""
+        self._at_load = -inf
+        """s; when somebody went out of sight beside what is towed."""
 
     def hear(self, scan: ScanMessage) -> None:
         """Keeps a scan for the next state. Raises MessageError for one that can be none."""
@@ -65,6 +70,7 @@ class Surroundings:
         x, y, yaw = state.values[:3]
         if self._now is not None and not self._goes_on(state, *self._now):
             self.sources, self._odometry, self._things = Sources(self.settings), Odometry(), None
+            self._at_load = -inf
         self._now = state.epoch, state.robot_time
         self._odometry.add(state.robot_time, (x, y, yaw))
         self.sources.expect(state)
@@ -97,6 +103,22 @@ class Surroundings:
         things.take(sweep, own)
         self._looked = scan.robot_time  # however late it comes: from there on the front is drawn anew
         self.sources.looked(scan, sweep, things.contradicted)
+        if len(state.towed) == 3 and len(state.footprint) == 3 and len(things.lost):
+            apart = things.lost - hitch_at(pose, state)
+            if float(np.hypot(*apart.T).min()) < state.towed[2] + _STRIDE:
+                self._at_load = scan.robot_time
+
+    def _beside_load(self, state: StateMessage) -> Rows:
+        """Where somebody may be who went to what is towed: nothing of the robot's own is seen, so that he is not.
+
+        He counts as at rest with it as late as anybody else who stops.
+        """
+        towing = len(state.towed) == 3 and len(state.footprint) == 3
+        if not towing or state.robot_time - self._at_load > self.settings.restless:
+            return ()
+        x, y, yaw = state.values[:3]
+        x, y = hitch_at((x, y, yaw), state).tolist()
+        return ((x, y, state.towed[2]),)
 
     def _told(self, state: StateMessage, things: Things) -> Seen:
         own, now = self.settings, state.robot_time
@@ -108,7 +130,9 @@ class Surroundings:
         points = covering(rest[outside], own.point_radius + own.drift * ago[outside], here, own.most)
         moving = things.moving_now(now)
         age = np.maximum(now - things.last[moving], 0.0)
-        movers = covering(things.places(moving), own.point_radius + own.fastest * age, here, own.most)
+        beside = self._beside_load(state)
+        radii = own.point_radius + own.fastest * age
+        movers = covering(things.places(moving), radii, here, own.most - len(beside))
         grid_x, grid_y = things.grid.middles
         ways_out = things.hiding.ways_out
         places = np.column_stack([grid_x[ways_out], grid_y[ways_out]])
@@ -116,6 +140,6 @@ class Surroundings:
         hidden = covering(places, np.full(len(places), own.slimmest + _HALF_DIAGONAL + ahead), here, own.most)
         return Seen(
             tuple((x, y, radius) for x, y, radius in points.tolist()),
-            tuple((x, y, radius, 0.0, 0.0, own.fastest) for x, y, radius in movers.tolist()),
+            tuple((x, y, radius, 0.0, 0.0, own.fastest) for x, y, radius in (*movers.tolist(), *beside)),
             tuple((x, y, radius, own.coming) for x, y, radius in hidden.tolist()),
         )

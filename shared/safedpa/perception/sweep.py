@@ -12,7 +12,7 @@ from safedpa.bus.wire.messages import ScanMessage, StateMessage
 from safedpa.errors import MessageError
 from safedpa.perception.odometry import Pose
 
-__all__ = ["Sweep", "check_scan", "within_body"]
+__all__ = ["Sweep", "check_scan", "hitch_at", "within_body"]
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -136,3 +136,9 @@ def within_body(places: Values, pose: Pose, state: StateMessage, beyond: float =
     if len(state.towed) == 3:
         inside |= np.hypot(along + rear, across) < state.towed[2] + beyond
     return inside
+
+
+def hitch_at(pose: Pose, state: StateMessage) -> Values:
+    """(2,) m; where the hitch of a robot that tows is at ``pose``: at the rear end of its footprint's line."""
+    x, y, yaw = pose
+    return np.array((x - state.footprint[0] * cos(yaw), y - state.footprint[0] * sin(yaw)))

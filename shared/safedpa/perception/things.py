@@ -72,6 +72,8 @@ class Things:
         self._x, self._y = self.grid.middles
         self.contradicted = 0.0
         """Share of the cells hit by the last sweep whose content may move; 0 while nobody knows what is at rest."""
+        self.lost: Values = np.empty((0, 2))
+        """(n, 2) m; where the last sweep gave up somebody who moved, with nobody seen beside: he went out of sight."""
         self._began: float | None = None
         self._newest: dict[str, float] = {}
         """By source: s; when its newest sweep was measured."""
@@ -117,7 +119,9 @@ class Things:
         looked_through |= grown(hit & moving, CELL, beyond=False) & (distance < sight)
         self.hiding.look(time, looked_through, self._solid(time), own, moving)
         self._emptied[sweep.source] |= empty
-        self._clear(moving & (self.last < time - _UNSEEN))
+        given_up = moving & (self.last < time - _UNSEEN)
+        self.lost = self.places(given_up & ~grown(moving & ~given_up, _GOES_ON, beyond=False))
+        self._clear(given_up)
 
     def _solid(self, time: float) -> Flags:
         return self.at_rest(time) & (self.first <= time - _LONG)

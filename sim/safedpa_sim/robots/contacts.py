@@ -67,9 +67,16 @@ class ContactCounter:
             x, y = body.position
             self.collisions.append(Collision(round(self.time, 6), *pair, x, y, body.velocity.length))
         self._touching.add(pair)
+        _stop(arbiter.shapes[1].body)
 
     def _separate(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
         del space, data
         pair = self._pair(arbiter)
         self._touching.discard(pair)
         self._ended[pair] = self.time
+
+
+def _stop(body: pymunk.Body | None) -> None:
+    """Somebody stops in the moment in which he touches: else a body that moves as it is told would shove the car."""
+    if body is not None and body.body_type == pymunk.Body.KINEMATIC:
+        body.velocity = (0.0, 0.0)

@@ -87,7 +87,7 @@ class CarWorld:
         return self.contacts.collisions
 
     def add_person(self, x: float, y: float, radius: float, name: str) -> pymunk.Body:
-        """A disc that moves as its velocity says, whatever it touches; contacts count under ``name``."""
+        """A disc that moves as its velocity says until it touches car or load; contacts count under ``name``."""
         body = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         body.position = (x, y)
         shape = pymunk.Circle(body, radius)

@@ -36,7 +36,7 @@ class Person(ABC):
         self.place, self.radius = place, radius
 
     def touched(self, time: float) -> None:
-        """Told while the robot is touched: nobody shoves it away."""
+        """Told while the robot, or what it tows, is touched: nobody shoves it away."""
         del time
 
     @abstractmethod

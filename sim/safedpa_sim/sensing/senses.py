@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import cos, hypot, sin
 from typing import TYPE_CHECKING, final
 
 from safedpa.bus.wire.messages import ScanMessage
 from safedpa_sim.sensing.laser import Laser
 from safedpa_sim.sensing.people import Person
-from safedpa_sim.sensing.shapes import Outline, Polygon, box
+from safedpa_sim.sensing.shapes import Outline, Point, Polygon, box
 
 if TYPE_CHECKING:
     import pymunk
@@ -69,20 +68,21 @@ class Senses:
             self._steps += 1
             x, y, _, _ = self._world.state
             for person, body in zip(self.people, self._bodies, strict=True):
-                if self._to_car(person) < _TOUCHES:
+                away, outwards = self._to_robot(person)
+                if away < _TOUCHES:
                     person.touched(self._world.time)
-                body.velocity = person.velocity(self._world.time, (x, y), self._solid)
+                wanted = person.velocity(self._world.time, (x, y), self._solid)
+                body.velocity = wanted if away > 0.0 else _along(wanted, outwards)
         for laser in self.lasers:
             if laser.next_scan <= now:
                 laser.scan(self._world.state[:3], self._outline(), self._epoch, tick)
 
-    def _to_car(self, person: Person) -> float:
-        """m from somebody to the car's body; 0 or less where they touch."""
-        car, (x, y, yaw, _) = self._world.parameters, self._world.state
-        apart_x, apart_y = person.place[0] - x, person.place[1] - y
-        along, across = apart_x * cos(yaw) + apart_y * sin(yaw), apart_y * cos(yaw) - apart_x * sin(yaw)
-        beyond = max(-car.rear - along, along - car.front, 0.0), max(abs(across) - car.width / 2, 0.0)
-        return hypot(*beyond) - person.radius
+    def _to_robot(self, person: Person) -> tuple[float, Point]:
+        """m from somebody to the car's body or what it tows, 0 or less where they touch; and the way from it to him."""
+        towed = self._world.towed
+        shapes = [*self._world.body.shapes, *([] if towed is None else [towed.shape])]
+        nearest = min((shape.point_query(person.place) for shape in shapes), key=lambda found: found.distance)
+        return nearest.distance - person.radius, (nearest.gradient.x, nearest.gradient.y)
 
     def told(self) -> list[ScanMessage]:
         """The scans that are due by now."""
@@ -97,3 +97,9 @@ class Senses:
             x, y, yaw, length, width = towed.pose
             load = (box(x, y, length, width, yaw),)
         return Outline(self._seen.circles + people, self._seen.polygons + load, self._seen.rooms)
+
+
+def _along(velocity: Point, outwards: Point) -> Point:
+    """What is left of a velocity [m/s] of who touches something: nothing of it leads into it."""
+    inwards = min(velocity[0] * outwards[0] + velocity[1] * outwards[1], 0.0)
+    return velocity[0] - inwards * outwards[0], velocity[1] - inwards * outwards[1]

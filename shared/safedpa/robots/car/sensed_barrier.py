@@ -13,7 +13,7 @@ from safedpa.errors import InputError
 from safedpa.operations import Operations, Scalar
 from safedpa.robots.car.barriers import Footprint
 from safedpa.robots.car.counter_braking import CounterBraking
-from safedpa.robots.car.swept import body_of, hitch_of, to_segment
+from safedpa.robots.car.swept import body_of
 from safedpa.robots.car.swept import steepest as steepest_of_body
 from safedpa.robots.car.towed_reach import TowedReach
 from safedpa.safety.braking import Braking
@@ -25,6 +25,12 @@ _BODY = 4
 """Shared numbers of the body, as ``body_of`` takes them."""
 _OWN = 8
 """Shared numbers without those of what is towed."""
+_MOST = _OWN + 2
+"""Which of those of what is towed says by how much it reaches beyond the body at any angle."""
+_AWAY = 0.5
+"""m; more than a margin of 0.1 m may widen to."""
+_STILL = 0.01
+"""m/s backwards that a speed may be told of a car that stands."""
 
 
 @final
@@ -37,7 +43,9 @@ class MoverBarrier(AbstractEquationBarrier):
     safety. Under that braking S shrinks into itself and T does not grow, so h_i does not fall.
 
     Of a disc that nobody sees (``hidden``) and that lies behind the end that the car drives away from, w_i T counts 0:
-    who comes from behind has to see the car. With something ``towed`` h_i is also no more than the room of its hitch.
+    who comes from behind has to see the car. With something ``towed`` h_i is also no more than the room that is left
+    where it reaches to at any angle around its hitch, since who may move can come between car and load; and as the load
+    hides what is behind it, a place behind it that nobody sees counts ``_AWAY`` at least: it is driven away from.
     Source: Macek, Vasquez, Fraichard, Siegwart, Towards safe vehicle navigation in dynamic urban scenarios, 2009.
 
     ``discs`` (m, 4): x, y, R [m], w [m/s]. Raises InputError for a wrong shape, NaN, or a length or speed below 0.
@@ -82,21 +90,22 @@ class MoverBarrier(AbstractEquationBarrier):
         """Of a disc x, y, what its distance has to exceed [m], its speed, and the one that counts behind [m/s]."""
         x, y, reach, fastest, fastest_behind = given.each
         rear, front, _, _, soft, corner, hard, _ = given.shared[:_OWN]
-        body, towing = body_of(_of_body(given), operations), _of_body(given)
+        body = body_of(_of_body(given), operations)
         speed, numbers = given.state[3], (hard, soft, corner)
         low, high = _ends(given, operations)
         apart_x, apart_y = x - given.state[0], y - given.state[1]
         along = body.cosine * apart_x + body.sine * apart_y
         across = body.cosine * apart_y - body.sine * apart_x
         room = operations.hypot(along - operations.clip(along, low, high), across) - reach
-        hitch = hitch_of(body, towing, operations)
-        if hitch is not None:
-            end, growth = hitch
-            towed = to_segment(body, given, body.rear, end, (x, y), operations) - reach - growth
-            room = operations.minimum(room, towed)
         behind = operations.where(speed >= 0.0, -rear - along, along - front)
         coming = operations.where(behind > 0.0, fastest_behind, fastest)
-        return (room - coming * CounterBraking.seconds(speed, numbers, operations),)
+        if len(given.shared) == _OWN:
+            return (room - coming * CounterBraking.seconds(speed, numbers, operations),)
+        hitch = operations.clip(along, low, high - front - rear)  # it goes on as far as both ends do
+        around = operations.hypot(along - hitch, across) - reach - given.shared[_MOST]
+        kept = operations.minimum(room, around) - coming * CounterBraking.seconds(speed, numbers, operations)
+        away = operations.where(speed >= -_STILL, (-rear - along) * (fastest - fastest_behind), 0.0)
+        return (operations.where(away > 0.0, operations.maximum(kept, _AWAY), kept),)
 
     @staticmethod
     def steepest(given: Given, operations: Operations) -> Sequence[Scalar]:
@@ -117,5 +126,5 @@ def _ends(given: Given, operations: Operations) -> tuple[Scalar, Scalar]:
 
 
 def _of_body(given: Given) -> Given:
-    """What ``body_of`` and ``hitch_of`` are given: without the numbers of this barrier's own."""
+    """What ``body_of`` and ``steepest`` of the body are given: without the numbers of this barrier's own."""
     return Given(given.state, (*given.shared[:_BODY], *given.shared[_OWN:]), given.each, given.form)

@@ -1202,15 +1202,15 @@ class SensedTowing:
         n74 = (2.0) * p1_4
         n78 = p1_5 * p1_5
         n80 = (2.0) * p1_6
-        n140 = (1.0) / p0_3
-        n146 = (1.0) + p0_5
-        n148 = (1.0) / p1_3
-        n154 = (1.0) + p1_9
-        n160 = (1.0) / p1_6
-        n161 = (1.0) / p1_4
-        n162 = (n161 if n161 > n160 else n160)
-        n167 = p1_7 * ((n162 if n162 > (0.5) else (0.5)))
-        n169 = (n154 if n154 > n146 else n146)
+        n136 = (1.0) / p0_3
+        n142 = (1.0) + p0_5
+        n144 = (1.0) / p1_3
+        n150 = (1.0) + p1_9
+        n156 = (1.0) / p1_6
+        n157 = (1.0) / p1_4
+        n158 = (n157 if n157 > n156 else n156)
+        n163 = p1_7 * ((n158 if n158 > (0.5) else (0.5)))
+        n165 = (n150 if n150 > n142 else n142)
         self._p0_1: float = p0_1
         self._p0_2: float = p0_2
         self._p0_3: float = p0_3
@@ -1222,20 +1222,14 @@ class SensedTowing:
         self._p0_9: float = p0_9
         self._p0_10: float = p0_10
         self._p0_11: float = p0_11
+        self._p1_0: float = p1_0
         self._p1_1: float = p1_1
         self._p1_2: float = p1_2
         self._p1_3: float = p1_3
         self._p1_4: float = p1_4
         self._p1_5: float = p1_5
         self._p1_6: float = p1_6
-        self._p1_8: float = p1_8
-        self._p1_9: float = p1_9
         self._p1_10: float = p1_10
-        self._p1_11: float = p1_11
-        self._p1_12: float = p1_12
-        self._p1_13: float = p1_13
-        self._p1_14: float = p1_14
-        self._p1_15: float = p1_15
         self._n0: float = n0
         self._n2: float = n2
         self._n4: float = n4
@@ -1249,13 +1243,13 @@ class SensedTowing:
         self._n74: float = n74
         self._n78: float = n78
         self._n80: float = n80
-        self._n140: float = n140
-        self._n146: float = n146
-        self._n148: float = n148
-        self._n154: float = n154
-        self._n162: float = n162
-        self._n167: float = n167
-        self._n169: float = n169
+        self._n136: float = n136
+        self._n142: float = n142
+        self._n144: float = n144
+        self._n150: float = n150
+        self._n158: float = n158
+        self._n163: float = n163
+        self._n165: float = n165
         self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
         self._items1: list[tuple[float, float, float, float, float]] = [(item[0], item[1], item[2], item[3], item[4],) for item in each[1]]
         self._items2: list[tuple[float, float]] = [(item[0], item[1],) for item in each[2]]
@@ -1276,35 +1270,23 @@ class SensedTowing:
         p0_9 = self._p0_9
         p0_10 = self._p0_10
         p0_11 = self._p0_11
+        p1_0 = self._p1_0
         p1_1 = self._p1_1
-        p1_3 = self._p1_3
         p1_4 = self._p1_4
         p1_5 = self._p1_5
         p1_6 = self._p1_6
-        p1_8 = self._p1_8
-        p1_9 = self._p1_9
         p1_10 = self._p1_10
-        p1_11 = self._p1_11
-        p1_12 = self._p1_12
-        p1_13 = self._p1_13
-        p1_14 = self._p1_14
-        p1_15 = self._p1_15
         n0 = self._n0
         n2 = self._n2
         n4 = self._n4
         n6 = self._n6
         n17 = self._n17
-        n53 = self._n53
-        n54 = self._n54
-        n55 = self._n55
-        n57 = self._n57
         n65 = self._n65
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
         n1 = abs(s3)
-        n3 = n1 * n1
-        n8 = n2 + ((n3 - n4) / n6)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
         n11 = s3 > (0.0)
         n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
         n15 = cos(s2)
@@ -1315,23 +1297,18 @@ class SensedTowing:
         n41 = -n14
         n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
         n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
-        n59 = n54 + ((n3 - n55) / n57)
-        n64 = ((s3 / p1_3) if (n1 <= n53) else ((n59 if n11 else (-n59))))
-        n67 = n65 + (((0.0) if (0.0) < n64 else n64))
         n70 = (p1_5 if p1_5 < n1 else n1)
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
         n84 = (n82 if n11 else (-n82))
         n86 = n65 + (((0.0) if (0.0) < n84 else n84))
         n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
-        n106 = p1_11 - ((p1_14 * (s0 - p1_12)) + (p1_15 * (s1 - p1_13)))
-        n108 = -n64
-        n112 = ((((n106 if n106 > (0.0) else (0.0))) + ((n108 if n108 > (0.0) else (0.0)))) - p1_8) * p1_9
-        n113 = ((0.0) if n112 < (0.0) else p1_10 if n112 > p1_10 else n112)
-        n120 = s3 >= (0.0)
-        n128 = n70 - (0.1)
-        n132 = n1 - p1_5
-        n135 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n128 else n128)) / p1_4)) + ((((0.0) if (0.0) > n132 else n132)) / p1_6)
+        n101 = s3 >= (0.0)
+        n108 = (n88 - p1_1) - p1_0
+        n117 = n70 - (0.1)
+        n121 = n1 - p1_5
+        n124 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n117 else n117)) / p1_4)) + ((((0.0) if (0.0) > n121 else n121)) / p1_6)
+        n127 = s3 >= (-0.01)
         h: list[float] = []
         for e0_0, e0_1, e0_2 in self._items0:
             n22 = e0_0 - s0
@@ -1354,15 +1331,17 @@ class SensedTowing:
             n98 = n93 - ((n86 if n93 < n86 else n88 if n93 > n88 else n93))
             n99_square = n98 * n98 + n96 * n96
             n100 = ((sqrt(n99_square) if 1e-290 < n99_square < 1e+290 else hypot(n98, n96))) - e1_2
-            n115 = n93 - ((n67 if n93 < n67 else n65 if n93 > n65 else n93))
-            n116_square = n115 * n115 + n96 * n96
-            n118 = (((sqrt(n116_square) if 1e-290 < n116_square < 1e+290 else hypot(n115, n96))) - e1_2) - n113
-            n137 = ((n118 if n118 < n100 else n100)) - (((e1_4 if ((((n65 - n93) if n120 else (n93 - p1_1))) > (0.0)) else e1_3)) * n135)
-            h.append(n137)
+            n102 = n65 - n93
+            n110 = n93 - ((n86 if n93 < n86 else n108 if n93 > n108 else n93))
+            n111_square = n110 * n110 + n96 * n96
+            n113 = (((sqrt(n111_square) if 1e-290 < n111_square < 1e+290 else hypot(n110, n96))) - e1_2) - p1_10
+            n126 = ((n113 if n113 < n100 else n100)) - (((e1_4 if (((n102 if n101 else (n93 - p1_1))) > (0.0)) else e1_3)) * n124)
+            n133 = ((((0.5) if (0.5) > n126 else n126)) if ((((n102 * (e1_3 - e1_4)) if n127 else (0.0))) > (0.0)) else n126)
+            h.append(n133)
         for e2_0, e2_1 in self._items2:
-            n138 = e2_1 - s3
-            n139 = s3 - e2_0
-            h += [n138, n139]
+            n134 = e2_1 - s3
+            n135 = s3 - e2_0
+            h += [n134, n135]
         return h
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
@@ -1381,35 +1360,23 @@ class SensedTowing:
         p0_9 = self._p0_9
         p0_10 = self._p0_10
         p0_11 = self._p0_11
+        p1_0 = self._p1_0
         p1_1 = self._p1_1
-        p1_3 = self._p1_3
         p1_4 = self._p1_4
         p1_5 = self._p1_5
         p1_6 = self._p1_6
-        p1_8 = self._p1_8
-        p1_9 = self._p1_9
         p1_10 = self._p1_10
-        p1_11 = self._p1_11
-        p1_12 = self._p1_12
-        p1_13 = self._p1_13
-        p1_14 = self._p1_14
-        p1_15 = self._p1_15
         n0 = self._n0
         n2 = self._n2
         n4 = self._n4
         n6 = self._n6
         n17 = self._n17
-        n53 = self._n53
-        n54 = self._n54
-        n55 = self._n55
-        n57 = self._n57
         n65 = self._n65
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
         n1 = abs(s3)
-        n3 = n1 * n1
-        n8 = n2 + ((n3 - n4) / n6)
+        n8 = n2 + (((n1 * n1) - n4) / n6)
         n9 = n1 <= n0
         n11 = s3 > (0.0)
         n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
@@ -1421,43 +1388,33 @@ class SensedTowing:
         n41 = -n14
         n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
         n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
-        n59 = n54 + ((n3 - n55) / n57)
-        n60 = n1 <= n53
-        n64 = ((s3 / p1_3) if n60 else ((n59 if n11 else (-n59))))
-        n67 = n65 + (((0.0) if (0.0) < n64 else n64))
         n70 = (p1_5 if p1_5 < n1 else n1)
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
         n84 = (n82 if n11 else (-n82))
         n86 = n65 + (((0.0) if (0.0) < n84 else n84))
         n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
-        n106 = p1_11 - ((p1_14 * (s0 - p1_12)) + (p1_15 * (s1 - p1_13)))
-        n108 = -n64
-        n112 = ((((n106 if n106 > (0.0) else (0.0))) + ((n108 if n108 > (0.0) else (0.0)))) - p1_8) * p1_9
-        n113 = ((0.0) if n112 < (0.0) else p1_10 if n112 > p1_10 else n112)
-        n120 = s3 >= (0.0)
+        n101 = s3 >= (0.0)
+        n108 = (n88 - p1_1) - p1_0
+        n117 = n70 - (0.1)
+        n121 = n1 - p1_5
+        n124 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n117 else n117)) / p1_4)) + ((((0.0) if (0.0) > n121 else n121)) / p1_6)
+        n127 = s3 >= (-0.01)
         n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
-        n3_3 = n1_3 * n1 + n1_3 * n1
-        n7_3 = n3_3 / n6
+        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
         n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
         n18_3 = (0.0 if (0.0) < n14 else n14_3)
         n20_3 = (0.0 if (0.0) > n14 else n14_3)
         n46_0 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_10 if n39 > (0.0) else 0.0)) * p0_5)))
         n46_1 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_11 if n39 > (0.0) else 0.0)) * p0_5)))
         n46_3 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-n14_3 if n41 > (0.0) else 0.0)) * p0_5)))
-        n58_3 = n3_3 / n57
-        n64_3 = ((1.0 / p1_3) if n60 else 0.0) + (0.0 if n60 else ((n58_3 if n11 else 0.0) + (0.0 if n11 else -n58_3)))
-        n66_3 = (0.0 if (0.0) < n64 else n64_3)
         n70_3 = (0.0 if p1_5 < n1 else n1_3)
         n71_3 = (0.0 if p1_5 > n1 else n1_3)
         n82_3 = ((n1_3 * (0.05)) + ((n70_3 * n70 + n70_3 * n70) / n74)) + ((n71_3 * n71 + n71_3 * n71) / n80)
         n84_3 = (n82_3 if n11 else 0.0) + (0.0 if n11 else -n82_3)
         n85_3 = (0.0 if (0.0) < n84 else n84_3)
         n87_3 = (0.0 if (0.0) > n84 else n84_3)
-        n113_0 = (0.0 if n112 <= (0.0) else (0.0 if n112 >= p1_10 else (((-p1_14 if n106 > (0.0) else 0.0)) * p1_9)))
-        n113_1 = (0.0 if n112 <= (0.0) else (0.0 if n112 >= p1_10 else (((-p1_15 if n106 > (0.0) else 0.0)) * p1_9)))
-        n113_3 = (0.0 if n112 <= (0.0) else (0.0 if n112 >= p1_10 else (((-n64_3 if n108 > (0.0) else 0.0)) * p1_9)))
-        n135_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > (n70 - (0.1)) else n70_3)) / p1_4)) + (((0.0 if (0.0) > (n1 - p1_5) else n1_3)) / p1_6)
+        n124_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > n117 else n70_3)) / p1_4)) + (((0.0 if (0.0) > n121 else n1_3)) / p1_6)
         end0 = 0
         end1 = end0 + 1 * len(self._items0)
         end2 = end1 + 1 * len(self._items1)
@@ -1501,25 +1458,29 @@ class SensedTowing:
                 n99_square = n98 * n98 + n96 * n96
                 n99 = (sqrt(n99_square) if 1e-290 < n99_square < 1e+290 else hypot(n98, n96))
                 n100 = n99 - e1_2
-                n115 = n93 - ((n67 if n93 < n67 else n65 if n93 > n65 else n93))
-                n116_square = n115 * n115 + n96 * n96
-                n116 = (sqrt(n116_square) if 1e-290 < n116_square < 1e+290 else hypot(n115, n96))
-                n118 = (n116 - e1_2) - n113
-                n125 = (e1_4 if ((((n65 - n93) if n120 else (n93 - p1_1))) > (0.0)) else e1_3)
-                d_n118 = (1.0 if n118 < n100 else 0.0)
-                d_n115 = (d_n118 * n115 / n116 if n116 > 0.0 else 0.0)
-                d_n100 = (0.0 if n118 < n100 else 1.0)
+                n102 = n65 - n93
+                n106 = (e1_4 if (((n102 if n101 else (n93 - p1_1))) > (0.0)) else e1_3)
+                n110 = n93 - ((n86 if n93 < n86 else n108 if n93 > n108 else n93))
+                n111_square = n110 * n110 + n96 * n96
+                n111 = (sqrt(n111_square) if 1e-290 < n111_square < 1e+290 else hypot(n110, n96))
+                n113 = (n111 - e1_2) - p1_10
+                n131 = (((n102 * (e1_3 - e1_4)) if n127 else (0.0))) > (0.0)
+                d_n126 = (0.0 if n131 else 1.0) + (0.0 if (0.5) > (((n113 if n113 < n100 else n100)) - (n106 * n124)) else ((1.0 if n131 else 0.0)))
+                d_n113 = (d_n126 if n113 < n100 else 0.0)
+                d_n110 = (d_n113 * n110 / n111 if n111 > 0.0 else 0.0)
+                d_n100 = (0.0 if n113 < n100 else d_n126)
                 d_n98 = (d_n100 * n98 / n99 if n99 > 0.0 else 0.0)
-                d_n96 = (d_n118 * n96 / n116 if n116 > 0.0 else d_n118) + (d_n100 * n96 / n99 if n99 > 0.0 else d_n100)
-                d_n93 = d_n115 + (0.0 if n93 <= n67 else (0.0 if n93 >= n65 else -d_n115)) + d_n98 + (0.0 if n93 <= n86 else (0.0 if n93 >= n88 else -d_n98))
+                d_n96 = (d_n113 * n96 / n111 if n111 > 0.0 else d_n113) + (d_n100 * n96 / n99 if n99 > 0.0 else d_n100)
+                d_n93 = d_n110 + (0.0 if n93 <= n86 else (0.0 if n93 >= n108 else -d_n110)) + d_n98 + (0.0 if n93 <= n86 else (0.0 if n93 >= n88 else -d_n98))
                 d_n90 = d_n96 * n15 + d_n93 * n16
                 d_n89 = -d_n96 * n16 + d_n93 * n15
-                d_n67 = (-d_n115 if n93 <= n67 else 0.0)
-                d_n86 = (-d_n98 if n93 <= n86 else 0.0)
+                d_n124 = -d_n126 * n106
+                d_n86 = (-d_n110 if n93 <= n86 else 0.0) + (-d_n98 if n93 <= n86 else 0.0)
+                d_n108 = (0.0 if n93 <= n86 else (-d_n110 if n93 >= n108 else 0.0))
                 d_n88 = (0.0 if n93 <= n86 else (-d_n98 if n93 >= n88 else 0.0))
                 d_n16 = -d_n96 * n89 + d_n93 * n90
                 d_n15 = d_n96 * n90 + d_n93 * n89
-                found.append((-d_n118 * n113_0 - d_n89, -d_n118 * n113_1 - d_n90, d_n16 * n15 + d_n15 * -n16, -n125 * n135_3 - d_n118 * n113_3 + d_n67 * n66_3 + d_n86 * n85_3 + d_n88 * n87_3))
+                found.append((-d_n89, -d_n90, d_n16 * n15 + d_n15 * -n16, d_n124 * n124_3 + d_n86 * n85_3 + d_n108 * n87_3 + d_n88 * n87_3))
             else:
                 which = (row - end2) % 2
                 if which == 0:
@@ -1557,13 +1518,13 @@ class SensedTowing:
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
-        n140 = self._n140
-        n146 = self._n146
-        n148 = self._n148
-        n154 = self._n154
-        n162 = self._n162
-        n167 = self._n167
-        n169 = self._n169
+        n136 = self._n136
+        n142 = self._n142
+        n144 = self._n144
+        n150 = self._n150
+        n158 = self._n158
+        n163 = self._n163
+        n165 = self._n165
         n1 = abs(s3)
         n3 = n1 * n1
         n8 = n2 + ((n3 - n4) / n6)
@@ -1575,26 +1536,26 @@ class SensedTowing:
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
         n84 = (n82 if n11 else (-n82))
-        n141 = n1 / p0_2
-        n143 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
-        n144 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
-        n145 = (n144 if n144 > n143 else n143)
-        n147 = ((n141 if n141 > n140 else n140)) * n146
-        n149 = n1 / p1_2
-        n151 = abs((n65 + (((0.0) if (0.0) < n64 else n64))))
-        n152 = abs((p1_1 + (((0.0) if (0.0) > n64 else n64))))
-        n153 = (n152 if n152 > n151 else n151)
-        n155 = ((n149 if n149 > n148 else n148)) * n154
-        n156 = abs((n65 + (((0.0) if (0.0) < n84 else n84))))
-        n157 = abs((p1_1 + (((0.0) if (0.0) > n84 else n84))))
-        n158 = (n157 if n157 > n156 else n156)
-        n159 = (n158 if n158 > n153 else n153)
-        n164 = (0.05) + (n1 * n162)
-        n168 = ((n164 if n164 > n155 else n155)) + n167
-        n170 = (n159 if n159 > n145 else n145)
-        n171 = (n168 if n168 > n147 else n147)
-        n172 = ((1.0) if (1.0) > n171 else n171)
-        return n169, n169, n170, n172
+        n137 = n1 / p0_2
+        n139 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n140 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n141 = (n140 if n140 > n139 else n139)
+        n143 = ((n137 if n137 > n136 else n136)) * n142
+        n145 = n1 / p1_2
+        n147 = abs((n65 + (((0.0) if (0.0) < n64 else n64))))
+        n148 = abs((p1_1 + (((0.0) if (0.0) > n64 else n64))))
+        n149 = (n148 if n148 > n147 else n147)
+        n151 = ((n145 if n145 > n144 else n144)) * n150
+        n152 = abs((n65 + (((0.0) if (0.0) < n84 else n84))))
+        n153 = abs((p1_1 + (((0.0) if (0.0) > n84 else n84))))
+        n154 = (n153 if n153 > n152 else n152)
+        n155 = (n154 if n154 > n149 else n149)
+        n160 = (0.05) + (n1 * n158)
+        n164 = ((n160 if n160 > n151 else n151)) + n163
+        n166 = (n155 if n155 > n141 else n141)
+        n167 = (n164 if n164 > n143 else n143)
+        n168 = ((1.0) if (1.0) > n167 else n167)
+        return n165, n165, n166, n168
 
 
 WRITTEN: dict[str, Any] = {

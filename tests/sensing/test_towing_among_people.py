@@ -1,0 +1,161 @@
+"""A car that tows, among people: who goes to its load is not forgotten, and its own shadow does not hold it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import hypot
+
+import numpy as np
+import pytest
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.bus import SURROUNDINGS, StateMessage, SurroundingsMessage
+from safedpa.bus.wire.messages import ActionMessage
+from safedpa.dynamics import load_model
+from safedpa.perception import PerceptionNode, PerceptionSettings
+from safedpa.policy import PolicyNode
+from safedpa.robots.car.car_scene import CarScene
+from safedpa.robots.car.counter_braking import STANDS, CounterBraking
+from safedpa.robots.car.sensed_barrier import MoverBarrier
+from safedpa.robots.car.sensed_scene import counter_braking_of, sensed_barriers
+from safedpa.robots.car.towed_reach import TowedReach
+from safedpa.safety.braking import Braking
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.footprint import footprint, towed_reach
+from safedpa_sim.robots.loads import LOADS, load_named
+from safedpa_sim.robots.scene import Scene
+from safedpa_sim.sensing import Laser, LaserSettings, Person
+from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.shapes import Outline, Point
+
+SETTINGS = settings_named("car")
+BRAKING, COUNTER = Braking(2.0, 2.5), CounterBraking(2.0, 2.5, 0.6)
+FIELD = (-4.0, 4.0, -4.0, 4.0)
+SOMEBODY = 0.2
+"""m; radius."""
+Told = list[tuple[CarRobot, StateMessage, SurroundingsMessage, Person]]
+
+
+class GoesTo(Person):
+    """Walks to a place at 1.2 m/s, stands there until ``leaves`` [s], and walks back."""
+
+    def __init__(self, place: Point, towards: Point, leaves: float = 60.0) -> None:
+        super().__init__(place)
+        self._from, self._towards, self._leaves = place, towards, leaves
+
+    def velocity(self, time: float, robot: Point, outline: Outline) -> Point:
+        del robot, outline
+        target = self._towards if 1.0 < time < self._leaves else self._from
+        x, y = target[0] - self.place[0], target[1] - self.place[1]
+        far = hypot(x, y)
+        speed = min(1.2, far / 0.05)
+        return (speed * x / far, speed * y / far) if far > 1e-6 else (0.0, 0.0)
+
+
+def stands_by(load: str, person: Person, seconds: float) -> Told:
+    """A car that stands with its load, told what its laser sees."""
+    scene = Scene(0, load_named(load), FIELD, (), (0.0, 0.0, 0.0))
+    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),), (person,)))
+    node, told = PerceptionNode(), Told()
+    for tick in range(round(seconds / 0.05)):
+        state = robot.state_message()
+        for scan in robot.scans():
+            node.hear("r", scan)
+        message = node.step("r", state, {})[SURROUNDINGS]
+        assert isinstance(message, SurroundingsMessage)
+        told.append((robot, state, message, person))
+        robot.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=(0.0, 0.0)))
+        robot.advance()
+    return told
+
+
+def yields(state: StateMessage, seen: SurroundingsMessage) -> bool:
+    scene = CarScene(SETTINGS)
+    scene.follow(state)
+    return bool(sensed_barriers(SETTINGS, counter_braking_of(SETTINGS), state, seen, scene.way.reach(state)).yields_to)
+
+
+@pytest.mark.parametrize("load", ["box", "chair", "large_chair"])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_car_stands_while_somebody_stands_at_its_load(load: str, side: float) -> None:
+    """He comes from aside, seen all the way, and none of the rays that end within reach of the load is believed."""
+    known = LOADS[load]
+    place = (-0.08 - known.length, side * (known.side / 2 + SOMEBODY + 0.02))
+    person = GoesTo((place[0], 2.5 * side), place)
+    told = stands_by(load, person, 7.0)
+    for _, state, seen, _ in told:
+        if state.robot_time > 3.2:
+            assert yields(state, seen), f"at {state.robot_time:.2f} s nobody is told of who stands at the load"
+
+
+def test_a_car_goes_on_some_time_after_whoever_was_at_its_load_is_gone() -> None:
+    known = LOADS["box"]
+    place = (-0.08 - known.length, known.side / 2 + SOMEBODY + 0.02)
+    told = stands_by("box", GoesTo((place[0], 2.5), place, leaves=4.0), 6.5 + PerceptionSettings().restless)
+    _, state, seen, _ = told[-1]
+    assert not yields(state, seen)
+
+
+def test_who_only_walks_about_far_from_the_load_is_not_taken_to_be_at_it() -> None:
+    told = stands_by("chair", GoesTo((2.5, 2.0), (2.5, -2.0)), 5.0)
+    assert not any(yields(state, seen) for _, state, seen, _ in told)
+
+
+def barrier(load: str, discs: object, hidden: bool, way: float = 0.0) -> MoverBarrier:
+    known = load_named(load)
+    begin, end, reach = towed_reach(known)
+    body = footprint(known)
+    table = np.array(discs, dtype=np.float64)
+    towed = TowedReach(begin, end, reach - body[2], way, (0.0, 0.0, 0.0))
+    return MoverBarrier(table, [hidden] * len(table), body, BRAKING, COUNTER, 0.0, 0.0, towed=towed)
+
+
+@pytest.mark.parametrize("load", list(LOADS))
+@pytest.mark.parametrize("way", [0.0, 0.3, 1.0])
+def test_h_of_who_may_touch_the_load_at_any_angle_is_below_0_however_little_was_driven_back(
+    load: str, way: float
+) -> None:
+    """Who may move can come between car and load, and is swept away when it is pulled on."""
+    _, _, reach = towed_reach(load_named(load))
+    angle = np.linspace(-np.pi, np.pi, 40)
+    for room, below in ((-0.01, True), (0.01, False)):
+        far = reach + SOMEBODY + room
+        discs = [(-0.08 + far * np.cos(a), far * np.sin(a), SOMEBODY, 1.5) for a in angle if np.cos(a) < 0.0]
+        h = barrier(load, discs, False, way).values(np.zeros(4))
+        assert ((h < 0.0) == below).all()
+
+
+@pytest.mark.parametrize("load", list(LOADS))
+def test_the_shadow_of_the_load_holds_no_car_that_drives_away_from_it(load: str) -> None:
+    """Nobody sees what is behind the load, and it is as near as can be: forwards it is left, backwards it counts."""
+    _, _, reach = towed_reach(load_named(load))
+    shadow = [(-0.08 - reach - 0.1, across, 0.27, 1.5) for across in (-0.3, 0.0, 0.3)]
+    for speed in (0.0, -1e-9, 0.3, 1.0):
+        assert (barrier(load, shadow, True).values(np.array((0.0, 0.0, 0.0, speed))) > 0.1).all()
+    assert (barrier(load, shadow, True).values(np.array((0.0, 0.0, 0.0, -0.1))) < 0.0).all()
+    seen = barrier(load, shadow, False).values(np.array((0.0, 0.0, 0.0, 0.3)))
+    assert (seen < 0.0).all(), "who is seen there may come"
+
+
+@pytest.mark.parametrize("load", list(LOADS))
+def test_a_car_tows_through_an_empty_hall_without_going_on_and_off(load: str) -> None:
+    """What nobody sees behind the load is no reason to brake as soon as it moves, and to drive off as soon as not."""
+    model = load_model("car")
+    scene = Scene(0, load_named(load), FIELD, (), (-2.5, 0.0, 0.0), ((2.5, 0.0),))
+    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), 1),)))
+    nodes = [
+        AdaptationNode(model),
+        PerceptionNode(),
+        PolicyNode(model, "goal_seeker"),
+        SafetyFilterNode(model, SETTINGS, margin_for(model)),
+    ]
+    moving = []
+    for tick in drive(robot, nodes, 80):
+        moving.append(abs(tick.state.values[3]) > STANDS)
+        assert not (moving[-1] and tick.verdict.status in ("violated", "stopped"))
+    assert sum(one != other for one, other in pairwise(moving)) == 1
+    assert robot.values[0] > -1.0
+    assert not robot.collisions
