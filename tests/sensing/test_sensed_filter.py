@@ -16,6 +16,7 @@ from safedpa.operations import FLOATS
 from safedpa.perception import PerceptionNode
 from safedpa.robots.car.barriers import ObstacleBarrier, braking_of
 from safedpa.robots.car.counter_braking import STANDS, CounterBraking
+from safedpa.robots.car.quickness import ORDINARY, Quickness, quickness_of
 from safedpa.robots.car.sensed_barrier import MoverBarrier
 from safedpa.robots.car.sensed_far import far_of
 from safedpa.robots.car.sensed_scene import MOST_ROWS, counter_braking_of, sensed_barriers
@@ -294,19 +295,21 @@ def of_some_kind(discs: np.ndarray, towed: TowedReach | None) -> list[ObstacleBa
 
 
 @pytest.mark.parametrize("late", [0, 1, 4])
-@pytest.mark.parametrize("name", ["car", "car_measured"])
+@pytest.mark.parametrize("name", ["car", "car_measured", "car_learned"])
 def test_no_action_breaks_a_condition_of_what_is_left_out_as_far(name: str, late: int) -> None:
     """Every action of one period, from where it begins to act: h of what is as far as that keeps its condition."""
     draw, model, left_out = np.random.default_rng(9), load_model(name).with_period(0.05), 0
+    quick = quickness_of(model, SETTINGS)
+    farthest = 12.0 if name != "car_learned" else 60.0  # with latents at their ends it is three times as quick
     ends = [(model.parameters[one].low, model.parameters[one].high) for one in model.latent_names]
     for number, state in enumerate(states(60, 10)):
         towed = TowedReach(0.1, 0.5, 0.2, 0.15, (0.0, 0.0, 0.0)) if number % 3 == 0 else None
         latent = np.array([draw.choice(end) for end in ends])
-        distance, angle = draw.uniform(0.5, 12.0, 60), draw.uniform(-np.pi, np.pi, 60)
+        distance, angle = draw.uniform(0.5, farthest, 60), draw.uniform(-np.pi, np.pi, 60)
         places = state[:2] + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         told = replace(state_of(), values=tuple(state.tolist()))
         for barrier in of_some_kind(np.column_stack([places, np.full(60, 0.1)]), towed):
-            far = far_of(barrier, told, SETTINGS.eta, 0.1, 0.05 * late)
+            far = far_of(barrier, told, SETTINGS.eta, 0.1, 0.05 * late, quick)
             rows = barrier.values(state) >= far
             left_out += int(rows.sum())
             for action in ((2.0, 0.34), (-0.6, -0.34), (2.0, -0.34), (-0.6, 0.34), (0.0, 0.0)):
@@ -363,8 +366,9 @@ def test_what_a_margin_that_widens_at_once_makes_near_is_looked_at_in_the_same_t
 def test_what_is_far_is_nearer_for_a_slow_car_and_farther_where_its_action_acts_late() -> None:
     (still, _) = of_some_kind(np.array([[3.0, 0.0, 0.1]]), None)
     told = [replace(state_of(), values=(0.0, 0.0, 0.0, speed)) for speed in (0.0, 1.0, -1.0)]
-    slow, quick, backwards = (far_of(still, one, SETTINGS.eta, 0.03, 0.0) for one in told)
-    assert slow < backwards == quick < far_of(still, told[1], SETTINGS.eta, 0.03, 0.1)
+    slow, quick, backwards = (far_of(still, one, SETTINGS.eta, 0.03, 0.0, ORDINARY) for one in told)
+    assert far_of(still, told[0], SETTINGS.eta, 0.03, 0.0, Quickness(np.inf, np.inf, np.inf)) == np.inf
+    assert slow < backwards == quick < far_of(still, told[1], SETTINGS.eta, 0.03, 0.1, ORDINARY)
 
 
 class Ahead:

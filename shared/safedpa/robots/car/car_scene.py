@@ -14,6 +14,7 @@ from safedpa.errors import InputError
 from safedpa.operations import FLOATS
 from safedpa.robots.car.barriers import car_barriers, towed_again
 from safedpa.robots.car.counter_braking import STANDS
+from safedpa.robots.car.quickness import ORDINARY, Quickness
 from safedpa.robots.car.reversed_way import ReversedWay
 from safedpa.robots.car.sensed_barrier import MoverBarrier
 from safedpa.robots.car.sensed_scene import counter_braking_of, sensed_barriers
@@ -35,13 +36,16 @@ class CarScene(AbstractScene):
 
     Of a car that tows something the barriers are others with every state: ``way`` tells how far it was driven
     backwards. ``braking``: the backup of a car that does not brake by itself; None: the resting action brakes it, and
-    among what its sensors see a speed command the other way round (``CounterBraking``).
+    among what its sensors see a speed command the other way round (``CounterBraking``). ``quick``: how quick its model
+    is.
     """
 
     quick = True
 
-    def __init__(self, settings: FilterSettings, braking: BrakingByThrottle | None = None) -> None:
-        self._settings, self.way = settings, ReversedWay()
+    def __init__(
+        self, settings: FilterSettings, braking: BrakingByThrottle | None = None, quick: Quickness = ORDINARY
+    ) -> None:
+        self._settings, self._quick, self.way = settings, quick, ReversedWay()
         self._braking, self._sensed = braking, 0.0
         self._counter = counter_braking_of(settings, servo=braking is None)
         self.backup = braking or self._brake
@@ -121,7 +125,8 @@ class CarScene(AbstractScene):
         if state.obstacles or state.corridor:
             return "surroundings (obstacles or a corridor are told beside sources; wanted one or the other)"
         try:
-            found = sensed_barriers(self._settings, self._counter, state, seen, self.way.reach(state), epsilon, late)
+            towed = self.way.reach(state)
+            found = sensed_barriers(self._settings, self._counter, state, seen, towed, epsilon, late, self._quick)
             self.yields_to, self.remark = found.yields_to, found.left_out
             return found.barriers
         except InputError as error:

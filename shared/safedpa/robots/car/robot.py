@@ -51,9 +51,9 @@ class Car(ShippedRobot):
 
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
         from safedpa.robots.car.car_scene import CarScene
+        from safedpa.robots.car.quickness import quickness_of
 
-        del model
-        return CarScene(settings)
+        return CarScene(settings, quick=quickness_of(model, settings))
 
     def barriers_around(  # noqa: D102
         self,

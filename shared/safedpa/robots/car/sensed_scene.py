@@ -17,6 +17,7 @@ from safedpa.errors import InputError
 from safedpa.operations import NUMPY
 from safedpa.robots.car.barriers import ObstacleBarrier, braking_of, checked_footprint
 from safedpa.robots.car.counter_braking import STANDS, CounterBraking
+from safedpa.robots.car.quickness import ORDINARY, Quickness
 from safedpa.robots.car.sensed_barrier import MoverBarrier
 from safedpa.robots.car.sensed_far import far_of
 from safedpa.robots.car.towed_reach import TowedReach
@@ -62,11 +63,12 @@ def sensed_barriers(
     towed: TowedReach | None,
     epsilon: Mapping[str, float] | None = None,
     late: float = 0.0,
+    quick: Quickness = ORDINARY,
 ) -> Sensed:
     """Of what is around a car at the moment of ``state``. Raises InputError for rows of a wrong width.
 
     ``epsilon`` by kind are the margins in force, else those of the settings; an action acts ``late`` [s] after the
-    state.
+    state. ``quick``: how quick the model of the car is.
     """
     body = checked_footprint(state.footprint)
     points, movers, places = (_table(seen, name, width) for name, width in _WIDTHS)
@@ -90,7 +92,7 @@ def sensed_barriers(
     none, margins = np.arange(0), {**settings.epsilon, **(epsilon or {})}
 
     def far(barrier: AbstractEquationBarrier) -> float:
-        return far_of(barrier, state, settings.eta, margins.get(barrier.kind, margins.get("default", 0.0)), late)
+        return far_of(barrier, state, settings.eta, margins.get(barrier.kind, margins.get("default", 0.0)), late, quick)
 
     resting = at_rest(none)
     still, _, fewer = _that_matter(resting, (*points[:, :2].T, points[:, 2] + kept), state, speeds, far)

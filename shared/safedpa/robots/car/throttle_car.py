@@ -47,10 +47,11 @@ class ThrottleCar(ShippedRobot):
     def scene(self, model: AbstractDynamics, settings: FilterSettings) -> AbstractScene:  # noqa: D102
         from safedpa.robots.car.barriers import braking_of
         from safedpa.robots.car.car_scene import CarScene
+        from safedpa.robots.car.quickness import quickness_of
         from safedpa.robots.car.throttle import BrakingByThrottle
 
         bounds = (settings.action_low[0], settings.action_high[0])
-        return CarScene(settings, BrakingByThrottle(model, braking_of(settings), bounds))
+        return CarScene(settings, BrakingByThrottle(model, braking_of(settings), bounds), quickness_of(model, settings))
 
     def barriers_around(  # noqa: D102
         self,
