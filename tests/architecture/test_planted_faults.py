@@ -127,6 +127,27 @@ def test_a_seed_draws_the_same_places_from_every_class(tree: Path) -> None:
     assert len({(fault.path, fault.first, fault.after) for fault in first}) == 8
 
 
+def test_a_fault_whose_file_has_changed_is_found_again_or_told_as_gone(tree: Path, tmp_path: Path) -> None:
+    import shutil
+
+    from planted import difference, drawn, there_now
+
+    shutil.copytree(tree, tmp_path / "later")
+    fault = next(one for one in drawn(tree, 1, 1000) if one.before == "abs(error - predicted)")
+    path = tmp_path / "later" / fault.path
+    source = path.read_text(encoding="utf-8")
+    row = {"fault": vars(fault), "difference": difference(fault, source)}
+    assert there_now(tmp_path / "later", dict(row)) == fault
+    path.write_text(source.replace("import os", "import os\nimport sys"), encoding="utf-8")
+    found = there_now(tmp_path / "later", row)
+    assert found is not None
+    assert (found.line, found.first, row["fault"]) == (fault.line + 1, fault.first + len("import sys\n"), vars(found))
+    path.write_text(source.replace("abs(error - predicted)", "abs(error)"), encoding="utf-8")
+    assert there_now(tmp_path / "later", row) is None
+    path.unlink()
+    assert there_now(tmp_path / "later", row) is None
+
+
 def test_the_nearest_tests_import_the_module(tree: Path) -> None:
     from near import Nearness
 
