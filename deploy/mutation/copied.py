@@ -29,6 +29,8 @@ __all__ = ["NEAR", "Copy", "Outcome", "probed"]
 
 NEAR = 12
 """Files of tests for each fault; more where none of these reaches it."""
+_NEAREST, _SHARE = 3, 0.5
+"""Files whose slow tests run before farther ones; each file's slow tests take this share of what is left at most."""
 _LONGER, _ROOM_SECONDS = 5.0, 60.0
 """A run with a fault may take so many times as long as one without, and so much more, while others use the machine."""
 
@@ -97,7 +99,7 @@ class Copy:
         shutil.copyfile(Path(__file__).with_name("reached.py"), self._beside / "reached.py")
 
     def tried(self, fault: Fault, files: Sequence[str], seconds: float) -> Outcome:
-        """Whether a test notices, those without the mark ``slow`` first.
+        """Whether a test notices.
 
         :param files: of tests, nearest first.
         :param seconds: until no other file is begun; what is begun without the fault ends then too.
@@ -105,23 +107,22 @@ class Copy:
         source = (self.root / fault.path).read_text(encoding="utf-8")
         probe, found = probed(fault, source), Outcome()
         end = time.monotonic() + seconds
-        for chosen in ("not slow", "slow"):
-            for number, file in enumerate(files):
-                room = end - time.monotonic()
-                if room <= 0.0 or (number >= NEAR and found.reaching):
-                    break
-                sound = self._run(fault.path, probe, source, [file], chosen, room)
-                witnesses = sound.witnesses()
-                found = replace(
-                    found,
-                    result="unnoticed" if found.reaching or witnesses else "unreached",
-                    files=found.files + (chosen == "not slow"),
-                    reaching=found.reaching + len(witnesses),
-                    unsound=(*found.unsound, *sound.failed),
-                )
-                by = self._noticing(fault, source, witnesses, sound)
-                if by:
-                    return replace(found, result="noticed", by=by)
+        for chosen, number, file in _turns(files):
+            room = end - time.monotonic()
+            if room <= 0.0 or (number >= NEAR and found.reaching):
+                break
+            sound = self._run(fault.path, probe, source, [file], chosen, _SHARE * room if chosen == "slow" else room)
+            witnesses = sound.witnesses()
+            found = replace(
+                found,
+                result="unnoticed" if found.reaching or witnesses else "unreached",
+                files=found.files + (chosen == "not slow"),
+                reaching=found.reaching + len(witnesses),
+                unsound=(*found.unsound, *sound.failed),
+            )
+            by = self._noticing(fault, source, witnesses, sound)
+            if by:
+                return replace(found, result="noticed", by=by)
         return found
 
     def _noticing(self, fault: Fault, source: str, witnesses: list[str], sound: Run) -> str:
@@ -175,6 +176,14 @@ class Copy:
                     os.killpg(running.pid, signal.SIGKILL)
                     return False
         return True
+
+
+def _turns(files: Sequence[str]) -> Iterator[tuple[str, int, str]]:
+    """Which tests of which file run, nearest first; of the very nearest the slow ones before those of farther files."""
+    numbered = list(enumerate(files))
+    for group in (numbered[:_NEAREST], numbered[_NEAREST:NEAR], numbered[NEAR:]):
+        for chosen in ("not slow", "slow"):
+            yield from ((chosen, number, file) for number, file in group)
 
 
 def _told(record: Path, ended: bool, wall: float) -> Run:

@@ -194,6 +194,16 @@ def test_what_leads_to_a_module_by_no_import_is_asked_after_all_that_does() -> N
     assert far
 
 
+def test_slow_tests_of_the_nearest_files_run_before_quick_ones_of_farther_files() -> None:
+    from copied import NEAR, _turns
+
+    turns = list(_turns([str(number) for number in range(NEAR + 2)]))
+    assert len(set(turns)) == len(turns) == 2 * (NEAR + 2)
+    at = {(chosen, number): place for place, (chosen, number, _) in enumerate(turns)}
+    assert at["not slow", 2] < at["slow", 0] < at["slow", 2] < at["not slow", 3]
+    assert at["slow", NEAR - 1] < at["not slow", NEAR]
+
+
 @pytest.mark.slow
 def test_who_notices_is_told_from_who_fails_anyway(tree: Path, tmp_path: Path) -> None:
     from copied import Copy
