@@ -17,7 +17,8 @@ __all__ = ["Nearness"]
 _FOLDERS = ("shared", "services", "sim")
 _ELSEWHERE = ("tests/fleet/", "tests/docs/", "tests/architecture/")
 """What needs containers, and what looks at texts: it would notice a docstring, and no fault."""
-_FAR = 3
+_FAR = 100
+"""Steps: no way of imports leads there, or only a name in a table, as commands are found by."""
 
 
 class Nearness:
@@ -98,16 +99,16 @@ class Nearness:
         """
         target = next(name for name, file in self._modules.items() if file == self._root / path)
         around = {target: 0}
-        for distance in range(1, _FAR):
-            for name, taken in self._of_modules.items():
-                if name not in around and any(around.get(other, _FAR) < distance for other in taken):
-                    around[name] = distance
+        new = {target}
+        while new:
+            new = {name for name, taken in self._of_modules.items() if name not in around and taken & new}
+            around |= dict.fromkeys(new, 1 + max(around.values()))
         own = {part for part in function.split(".") if len(part) > 3} | {target.rpartition(".")[2]}
         rated = []
         for file, (taken, words) in self._of_tests.items():
             distance = min((around[name] for name in taken if name in around), default=_FAR)
-            if distance < _FAR:
-                alike = file.parent.name in Path(path).parts
+            alike = file.parent.name in Path(path).parts
+            if distance < _FAR or alike or own & words:
                 far = 2 * distance - 2 * alike - min(len(own & words), 2)
                 rated.append((far, file.stat().st_size, str(file.relative_to(self._root))))
         return [name for *_, name in sorted(rated)][:most]

@@ -127,6 +127,27 @@ def test_a_seed_draws_the_same_places_from_every_class(tree: Path) -> None:
     assert len({(fault.path, fault.first, fault.after) for fault in first}) == 8
 
 
+def test_a_fault_whose_file_has_changed_is_found_again_or_told_as_gone(tree: Path, tmp_path: Path) -> None:
+    import shutil
+
+    from planted import difference, drawn, there_now
+
+    shutil.copytree(tree, tmp_path / "later")
+    fault = next(one for one in drawn(tree, 1, 1000) if one.before == "abs(error - predicted)")
+    path = tmp_path / "later" / fault.path
+    source = path.read_text(encoding="utf-8")
+    row = {"fault": vars(fault), "difference": difference(fault, source)}
+    assert there_now(tmp_path / "later", dict(row)) == fault
+    path.write_text(source.replace("import os", "import os\nimport sys"), encoding="utf-8")
+    found = there_now(tmp_path / "later", row)
+    assert found is not None
+    assert (found.line, found.first, row["fault"]) == (fault.line + 1, fault.first + len("import sys\n"), vars(found))
+    path.write_text(source.replace("abs(error - predicted)", "abs(error)"), encoding="utf-8")
+    assert there_now(tmp_path / "later", row) is None
+    path.unlink()
+    assert there_now(tmp_path / "later", row) is None
+
+
 def test_the_nearest_tests_import_the_module(tree: Path) -> None:
     from near import Nearness
 
@@ -135,20 +156,90 @@ def test_the_nearest_tests_import_the_module(tree: Path) -> None:
     assert "tests/safety/test_margin_conformal.py" in near
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "probed_as"),
+    [
+        ("error - predicted", "predicted - error", 'abs((__import__("reached").told() and (error - predicted)))'),
+        ("if deadline and not kept:\n        return None", "if False:\n        return None",
+         'if not __import__("reached").told() or deadline and not kept:'),
+        ("count += 1", "pass", '__import__("reached").told(); count += 1'),
+    ],
+)  # fmt: skip
+def test_the_place_of_a_fault_tells_when_it_is_reached_and_computes_the_same(before, after, probed_as) -> None:
+    from copied import probed
+    from fault_classes import Fault
+
+    first = SOURCE.index(before)
+    text = probed(Fault("", "", 0, "f", before, after, first, first + len(before)), SOURCE)
+    assert probed_as in text
+    ast.parse(text)
+
+
+def test_a_number_of_a_module_is_reached_where_a_function_reads_it_and_not_by_import() -> None:
+    from copied import probed
+    from fault_classes import Fault
+
+    source = "SECONDS = 2.0\n\n\ndef late(now):\n    return now > SECONDS, f'{SECONDS}'\n"
+    text = probed(Fault("", "", 1, "", "SECONDS = 2.0", "SECONDS = 20.0", 0, 13), source)
+    assert text.startswith("SECONDS = 2.0\n")
+    assert 'now > (__import__("reached").told() and SECONDS)' in text
+
+
+def test_what_leads_to_a_module_by_no_import_is_asked_after_all_that_does() -> None:
+    from near import Nearness
+
+    near = Nearness(ROOT)
+    assert near.files("services/safedpa_services/command_line/serve.py", "_Sayings.__call__", 60)
+    far = near.files("sim/safedpa_lab/experiments/point_figures.py", "_path", 60)
+    assert far
+
+
+def test_slow_tests_of_the_nearest_files_run_before_quick_ones_of_farther_files() -> None:
+    from copied import NEAR, _turns
+
+    turns = list(_turns([str(number) for number in range(NEAR + 2)]))
+    assert len(set(turns)) == len(turns) == 2 * (NEAR + 2)
+    at = {(chosen, number): place for place, (chosen, number, _) in enumerate(turns)}
+    assert at["not slow", 2] < at["slow", 0] < at["slow", 2] < at["not slow", 3]
+    assert at["slow", NEAR - 1] < at["not slow", NEAR]
+
+
 @pytest.mark.slow
 def test_who_notices_is_told_from_who_fails_anyway(tree: Path, tmp_path: Path) -> None:
-    from planted import Copy, Outcome, drawn
+    from copied import Copy
+    from fault_classes import Fault
+    from planted import drawn
 
     copy = Copy(tree, tmp_path)
     tests = ["tests/safety/test_margin.py"]
     faults = {(fault.before, fault.after): fault for fault in drawn(tree, 1, 1000)}
     of_a_margin = next(fault for (before, after), fault in faults.items() if after.startswith("min("))
     found = copy.tried(of_a_margin, tests, 60.0)
-    assert (found.result, found.by) == ("noticed", f"{tests[0]}::test_the_margin")
+    assert (found.result, found.by, found.files) == ("noticed", f"{tests[0]}::test_the_margin", 1)
+    assert found.reaching == 1
+    assert found.unsound == (f"{tests[0]}::test_never_true",)
     of_a_check = next(fault for (before, after), fault in faults.items() if after.startswith("if False"))
     found = copy.tried(of_a_check, tests, 60.0)
-    assert (found.result, found.unsound) == ("unnoticed", (f"{tests[0]}::test_never_true",))
-    assert copy.tried(of_a_check, tests, 0.0).result == "cut"
-    assert copy.tried(of_a_margin, [], 60.0) == Outcome("unnoticed")  # the whole suite is not near
+    assert (found.result, found.reaching) == ("unnoticed", 1)
+    first = (tree / of_a_margin.path).read_text(encoding="utf-8").index("count += 1")
+    elsewhere = Fault("", of_a_margin.path, 0, "widest", "count += 1", "pass", first, first + 10)
+    assert copy.tried(elsewhere, tests, 60.0).result == "unreached"
+    assert copy.tried(of_a_margin, [], 60.0).result == "unreached"  # the whole suite is not near
     kept = (tmp_path / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
     assert kept == (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_fault_after_which_nothing_ends_is_noticed(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import copied
+    from fault_classes import Fault
+
+    source = (tree / "shared/safedpa/safety/margin.py").read_text(encoding="utf-8")
+    copy, first = copied.Copy(tree, tmp_path), source.index("largest / 1000.0")
+    monkeypatch.setattr(copied, "_ROOM_SECONDS", 10.0)
+    after = "next(_ for _ in iter(int, 1) if _)"
+    fault = Fault("", "shared/safedpa/safety/margin.py", 0, "margin", "largest / 1000.0", after, first, first + 16)
+    found = copy.tried(fault, ["tests/safety/test_margin.py"], 60.0)
+    assert found.by == "tests/safety/test_margin.py::test_the_margin (does not end)"

@@ -60,12 +60,12 @@ class Drive:
             candidates=("steering_offset",),
         )  # fmt: skip
 
-    def tell(self, t: float, stage: str, error: float, *, number: int = 1, text: str = "") -> None:
+    def tell(self, t: float, stage: str, error: float, *, number: int = 1, text: str = "", model: str = "") -> None:
         stamp = STAMP | {"robot_time": t, "tick": round(20 * t)}
         self.heard.state = replace(STATE, robot_time=t, tick=round(20 * t), values=(t, 0.0, 0.0, 1.0))
         self.heard.finding = FindingMessage(
-            **stamp, model=self.model, stage=stage, sentence=f"it is {stage}", number=number, error=error, band=0.06,
-            evidence=1.0, threshold=13.8, coverage=1.0, where="yaw", report=text,
+            **stamp, model=model or self.model, stage=stage, sentence=f"it is {stage}", number=number, error=error,
+            band=0.06, evidence=1.0, threshold=13.8, coverage=1.0, where="yaw", report=text,
         )  # fmt: skip
         self.story.look(self.heard)
 
@@ -121,6 +121,22 @@ def test_without_yes_the_person_is_told_and_nothing_is_accepted():
         lambda: any("dropped, the filter did not answer; click Accept once more" in line for line in drive.lines)
     )
     assert not drive.story.done
+
+
+def test_a_change_that_was_taken_asks_for_no_other_click():
+    """The diagnosis has the mended model already, its finding is on the way: accepting again would change it twice."""
+    drive = Drive(accepts=False)
+    found(drive, report())
+    drive.wait(lambda: any("your turn: accept steering_offset" in line for line in drive.lines))
+    drive.model, before = "bbbbbbbb", drive.asked.count("status")
+    drive.sentence = "change 1: in force in all services"
+    drive.tell(60.0, "candidates", 0.3, model="aaaaaaaa")
+    drive.wait(lambda: drive.asked.count("status") > before)
+    drive.story._asking.join(10.0)
+    drive.story.look(drive.heard)
+    assert not [line for line in drive.lines if "click Accept once more" in line]
+    drive.tell(61.0, "learning", 0.2)
+    assert drive.story.document()["taken"] == 61.0
 
 
 def test_a_stand_without_a_word_is_counted_and_one_that_is_told_is_not():

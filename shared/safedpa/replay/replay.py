@@ -145,13 +145,14 @@ class _Judge:
 
     def _close(self, anew_from: int | None = None) -> None:
         """Ends the span: what agreed behind its last difference counts, if it is more than chance."""
-        if self._span is not None:
-            self._span.anew_from = anew_from
-        if self._span is not None and len(self._agreeing) >= _AGREED:
+        if self._span is None:
+            return
+        self._span.anew_from = anew_from
+        if len(self._agreeing) >= _AGREED:
             self._span.agrees_from = self._agreeing[0][0].tick
             for state, found in self._agreeing:
                 self._count(state, found)
-        elif self._span is not None:
+        else:
             self._span.steps += len(self._agreeing)
         self._span = None
         self._agreeing.clear()
