@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -134,6 +135,14 @@ def test_who_came_in_by_another_door_of_the_process_is_left_alone(free_port: int
     finally:
         for transport in (*guests, first, second):
             transport.close()
+
+
+def test_sockets_are_looked_for_by_several_threads_at_once() -> None:
+    """Two sessions of a process that listen have a doorkeeper each."""
+    with contextlib.ExitStack() as held, ThreadPoolExecutor(4) as pool:
+        doors = {held.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1] for _ in range(50)}
+        for found in pool.map(lambda _: listening_ports(), range(400)):
+            assert doors <= found
 
 
 def test_strangers_are_cut_off_and_members_are_not(free_port: int) -> None:

@@ -195,7 +195,8 @@ def _sockets() -> Iterable[int]:
     absent = 0
     for first in range(0, highest, _AT_ONCE):
         numbers = range(first, min(first + _AT_ONCE, highest))
-        gone = {number for number, what in _question(numbers).poll(0) if what & select.POLLNVAL}
+        with _ASKING:
+            gone = {number for number, what in _question(numbers).poll(0) if what & select.POLLNVAL}
         absent = absent + 1 if len(gone) == len(numbers) else 0
         if absent == _LONGEST_GAP:
             return
@@ -207,6 +208,8 @@ def _sockets() -> Iterable[int]:
 
 _AT_ONCE = 512
 """Numbers that the kernel is asked about by one call: a call for each costs ten times as much."""
+_ASKING = threading.Lock()
+"""Each question is asked by one thread at a time: a second one would be told an error."""
 _LONGEST_GAP = 4
 """Questions in a row that found no descriptor, after which none is looked for: the kernel gives out the lowest."""
 
