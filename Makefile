@@ -4,6 +4,8 @@ PYTHON ?= python3.11
 ENVIRONMENT := .venv
 BIN := $(ENVIRONMENT)/bin
 INSTALLED := $(ENVIRONMENT)/.installed
+COMPILED := $(CURDIR)/build/compiled
+BUILT := $(COMPILED)/.built
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: help demo run test test-compiled test-fleet lint types contracts check audit bill docs environment constraints clean
@@ -11,12 +13,21 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --constraint
 help:  ## lists the targets
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/' | expand -t 14
 
-demo: environment  ## two minutes: a steering is bent while the car drives, found, and mended by your click
-	@$(BIN)/safedpa demo
+demo: $(BUILT)  ## two minutes: a steering is bent while the car drives, found, and mended by your click
+	@PYTHONPATH=$(COMPILED) $(BIN)/safedpa demo
 
-run: environment  ## starts the closed loop with its live dashboard; Ctrl-C ends it
+run: $(BUILT)  ## starts the closed loop with its live dashboard; Ctrl-C ends it
 	@echo "Starting robot, services and dashboard; the address of the live view stands below. Ctrl-C ends everything."
-	@$(BIN)/safedpa up --robot car --load chair --seed 4
+	@PYTHONPATH=$(COMPILED) $(BIN)/safedpa up --robot car --load chair --seed 4
+
+# A copy of the product whose innermost modules are compiled, where a C compiler is at hand: what `pip install` gives.
+# What is edited or tested is the source itself, so the copy is made anew when any of it is newer.
+$(BUILT): $(INSTALLED) hatch_build.py $(shell find shared services sim/safedpa_sim -type f -not -name '*.pyc')
+	@echo "Compiling the modules of every decision into build/compiled; this takes a minute when they have changed."
+	@rm -rf $(COMPILED)
+	@$(PIP) --no-deps --target $(COMPILED) . || { rm -rf $(COMPILED); mkdir -p $(COMPILED); }
+	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; compiled_modules() or print("Nothing could be compiled (is there a C compiler?): the loop runs from Python source, and a decision takes about twice as long.")'
+	@touch $@
 
 # One more than two cores: half of the time a test waits for services, browsers and robots that drive in real time.
 TESTERS ?= 3
@@ -28,11 +39,7 @@ test: environment  ## runs all tests
 test-fleet: environment  ## a fleet of containers: faults, intruders; installs docker on Debian
 	@deploy/test-fleet
 
-COMPILED := $(CURDIR)/build/compiled
-
-test-compiled: environment  ## the filter's tests on a wheel with its compiled modules; needs a C compiler
-	@rm -rf $(COMPILED)
-	@SAFEDPA_COMPILE=1 $(PIP) --no-deps --target $(COMPILED) .
+test-compiled: $(BUILT)  ## the filter's tests on a wheel with its compiled modules; needs a C compiler
 	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; assert compiled_modules() == MODULES'
 	@PYTHONPATH=$(COMPILED) $(BIN)/pytest -q tests/safety
 
@@ -60,7 +67,7 @@ environment: $(INSTALLED)  ## creates .venv, or brings it up to date
 $(INSTALLED): pyproject.toml sim/pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
 		|| { echo "$(PYTHON): wanted Python 3.11; say make PYTHON=/path/to/python3.11" >&2; exit 1; }
-	@echo "Installing into $(ENVIRONMENT); the first time this takes a minute or two."
+	@echo "Installing into $(ENVIRONMENT); the first time this takes two to three minutes."
 	@$(PYTHON) -m venv $(ENVIRONMENT)
 	@$(PIP) torch==2.13.0
 	@$(PIP) --editable '.[test,lint]' --editable sim

@@ -38,7 +38,7 @@ from safedpa.safety.node import SafetyFilterNode
 from safedpa_lab.commands.experiment import EXPERIMENTS
 from safedpa_lab.experiments import pendulum_report
 from safedpa_services.command_line.group import COMMANDS, LABORATORY
-from safedpa_services.metrics.collector import FAMILIES
+from safedpa_services.metrics.exporter import FAMILIES
 
 sys.path.insert(0, str(Path(__file__).parent))
 from asyncapi import document

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,9 @@ from typing import Any
 
 # Before numpy is imported: threads that wait for each other over matrices of a few rows take ten times as long.
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
+
+# What a developer's shell may say of every Python process: with it a flush that is forgotten is missed by nobody.
+os.environ.pop("PYTHONUNBUFFERED", None)
 
 import numpy as np
 import pytest
@@ -68,6 +72,26 @@ def kind_of(file: str) -> str:
     if inside.startswith(tuple(name if name.endswith(".py") else f"{name}/" for name in TRAINING)):
         return "training"
     return "light" if inside.startswith(tuple(f"{name}/" for name in LIGHT)) else ""
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Of a long run: where its time went, by folder, summed over all processes."""
+    seconds: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            seconds[folder_of(getattr(report, "nodeid", ""))] += getattr(report, "duration", 0.0)
+    if seconds.total() > _LONG_SECONDS:
+        shown = ", ".join(f"{folder} {spent:.0f}" for folder, spent in seconds.most_common(_FOLDERS_TOLD))
+        terminalreporter.write_line(f"seconds by folder: {shown}")
+
+
+_LONG_SECONDS = 120.0
+_FOLDERS_TOLD = 20
+
+
+def folder_of(test: str) -> str:
+    """``bus`` of ``tests/bus/test_codec.py::test``."""
+    return test.split("::", 1)[0].removeprefix("tests/").rpartition("/")[0]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -11,6 +11,8 @@ the assertion would have failed with another operand. Told is an assertion that
 - compares an object with itself, or holds whatever stands on its left;
 - is a function that is not called, or a tuple.
 
+Of tests that were skipped it is counted how many were not asked, so that nobody takes them for good.
+
 Exit code 1: there are some; 2: the tests fail as they are.
 """
 
@@ -66,13 +68,30 @@ class Seen:
     deaf: dict[int, bool] = field(default_factory=dict)
     """By comparison: whether it held each time for whatever could stand on the left."""
     odd: str = ""
+    function: str = ""
+    """In which it stands."""
 
 
 class Asked:
-    """Beside the tests: asked by each rewritten assertion."""
+    """Beside the tests: asked by each rewritten assertion; as a plug-in of pytest it hears which are skipped."""
 
     def __init__(self) -> None:
         self.seen: list[Seen] = []
+        self._skipped, self._ran = set[tuple[str, str]](), set[tuple[str, str]]()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Of a part of a test."""
+        file, _, test = report.nodeid.partition("::")
+        name = file, test.partition("[")[0].rpartition("::")[2]
+        if report.skipped:
+            self._skipped.add(name)
+        elif report.when == "call":
+            self._ran.add(name)
+
+    def not_asked(self, seen: Seen) -> bool:
+        """Whether it never ran since every test of its function was skipped."""
+        name = seen.place.rpartition(":")[0], seen.function
+        return not seen.ran and name in self._skipped - self._ran
 
     def held(self, number: int, value: Any) -> Any:
         """The assertion's own value."""
@@ -170,7 +189,7 @@ def rewritten(source: str, file: str, asked: Asked) -> ast.Module:
         for node in sorted(inside, key=lambda node: node.lineno):
             node.done = True  # type: ignore[attr-defined] - of a function within this one it is found again
             number = len(asked.seen)
-            asked.seen.append(Seen(f"{file}:{node.lineno}", ast.unparse(node.test)))
+            asked.seen.append(Seen(f"{file}:{node.lineno}", ast.unparse(node.test), function=function.name))
             if isinstance(node.test, ast.Tuple):
                 asked.seen[number].odd = "a tuple is always true"
             if not any(isinstance(part, (ast.Await, ast.Yield, ast.NamedExpr)) for part in ast.walk(node.test)):
@@ -185,7 +204,7 @@ def findings(asked: Asked) -> list[str]:
     lines = []
     for seen in asked.seen:
         wrong = [seen.odd] if seen.odd else []
-        if not seen.ran:
+        if not seen.ran and not asked.not_asked(seen):
             wrong.append("never ran")
         if seen.same:
             wrong.append("compares an object with itself")
@@ -244,9 +263,11 @@ def main(arguments: list[str]) -> int:
     asked = Asked()
     sys.meta_path.insert(0, _Finder(asked))
     plain = ["-q", "--assert=plain", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    failed = pytest.main([*plain, *arguments]) != 0
+    failed = pytest.main([*plain, *arguments], plugins=[asked]) != 0
     told = findings(asked)
+    left = sum(map(asked.not_asked, asked.seen))
     counted = f"{len(asked.seen)} assertions, {len(told)} to look at"
+    counted += f", {left} not asked, of skipped tests" if left else ""
     sys.stdout.write("\n".join([*told, counted]) + "\n")
     return 2 if failed else 1 if told or not asked.seen else 0
 

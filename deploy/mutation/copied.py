@@ -131,13 +131,14 @@ class Copy:
         while left:
             patience = _ROOM_SECONDS + _LONGER * sound.wall
             run = self._run(fault.path, planted, source, left, "", patience, first_only=True)
-            suspect = run.failed[0] if run.failed else "" if run.ended else run.begun or left[0]
+            begins = bool(run.seconds or run.failed)  # else what is imported before all tests fails
+            suspect = run.failed[0] if run.failed else "" if run.ended and begins else run.begun or left[0]
             if not suspect:
                 return ""
             alone = [suspect] if suspect in left else left[:1]
             again = self._run(fault.path, source, source, alone, "", patience)
             if again.ended and not again.failed:
-                return suspect if run.failed else f"{suspect} (does not end)"
+                return suspect if run.failed else f"{suspect} (does not {'begin' if run.ended else 'end'})"
             left = left[left.index(alone[0]) + 1 :]
         return ""
 

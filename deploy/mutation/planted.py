@@ -1,6 +1,6 @@
 """Plants faults that developers make at random places of their classes, and asks whether the near tests notice.
 
-    python deploy/mutation/planted.py --seed S [--faults 50] [--seconds 120] [--again]
+    python deploy/mutation/planted.py --seed S [--faults 50] [--seconds 120] [--again [--place PATH]]
 
 ``run.py`` plants every small fault in the filter's modules; this one draws from classes (``fault_classes.py``: a sign
 of an error, a margin, held-out rows, units, a link's certificate, what is durable, ...) over all that they name. Each
@@ -8,8 +8,8 @@ is planted in a copy of the working tree, where the tests that come to its place
 they are looked for in the nearest files (``near.py``). A test that fails on the copy without the fault as well is no
 witness and left out. Writes ``planted-S.json`` (place, difference, who noticed) beside this file, and ``planted.md`` of
 all seeds, after each fault: a run that is cut keeps what it did, and goes on there. With ``--again`` what was not
-noticed is tried again, after tests were added; what was so at first stays in the record. Exit code 1: some fault is
-noticed by nobody.
+noticed is tried again on the tests as they are now, new ones first; what was so at first stays in the record. What
+cannot be noticed has the reason in its row, as ``why``. Exit code 1: some fault is noticed by nobody, and has none.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from copied import NEAR, Copy  # noqa: E402 - found beside this file
 from fault_classes import CLASSES, Fault, faults_in  # noqa: E402
 from near import Nearness  # noqa: E402
 
-FILES = 60
-"""Files of tests for each fault, those beyond the nearest only where none of these reaches it."""
+FILES, FAR = 60, 1000
+"""Files of tests for each fault, those beyond the nearest only where none of these reaches it; all that there are."""
 
 
 def drawn(root: Path, seed: int, count: int) -> list[Fault]:
@@ -68,19 +68,20 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--faults", type=int, default=50)
     parser.add_argument("--seconds", type=float, default=120.0, help="to find tests that come to one fault")
     parser.add_argument("--again", action="store_true", help="what was not noticed, on the tests as they are now")
+    parser.add_argument("--place", default="", metavar="PATH[:LINE]", help="only of faults at such a place")
     given = parser.parse_args(arguments)
     os.nice(10)
     record = read(HERE, given.seed)
     nearness = Nearness(ROOT)
     with tempfile.TemporaryDirectory(prefix="planted-") as folder:
-        copy = Copy(ROOT, Path(folder))
+        copy, changed = Copy(ROOT, Path(folder)), changed_since(ROOT, record["commit"]) if given.again else set[str]()
         for row in planned(record, given):
-            fault = there_now(ROOT, row)
+            fault = there_now(copy.root, row)  # the working tree may be changed meanwhile
             if fault is None:
                 row["now"] = {"result": "gone", "by": "", "commit": commit()}
                 sys.stderr.write(f"gone      {row['fault']['kind']}: {row['fault']['path']}\n")
                 continue
-            tests = nearness.files(fault.path, fault.function, FILES)
+            tests = new_first(nearness.files(fault.path, fault.function, FAR), changed)[:FILES]
             outcome = copy.tried(fault, tests, given.seconds)
             came = {**asdict(outcome), "commit": commit()}
             row.setdefault("first", came)
@@ -88,13 +89,19 @@ def main(arguments: list[str]) -> int:
             write(HERE, record)
             sys.stderr.write(f"{outcome.result:9} {fault.kind}: {fault.path}:{fault.line} {outcome.by}\n")
     write(HERE, record)
-    return 1 if any(row.get("now", {}).get("result") not in ("noticed", "gone") for row in record["faults"]) else 0
+    return 1 if any(map(is_open, record["faults"])) else 0
+
+
+def is_open(row: dict[str, Any]) -> bool:
+    """Whether nobody notices the fault, and nobody has said in the record (``why``) why nothing can."""
+    return row.get("now", {}).get("result") not in ("noticed", "gone") and not row.get("why")
 
 
 def planned(record: dict[str, Any], given: argparse.Namespace) -> list[dict[str, Any]]:
     """The faults that are still to be tried, put into the record where they are not there."""
     if given.again:
-        return [row for row in record["faults"] if row.get("now", {}).get("result") != "noticed"]
+        found = [row for row in record["faults"] if row.get("now", {}).get("result") != "noticed"]
+        return [row for row in found if given.place in f"{row['fault']['path']}:{row['fault']['line']}"]
     if not record["faults"]:
         for fault in drawn(ROOT, given.seed, given.faults):
             changed = difference(fault, (ROOT / fault.path).read_text(encoding="utf-8"))
@@ -116,6 +123,18 @@ def there_now(root: Path, row: dict[str, Any]) -> Fault | None:
         return None
     row |= {"fault": vars(alike[0]), "difference": difference(alike[0], path.read_text(encoding="utf-8"))}
     return alike[0]
+
+
+def changed_since(root: Path, former: str) -> set[str]:
+    """Files of tests that are new or other than in a commit."""
+    words = ["git", "diff", "--name-only", former, "--", "tests"]
+    done = subprocess.run(words, cwd=root, capture_output=True, text=True, check=False)
+    return set(done.stdout.split())
+
+
+def new_first(tests: list[str], changed: set[str]) -> list[str]:
+    """What was written since the faults were planted is asked before the rest, each part nearest first."""
+    return sorted(tests, key=lambda name: name not in changed)
 
 
 def read(folder: Path, seed: int) -> dict[str, Any]:
@@ -172,6 +191,8 @@ def page(record: dict[str, Any]) -> str:
         at_first = row.get("first", row["now"])["result"]
         place = f"{fault['path']}:{fault['line']} {fault['function']}"
         lines.append(f"| {fault['kind']} | {place} | {before} | {after} | {at_first} | {told} |")
+    explained = [f"- {row['fault']['path']}:{row['fault']['line']}: {row['why']}" for row in rows if row.get("why")]
+    lines += ["", *explained] if explained else []
     return "\n".join(lines) + "\n"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["MODULES"]
 
-BARRIERS = ("test_barriers.py", "test_filter_recorded.py", "test_filter_invariance.py")
+BARRIERS = ("test_stacks_of_functions.py", "test_barriers.py", "test_filter_recorded.py", "test_filter_invariance.py")
 EQUATIONS = ("test_equation_stack.py",)
 VERDICTS = (
     "test_filter_recorded.py",
@@ -19,10 +19,11 @@ ALL_KINDS = "-test_filter_promises.py::test_every_kind_of_problem_is_among_them"
 PROMISES = ("test_filter_promises.py", ALL_KINDS)
 """Without what counts its own problems."""
 POINT = ("../point/test_point_scene.py", "../point/test_point_filter.py")
-BATCH = ("test_batch.py",)
+BATCH = ("test_batch_one_by_one.py", "test_batch.py")
 CHECK = ("test_check_parts.py", "test_check_edges.py")
 """Without what drives whole filters, ten seconds at a time."""
 ROLLOUT = (
+    "test_rollout_places.py",
     "test_rollout_barrier.py",
     "-test_rollout_barrier.py::test_what_is_thinner_than_a_tick_is_not_jumped_over",
     "-test_rollout_barrier.py::test_with_relative_degree_two_nothing_is_hit_and_nothing_relaxed",
@@ -36,13 +37,20 @@ DRIVES = (
 )
 CHANGES = ("../changes/test_margin_changes.py", "../changes/test_offers_to_nodes.py")
 WATCHED = ("test_watched_margin.py", "test_out_of_the_layer.py", *CHANGES)
+WAY_OUT = ("test_way_out.py", "-test_way_out.py::test_a_car_beside_an_obstacle_gets_out")
+STRANGERS = (
+    "test_strangers.py",
+    "-test_strangers.py::test_the_filters_own_process_refuses_a_stranger",
+    "-test_strangers.py::test_the_command_refuses_a_stranger",
+    "-test_strangers.py::test_wrong_pairs_are_refused_by_the_command",
+)
+"""Without what starts another process: it has no mutant."""
 MODULES = {
     "decision": (
         *VERDICTS,
+        "test_filter_ways.py",
         "test_laws_in_the_filter.py",
         "test_on_its_way.py",
-        *PROMISES,
-        "test_filter_invariance.py",
     ),
     "search": (
         "test_filter_search.py",
@@ -51,7 +59,7 @@ MODULES = {
         *PROMISES,
         "test_filter_invariance.py",
     ),
-    "conditions": ("test_filter_conditions.py", *VERDICTS, *PROMISES, "test_filter_invariance.py"),
+    "conditions": ("test_filter_conditions.py", "test_filter_ways.py", "test_on_its_way.py", *VERDICTS),
     "not_finite": ("test_tangent.py",),
     "tangent": ("test_tangent.py", "test_filter_conditions.py", *VERDICTS),
     "equations.chain_rule": ("test_chain_rule.py",),
@@ -69,37 +77,42 @@ MODULES = {
     "retreat": ("test_retreat.py",),
     "lattice": ("test_lattice.py",),
     "highest": ("test_highest.py", "test_least_unsafe.py", "test_least_unsafe_truths.py"),
-    "inputs": ("test_filter_inputs.py", "test_isolation.py"),
+    "inputs": ("test_inputs_checked.py", "test_filter_inputs.py", "test_isolation.py"),
     "quadratic_program": ("test_quadratic_program.py", "test_nearest.py"),
     "nearest": ("test_nearest.py", "test_quadratic_program.py"),
-    "program_rows": ("test_quadratic_program.py", "test_nearest.py"),
-    "margins_in_force": ("test_margins_in_force.py", "test_filter_inputs.py"),
+    "program_rows": ("test_corners.py", "test_quadratic_program.py", "test_nearest.py"),
+    "margins_in_force": ("test_stacks_of_functions.py", "test_margins_in_force.py", "test_filter_inputs.py"),
     "equation_barrier": EQUATIONS,
     "stacks": (*EQUATIONS, "test_remembered.py", "test_margins_in_force.py"),
     "many_barriers": (*EQUATIONS, *BATCH),
-    "robots.car.barriers": (*EQUATIONS, *BARRIERS, "test_towed_reach.py"),
-    "robots.car.swept": (*EQUATIONS, *BARRIERS, "test_towed_reach.py"),
+    "robots.car.barriers": ("test_cars_body.py", *EQUATIONS, *BARRIERS, "test_towed_reach.py"),
+    "robots.car.swept": ("test_cars_body.py", *EQUATIONS, *BARRIERS, "test_towed_reach.py"),
     "robots.car.many_barriers": (*EQUATIONS, *BATCH),
     "affine_motion": ("test_affine_motion.py", *VERDICTS),
     "remembered": ("test_remembered.py", *BARRIERS),
     "solution": ("test_quadratic_program.py", *VERDICTS),
     "verdict": ("test_resting_verdict.py", *VERDICTS),
     "braking": ("test_braking.py", *BARRIERS),
-    "barrier": ("test_barriers.py::test_stack_keeps_order_names_and_margins", *BARRIERS),
+    "barrier": ("test_stacks_of_functions.py", "test_barriers.py"),
     "speed_barrier": (f"{SLOPES}[SpeedBarrier]", *BARRIERS),
-    "function_barrier": (f"{SLOPES}[FunctionBarrier]", "test_barriers.py", "test_filter_inputs.py"),
+    "function_barrier": (
+        f"{SLOPES}[FunctionBarrier]",
+        "test_stacks_of_functions.py",
+        "test_barriers.py",
+        "test_filter_inputs.py",
+    ),
     "corridor_barrier": ("test_corridor_barrier.py",),
     "swept": ("test_swept.py",),
     "differences": ("test_differences.py",),
     "higher_order_barrier": ("test_higher_order_barrier.py",),
-    "stopping_barrier": POINT,
-    "stopping_walk": POINT,
+    "stopping_barrier": ("../point/test_point_many.py", *POINT),
+    "stopping_walk": ("../point/test_point_many.py", *POINT),
     "margin": ("test_margin_conformal.py", *DRIVES, f"../fleet_process/test_fast_paths.py::{MARGIN}"),
     "batch": BATCH,
     "many_predictions": (*BATCH, "../point/test_point_filter.py"),
-    "many_stopping": POINT,
+    "many_stopping": ("../point/test_point_many.py", *POINT),
     "batch_nearest": ("test_batch_nearest.py", *BATCH),
-    "batch_search": ("test_batch_search.py", *BATCH),
+    "batch_search": ("test_batch_search.py", "test_batch_search_one_by_one.py", *BATCH),
     "prediction": (
         "test_prediction.py",
         "test_affine_motion.py",
@@ -117,14 +130,14 @@ MODULES = {
         "../operations/test_stop_orders.py",
         *VERDICTS,
     ),
-    "settings": ("test_filter_settings.py", "test_strangers.py"),
+    "settings": ("test_filter_settings.py", *STRANGERS),
     "shipped": ("../services/test_shipped.py", "test_filter_settings.py", "test_run_calibration.py"),
     "compatibility": ("test_strangers.py",),
     "finite_clock": ("test_finite_clock.py",),
     "numbers_returned": ("test_isolation.py", "test_filter_inputs.py"),
     "gymnasium_wrapper": ("test_gymnasium_filter.py",),
     "scene": ("test_scene_corridor.py", "test_towed_reach.py"),
-    "scenes": ("test_strangers.py", *POINT),
+    "scenes": ("test_scene_corridor.py", "test_strangers.py", *POINT),
     "robots.car.reversed_way": ("test_towed_reach.py",),
     "robots.car.towed_reach": ("test_towed_reach.py",),
     "calibration": ("test_margin_conformal.py", *DRIVES, "test_run_calibration.py"),
@@ -138,18 +151,40 @@ MODULES = {
     "margin_text": (*CHANGES, "test_run_calibration.py"),
     "live_margin": ("test_run_calibration.py",),
     "held_model": (*WATCHED, "test_strangers.py"),
-    "filtered_robot": (*WATCHED, "test_late_robot.py", "test_standstill.py", "test_way_out.py"),
+    "filtered_robot": (
+        "test_filter_node.py",
+        "test_robot_memory.py",
+        "test_robot_begun.py",
+        "test_robot_standing.py",
+        "test_filtered_robot.py",
+        *WATCHED,
+        "test_late_robot.py",
+        "test_standstill.py",
+        *WAY_OUT,
+        "test_throttle_backup.py",
+        "../operations/test_stop_orders.py",
+        "../robots/test_reversed_way.py",
+        "../sensing/test_nothing_seen.py",
+    ),
     "surroundings_ahead": (
         "test_surroundings_ahead.py",
         "../sensing/test_nothing_seen.py",
     ),
-    "way_out": ("test_way_out.py", "-test_way_out.py::test_a_car_beside_an_obstacle_gets_out"),
+    "way_out": WAY_OUT,
     "standstill": ("test_standstill.py",),
     "orders": ("../operations/test_stop_orders.py",),
-    "node": (*WATCHED, "../operations/test_stop_orders.py", "../services/test_shipped.py", "test_strangers.py"),
+    "node": (
+        "test_filter_node.py",
+        "test_filtered_robot.py",
+        *WATCHED,
+        "../operations/test_stop_orders.py",
+        "../services/test_shipped.py",
+        *STRANGERS,
+        "../sensing/test_nothing_seen.py",
+    ),
     "on_its_way": ("test_on_its_way.py", "test_trail.py", "test_late_robot.py"),
-    "trail": ("test_trail.py", "test_late_robot.py"),
-    "found_delay": ("test_found_delay.py",),
+    "trail": ("test_trail.py", "test_found_delay.py", "test_late_robot.py"),
+    "found_delay": ("test_found_delay.py", "test_delay_evidence.py"),
     "pending_actions": PENDING,
     "closed_loop": ("test_closed_loop.py", *ROLLOUT),
     "rollout_barrier": ROLLOUT,

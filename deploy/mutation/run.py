@@ -12,6 +12,7 @@ unexplained; 2: the tests fail without any fault.
 
 from __future__ import annotations
 
+import argparse
 import datetime
 import hashlib
 import importlib
@@ -83,10 +84,9 @@ def trial_of(module: str) -> Trial:
 
 def main(arguments: list[str]) -> int:
     """Runs every mutant of the wanted modules (default: all) and writes the summary."""
+    only_report, wanted = asked(arguments)
     os.nice(10)
     os.chdir(ROOT)
-    only_report = "--report" in arguments
-    wanted = [argument for argument in arguments if argument != "--report"] or list(MODULES)
     if not only_report:
         import_what_is_not_mutated()
     rows, survivors, start = list[dict[str, Any]](), list[dict[str, Any]](), time.monotonic()
@@ -110,6 +110,18 @@ def main(arguments: list[str]) -> int:
         text, open_ones = report([*rows], [*survivors])  # after each: a run that is cut keeps what it did
     sys.stdout.write(text)
     return 1 if open_ones else 0
+
+
+def asked(arguments: list[str]) -> tuple[bool, list[str]]:
+    """Whether nothing is to run, and the modules; ends with one line and exit code 2 where one is not registered."""
+    parser = argparse.ArgumentParser(prog="run.py", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--report", action="store_true", help="run nothing: renew the summary by what is kept")
+    parser.add_argument("modules", nargs="*", metavar="MODULE", help="of registered.py; default: all")
+    options = parser.parse_args(arguments)
+    for module in options.modules:
+        if module not in MODULES:
+            parser.error(f"{module}: wanted a module of registered.py, for example {next(iter(MODULES))}")
+    return options.report, options.modules or list(MODULES)
 
 
 def report(rows: list[dict[str, Any]], survivors: list[dict[str, Any]]) -> tuple[str, int]:

@@ -11,19 +11,29 @@ import dataclasses
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from safedpa.bus import AbstractNode, Answer, Bus, Request, SetupMessage
 from safedpa.bus.log import log_event
-from safedpa.bus.wire.requests import ORDER
+from safedpa.bus.wire.requests import ORDER, SENSE
 from safedpa.bus.wire.setup import setup_message
 from safedpa.robot import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from safedpa.safety.orders import Orders
 
-__all__ = ["Made", "adaptation", "add_filter_options", "add_policy_options", "perception", "policy", "safety_filter"]
+__all__ = [
+    "Made",
+    "adaptation",
+    "add_filter_options",
+    "add_perception_options",
+    "add_policy_options",
+    "perception",
+    "policy",
+    "safety_filter",
+]
 
 
 def _nothing(_bus: Bus) -> None:
@@ -51,12 +61,20 @@ def adaptation(options: argparse.Namespace) -> Made:
     return Made(node, model_setup(setup_message(node.name, vars(options)), model))
 
 
-def perception(options: argparse.Namespace) -> Made:
-    """Knows no model: where things are follows from scans and the robot's own way."""
-    from safedpa.perception import PerceptionNode
+def add_perception_options(parser: argparse.ArgumentParser) -> None:
+    """What perception alone takes."""
+    parser.add_argument("--perception", default="", metavar="FILE.toml", help="its settings, sources and zones")
 
-    node = PerceptionNode()
-    return Made(node, setup_message(node.name, vars(options)))
+
+def perception(options: argparse.Namespace) -> Made:
+    """Knows no model: where things are follows from scans and the robot's own way. Raises InputError for its file."""
+    from safedpa.perception import PerceptionNode, PerceptionSettings, load_perception
+
+    settings, text = load_perception(Path(options.perception)) if options.perception else (PerceptionSettings(), "")
+    node = PerceptionNode(settings)
+    setup = dataclasses.replace(setup_message(node.name, vars(options)), settings=text)
+    switches, tell = node.switches, partial(_log_order, node.name)
+    return Made(node, setup, lambda bus: bus.answer_requests(switches.answer, options.robot, tell, (SENSE,)))
 
 
 def add_policy_options(parser: argparse.ArgumentParser) -> None:
@@ -113,14 +131,14 @@ def safety_filter(options: argparse.Namespace) -> Made:
 
 def _take_orders(bus: Bus, orders: Orders) -> None:
     """An order about any robot is kept, be it heard of or not: one that was not there yet may come."""
-    bus.answer_requests(orders.answer, tell=_log_order, kinds=(ORDER,))
+    bus.answer_requests(orders.answer, tell=partial(_log_order, "safety_filter"), kinds=(ORDER,))
     for robot, reason in orders.kept.items():
         log_event("order.kept", f"stopped by an order that was kept: {reason}", level="warning", robot=robot)
 
 
-def _log_order(robot: str, request: Request | None, answer: Answer) -> None:
+def _log_order(service: str, robot: str, request: Request | None, answer: Answer) -> None:
     if request is None or request.do != "status":
         kind = "order.taken" if answer.ok else "order.refused"
         who = request.who if request is not None else ""
         level = "info" if answer.ok else "warning"  # what comes of an order is told by the verdicts
-        log_event(kind, answer.sentence, level=level, robot=robot, service="safety_filter", who=who)
+        log_event(kind, answer.sentence, level=level, robot=robot, service=service, who=who)

@@ -14,7 +14,7 @@ from safedpa.bus.loop.apart import AbstractTicket, Apart
 from safedpa.bus.loop.journal import Journal
 from safedpa.bus.loop.process import Stop, add_bus_options, lifetime, settings_from
 from safedpa.bus.loop.turning import Turning
-from safedpa.bus.transport.joint_transport import JointTransport
+from safedpa.bus.transport.in_process import JointTransport
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.nodes import Made
 

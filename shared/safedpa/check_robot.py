@@ -27,7 +27,7 @@ from safedpa.safety.scenes import scene_of
 from safedpa.safety.settings import FilterSettings
 from safedpa.stand_in import AbstractStandIn
 
-__all__ = ["Finding", "check_robot"]
+__all__ = ["PartFinding", "check_robot"]
 
 Values = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ _FAR_OFF = 5.0
 
 @final
 @dataclass(frozen=True)
-class Finding:
+class PartFinding:
     """What was seen of one part."""
 
     part: str
@@ -53,12 +53,12 @@ class Finding:
         return self.verdict in ("fine", "note")
 
 
-def check_robot(robot: AbstractRobot, seed: int = 0) -> list[Finding]:
+def check_robot(robot: AbstractRobot, seed: int = 0) -> list[PartFinding]:
     """Every part of a robot in the order in which they build on each other; ends where the next cannot be tried.
 
     Raises nothing for whatever the robot's own code does.
     """
-    found: list[Finding] = []
+    found: list[PartFinding] = []
     try:
         found.extend(_parts(robot, seed))
     except _EndError as end:
@@ -67,7 +67,7 @@ def check_robot(robot: AbstractRobot, seed: int = 0) -> list[Finding]:
 
 
 class _EndError(Exception):
-    def __init__(self, finding: Finding) -> None:
+    def __init__(self, finding: PartFinding) -> None:
         super().__init__(finding.sentence)
         self.finding = finding
 
@@ -77,30 +77,32 @@ def _tried(part: str, function: Callable[[], Any]) -> Any:
     try:
         return function()
     except SafedpaError as error:
-        raise _EndError(Finding(part, "wrong", str(error))) from error
+        raise _EndError(PartFinding(part, "wrong", str(error))) from error
     except Exception as error:  # a user's own code may raise anything, and that is what is asked for
-        raise _EndError(Finding(part, "wrong", f"raised {type(error).__name__}: {error}")) from error
+        raise _EndError(PartFinding(part, "wrong", f"raised {type(error).__name__}: {error}")) from error
 
 
-def _parts(robot: AbstractRobot, seed: int) -> Iterator[Finding]:
+def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
     system = robot.system
     deviations = len(robot.measurement_deviation)
     if deviations != len(system.state):
         said = f"got {deviations} entries, wanted one for each of {', '.join(system.state_names)}"
-        raise _EndError(Finding("measurement_deviation", "wrong", said))
-    yield Finding("system", "fine", f"states {', '.join(system.state_names)}; actions {', '.join(system.action_names)}")
+        raise _EndError(PartFinding("measurement_deviation", "wrong", said))
+    yield PartFinding(
+        "system", "fine", f"states {', '.join(system.state_names)}; actions {', '.join(system.action_names)}"
+    )
     model: PhysicsModel = _tried("model", lambda: load_model(str(robot.model)))
     if model.system != system:
         said = f"{robot.model} is of a '{model.system.name}' with {', '.join(model.system.action_names)}"
-        raise _EndError(Finding("model", "wrong", f"{said}, wanted this robot's system"))
+        raise _EndError(PartFinding("model", "wrong", f"{said}, wanted this robot's system"))
     free = ", ".join(model.latent_names) or "nothing"
-    yield Finding("model", "fine", f"{robot.model}; estimated while it drives: {free}")
+    yield PartFinding("model", "fine", f"{robot.model}; estimated while it drives: {free}")
     effects = _tried("effects", lambda: effects_of(robot.name))
     said = f"{len(effects)} that a diagnosis may find" if effects else "none; give EFFECTS"
-    yield Finding("effects", "fine" if effects else "missing", said)
+    yield PartFinding("effects", "fine" if effects else "missing", said)
     settings: FilterSettings = _tried("settings", robot.settings)
     scene: AbstractScene = _tried("settings", lambda: scene_of(model, settings))
-    yield Finding("settings", "fine", f"bounds {settings.action_low} to {settings.action_high}")
+    yield PartFinding("settings", "fine", f"bounds {settings.action_low} to {settings.action_high}")
     yield _foreign_settings(robot, model)
     stand_in: AbstractStandIn = _tried("stand_in", lambda: robot.stand_in(seed, {}))
     drive = _tried("barriers", lambda: _Drive(robot, model, settings, scene, stand_in).run(_TICKS, seed))
@@ -109,7 +111,7 @@ def _parts(robot: AbstractRobot, seed: int) -> Iterator[Finding]:
     yield _drawing(robot, drive)
 
 
-def _foreign_settings(robot: AbstractRobot, model: PhysicsModel) -> Finding:
+def _foreign_settings(robot: AbstractRobot, model: PhysicsModel) -> PartFinding:
     """Settings of every other robot must be refused."""
     accepted = []
     for name, other in robots().items():
@@ -121,8 +123,8 @@ def _foreign_settings(robot: AbstractRobot, model: PhysicsModel) -> Finding:
             continue
         accepted.append(name)
     if accepted:
-        return Finding("foreign settings", "wrong", f"those of {', '.join(accepted)} are accepted; set system")
-    return Finding("foreign settings", "fine", "refused, those of every other robot")
+        return PartFinding("foreign settings", "wrong", f"those of {', '.join(accepted)} are accepted; set system")
+    return PartFinding("foreign settings", "fine", "refused, those of every other robot")
 
 
 class _Drive:
@@ -195,43 +197,45 @@ class _Drive:
         )
 
 
-def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterator[Finding]:
+def _driven(robot: AbstractRobot, model: PhysicsModel, drive: _Drive) -> Iterator[PartFinding]:
     """Stand-in, model, barriers and backup, from the drive."""
     for message in drive.states:
         if not model.system.is_plausible(np.array(message.values)):
-            yield Finding("stand_in", "wrong", f"its state {message.values} is out of the system's bounds")
+            yield PartFinding("stand_in", "wrong", f"its state {message.values} is out of the system's bounds")
             return
     if drive.problems:
-        yield Finding("barriers", "wrong", drive.problems[0])
+        yield PartFinding("barriers", "wrong", drive.problems[0])
         return
     if not drive.count:
-        yield Finding("barriers", "missing", "none at any state of a drive; there is nothing to keep")
+        yield PartFinding("barriers", "missing", "none at any state of a drive; there is nothing to keep")
         return
-    yield Finding("barriers", "fine", f"up to {drive.count} at once in {len(drive.states)} ticks")
+    yield PartFinding("barriers", "fine", f"up to {drive.count} at once in {len(drive.states)} ticks")
     yield _nothing_perceived(drive)
     yield from _probed(robot, drive)
     if drive.touched:
-        yield Finding("filter", "wrong", f"touched {drive.touched} behind it, under random wishes; see the margins")
+        yield PartFinding("filter", "wrong", f"touched {drive.touched} behind it, under random wishes; see the margins")
     else:
-        yield Finding("filter", "fine", f"nothing touched in {len(drive.states)} ticks of random wishes")
+        yield PartFinding("filter", "fine", f"nothing touched in {len(drive.states)} ticks of random wishes")
     median = np.median(np.array(drive.errors), axis=0)
     worst = int(median.argmax())
     name = model.system.state_names[worst]
     said = f"single steps of {name} missed by {median[worst]:.2g} measurement deviations (median)"
-    yield Finding("model against stand_in", "note" if median[worst] > _FAR_OFF else "fine", said)
+    yield PartFinding("model against stand_in", "note" if median[worst] > _FAR_OFF else "fine", said)
 
 
-def _nothing_perceived(drive: _Drive) -> Finding:
+def _nothing_perceived(drive: _Drive) -> PartFinding:
     """Some barrier must be there where nothing is near: the filter judges by nothing else."""
     barriers = drive.scene.of(replace(drive.states[0], obstacles=()))
     if isinstance(barriers, str):
-        return Finding("barriers", "note", f"without obstacles: {barriers}; the backup acts then")
+        return PartFinding("barriers", "note", f"without obstacles: {barriers}; the backup acts then")
     if not barriers.names:
-        return Finding("barriers", "wrong", "none without obstacles, where the backup would act for ever; add a limit")
-    return Finding("barriers", "fine", f"{len(barriers.names)} without obstacles")
+        return PartFinding(
+            "barriers", "wrong", "none without obstacles, where the backup would act for ever; add a limit"
+        )
+    return PartFinding("barriers", "fine", f"{len(barriers.names)} without obstacles")
 
 
-def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[Finding]:
+def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
     latent = drive.model.latent if drive.model.latent_names else None
     said: dict[str, str] = {}
     for message in drive.states[:: max(1, len(drive.states) // _PROBED)]:
@@ -244,25 +248,25 @@ def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[Finding]:
         for issue in report:
             said.setdefault(issue.subject, str(issue))
     for sentence in said.values():
-        yield Finding("filter", "wrong", sentence)
+        yield PartFinding("filter", "wrong", sentence)
 
 
-def _wished(model: PhysicsModel, drive: _Drive) -> Finding:
+def _wished(model: PhysicsModel, drive: _Drive) -> PartFinding:
     """The default controller at a state that was met."""
     wish, name = _tried(
         "controllers",
         lambda: controller_for(model)().wish(drive.states[0], model.latent if model.latent_names else None),
     )
     if len(wish) != len(model.system.action) or not np.isfinite(np.array(wish, dtype=np.float64)).all():
-        return Finding("controllers", "wrong", f"'{name}' wishes {wish}, wanted {len(model.system.action)} numbers")
-    return Finding("controllers", "fine", f"'{name}' wishes {tuple(round(float(entry), 3) for entry in wish)}")
+        return PartFinding("controllers", "wrong", f"'{name}' wishes {wish}, wanted {len(model.system.action)} numbers")
+    return PartFinding("controllers", "fine", f"'{name}' wishes {tuple(round(float(entry), 3) for entry in wish)}")
 
 
-def _drawing(robot: AbstractRobot, drive: _Drive) -> Finding:
+def _drawing(robot: AbstractRobot, drive: _Drive) -> PartFinding:
     shapes = _tried("draw", lambda: dict(robot.draw(drive.states[0])))
     if not shapes:
-        return Finding("draw", "note", "no shapes; the dashboard shows curves alone")
+        return PartFinding("draw", "note", "no shapes; the dashboard shows curves alone")
     foreign = [name for name, shape in shapes.items() if not isinstance(shape, (Discs, Lines, Rings))]
     if foreign:
-        return Finding("draw", "wrong", f"'{foreign[0]}' is none of Discs, Lines, Rings (safedpa.drawing)")
-    return Finding("draw", "fine", ", ".join(shapes))
+        return PartFinding("draw", "wrong", f"'{foreign[0]}' is none of Discs, Lines, Rings (safedpa.drawing)")
+    return PartFinding("draw", "fine", ", ".join(shapes))

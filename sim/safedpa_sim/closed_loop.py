@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, final, runtime_checkable
 
 from safedpa.bus import (
     ACTION,
@@ -25,7 +25,7 @@ from safedpa.bus import (
 )
 from safedpa.errors import BusError
 
-__all__ = ["Robot", "Sensing", "Tick", "drive"]
+__all__ = ["Field", "Robot", "Sensing", "SensingRobot", "Tick", "drive", "drive_together"]
 
 _NAME = "r1"
 
@@ -49,6 +49,21 @@ class Sensing(Protocol):
 
     def scans(self) -> Sequence[ScanMessage]:
         """What they have to tell before the state of this tick."""
+
+
+class SensingRobot(Robot, Sensing, Protocol):
+    """Both."""
+
+
+class Field(Protocol):
+    """Robots that live through their periods together."""
+
+    @property
+    def robots(self) -> Sequence[SensingRobot]:
+        """In an order that stays."""
+
+    def advance(self) -> None:
+        """All of them live through one period."""
 
 
 @dataclass(frozen=True)
@@ -100,3 +115,32 @@ def drive(
             refusal = robot.receive(actions[-1])
             robot.advance()
             yield Tick(state, verdicts[-1], refusal)
+
+
+def drive_together(
+    field: Field, nodes: Sequence[Sequence[AbstractNode]], ticks: int
+) -> Generator[tuple[Tick, ...], None, None]:
+    """Runs ``ticks`` periods of all robots of a field, each with nodes and a bus of its own, as ``drive`` does.
+
+    All have their actions of a tick before any of them moves. Raises BusError as ``drive`` does.
+    """
+    drives = [drive(_Waits(robot), own, ticks) for robot, own in zip(field.robots, nodes, strict=True)]
+    try:
+        for _ in range(ticks):
+            told = tuple(next(one) for one in drives)
+            field.advance()
+            yield told
+    finally:
+        for one in drives:
+            one.close()
+
+
+@final
+class _Waits:
+    """A robot that does not move alone."""
+
+    def __init__(self, robot: SensingRobot) -> None:
+        self.state_message, self.receive, self.scans = robot.state_message, robot.receive, robot.scans
+
+    def advance(self) -> None:
+        """Nothing: its field moves it."""

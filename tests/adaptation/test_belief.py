@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
-from safedpa.adaptation.belief import Belief
-from safedpa.adaptation.estimator import EstimatorSettings, LatentEstimator
+from safedpa.adaptation.estimator import Belief, EstimatorSettings, LatentEstimator
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects.library import effect
 

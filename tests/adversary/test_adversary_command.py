@@ -8,6 +8,7 @@ import pytest
 
 from safedpa_lab.experiments.adversary.campaign import adversary, all_attacks, attacks_named
 from safedpa_lab.experiments.adversary.linear_problem import LinearProblem
+from safedpa_lab.experiments.adversary.programs import Programs
 from safedpa_lab.experiments.adversary.report import adversary_markdown
 from safedpa_services.command_line.group import safedpa
 
@@ -68,6 +69,18 @@ def test_parts_run_into_one_folder_become_one_page(tmp_path, capsys):
     assert run("--only", "inputs", "--small", "--seed", 5, "--workers", 1, "--out", out) == 0
     found = json.loads((out / "adversary.json").read_text())
     assert [attack["name"] for attack in found["attacks"]] == ["inputs"], "another seed is another page"
+    capsys.readouterr()
+
+
+def test_what_was_found_is_kept_where_a_run_is_ended(tmp_path, monkeypatch, capsys):
+    def ended(self, answers):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Programs, "told", ended)
+    names = ("--only", "inputs", "--only", "programs")
+    assert run(*names, "--small", "--seed", 4, "--workers", 1, "--out", tmp_path) != 0
+    found = json.loads((tmp_path / "adversary.json").read_text())
+    assert [attack["name"] for attack in found["attacks"]] == ["inputs"]
     capsys.readouterr()
 
 

@@ -54,3 +54,13 @@ def test_what_cannot_fail_is_found_and_nothing_else(tmp_path: Path) -> None:
 def test_the_exit_code_tells_whether_the_tests_pass_and_whether_all_can_fail(tmp_path: Path) -> None:
     assert told(tmp_path, CAN)[0] == 0
     assert told(tmp_path, CAN + "    assert stale == [4]\n")[0] == 2
+
+
+def test_of_skipped_tests_it_is_told_how_many_were_not_asked(tmp_path: Path) -> None:
+    """Not that they never ran, which nobody can mend; one that ran once is asked as ever."""
+    skipped = "\n@pytest.mark.skip\ndef test_skipped():\n    assert [] or [1]\n    assert [2]\n"
+    sometimes = "\n@pytest.mark.parametrize('n', [1, 2])\ndef test_sometimes(n):\n    if n == 1: pytest.skip()\n"
+    code, lines = told(tmp_path, CAN + skipped + sometimes + "    assert n == 2\n")
+    assert (code, lines[-1]) == (0, "10 assertions, 0 to look at, 2 not asked, of skipped tests")
+    code, lines = told(tmp_path, CAN + sometimes + "    for n in []: assert n == 2\n")
+    assert (code, lines[-1]) == (1, "8 assertions, 1 to look at")

@@ -1,4 +1,7 @@
-"""``deploy/house.py`` counts what it says: lines by kind, and modules with one importer, packages looked through."""
+"""``deploy/house.py`` counts what it says: lines by kind, modules with one importer, names, one decision's files.
+
+And the house itself does not fall behind what it has come to.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -20,6 +24,13 @@ def house() -> ModuleType:
     module = sys.modules["house"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def whole(house: ModuleType) -> dict[str, Any]:
+    """The modules of this checkout."""
+    found: dict[str, Any] = house.modules(ROOT)
+    return found
 
 
 def written(root: Path, files: dict[str, str]) -> Path:
@@ -49,6 +60,8 @@ def test_a_package_is_looked_through(house: ModuleType, tmp_path: Path) -> None:
     assert found["safedpa.room.part"].importers == {"safedpa.first", "safedpa.second"}
     assert [module.name for module in house.alone(found)] == ["safedpa.alone"]
     assert "safedpa_lab.third" not in found
+    assert found["safedpa.alone"].measured
+    assert not found["safedpa.room.part"].measured
 
 
 def test_lines_are_code_told_or_blank(house: ModuleType, tmp_path: Path) -> None:
@@ -59,7 +72,96 @@ def test_lines_are_code_told_or_blank(house: ModuleType, tmp_path: Path) -> None
     assert "| all | 6 | 1 | 4 | 1 | 1 | 0 |" in house.table(found)
 
 
-def test_the_house_itself_is_counted(house: ModuleType) -> None:
-    found = house.modules(ROOT)
-    assert len(found) > 500
-    assert found["safedpa.safety.safety_filter"].importers >= {"safedpa.safety.batch"}
+def test_the_house_itself_is_counted(whole: dict[str, Any]) -> None:
+    assert len(whole) > 500
+    assert whole["safedpa.safety.safety_filter"].importers >= {"safedpa.safety.batch"}
+
+
+def test_why_two_modules_stay_apart_is_said(house: ModuleType, tmp_path: Path) -> None:
+    one = "one = 1\n"
+    found = house.modules(
+        written(
+            tmp_path,
+            {
+                "shared/safedpa/a/used.py": one,
+                "shared/safedpa/a/user.py": "from safedpa.a.used import one\n",
+                "shared/safedpa/b/far.py": one,
+                "shared/safedpa/a/asks.py": "from safedpa.b.far import one\n",
+                "shared/safedpa/a/long.py": one * 300,
+                "shared/safedpa/a/longer.py": "from safedpa.a.long import one\n" * 151,
+                "shared/safedpa/robots/x/part.py": one,
+                "shared/safedpa/robots/x/robot.py": "from safedpa.robots.x.part import one\n",
+                "services/safedpa_services/s/work.py": one,
+                "services/safedpa_services/s/__main__.py": "from safedpa_services.s.work import one\n",
+            },
+        )
+    )
+    assert {module.name.partition(".")[2]: house.why_apart(module, found) for module in house.alone(found)} == {
+        "a.used": "",
+        "b.far": "another room",
+        "a.long": "too long together",
+        "robots.x.part": "declared by a robot",
+        "s.work": "a program's work",
+    }
+
+
+def test_classes_of_one_name_are_found_but_for_a_robot_s_effects(house: ModuleType, tmp_path: Path) -> None:
+    found = house.modules(
+        written(
+            tmp_path,
+            {
+                "shared/safedpa/a.py": "class One: ...\nclass _Own: ...\n",
+                "shared/safedpa/b.py": "class One: ...\nclass _Own: ...\n",
+                "shared/safedpa/robots/x/effects/drag.py": "class Drag: ...\n",
+                "shared/safedpa/robots/y/effects/drag.py": "class Drag: ...\n",
+                "services/safedpa_services/c.py": "class One: ...\n",
+            },
+        )
+    )
+    assert house.twice_named(found) == {"One": ["safedpa.a", "safedpa.b"]}
+
+
+MOST_ALONE, MOST_APART = 120, 49
+"""Modules with one importer, and those of them that could be one with it; 118 and 46 on 26 November 2026."""
+MOST_ASKING = 17
+"""Places that ask whether a system has certain names, most of them x and y: a plane to draw or a heading to turn."""
+TWICE = {"Grid", "Proposal", "Request", "RunError", "Seen", "Sensed", "Stage", "Trial"}
+"""Names that several public classes of ``safedpa`` still have."""
+
+
+def test_no_further_name_is_given_twice(house: ModuleType, whole: dict[str, Any]) -> None:
+    assert set(house.twice_named(whole)) <= TWICE
+
+
+def test_no_further_module_stands_alone_that_could_be_one_with_another(
+    house: ModuleType, whole: dict[str, Any]
+) -> None:
+    apart = [module for module in house.alone(whole) if not house.why_apart(module, whole)]
+    assert len(house.alone(whole)) <= MOST_ALONE
+    assert len(apart) <= MOST_APART, [module.name for module in apart]
+
+
+def test_who_asks_for_a_state_by_its_name_is_found(house: ModuleType, tmp_path: Path) -> None:
+    asks = "def f(system): return system.state_names[:2] == ('x', 'y')\n"
+    found = house.modules(
+        written(
+            tmp_path,
+            {
+                "shared/safedpa/a.py": asks,
+                "shared/safedpa/robots/x/b.py": asks,
+                "shared/safedpa/c.py": "def f(one, other): return one.state_names == other.state_names\n",
+            },
+        )
+    )
+    assert [line.partition(":")[0] for line in house.asks_for_names(found)] == ["safedpa.a"]
+
+
+def test_no_further_place_asks_for_states_by_name(house: ModuleType, whole: dict[str, Any]) -> None:
+    assert len(house.asks_for_names(whole)) <= MOST_ASKING
+
+
+def test_a_decision_passes_no_more_files_than_it_did(house: ModuleType) -> None:
+    most = {(asked, status): files for asked, status, files, _ in house.decision_files()}
+    assert set(most) >= {("SafetyFilter.decide", "passed"), ("SafetyFilter.decide", "corrected")}
+    assert max(files for (asked, _), files in most.items() if asked == "SafetyFilter.decide") <= 26
+    assert max(most.values()) <= 41

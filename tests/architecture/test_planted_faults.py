@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -148,12 +150,23 @@ def test_a_fault_whose_file_has_changed_is_found_again_or_told_as_gone(tree: Pat
     assert there_now(tmp_path / "later", row) is None
 
 
-def test_the_nearest_tests_import_the_module(tree: Path) -> None:
+@pytest.fixture(scope="module")
+def near() -> Any:
+    """Of this very tree: a thousand files are read once."""
+    sys.path.insert(0, MUTATION)
+    try:
+        from near import Nearness
+    finally:
+        sys.path.remove(MUTATION)
+    return Nearness(ROOT)
+
+
+def test_the_nearest_tests_import_the_module(tree: Path, near: Any) -> None:
     from near import Nearness
 
     assert Nearness(tree).files("shared/safedpa/safety/margin.py", "margin", 5) == ["tests/safety/test_margin.py"]
-    near = Nearness(ROOT).files("shared/safedpa/safety/margin.py", "OnlineMargin", 20)
-    assert "tests/safety/test_margin_conformal.py" in near
+    found = near.files("shared/safedpa/safety/margin.py", "OnlineMargin", 20)
+    assert "tests/safety/test_margin_conformal.py" in found
 
 
 @pytest.mark.parametrize(
@@ -185,10 +198,7 @@ def test_a_number_of_a_module_is_reached_where_a_function_reads_it_and_not_by_im
     assert 'now > (__import__("reached").told() and SECONDS)' in text
 
 
-def test_what_leads_to_a_module_by_no_import_is_asked_after_all_that_does() -> None:
-    from near import Nearness
-
-    near = Nearness(ROOT)
+def test_what_leads_to_a_module_by_no_import_is_asked_after_all_that_does(near: Any) -> None:
     assert near.files("services/safedpa_services/command_line/serve.py", "_Sayings.__call__", 60)
     far = near.files("sim/safedpa_lab/experiments/point_figures.py", "_path", 60)
     assert far
@@ -243,3 +253,47 @@ def test_a_fault_after_which_nothing_ends_is_noticed(
     fault = Fault("", "shared/safedpa/safety/margin.py", 0, "margin", "largest / 1000.0", after, first, first + 16)
     found = copy.tried(fault, ["tests/safety/test_margin.py"], 60.0)
     assert found.by == "tests/safety/test_margin.py::test_the_margin (does not end)"
+
+
+@pytest.mark.slow
+def test_a_fault_that_no_test_outlives_the_import_of_is_noticed(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the folder's fixtures cannot be imported, pytest ends before any test has a name."""
+    import shutil
+
+    monkeypatch.delenv("PYTEST_CURRENT_TEST")  # else the place is reached by this very test
+
+    from copied import Copy
+    from fault_classes import Fault
+
+    shutil.copytree(tree, tmp_path / "tree")
+    (tmp_path / "tree/tests/safety/conftest.py").write_text("from safedpa.safety.margin import PATIENCE_SECONDS\n")
+    copy, path = Copy(tmp_path / "tree", tmp_path / "copy"), "shared/safedpa/safety/margin.py"
+    first = SOURCE.replace("    os.fsync(3)\n", "").index("PATIENCE_SECONDS = 2.0")
+    fault = Fault("", path, 0, "", "PATIENCE_SECONDS = 2.0", "pass", first, first + 22)
+    found = copy.tried(fault, ["tests/safety/test_margin.py"], 60.0)
+    assert found.by == "tests/safety/test_margin.py::test_the_margin (does not begin)"
+
+
+def test_tests_that_were_written_since_are_asked_first() -> None:
+    from planted import new_first
+
+    near = ["tests/a.py", "tests/b.py", "tests/c.py", "tests/d.py"]
+    assert new_first(near, {"tests/d.py", "tests/b.py", "tests/far.py"}) == [
+        "tests/b.py", "tests/d.py", "tests/a.py", "tests/c.py",
+    ]  # fmt: skip
+    assert new_first(near, set()) == near
+
+
+def test_who_says_why_nothing_can_notice_a_fault_has_closed_it_and_the_page_tells_it() -> None:
+    from planted import is_open, page
+
+    fault = {"kind": "k", "path": "a.py", "line": 3, "function": "f", "before": "x", "after": "y"}
+    row = {"fault": fault, "first": {"result": "unnoticed", "by": ""}, "now": {"result": "unnoticed", "by": ""}}
+    assert is_open(row)
+    assert not is_open(row | {"why": "y is x for all that comes there"})
+    assert not is_open(row | {"now": {"result": "noticed", "by": "tests/t.py::t"}})
+    record = {"seed": 1, "date": "2026-01-01", "commit": "c", "faults": [row | {"why": "y is x"}]}
+    assert "of 1 faults at first 1 unnoticed; now 1 unnoticed." in page(record)
+    assert page(record).endswith("\n- a.py:3: y is x\n")

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import ast
 import importlib
+import json
 import pkgutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,9 +33,55 @@ PACKAGES = sorted(
 )
 
 
+@dataclass(frozen=True)
+class Facts:
+    """What is looked at of a file; its syntax tree, a hundred times as large, is not kept."""
+
+    told: bool
+    """Whether it begins with a docstring."""
+    names: frozenset[str]
+    """That it assigns."""
+    defined: frozenset[str]
+    """Its functions and classes."""
+    brought_in: frozenset[str]
+    lines: int
+    functions: tuple[tuple[str, int], ...]
+    """Each with its lines."""
+
+
 @cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+def facts_of(path: Path) -> Facts:
+    text = path.read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    assigned = (target for node in tree.body if isinstance(node, ast.Assign) for target in node.targets)
+    imported = (node for node in tree.body if isinstance(node, ast.ImportFrom) and node.module != "__future__")
+    functions = (node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
+    return Facts(
+        told=bool(ast.get_docstring(tree)),
+        names=frozenset(target.id for target in assigned if isinstance(target, ast.Name)),
+        defined=frozenset(node.name for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))),
+        brought_in=frozenset(alias.asname or alias.name for node in imported for alias in node.names),
+        lines=text.count("\n"),
+        functions=tuple((node.name, (node.end_lineno or node.lineno) - node.lineno + 1) for node in functions),
+    )
+
+
+@cache
+def shown_by_modules() -> dict[str, list[str]]:
+    """``__all__`` of every module that has one, imported in a process that then ends: together they take 600 MB."""
+    names = [".".join(path.with_suffix("").relative_to(ROOT).parts[1:]) for path in SOURCES if has_all(path)]
+    code = "import importlib, json, sys\nprint(json.dumps({n: list(importlib.import_module(n).__all__) for n in "
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code + "json.load(sys.stdin)}))"],
+        input=json.dumps(names), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    found: dict[str, list[str]] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def has_all(path: Path) -> bool:
+    return "__all__" in facts_of(path).names and path.name not in ("__init__.py", "__main__.py")
 
 
 def not_so(check: Callable[[Any], str], items: Iterable[Any]) -> dict[str, str]:
@@ -42,47 +92,31 @@ def not_so(check: Callable[[Any], str], items: Iterable[Any]) -> dict[str, str]:
 def wrong_in_package(name: str) -> str:
     package = importlib.import_module(name)
     assert package.__file__ is not None
-    brought_in = {
-        alias.asname or alias.name
-        for node in tree_of(Path(package.__file__)).body
-        if isinstance(node, ast.ImportFrom) and node.module != "__future__"
-        for alias in node.names
-    }
+    every = facts_of(Path(package.__file__)).brought_in
     shown = list(getattr(package, "__all__", []))
     if missing := [public for public in shown if not hasattr(package, public)]:
         return f"shows what is not there: {missing}"
-    brought_in = {public for public in brought_in if not public.startswith("_")} - {"TYPE_CHECKING", "Any"}
+    brought_in = {public for public in every if not public.startswith("_")} - {"TYPE_CHECKING", "Any"}
     if name.startswith("safedpa.") and not brought_in <= set(shown):  # of programs it is their own affair
         return f"not in __all__: {brought_in - set(shown)}"
     return "" if len(set(shown)) == len(shown) else "something is twice in __all__"
 
 
 def wrong_in_module(path: Path) -> str:
-    tree = tree_of(path)
-    if not ast.get_docstring(tree):
+    facts = facts_of(path)
+    if not facts.told:
         return "a module begins with what it is"
-    names = {
-        target.id
-        for node in tree.body
-        if isinstance(node, ast.Assign)
-        for target in node.targets
-        if isinstance(target, ast.Name)
-    }
-    defined = {node.name for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
-    if "__all__" not in names or path.name in ("__init__.py", "__main__.py"):
+    if not has_all(path):
         return ""
-    shown = importlib.import_module(".".join(path.with_suffix("").relative_to(ROOT).parts[1:])).__all__
-    hidden = {name for name in defined if not name.startswith("_")} - {*shown}
+    shown = shown_by_modules()[".".join(path.with_suffix("").relative_to(ROOT).parts[1:])]
+    hidden = {name for name in facts.defined if not name.startswith("_")} - {*shown}
     return f"public, but not in __all__: {hidden}" if hidden else ""
 
 
 def too_large(path: Path) -> str:
-    found = [f"{lines} lines"] if (lines := path.read_text(encoding="utf-8").count("\n")) > LONGEST_FILE else []
-    for node in ast.walk(tree_of(path)):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            length = (node.end_lineno or node.lineno) - node.lineno + 1
-            found += [f"{node.name}: {length} lines"] if length > LONGEST_FUNCTION else []
-    return ", ".join(found)
+    facts = facts_of(path)
+    found = [f"{facts.lines} lines"] if facts.lines > LONGEST_FILE else []
+    return ", ".join(found + [f"{name}: {lines} lines" for name, lines in facts.functions if lines > LONGEST_FUNCTION])
 
 
 def test_all_is_complete_and_importable() -> None:

@@ -24,7 +24,7 @@ from safedpa.bus import (
     ZenohTransport,
     encode,
 )
-from safedpa.bus.loop.agenda import quantum_for
+from safedpa.bus.loop.turning import quantum_for
 from safedpa.bus.transport.transport import Subscription
 
 PATIENCE = 30.0

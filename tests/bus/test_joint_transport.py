@@ -9,7 +9,7 @@ import pytest
 
 from safedpa.bus import LATENT, STATE, Bus, MemoryBroker, MemoryTransport, Message, Received, Refused, decode, encode
 from safedpa.bus.transport.bundle import packed
-from safedpa.bus.transport.joint_transport import JointTransport
+from safedpa.bus.transport.in_process import JointTransport
 from safedpa.bus.wire.topics import BUNDLE
 from safedpa.errors import BusError
 

@@ -156,7 +156,7 @@ def test_without_a_supervisor_it_outlives_its_standard_input(free_port: int) -> 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (("--listen", "garbage"), "check the endpoints"),
+        (("--listen", "garbage"), "wanted endpoints such as"),
         (("--listen", "tcp/127.0.0.1:99999"), "check the endpoints"),
         (("--fault", "input"), "scene: got none, wanted one"),
     ],

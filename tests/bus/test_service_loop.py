@@ -360,3 +360,63 @@ def test_run_ends_when_told() -> None:
     loop = ServiceLoop(Wisher(), Bus(MemoryTransport(MemoryBroker()), "test"), clock=Clock())
     loop.run(lambda: next(stops))
     assert list(stops) == []
+
+
+class Lingering(Wisher):
+    """Says when it does what nobody waits for, and that it did."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self.clock, self.after = clock, list[float]()
+
+    def afterwards(self, robot: str) -> Outputs:
+        self.after.append(self.clock.now)
+        return {}
+
+
+@pytest.mark.parametrize(("waiting", "at"), [(0, 0.005), (3, 0.025)])
+@pytest.mark.parametrize("period", [0.05, 0.02])
+def test_what_nobody_waits_for_comes_after_a_tenth_of_the_period_and_gives_way_until_half_of_it(
+    state_at: Callable[..., StateMessage], monkeypatch: pytest.MonkeyPatch, waiting: int, at: float, period: float
+) -> None:
+    """The action is then on its way; what others wait for comes first, and not for ever."""
+    fleet = Fleet(state_at, lockstep=False)
+    node = fleet.loop._node = Lingering(fleet.clock)
+    monkeypatch.setattr(Inbox, "waiting", property(lambda _: waiting))
+    fleet.state(0, period=period)
+    fleet.latent(0)
+    assert fleet.wished() == [("r", 0)]
+    assert node.after == []
+    while fleet.clock.now < 100.0 + period:
+        fleet.wait(0.0001)
+    assert node.after == [pytest.approx(100.0 + at * period / 0.05, abs=1.5e-4)]
+
+
+def test_what_nobody_waits_for_is_done_before_the_next_tick_however_busy_it_is(
+    state_at: Callable[..., StateMessage], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = Fleet(state_at, lockstep=False)
+    node = fleet.loop._node = Lingering(fleet.clock)
+    monkeypatch.setattr(Inbox, "waiting", property(lambda _: 9))
+    for tick in range(3):
+        fleet.state(tick)
+        fleet.latent(tick)
+        fleet.clock.now += 0.02
+    assert node.after == pytest.approx([100.02, 100.04])
+
+
+def test_whatever_is_said_in_a_turn_is_on_the_bus_when_it_ends(state_at: Callable[..., StateMessage]) -> None:
+    """While batches are made, what travels together waits for the others of this turn, and for nothing else."""
+    fleet = Fleet(state_at, lockstep=False)
+    names = [f"r{number}" for number in range(9)]
+    for tick in range(3):
+        fleet.loop.quantum = 0.005
+        fleet.clock.now += 0.3
+        for name in names:
+            fleet.bus.publish(STATE, name, state_at(tick, epoch=EPOCH, lockstep=False, period=0.05))
+            stamp = {"epoch": EPOCH, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
+            fleet.bus.publish(LATENT, name, LatentMessage(**stamp, model="m", values=(0.1,), deviations=(0.1,)))
+        fleet.loop.serve(0.0)
+        assert sorted(fleet.wished()) == [(name, tick) for name in names]
+        heard = {item.robot for item in fleet.healths.take(0.0) if isinstance(item, Received)}
+        assert heard == set(names)

@@ -171,6 +171,23 @@ class TransportContract(ABC):
         Both(pair[0], "f").claim("r", "robot", "a", settle_seconds=PATIENCE)
         assert until(lambda: lower.instances("r", "robot") == ["a"])
 
+    def test_of_two_that_claim_at_once_the_higher_leaves_at_once(
+        self, pair: tuple[AbstractTransport, AbstractTransport]
+    ) -> None:
+        """If both waited for each other, both would leave in the end, and nobody would be there."""
+        lower, higher = Bus(pair[0], "f"), Bus(pair[1], "f")
+
+        class Both(Bus):
+            def announce(self, robot: str, service: str, instance: str) -> None:
+                lower.announce(robot, service, "a")
+                super().announce(robot, service, instance)
+                assert until(lambda: higher.instances(robot, service) == ["a", "b"])
+
+        began = time.monotonic()
+        with pytest.raises(BusError, match=r"lives already \(instance a\)"):
+            Both(pair[1], "f").claim("r", "robot", "b", settle_seconds=PATIENCE)
+        assert time.monotonic() - began < 0.5 * PATIENCE
+
     def test_a_question_is_answered(self, pair: tuple[AbstractTransport, AbstractTransport]) -> None:
         one, other = pair
         assert one.ask("safedpa/f/r/request", b"anybody", PATIENCE) is None, "nobody answers, and that is known at once"
@@ -248,11 +265,18 @@ class TestZenohClientsOfARouter(TransportContract):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("endpoint", ["garbage", "tcp/127.0.0.1:99999", "tcp/no.such.host.invalid:7447", "pigeon/1"])
+@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:99999", "tcp/no.such.host.invalid:7447", "pigeon/1"])
 def test_an_endpoint_that_cannot_be_is_refused_with_its_name(endpoint: str) -> None:
     with pytest.raises(BusError, match="check the endpoints") as caught:
         Zenoh(ZenohSettings(listen=(endpoint,)))
     assert endpoint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("side", ["listen", "connect"])
+def test_what_is_no_endpoint_is_bad_input_and_not_tried_again(side: str) -> None:
+    with pytest.raises(InputError, match=r"garbage.*wanted endpoints") as caught:
+        Zenoh(ZenohSettings(**{side: ("garbage",)}))
     assert "\n" not in str(caught.value)
 
 
@@ -293,12 +317,17 @@ def test_wrong_message_for_a_topic_is_refused_before_it_is_sent(samples: dict[st
 def test_links_are_opened_and_closed_by_more_than_one_thread(free_port: int) -> None:
     """With one, Zenoh's default, a session that stands still keeps all others of its process from closing."""
     program = (
-        "import os\n"
+        "import os, time\n"
         "from safedpa.bus import ZenohSettings, ZenohTransport\n"
         f"transport = ZenohTransport(ZenohSettings(listen=('tcp/127.0.0.1:{free_port}',)))\n"
-        "names = [open(f'/proc/self/task/{task}/comm').read() for task in os.listdir('/proc/self/task')]\n"
+        "def named():\n"
+        "    names = [open(f'/proc/self/task/{task}/comm').read() for task in os.listdir('/proc/self/task')]\n"
+        "    return sum(name.startswith('net-') for name in names)\n"
+        "end = time.monotonic() + 10.0\n"  # a thread gets its name a moment after it was started
+        "while named() < 4 and time.monotonic() < end:\n"
+        "    time.sleep(0.05)\n"
+        "print(named())\n"
         "transport.close()\n"
-        "print(sum(name.startswith('net-') for name in names))\n"
     )
     environment = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
     command = [sys.executable, "-c", program]

@@ -24,7 +24,7 @@ from safedpa.bus import (
     WishMessage,
 )
 from safedpa.bus.loop.turning import Turning
-from safedpa.bus.transport.joint_transport import JointTransport
+from safedpa.bus.transport.in_process import JointTransport
 
 PATIENCE = 30.0
 

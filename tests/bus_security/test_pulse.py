@@ -12,7 +12,7 @@ import time
 import pytest
 
 from safedpa.bus import Bus
-from safedpa.bus.transport.memory_transport import MemoryBroker, MemoryTransport
+from safedpa.bus.transport.in_process import MemoryBroker, MemoryTransport
 from safedpa_services.router.pulse import Pulse
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.router.router import Router

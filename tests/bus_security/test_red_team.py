@@ -10,7 +10,7 @@ import pytest
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import STATE, TOPICS, AbstractNode, Bus, Topic, key_of, request_key
 from safedpa.bus.security.access import roles_of
-from safedpa.bus.wire.requests import AGREED, ORDER, REQUEST, STATUS
+from safedpa.bus.wire.requests import AGREED, ORDER, REQUEST, SENSE, STATUS
 from safedpa.errors import BusError
 from safedpa.live.node import DiagnosisNode
 from safedpa.perception.node import PerceptionNode
@@ -140,6 +140,7 @@ MAY_ASK = {
     REQUEST: {"operator", "workbench"},
     STATUS: {"operator", "workbench", *LOOP},
     ORDER: {"operator"},
+    SENSE: {"operator"},
     AGREED: LOOP,
 }
 
@@ -148,18 +149,26 @@ MAY_ASK = {
 def test_who_may_ask(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
     diagnosis, safety_filter = network.join("diagnosis"), network.join("safety_filter")
+    perception = network.join("perception")
     asked: list[tuple[str, str]] = []
 
     def answer(key: str, payload: bytes) -> bytes:
         asked.append((payload.decode(), key.rsplit("/", 1)[1]))
         return b"yes"
 
-    for kind, transport in ((REQUEST, diagnosis), (STATUS, diagnosis), (ORDER, safety_filter), (AGREED, safety_filter)):
+    for kind, transport in (
+        (REQUEST, diagnosis),
+        (STATUS, diagnosis),
+        (ORDER, safety_filter),
+        (SENSE, perception),
+        (AGREED, safety_filter),
+    ):
         transport.answer(request_key(network.fleet, "*", kind), answer)
     operator = network.join("operator")
     assert network.until(lambda: operator.ask(request_key("f", "r1", REQUEST), b"ready", 0.2) == b"yes")
     assert network.until(lambda: operator.ask(request_key("f", "r1", ORDER), b"ready", 0.2) == b"yes")
-    expected = {("ready", REQUEST), ("ready", ORDER)}
+    assert network.until(lambda: operator.ask(request_key("f", "r1", SENSE), b"ready", 0.2) == b"yes")
+    expected = {("ready", REQUEST), ("ready", ORDER), ("ready", SENSE)}
     for role in roles(network):
         attacker = network.join(role)
         for kind, allowed in MAY_ASK.items():
@@ -176,17 +185,17 @@ def test_who_may_ask(network: Any, guarded: bool) -> None:
 @pytest.mark.parametrize("guarded", [True, False], ids=["blocked", "delivered"])
 def test_nobody_answers_for_the_diagnosis_or_the_filter(network: Any, guarded: bool) -> None:
     network.start(guarded=guarded)
-    liars = [role for role in roles(network) if role not in ("diagnosis", "safety_filter")]
-    heard: set[str] = set()
-    for role in liars:
-        for kind in (REQUEST, ORDER):
-            network.join(role).answer(request_key("f", "*", kind), lambda key, payload, role=role: heard.add(role))
+    asked_of = {REQUEST: "diagnosis", ORDER: "safety_filter", SENSE: "perception"}
+    lies = {(role, kind) for role in roles(network) for kind, honest in asked_of.items() if role != honest}
+    heard: set[tuple[str, str]] = set()
+    for lie in sorted(lies):
+        network.join(lie[0]).answer(request_key("f", "*", lie[1]), lambda key, payload, lie=lie: heard.add(lie))
     operator = network.join("operator")
 
     def asked() -> bool:
-        for kind in (REQUEST, ORDER):
+        for kind in asked_of:
             operator.ask(request_key("f", "r1", kind), b"?", 0.2)
-        return heard == set(liars)
+        return heard == lies
 
     if guarded:
         honest = network.join("diagnosis")

@@ -29,7 +29,7 @@ from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint, write_model
 from safedpa.live.change import ModelChanges
 from safedpa.live.under_way import SERVICES
-from safedpa.live.versions import Candidate, Version, VersionFolder
+from safedpa.live.versions import OfferedEffect, Version, VersionFolder
 
 FIRST = Version("first", "document first")
 
@@ -52,8 +52,8 @@ def state_at(tick: int, epoch: int = 1) -> StateMessage:
     )
 
 
-def candidate(name: str) -> Candidate:
-    return Candidate(effect=name, fingerprint=f"print {name}", document=f"document {name}", margin=f"margin {name}")
+def candidate(name: str) -> OfferedEffect:
+    return OfferedEffect(effect=name, fingerprint=f"print {name}", document=f"document {name}", margin=f"margin {name}")
 
 
 @dataclass
@@ -168,7 +168,7 @@ def fleet_of() -> type[Fleet]:
 
 
 @pytest.fixture(scope="session")
-def candidate_of() -> Callable[[str], Candidate]:
+def candidate_of() -> Callable[[str], OfferedEffect]:
     """``candidate_of(effect)``: one whose document is made already."""
     return candidate
 

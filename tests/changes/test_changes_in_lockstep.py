@@ -11,7 +11,7 @@ import pytest
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, AbstractNode, Inputs, LatentMessage, Outputs, StateMessage
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
-from safedpa.live.versions import Candidate
+from safedpa.live.versions import OfferedEffect
 from safedpa.policy import PolicyNode
 from safedpa.safety.margin_text import margin_from_text, margin_text
 from safedpa.safety.node import SafetyFilterNode
@@ -42,14 +42,14 @@ class Ear(AbstractNode):
         return {}
 
 
-def offset_candidate(name: str) -> Candidate:
+def offset_candidate(name: str) -> OfferedEffect:
     """The model with a steering offset, and the shipped margin under its name."""
     model = load_model(name)
     changed = parse_model(write_model(model) + OFFSET, getattr(_source(model), "parent", None))
     margin = margin_for(model)
     assert margin is not None
     own = margin_text(dataclasses.replace(margin, fingerprint=fingerprint(changed), date="2026-01-01"))
-    return Candidate("steering_offset", fingerprint(changed), write_model(changed), own, "r1 ticks 0 to 40")
+    return OfferedEffect("steering_offset", fingerprint(changed), write_model(changed), own, "r1 ticks 0 to 40")
 
 
 def _source(model: Any) -> Any:
@@ -78,7 +78,7 @@ class Drive:
         return {tick.verdict.status for tick in self.ticks}
 
 
-def accept(candidate: Candidate) -> Any:
+def accept(candidate: OfferedEffect) -> Any:
     def do(changes: Any) -> None:
         from safedpa.bus import Request
 
@@ -95,12 +95,14 @@ def untouched(changing_node: Any) -> Drive:
 
 
 @pytest.fixture(scope="module", params=["car", "car_learned"])
-def changed(changing_node: Any, request: pytest.FixtureRequest) -> tuple[Drive, Candidate]:
+def changed(changing_node: Any, request: pytest.FixtureRequest) -> tuple[Drive, OfferedEffect]:
     candidate = offset_candidate(request.param)
     return Drive(changing_node, request.param, 40, accept(candidate)), candidate
 
 
-def test_all_services_change_at_the_same_tick_and_no_tick_lacks_a_decision(changed: tuple[Drive, Candidate]) -> None:
+def test_all_services_change_at_the_same_tick_and_no_tick_lacks_a_decision(
+    changed: tuple[Drive, OfferedEffect],
+) -> None:
     run, candidate = changed
     offer, take = run.changing.spoken
     assert (offer.step, take.step) == ("offer", "take")
@@ -114,13 +116,13 @@ def test_all_services_change_at_the_same_tick_and_no_tick_lacks_a_decision(chang
     assert {service.model_of("r1") for service in run.services} == {candidate.fingerprint}
 
 
-def test_the_filter_uses_the_margin_of_the_new_model_from_then_on(changed: tuple[Drive, Candidate]) -> None:
+def test_the_filter_uses_the_margin_of_the_new_model_from_then_on(changed: tuple[Drive, OfferedEffect]) -> None:
     run, _ = changed
     margin = run.services[2]._versions.of("r1").calibration
     assert margin.date == "2026-01-01"
 
 
-def test_the_new_latent_begins_where_the_file_and_the_last_seconds_put_it(changed: tuple[Drive, Candidate]) -> None:
+def test_the_new_latent_begins_where_the_file_and_the_last_seconds_put_it(changed: tuple[Drive, OfferedEffect]) -> None:
     run, _ = changed
     take = run.changing.spoken[1].from_tick
     before, after = run.ear.latents[take - 1], run.ear.latents[take]

@@ -45,7 +45,7 @@ from pathlib import Path
 from safedpa.bus import AbstractNode, HEALTH, MODEL, TAKEOVER, VERDICT, ServiceLoop
 from safedpa.bus.loop.process import add_bus_options, bus_from, run_process
 from safedpa.live.change import ModelChanges
-from safedpa.live.versions import Candidate, Version, VersionFolder
+from safedpa.live.versions import OfferedEffect, Version, VersionFolder
 
 class Node(AbstractNode):
     name, inputs, outputs, listens, share = "diagnosis", (), (MODEL,), (TAKEOVER, HEALTH), 0.9
@@ -65,7 +65,7 @@ class Node(AbstractNode):
 def work(options, stop):
     import json
     first, candidate = json.loads(Path(options.models).read_text())
-    node = Node(Version(**first), Candidate(**candidate), Path(options.models).parent / "versions")
+    node = Node(Version(**first), OfferedEffect(**candidate), Path(options.models).parent / "versions")
     with bus_from(options) as bus:
         bus.answer_requests(lambda robot, request: node.changes.answer(request), "r1")
         ServiceLoop(node, bus).run(stop)

@@ -20,7 +20,7 @@ from safedpa.bus import (
     WishMessage,
 )
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
-from safedpa.live.versions import Candidate
+from safedpa.live.versions import OfferedEffect
 from safedpa.safety.margin_change import PhasedMargin, margin_change
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.node import SafetyFilterNode
@@ -193,7 +193,7 @@ def test_what_is_told_of_a_narrower_margin_and_of_none() -> None:
 def test_command_and_page_hear_of_the_margin_before_it_is_used(changing_node: Any) -> None:
     """With the decision, and in the answer to ``status`` until the next change."""
     changes = changing_node(CAR).changes
-    changes.propose(1, {"steering_offset": Candidate("steering_offset", NEW, DOCUMENT, margin_text(WIDE))})
+    changes.propose(1, {"steering_offset": OfferedEffect("steering_offset", NEW, DOCUMENT, margin_text(WIDE))})
     state = Standing().state()
     assert changes.step(state) is None
     asked = Request(do="accept", effect="steering_offset", model=changes.fingerprint, finding=1, who="test")

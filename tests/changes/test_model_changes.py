@@ -14,7 +14,7 @@ from hypothesis import strategies as some
 from safedpa.bus import Request, TakeoverMessage
 from safedpa.errors import InputError, RecordingError
 from safedpa.live.change import ModelChanges
-from safedpa.live.versions import Candidate, Kept, Version, VersionFolder
+from safedpa.live.versions import Kept, OfferedEffect, Version, VersionFolder
 
 SERVICES = ("adaptation", "policy", "safety_filter")
 QUIET = 1500
@@ -180,11 +180,11 @@ def test_a_rejected_effect_is_no_candidate_any_more_and_the_recording_says_who(f
 
 
 def test_a_model_that_is_made_on_demand(fleet: Any, candidate_of: Any) -> None:
-    fleet.changes.propose(1, {"drag": Candidate("drag")})
+    fleet.changes.propose(1, {"drag": OfferedEffect("drag")})
     fleet.ask("accept", "drag")
     fleet.turn(50)
     assert fleet.spoken == []
-    assert fleet.changes.wanted == Candidate("drag")
+    assert fleet.changes.wanted == OfferedEffect("drag")
     assert fleet.ask("status").pending == "preparing"
     fleet.changes.prepared(candidate_of("wind"))
     assert fleet.changes.wanted is not None, "that was not asked for"
@@ -195,7 +195,7 @@ def test_a_model_that_is_made_on_demand(fleet: Any, candidate_of: Any) -> None:
 
 def test_a_model_that_cannot_be_made_or_not_in_time_is_dropped(fleet: Any) -> None:
     for reason in ("the data do not tell", ""):
-        fleet.changes.propose(1, {"drag": Candidate("drag")})
+        fleet.changes.propose(1, {"drag": OfferedEffect("drag")})
         fleet.ask("accept", "drag")
         if reason:
             fleet.changes.failed(reason)

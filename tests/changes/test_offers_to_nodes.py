@@ -12,7 +12,7 @@ from safedpa.adaptation import AdaptationNode
 from safedpa.bus import LATENT, TAKEOVER, WISH, Answer, LatentMessage, ModelMessage, WishMessage
 from safedpa.bus.wire.codec import decode, encode
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
-from safedpa.dynamics.offered import offered_model
+from safedpa.dynamics.model_offer import offered_model
 from safedpa.errors import InputError
 from safedpa.policy import PolicyNode
 from safedpa.safety.margin_text import margin_from_text, margin_text
@@ -331,12 +331,12 @@ def test_the_filter_falls_back_while_the_latent_is_of_another_model(driving_stat
 
 
 def test_a_user_s_effect_that_fails_is_refused_not_fatal(ticking: Ticking, monkeypatch: pytest.MonkeyPatch) -> None:
-    from safedpa.dynamics import offered
+    from safedpa.dynamics import model_offer
 
     def fails(text: str, folder: Any) -> Any:
         raise ZeroDivisionError("planted in a user's effect")
 
-    monkeypatch.setattr(offered, "parse_model", fails)
+    monkeypatch.setattr(model_offer, "parse_model", fails)
     ticking.node.hear("r1", offer())
     assert ticking.answer() == ("refused", "planted in a user's effect")
 

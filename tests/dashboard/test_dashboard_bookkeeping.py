@@ -10,6 +10,7 @@ from safedpa.bus import STATE, VERDICT, Received
 from safedpa.robots.car.system import CAR
 from safedpa_services.dashboard.books import ResidualBook
 from safedpa_services.dashboard.fleet_view import FleetView, Pace, Thinner, TimeLine
+from safedpa_services.dashboard.palette import UNKNOWN_STATUS, VERDICT_COLOURS
 from safedpa_services.dashboard.shapes import Note
 
 
@@ -111,3 +112,20 @@ def test_a_repeated_tick_changes_nothing(look, tick_of):
     ]
     assert view.take(items, 0.0)
     assert view.take(items, 0.0) == []
+
+
+@pytest.mark.parametrize(("silent", "known"), [(0, True), (3, True), (4, True), (5, False), (12, False)])
+def test_a_stretch_of_the_trail_has_a_verdicts_colour_for_four_ticks_and_no_longer(look, tick_of, silent, known):
+    """0.2 s of the car: who draws an old verdict beside a robot that nobody filters says what is not so."""
+    view, colours = FleetView(look), []
+    for k in range(10 + silent):
+        kinds = (STATE, VERDICT) if k < 10 else (STATE,)
+        items = [
+            Received(topic, "r1", message, b"", "key", 0.05 * k) for topic, message in tick_of(k) if topic in kinds
+        ]
+        for frame in view.take(items, 0.05 * k):
+            colours += [entry.shape.colours for entry in frame.entries if entry.path[-1] == "trail"]
+    newest = VERDICT_COLOURS["passed"] if known else UNKNOWN_STATUS
+    assert colours[5] == (VERDICT_COLOURS["passed"],)
+    assert colours[-1] == (newest,)
+    assert len(colours) == 9 + silent

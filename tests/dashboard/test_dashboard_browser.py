@@ -127,11 +127,16 @@ def test_a_picture_of_a_recording_shows_something_everywhere(recording, tmp_path
     ("arguments", "complaint"),
     [
         (["missing.rrd", "--out", "a.png"], "missing.rrd: no such file"),
-        ([__file__, "--out", "a.png", "--size", "big"], "--size big: wanted WIDTHxHEIGHT"),
-        ([__file__, "--out", "/no/such/folder/a.png"], "folder /no/such/folder does not exist"),
+        ([__file__, "--out", "a.png"], "wanted one that the dashboard wrote"),
+        (["a.rrd", "--out", "a.png", "--size", "big"], "--size big: wanted WIDTHxHEIGHT"),
+        (["a.rrd", "--out", "/no/such/folder/a.png"], "folder /no/such/folder does not exist"),
+        (["a.rrd", "--out", "a.rrd"], "is the recording itself"),
+        (["a.rrd", "--out", "a.png", "--at", "nan"], "--at: got nan"),
     ],
 )
-def test_bad_input_of_screenshot_is_refused_in_one_line(arguments, complaint, capsys):
+def test_bad_input_of_screenshot_is_refused_in_one_line(arguments, complaint, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.rrd").write_bytes(b"RRF2 and no more")
     assert safedpa.run(["screenshot", *arguments]) == 2
     error = capsys.readouterr().err
     assert complaint in error

@@ -56,3 +56,28 @@ def test_the_recording_carries_its_own_arrangement(recording):
 
     assert len(RrdReader(recording).recordings()) == 1
     assert len(RrdReader(recording).blueprints()) >= 1
+
+
+class Slow:
+    """A stream whose viewers read late, or never."""
+
+    def __init__(self, never: bool) -> None:
+        self.never, self.done = never, []
+
+    def flush(self, *, timeout_sec: float) -> None:
+        self.done.append(("flush", timeout_sec))
+        if self.never:
+            raise RuntimeError("timeout")
+
+    def disconnect(self) -> None:
+        self.done.append(("disconnect", 0.0))
+
+
+@pytest.mark.parametrize("never", [False, True])
+def test_what_is_on_its_way_is_written_first_for_a_second_at_most_and_then_all_is_closed(look, never):
+    from safedpa_services.dashboard.painter import Painter
+
+    painter = Painter(look, "fleet", save=None, bind="127.0.0.1", grpc_port=None)
+    painter._stream = stream = Slow(never)
+    painter.close()
+    assert stream.done == [("flush", 1.0), ("disconnect", 0.0)]

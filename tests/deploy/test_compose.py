@@ -194,6 +194,16 @@ def test_images_run_as_an_ordinary_user_and_come_from_a_named_version() -> None:
     assert "USER" not in runtime.split("USER 10001:10001")[1].replace("ROOT_USER_ACTION", "")
 
 
+def test_no_image_that_ships_grows_out_of_the_compilers_stage() -> None:
+    parents = {name: parent for parent, name in re.findall(r"^FROM (\S+) AS (\S+)$", DOCKERFILE, re.MULTILINE)}
+    assert "compiler" in parents
+    for service in SERVICES.values():
+        stage = service["build"]["target"]
+        while stage in parents:
+            assert stage not in ("compiler", "installer"), "what makes an image stays behind"
+            stage = parents[stage]
+
+
 def test_what_is_installed_by_name_has_a_pinned_version() -> None:
     pinned = {
         re.split("==", line)[0].lower().replace("_", "-")

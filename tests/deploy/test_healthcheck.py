@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from safedpa.bus import HEALTH, NO_ROBOT, Bus, HealthMessage, MemoryBroker, MemoryTransport
-from safedpa_services.healthcheck.healthcheck import HealthCheck
+from safedpa_services.healthcheck.__main__ import HealthCheck
 
 
 class Service:

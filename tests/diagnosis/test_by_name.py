@@ -21,7 +21,7 @@ NEVER = 1e9
 @pytest.fixture
 def refusing(monkeypatch):
     """Every named effect is refused, as it is where the blocks are too few for it."""
-    for place in ("judgement.SURE", "judgement.VERY_SURE", "judgement.LIKELY", "other_horizons._SURE"):
+    for place in ("judgement.SURE", "judgement.VERY_SURE", "judgement.LIKELY", "where_none_passes._SURE"):
         monkeypatch.setattr(f"safedpa.diagnosis.search.{place}", NEVER)
     names = ("viscous_drag", "understeer")
     monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", name) for name in names])

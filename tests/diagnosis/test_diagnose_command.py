@@ -73,7 +73,9 @@ def test_two_seconds_are_no_evidence(log):
     report = diagnose(model, [still(model, 2.0, [1.0, 0.1])])
     assert report.verdict == "undecided"
     assert report.added == ()
-    assert any(item["kind"] == "no_verdict" for item in report.data_quality)
+    (why,) = [item["message"] for item in report.data_quality if item["kind"] == "no_verdict"]
+    assert report.unexplained is not None
+    assert (report.unexplained.depends_on, report.unexplained.expression) == ((), why), "no formula from so little"
 
 
 def test_constant_inputs_are_no_evidence(log):

@@ -35,8 +35,8 @@ def track():
     )
 
 
-def dense(track, piece, shift):
-    """-2 log likelihood of a piece, all rows at once, without the constant."""
+def joint_of(track, piece, shift=0.0):
+    """Measurements of a piece less their means, and their covariance; all rows at once."""
     decay = np.exp(-PERIOD / SECONDS)
     starts = np.diag([(30.0 * MEASURED) ** 2, PUSH**2])
     step = np.array([[KEPT, PERIOD], [0.0, decay]])
@@ -52,8 +52,13 @@ def dense(track, piece, shift):
             joint[now, : 2 * row] = step @ joint[before, : 2 * row]
             joint[: 2 * row, now] = joint[now, : 2 * row].T
             joint[now, now] = step @ joint[before, before] @ step.T + noise
-    covariance = joint[::2, ::2] + MEASURED**2 * np.eye(ROWS)
-    error = track.seen[piece, :, 0] - np.array(means)
+    covariance = joint[::2, ::2] + np.diag((MEASURED * track.doubt[piece, :, 0]) ** 2)
+    return track.seen[piece, :, 0] - np.array(means), covariance
+
+
+def dense(track, piece, shift):
+    """-2 log likelihood of a piece, without the constant."""
+    error, covariance = joint_of(track, piece, shift)
     return error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(covariance)[1]
 
 
@@ -65,6 +70,43 @@ def noise_of(*scales):
 def test_the_likelihood_is_that_of_all_rows_at_once(track):
     expected = dense(track, 0, 0.0) + dense(track, 1, 0.0)
     assert filtered(track, noise_of(1.0)).cost == pytest.approx([expected], rel=1e-9)
+
+
+@pytest.mark.parametrize("doubtful", [False, True])
+def test_each_innovation_is_measured_by_its_own_deviation(track, doubtful):
+    """Of a row given all before it, from the joint normal distribution: what outliers are found by, and what is white.
+
+    Their squares and the logs of their deviations add up to the likelihood.
+    """
+    if doubtful:
+        track = replace(track, doubt=np.where(np.arange(ROWS)[None, :, None] == 4, 7.0, track.doubt))
+    found = filtered(track, noise_of(1.0))
+    for piece in range(2):
+        error, covariance = joint_of(track, piece)
+        cost = 0.0
+        for row in range(ROWS):
+            known = np.linalg.solve(covariance[:row, :row], covariance[:row, row]) if row else np.zeros(0)
+            surprise, variance = error[row] - known @ error[:row], covariance[row, row] - known @ covariance[:row, row]
+            assert found.ratio[piece, row, 0] == pytest.approx(surprise / np.sqrt(variance), rel=1e-9, abs=1e-12)
+            assert found.white[piece, row] == pytest.approx(surprise / np.sqrt(variance), rel=1e-9, abs=1e-12)
+            cost += surprise**2 / variance + np.log(variance)
+        assert cost == pytest.approx(dense(track, piece, 0.0), rel=1e-9)
+
+
+def test_a_row_that_lies_off_is_doubted_by_as_many_times_as_it_lies_off(plain, with_effect, drive):
+    """A jump of 25 deviations among noise of one: it is left out of the numbers, and the noise stays the noise."""
+    truth = with_effect(plain, "viscous_drag", coefficient=0.3)
+    run = noisy(drive(truth, 20.0), 0)
+    states = run.states.copy()
+    states[100:300:50] += 25.0 * np.array((0.004, 0.004, 0.006, 0.03))
+    start = with_effect(plain, "viscous_drag", coefficient=0.2)
+    paths, free = ["viscous_drag.coefficient"], np.array([True])
+    clean = refined(start, paths, free, windows_of([run], 1.0))
+    found = refined(start, paths, free, windows_of([replace(run, states=states)], 1.0))
+    np.testing.assert_allclose(found.noise.measured[0], clean.noise.measured[0], rtol=0.25)
+    value = found.model.settings["viscous_drag.coefficient"].value
+    assert abs(value - 0.3) < 3.0 * found.deviations[0]
+    assert found.deviations[0] < 1.5 * clean.deviations[0]
 
 
 def test_noises_side_by_side_do_not_mix(track):

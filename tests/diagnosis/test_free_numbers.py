@@ -10,7 +10,7 @@ import pytest
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.diagnosis.document import as_document
 from safedpa.diagnosis.fit.evidence import evidence_at
-from safedpa.diagnosis.search.search import begun
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.dynamics import Setting
 from safedpa.effects import effect
 from safedpa.report.diagnosis_story import story_of

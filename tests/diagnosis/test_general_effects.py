@@ -179,7 +179,7 @@ def start_of(item):
 
 
 def manoeuvres_of(system):
-    from safedpa.diagnosis.experiment.general_manoeuvres import general_manoeuvres
+    from safedpa.diagnosis.experiment.choice import general_manoeuvres
 
     return general_manoeuvres(system, np.arange(0.0, 6.0, 0.05))
 

@@ -10,9 +10,9 @@ import pytest
 
 from safedpa.diagnosis.fit.heldout import heldout_of
 from safedpa.diagnosis.fit.shooting import shooting_of
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.conditions import of_patch
 from safedpa.diagnosis.search.places import Strip
-from safedpa.diagnosis.search.search import begun
 from safedpa.dynamics import load_model
 from safedpa.effects import effects_of
 from safedpa.fleet.outcome import outcome_of

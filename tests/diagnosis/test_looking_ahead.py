@@ -9,8 +9,9 @@ import pytest
 
 from safedpa.diagnosis.fit.evidence import evidence_at
 from safedpa.diagnosis.fit.trial import Trial, tried
-from safedpa.diagnosis.search import look_ahead, revision
+from safedpa.diagnosis.search import revision, where_none_passes
 from safedpa.diagnosis.search import search as additions
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.judgement import plainest
 from safedpa.diagnosis.search.progress import Judged, Search
 from safedpa.dynamics import load_model
@@ -30,7 +31,7 @@ def stage(tmp_path_factory):
     log = write_case(case, tmp_path_factory.mktemp("free_gain"))
     model = load_model(str(log.model))
     evidence = evidence_at([load_run(str(path), model.system) for path in log.runs], 1.0)
-    search = additions.begun(model, evidence.shooting, evidence.heldout)
+    search = begun(model, evidence.shooting, evidence.heldout)
     return search, {name: tried(search.current, [effect("car", name)], search.shooting) for name in NAMES}
 
 
@@ -58,9 +59,9 @@ def stuck(monkeypatch):
     windows = SimpleNamespace(
         names=("one", "two"), period=np.array([0.05]), system=SimpleNamespace(action_names=("throttle", "steer"))
     )
-    monkeypatch.setattr(look_ahead, "feigned_lateness", lambda *_: False)
-    monkeypatch.setattr(look_ahead, "inside", lambda *_: True)
-    monkeypatch.setattr(look_ahead, "plainest", lambda trial, *_: trial)
+    monkeypatch.setattr(where_none_passes, "feigned_lateness", lambda *_: False)
+    monkeypatch.setattr(where_none_passes, "inside", lambda *_: True)
+    monkeypatch.setattr(where_none_passes, "plainest", lambda trial, *_: trial)
 
     def made(gain, fall, missing):
         current = SimpleNamespace(name="before")
@@ -86,11 +87,11 @@ def afterwards(monkeypatch):
             if search.added:
                 search.error, search.current = error(reached), SimpleNamespace(name="after")
 
-        monkeypatch.setattr(look_ahead, "accept", accept)
+        monkeypatch.setattr(where_none_passes, "accept", accept)
         monkeypatch.setattr(additions, "_added_in_turn", in_turn)
-        monkeypatch.setattr(look_ahead, "known_effects", lambda *_: {})
-        monkeypatch.setattr(look_ahead, "refit", lambda *_: None)
-        monkeypatch.setattr(look_ahead, "block_gain", lambda *_: gain)
+        monkeypatch.setattr(where_none_passes, "known_effects", lambda *_: {})
+        monkeypatch.setattr(where_none_passes, "refit", lambda *_: None)
+        monkeypatch.setattr(where_none_passes, "block_gain", lambda *_: gain)
 
     return set_up
 
@@ -171,7 +172,7 @@ def test_an_effect_gives_way_to_one_with_more_numbers_only_if_it_fits_better(fal
     now = SimpleNamespace(loss=1.0, fit=SimpleNamespace(value=-2.0, paths=("a", "b")))
     model = SimpleNamespace(effects=[SimpleNamespace(name="understeer"), SimpleNamespace(name="towed_load")])
     fit = SimpleNamespace(value=-2.0 - fall, paths=("a", "b", "c"), model=model)
-    rival = look_ahead.replace(Trial((), None, None, None, 0.9), fit=fit)
+    rival = where_none_passes.replace(Trial((), None, None, None, 0.9), fit=fit)
     search = SimpleNamespace(added=["understeer", "rolling_resistance"], current=now, candidates=[], error=error(0.2))
     search.rivals = {"rolling_resistance": ["towed_load"]}
     search.first = SimpleNamespace(fit=SimpleNamespace(model=SimpleNamespace(effects=[])))

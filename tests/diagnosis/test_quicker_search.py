@@ -15,9 +15,10 @@ from safedpa.diagnosis.fit.innovations import _whitened
 from safedpa.diagnosis.fit.least_squares import fit, known_of
 from safedpa.diagnosis.fit.shooting import shooting_of
 from safedpa.diagnosis.fit.trial import deviates_of, tried
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.condition_screen import Proposal, _Sums
 from safedpa.diagnosis.search.conditions import _fitted
-from safedpa.diagnosis.search.search import accept, begun
+from safedpa.diagnosis.search.search import accept
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import Where, effect
 from safedpa.errors import ModelFileError
@@ -124,7 +125,8 @@ def test_slopes_are_differences_of_residuals(shooting):
     windows, model = shooting
     with_drag = model.with_effect(effect("car", "viscous_drag"), {"coefficient": Setting(0.1)})
     more = with_drag.with_settings({"viscous_drag.coefficient": Setting(0.11)})
-    residual, slopes = windows.linearised([with_drag, more], [0.01])
+    slopes = np.empty((*windows.measured.shape, 1))
+    residual = windows.linearised([with_drag, more], [0.01], slopes)
     each = windows.residuals([with_drag, more])
     np.testing.assert_array_equal(residual, each[0])
     counts = windows.counts > 0

@@ -103,6 +103,17 @@ def test_rates_look_back_a_tenth_of_a_second_and_never_ahead(drive, plain):
     np.testing.assert_allclose(measured_rates(windows)[1:], expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("period", [0.1, 0.15, 0.25, 1.0])
+def test_rates_of_rows_that_lie_farther_apart_are_those_of_the_last_two(period):
+    """Rows of a slow log lie more than a tenth of a second apart: the row before is the newest past that there is."""
+    random = np.random.default_rng(5)
+    t, states = period * np.arange(40), np.cumsum(random.uniform(0.0, 0.2, (40, 4)), axis=0)
+    windows = windows_of([Run("slow", CAR_THROTTLE, t, states, np.zeros((40, 2)), (Stretch(0, 40),))], 4 * period)
+    expected = (states[windows.start[1:]] - states[windows.start[1:] - 1]) / period
+    np.testing.assert_allclose(measured_rates(windows)[1:], expected, rtol=1e-9)
+    assert np.abs(expected).min() > 0.0
+
+
 def test_rates_do_not_look_into_another_stretch(drive, plain):
     run = drive(plain, 10.0, stretches=[(0, 100), (110, 200)])
     windows = windows_of([run], 0.5, stride=100)

@@ -10,10 +10,11 @@ import pytest
 from safedpa.diagnosis.fit.heldout import error_with, heldout_of
 from safedpa.diagnosis.fit.shooting import shooting_of
 from safedpa.diagnosis.fit.trial import tried
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.judgement import Stage, farthest
 from safedpa.diagnosis.search.progress import Judged
 from safedpa.diagnosis.search.revision import united
-from safedpa.diagnosis.search.search import accept, begun
+from safedpa.diagnosis.search.search import accept
 from safedpa.effects import effect
 from safedpa.records.run import Run
 

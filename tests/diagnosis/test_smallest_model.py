@@ -9,13 +9,12 @@ import pytest
 
 from safedpa.compare.actuators import late_commands
 from safedpa.diagnosis.fit.heldout import HeldoutError, error_with, heldout_of
-from safedpa.diagnosis.fit.kinds_of_driving import between_kinds
 from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.shooting import shooting_of
 from safedpa.diagnosis.search import revision
-from safedpa.diagnosis.search.final_numbers import with_form_in_doubt
+from safedpa.diagnosis.search.beginning import begun
+from safedpa.diagnosis.search.final_numbers import between_kinds, with_form_in_doubt
 from safedpa.diagnosis.search.judgement import feigned_lateness
-from safedpa.diagnosis.search.search import begun
 from safedpa.diagnosis.search.stages import _that_help
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect

@@ -167,7 +167,8 @@ def test_memory_carries_on_between_steps() -> None:
     first, memory = model.advance(STATES[0], np.array([1.0, 0.3]), memory)
     lagging = model.affine(first, around=np.array([1.0, 0.3]), memory=memory)
     settled = model.affine(first, around=np.array([1.0, 0.3]))
-    assert abs(lagging[1][2, 1]) < abs(settled[1][2, 1]) or first[3] == 0.0
+    assert abs(first[3]) > 0.5, "of a car that stands no steering turns anything"
+    assert 0.0 < abs(lagging[1][2, 1]) < 0.95 * abs(settled[1][2, 1])
     np.testing.assert_array_equal(settled[1], model.affine(first, around=np.array([1.0, 0.3]))[1])
 
 

@@ -11,7 +11,7 @@ import pytest
 from safedpa.dynamics import PhysicsModel, Setting, load_model, parse_model, write_model
 from safedpa.dynamics.straight import StraightSteps
 from safedpa.effects import Varies, Where, conditioned, effect, effects_of
-from safedpa.effects.conditioned import may_have_law
+from safedpa.effects.effects_with_law import may_have_law
 from safedpa.effects.law import law_of
 from safedpa.errors import ModelFileError
 

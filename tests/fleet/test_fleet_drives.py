@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 import pytest
-from fleet_containers import LOADS, Fleet, Watch
+from fleet_containers import LOADS, Fleet, Watch, run
 
 pytestmark = pytest.mark.fleet
 
@@ -27,6 +27,14 @@ def test_every_container_starts_and_every_robot_is_driven(
 
     assert watch.until(driven, 60.0), "not every robot was driven within a minute of its start"
     rows.append(("start", f"four robots driven {time.monotonic() - began:.1f} s after the last container was started"))
+
+
+def test_the_filter_in_its_container_is_compiled(fleet: Fleet, rows: list[tuple[str, ...]]) -> None:
+    """From source a decision takes twice as long; and what compiled it did not come along."""
+    asked = "import shutil; from safedpa.compiled import *; print(compiled_modules() == MODULES, shutil.which('gcc'))"
+    said = run("docker", "exec", fleet.container("safety_filter"), "python", "-c", asked).stdout.strip()
+    assert said == "True None"
+    rows.append(("the filter's innermost modules", "compiled"))
 
 
 def test_a_minute_without_collision_in_which_every_robot_reaches_goals(

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from safedpa.fleet.outcome import Number, Outcome, Tried
+from safedpa.fleet.outcome import Number, RobotOutcome, Tried
 from safedpa_lab.experiments.fleet_diagnosis import fleet_diagnosis_experiment
 
 UNITS = {"deceleration": "m/s2", "mass_ratio": "1", "angle": "rad", "ax": "m/s2", "ay": "m/s2", "coefficient": "1/m"}
@@ -20,7 +20,7 @@ def tried(effect: str, score: float = 8.0, std: float = 0.002, equals: tuple[str
     return Tried(effect, numbers, score, equals, {})
 
 
-def robot(name: str, *found: Tried, status: str = "diagnosed", **more: Any) -> Outcome:
+def robot(name: str, *found: Tried, status: str = "diagnosed", **more: Any) -> RobotOutcome:
     evidence = min((item.score for item in found), default=0.5)
     common = {
         "evidence": evidence,
@@ -29,7 +29,7 @@ def robot(name: str, *found: Tried, status: str = "diagnosed", **more: Any) -> O
         "error_after": 0.02,
         "last": {},
     }
-    return Outcome(name, status, "", tuple(found), **(common | more))
+    return RobotOutcome(name, status, "", tuple(found), **(common | more))
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def make_tried() -> Callable[..., Tried]:
 
 
 @pytest.fixture
-def make_robot() -> Callable[..., Outcome]:
+def make_robot() -> Callable[..., RobotOutcome]:
     return robot
 
 

@@ -10,7 +10,7 @@ import pytest
 from safedpa.dynamics import load_model
 from safedpa.fleet import Fleet, Options, RobotLogs, diagnose_fleet
 from safedpa.fleet.one_robot import RobotResult, diagnosed_robot
-from safedpa.fleet.robots import Found
+from safedpa.fleet.robots import RobotsFound
 from safedpa_lab.hidden import Case, write_cases
 
 DRAG = 0.12
@@ -54,7 +54,7 @@ def workers(work, jobs, _failed):
 
 def test_the_mended_model_is_tried_with_the_others_numbers_and_written(recordings, tmp_path):
     robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings))
-    fleet = Fleet(Found(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
+    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
     document = diagnose_fleet(fleet, workers)
     common = document["common"]
     assert common["model"] == "model.toml"
@@ -69,14 +69,14 @@ def test_the_mended_model_is_tried_with_the_others_numbers_and_written(recording
 def test_a_model_of_an_earlier_fleet_does_not_stay(recordings, tmp_path):
     (tmp_path / "model.toml").write_text("old", encoding="utf-8")
     robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings[:3]))
-    fleet = Fleet(Found(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
+    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
     assert diagnose_fleet(fleet, workers)["common"] is None  # three are no fleet
     assert not (tmp_path / "model.toml").exists()
 
 
 def test_a_model_that_does_not_help_is_not_written(recordings, tmp_path):
     robots = tuple(RobotLogs(f"r{i}", tuple(log.runs)) for i, log in enumerate(recordings))
-    fleet = Fleet(Found(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
+    fleet = Fleet(RobotsFound(robots, "folder"), Options(str(recordings[0].model)), tmp_path)
 
     def doubtful(work, jobs, failed):
         if work is diagnosed_robot:

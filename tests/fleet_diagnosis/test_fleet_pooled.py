@@ -16,7 +16,7 @@ from safedpa.fleet.common import (
     together_effects,
 )
 from safedpa.fleet.outcome import Number
-from safedpa.fleet.pooled import evidence_over, pooled_number
+from safedpa.fleet.pooled_evidence import evidence_over, pooled_number
 
 numbers = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.01, 2.0)), min_size=1, max_size=30)
 

@@ -11,8 +11,8 @@ from safedpa.bus.wire.codec import encode
 from safedpa.bus.wire.messages import StateMessage
 from safedpa.bus.wire.topics import STATE, key_of
 from safedpa.errors import InputError
+from safedpa.fleet.robot_recordings import robots_in, split_recording
 from safedpa.fleet.robots import robots_in_folder, robots_of_files
-from safedpa.fleet.splitting import robots_in, split_recording
 from safedpa.records import McapRecorder, read_run_from_mcap
 from safedpa.robots.car.system import CAR
 

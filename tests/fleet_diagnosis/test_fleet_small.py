@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from safedpa.errors import RecordingError
-from safedpa.fleet.diagnosing import clear_others, kept, read_result, write_result
+from safedpa.fleet.fleet_diagnosis import clear_others, kept, read_result, write_result
 from safedpa.fleet.inputs import Options, options_digest
 from safedpa.fleet.one_robot import Task, diagnosed_robot, not_diagnosed
 from safedpa.fleet.robots import RobotLogs, robots_in_folder

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import STATE, AbstractNode, Bus, MemoryBroker, ModelMessage, ServiceLoop, encode
-from safedpa.bus.loop.agenda import Agenda
-from safedpa.bus.transport.memory_transport import MemoryTransport
+from safedpa.bus.loop.turning import Agenda
+from safedpa.bus.transport.in_process import MemoryTransport
 from safedpa_sim.robots import CarRobot, Scene
 
 Make = Callable[..., Any]

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.bus import Bus, MemoryTransport, ServiceLoop
-from safedpa.bus.transport.joint_transport import JointTransport
+from safedpa.bus.transport.in_process import JointTransport
 from safedpa.errors import InputError
 from safedpa_lab.benchmarks.fleet import FleetTrial, fleet_benchmark
 from safedpa_services.stack.__main__ import serves

@@ -33,6 +33,16 @@ def test_there_are_twenty():
     assert len(BAD) == 20
 
 
+def test_an_export_with_its_words_is_spoiled_as_well(good, tmp_path):
+    log, files = good
+    lines = log.runs[0].read_text(encoding="utf-8").splitlines()
+    export = tmp_path / "drive.csv"
+    export.write_text("\n".join([f"{lines[0]},status", *(f"{line},passed" for line in lines[1:])]), encoding="utf-8")
+    assert {name: path.read_text() for name, path in write_bad_files(export, tmp_path / "bad").items()} == {
+        name: path.read_text() for name, path in files.items()
+    }
+
+
 def noticed(name, good):
     """(kinds, sentences) of what is said about a bad file; None for kinds where it is refused."""
     log, files = good

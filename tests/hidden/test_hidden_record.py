@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -98,6 +100,20 @@ def test_the_page_has_every_figure():
     assert suite[:7] == ["ordinary", "1", "100", "21 to 100", "100", "100", "0"]
     assert suite[7:] == ["0", "100", "1.020", "1.020", "100", "9.0", "9.0", "6.0", "6.0"]
     assert "- `none-nothing-2`: hidden nothing; effect_missing, added payload" in page
+    assert re.search(r"^2 cases, seeds 7; finished 20\d\d-", page, re.MULTILINE), page
+
+
+@pytest.mark.parametrize("cases", [[DRAG], [ALARM, DRAG, DRAG], [DRAG, ALARM, ALARM, DRAG]])
+def test_the_cases_of_the_page_are_those_of_its_suites_and_of_its_list(cases):
+    document = document_of([replace(case, case=f"{case.case}{at}") for at, case in enumerate(cases)], [7])
+    page = page_of(document)
+    assert int(re.search(r"^(\d+) cases", page, re.MULTILINE)[1]) == len(cases)
+    begun = page[page.index("## By suite") : page.index("## By effect") if "## By effect" in page else None]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in begun.splitlines() if line.startswith("|")]
+    told = {row[0]: int(row[1]) for row in rows[2:]}
+    assert {name: told[name] for name in {case.suite for case in cases}} == Counter(case.suite for case in cases)
+    wrong = sum(case.suite == "none" for case in cases)
+    assert page.partition("## Missed")[2].count("\n- `") == wrong
 
 
 def test_a_page_without_a_miss_says_so():

@@ -18,8 +18,8 @@ from safedpa.bus.wire.topics import topic_of
 from safedpa.errors import InputError
 from safedpa.limits import readable
 from safedpa_services.command_line.group import safedpa
+from safedpa_services.command_line.status_table import _table
 from safedpa_services.lines import say
-from safedpa_services.status.table import _table
 from safedpa_services.supervisor.warnings import readable as event_line
 from safedpa_services.terminal import Shown, terminal
 

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,7 @@ from safedpa.bus.loop.process import add_bus_options, identity_from
 from safedpa.bus.security.access import access_control, roles_of
 from safedpa.bus.security.authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Card, Certificates
-from safedpa.errors import BusError
+from safedpa.errors import BusError, InputError
 from safedpa_services.router.refusals import Refusals
 from safedpa_services.router.router import Revoked, Twins
 from safedpa_services.supervisor.private_folder import private_folder
@@ -114,8 +115,14 @@ def test_a_card_that_is_none_is_refused(said: bytes) -> None:
     os.close(writing)
     with pytest.raises(BusError, match="no authority, certificate and key"):
         Card.from_descriptor(reading, "policy")
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(reading)
+
+
+def test_a_card_where_nothing_is_open_is_refused() -> None:
+    """At a number that nothing can have: a number that was closed may be another thread's by now, which reads it."""
     with pytest.raises(BusError, match="Bad file descriptor"):
-        Card.from_descriptor(reading, "policy")
+        Card.from_descriptor(2**31 - 1, "policy")
 
 
 _PRIVATE = """
@@ -213,8 +220,6 @@ def test_a_revoked_certificate_s_link_ends(fleet: tuple[ZenohTransport, str, Pat
 
 
 def test_a_router_that_starts_gives_a_revoked_name_no_right(tmp_path: Path) -> None:
-    import argparse
-
     from safedpa_services.router.__main__ import REVOKED, _settings
 
     authority = Authority(tmp_path, "fleet")
@@ -231,3 +236,56 @@ def test_a_router_that_starts_gives_a_revoked_name_no_right(tmp_path: Path) -> N
     assert "policy" in with_rights
     assert Refusals().total == 0
     assert os.path.exists(tmp_path / REVOKED)
+
+
+@pytest.mark.parametrize("known_by", ["certificates", "card", "both"])
+def test_a_router_that_shows_who_it_is_starts_without_any_other_proof(
+    known_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a folder of certificates, by a card, or by both: each is enough, and its rights are in force."""
+    from safedpa_services.router import __main__ as started
+
+    shown = object()
+    monkeypatch.setattr(started, "identity_from", lambda options: shown)
+    options = _router_options(
+        certificates=tmp_path if known_by != "card" else None, card=3 if known_by != "certificates" else None
+    )
+    settings = started._settings(options)
+    assert settings.certificates is shown
+    assert settings.access is not None
+    assert settings.limits
+    assert settings.rates
+
+
+def test_a_router_without_any_proof_does_not_start() -> None:
+    from safedpa_services.router.__main__ import _settings
+
+    with pytest.raises(InputError, match="--certificates: got none"):
+        _settings(_router_options())
+
+
+@pytest.mark.parametrize("given", [{"certificates": Path("certificates")}, {"card": 3}])
+def test_a_router_is_plain_or_shows_who_it_is_and_never_both(given: dict[str, Any]) -> None:
+    from safedpa_services.router.__main__ import _settings
+
+    with pytest.raises(InputError, match="--plain: got it together with --certificates"):
+        _settings(_router_options(plain=True, **given))
+    settings = _settings(_router_options(plain=True))
+    assert (settings.certificates, settings.access) == (None, None)
+    assert settings.limits, "sizes and rates are limited even where nobody is known"
+    assert settings.rates
+
+
+def test_a_router_that_nobody_can_reach_does_not_start() -> None:
+    from safedpa_services.router.__main__ import _settings
+
+    with pytest.raises(InputError, match="--listen: got none"):
+        _settings(_router_options(listen=[], plain=True))
+
+
+def _router_options(**given: Any) -> argparse.Namespace:
+    usual = {
+        "fleet": "fleet", "listen": ["tls/127.0.0.1:7447"], "connect": [], "certificates": None, "role": "router",
+        "robot": ["r1"], "link": [], "plain": False, "card": None,
+    }  # fmt: skip
+    return argparse.Namespace(**(usual | given))

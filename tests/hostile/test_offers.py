@@ -202,6 +202,20 @@ def test_it_runs_behind_everybody_else(tmp_path: Path) -> None:
         apart.close()
 
 
+def test_each_answer_comes_while_the_process_waits_for_more_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not when its output is full or closed: whatever the environment says of what Python holds back."""
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
+    apart = _apart("tells_its_niceness", tmp_path)
+    try:
+        for number in range(3):
+            assert (apart.hand_in(number).outcome(wait=True) or {}).get("nice") == 19
+        assert apart.pid
+    finally:
+        apart.close()
+
+
 def test_handing_in_waits_two_milliseconds_at_most_even_where_nobody_reads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

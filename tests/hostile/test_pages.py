@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from safedpa.errors import InputError, RunError
 from safedpa_services.web.hosts import Hosts
 from safedpa_services.web.shelf import Shelf
-from safedpa_services.workbench.serving import Serving
+from safedpa_services.workbench.page_address import Serving
 
 PATHS = (
     "/",

@@ -16,7 +16,7 @@ from safedpa.bus import LATENT, SetupMessage
 from safedpa.errors import InputError
 from safedpa.replay.gaps import gaps_of
 from safedpa.replay.setups import node_of
-from safedpa.replay.tape import Tape, read_tape
+from safedpa.replay.tape import RobotTape, read_tape
 from safedpa_lab.experiments.hostile.recordings import driven_again, recorded_drive, replayed, written
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow]
@@ -122,16 +122,28 @@ def test_many_starts_and_epochs_take_no_longer_than_they_are_many(monkeypatch: p
     many = min(_processor_seconds(partial(_started, 20_000)) for _ in range(2))
     assert many < 100.0 * few, "20 times as many; hundreds of times as long where each looks at all others"
     tape, asked = _started(20_000), []
-    monkeypatch.setattr(Tape, "absent", lambda self, topic: asked.append(topic) or {(epoch, 3) for epoch in range(50)})
+    monkeypatch.setattr(
+        RobotTape, "absent", lambda self, topic: asked.append(topic) or {(epoch, 3) for epoch in range(50)}
+    )
     assert len(gaps_of(tape)) == 100
     assert asked.count(LATENT) == 1
 
 
-def _started(processes: int) -> Tape:
-    tape = Tape("r1", ())
+def _started(processes: int) -> RobotTape:
+    tape = RobotTape("r1", ())
     stamp = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}
     for number in range(processes):
         tape.add_setup(
             number, SetupMessage(**stamp, service="policy", instance=str(number), pid=1, software="", options="")
         )
     return tape
+
+
+@pytest.mark.parametrize("topic", ["action", "state"])
+@pytest.mark.parametrize("entries", [0, 1, 3])
+def test_an_action_of_another_size_than_the_robot_s(
+    messages: Messages, tmp_path: Path, topic: str, entries: int
+) -> None:
+    name = {"action": "action", "state": "applied"}[topic]
+    path = changed(messages, topic, lambda table: table.update({name: [0.25] * entries}), tmp_path / "run.mcap")
+    driven_again(path)

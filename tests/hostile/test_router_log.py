@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import stat
 
-from safedpa_services.router.zenoh_log import LogFile
+from safedpa_services.router.refusals import LogFile
 
 
 def test_lines_come_whole_and_in_order() -> None:

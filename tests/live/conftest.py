@@ -11,7 +11,7 @@ import pytest
 from safedpa.bus import LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import PhysicsModel, Setting, load_model
 from safedpa.effects import effect
-from safedpa.live.work import AbstractWorker, Outcome, Work
+from safedpa.live.work import AbstractWorker, Work, WorkOutcome
 
 PERIOD = 0.05
 Row = tuple[int, np.ndarray, np.ndarray]
@@ -107,7 +107,7 @@ class HandedWorker(AbstractWorker):
     def __init__(self) -> None:
         self.begun: list[Work] = []
         self.cancelled = 0
-        self.ready: Outcome | None = None
+        self.ready: WorkOutcome | None = None
         self._busy = False
 
     def begin(self, robot: str, work: Work) -> None:
@@ -115,7 +115,7 @@ class HandedWorker(AbstractWorker):
         self.begun.append(work)
         self._busy = True
 
-    def outcome(self, robot: str) -> Outcome | None:
+    def outcome(self, robot: str) -> WorkOutcome | None:
         del robot
         found, self.ready = self.ready, None
         self._busy = self._busy and found is None

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safedpa.live.watch import ALPHA, BEYOND, Evidence
+from safedpa.live.watch import ALPHA, BEYOND, EDetector
 
 INSIDE, OUTSIDE, FAR = 0.5, 1.5, BEYOND + 1.0
 
 
 def value_after(ratios: list[float]) -> float:
-    evidence = Evidence()
+    evidence = EDetector()
     for second, ratio in enumerate(ratios):
         evidence.add(ratio, 20 * second)
     return exp(evidence.value)
@@ -30,13 +30,13 @@ def test_the_mean_grows_by_at_most_one_a_second_under_every_null(
     beyond: float, outside: float, past: list[float]
 ) -> None:
     """M[n] - n is a supermartingale: from that follows P(raised within n seconds) <= n alpha, by Doob."""
-    raw = Evidence()
+    raw = EDetector()
     for ratio in past:
         raw.add(ratio, 0)
     before = sum(raw._sums) / 2
     mean = 0.0
     for ratio, probability in ((INSIDE, 1 - beyond - outside), (OUTSIDE, outside), (FAR, beyond)):
-        after = Evidence()
+        after = EDetector()
         for old in past:
             after.add(old, 0)
         after.add(ratio, 0)
@@ -48,7 +48,7 @@ def test_in_the_worst_null_hours_pass_without_a_finding() -> None:
     random = np.random.default_rng(5)
     hours, raised = 20, 0
     for _ in range(hours):
-        evidence = Evidence()
+        evidence = EDetector()
         for draw in random.random(3600):
             evidence.add(FAR if draw < 0.01 else OUTSIDE if draw < 0.05 else INSIDE, 0)
             if evidence.raised:
@@ -64,7 +64,7 @@ def test_a_fault_of_twice_the_band_is_raised_within_five_seconds() -> None:
 
 
 def test_it_takes_a_minute_of_good_seconds_to_forget_and_then_it_is_gone() -> None:
-    evidence = Evidence()
+    evidence = EDetector()
     for second in range(60):
         evidence.add(FAR, second)
     for second in range(15):
@@ -77,7 +77,7 @@ def test_it_takes_a_minute_of_good_seconds_to_forget_and_then_it_is_gone() -> No
 
 
 def test_since_is_the_first_bad_second_of_the_run() -> None:
-    evidence = Evidence()
+    evidence = EDetector()
     for second, ratio in enumerate([INSIDE, OUTSIDE, INSIDE, INSIDE, INSIDE, FAR, FAR]):
         evidence.add(ratio, second)
     assert evidence.since == 5

@@ -9,7 +9,7 @@ import pytest
 from safedpa.dynamics import Setting, write_model
 from safedpa.effects import effect
 from safedpa.live.finding import FIRST_SEARCH, RobotDiagnosis
-from safedpa.live.work import InlineWorker, Outcome, Work
+from safedpa.live.work import InlineWorker, Work, WorkOutcome
 
 CHANGE = 800
 NUMBERS = {"angle": 0.08}
@@ -40,7 +40,7 @@ def fitted(car):
 
 
 def found(car):
-    return Outcome(json.dumps(REPORT), ("steering_offset",), {"steering_offset": fitted(car)})
+    return WorkOutcome(json.dumps(REPORT), ("steering_offset",), {"steering_offset": fitted(car)})
 
 
 def test_stages_come_in_order_and_are_told_once_a_second(told):
@@ -79,7 +79,7 @@ def test_candidates_come_with_their_report_and_a_sentence(told, worker, car, sta
 
 def test_a_search_that_names_nothing_is_repeated_with_twice_the_data(told, worker, state_of, verdict_of):
     diagnosis, _, row = told(CHANGE + 1500, "searching")
-    worker.ready = Outcome(json.dumps({**REPORT, "candidates": []}))
+    worker.ready = WorkOutcome(json.dumps({**REPORT, "candidates": []}))
     stages = set()
     while len(worker.begun) < 2:
         state = state_of(row())
@@ -91,7 +91,7 @@ def test_a_search_that_names_nothing_is_repeated_with_twice_the_data(told, worke
 
 def test_a_failed_search_says_why(told, worker, state_of, verdict_of):
     diagnosis, _, row = told(CHANGE + 1500, "searching")
-    worker.ready = Outcome(failure="its process ended with code -9, 3 times")
+    worker.ready = WorkOutcome(failure="its process ended with code -9, 3 times")
     messages = []
     for _ in range(21):
         state = state_of(row())

@@ -10,12 +10,11 @@ from safedpa.bus import FINDING, LATENT, MODEL, TAKEOVER, VERDICT, Request, Stal
 from safedpa.dynamics import Setting, fingerprint, parse_model, write_model
 from safedpa.effects import effect
 from safedpa.errors import MessageError, ModelFileError
-from safedpa.live.foresight import Foresight
+from safedpa.live.foresight import Foresight, foretell_with
 from safedpa.live.node import DiagnosisNode
-from safedpa.live.work import Outcome
+from safedpa.live.work import WorkOutcome
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin_text import margin_text
-from safedpa_services.diagnosis.foretelling import foretell_with
 
 CHANGE = 800
 REPORT = json.dumps(
@@ -62,7 +61,7 @@ class Driven:
 
     def found(self, *effects):
         self.until(lambda: self.worker.busy("r1"))
-        self.worker.ready = Outcome(REPORT, effects, {"steering_offset": self.document})
+        self.worker.ready = WorkOutcome(REPORT, effects, {"steering_offset": self.document})
         self.until(lambda: self.told[-1].stage == "candidates")
 
     @property
@@ -91,7 +90,7 @@ def test_an_accepted_effect_is_prepared_on_the_newest_data_offered_and_taken(dri
     assert (work.task, work.effect, work.document) == ("prepare", "steering_offset", driven.document)
     assert work.run.t[-1] > driven.worker.begun[0].run.t[-1] + 4.0
     assert work.footprint == (0.08, 0.4, 0.12)
-    driven.worker.ready = Outcome(documents={"steering_offset": driven.document}, margin="{}")
+    driven.worker.ready = WorkOutcome(documents={"steering_offset": driven.document}, margin="{}")
     new = fingerprint(parse_model(driven.document))
     driven.until(lambda: driven.node.model_of("r1") == new)
     offer, take = driven.changes
@@ -113,7 +112,7 @@ def test_what_accepting_does_is_told_before_and_gives_way_to_who_accepts(
     assert driven.ask("status").foreseen == ("", "")
     driven.until(lambda: worker.begun[-1].task == "prepare")
     assert worker.begun[-1].effect == "steering_offset"
-    worker.ready = Outcome(documents={"steering_offset": driven.document}, margin=margin_of(2.0))
+    worker.ready = WorkOutcome(documents={"steering_offset": driven.document}, margin=margin_of(2.0))
     driven.until(lambda: worker.begun[-1].effect == "steering_gain")
     first, second = driven.ask("status").foreseen
     assert first.startswith("the margin of obstacle goes from 0.05 to 2 where h is 1: at once it would stop")
@@ -122,7 +121,7 @@ def test_what_accepting_does_is_told_before_and_gives_way_to_who_accepts(
     assert driven.ask("accept", "steering_offset").ok
     driven.tick()
     assert worker.begun[-1].effect == "steering_offset"
-    worker.ready = Outcome(documents={"steering_offset": driven.document}, margin=margin_of(0.21))
+    worker.ready = WorkOutcome(documents={"steering_offset": driven.document}, margin=margin_of(0.21))
     new = fingerprint(parse_model(driven.document))
     driven.until(lambda: driven.node.model_of("r1") == new)
     assert driven.ask("status").earlier == 1
@@ -130,7 +129,11 @@ def test_what_accepting_does_is_told_before_and_gives_way_to_who_accepts(
 
 def test_a_foreseen_model_that_cannot_be_made_and_a_margin_that_stays_are_told(margin_of):
     ahead, foretell = Foresight(), foretell_with("car")
-    ahead.found = {"a": Outcome(failure="too few rows"), "b": Outcome(margin=margin_of(0.05)), "c": Outcome()}
+    ahead.found = {
+        "a": WorkOutcome(failure="too few rows"),
+        "b": WorkOutcome(margin=margin_of(0.05)),
+        "c": WorkOutcome(),
+    }
     told = ahead.told(margin_of(0.05), foretell)
     assert told["a"] == "it cannot be made: too few rows"
     assert told["b"] == "the margin stays as it is: obstacle 0.05"
@@ -148,7 +151,7 @@ def test_a_refused_offer_leaves_the_model_and_the_finding(driven):
     before = driven.node.model_of("r1")
     driven.ask("accept", "steering_offset")
     driven.tick()
-    driven.worker.ready = Outcome(documents={"steering_offset": driven.document}, margin="{}")
+    driven.worker.ready = WorkOutcome(documents={"steering_offset": driven.document}, margin="{}")
     for _ in range(30):
         driven.tick(refuse="policy")
     assert [message.step for message in driven.changes] == ["offer", "drop"]
@@ -162,7 +165,7 @@ def test_a_model_that_cannot_be_prepared_is_told_and_nothing_is_offered(driven):
     driven.ask("accept", "steering_gain")
     driven.tick()
     assert driven.worker.begun[-1].document == ""
-    driven.worker.ready = Outcome(failure="runs: got 1 window")
+    driven.worker.ready = WorkOutcome(failure="runs: got 1 window")
     for _ in range(10):
         driven.tick()
     assert [message.step for message in driven.changes] == ["drop"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from safedpa.live.forecasts import Forecast
-from safedpa.live.watch import Decision, Watch, learned_band, place_in_words
+from safedpa.live.watch import VerdictFacts, Watch, learned_band, place_in_words
 
 pytestmark = pytest.mark.slow
 
@@ -61,17 +61,17 @@ def test_coverage_is_the_share_of_steps_within_the_margin(car):
     watch = Watch(car)
     for tick in range(101):
         h = 1.0 if tick % 10 else 0.97
-        watch.judge_margin(tick, Decision(h_now=h, h_next=1.0, margin=0.02))
+        watch.judge_margin(tick, VerdictFacts(h_now=h, h_next=1.0, margin=0.02))
     assert watch.coverage == pytest.approx(0.9)
 
 
 def test_coverage_leaves_out_what_was_not_done_and_what_was_not_foreseen(car):
     watch = Watch(car)
-    watch.judge_margin(0, Decision(1.0, 1.0, 0.01))
-    watch.judge_margin(1, Decision(0.0, 1.0, 0.01), obeyed=False)
+    watch.judge_margin(0, VerdictFacts(1.0, 1.0, 0.01))
+    watch.judge_margin(1, VerdictFacts(0.0, 1.0, 0.01), obeyed=False)
     watch.judge_margin(2, None)
-    watch.judge_margin(3, Decision(0.0, 1.0, 0.01))
-    watch.judge_margin(5, Decision(0.0, 1.0, 0.01))
+    watch.judge_margin(3, VerdictFacts(0.0, 1.0, 0.01))
+    watch.judge_margin(5, VerdictFacts(0.0, 1.0, 0.01))
     assert watch.coverage == 1.0
 
 

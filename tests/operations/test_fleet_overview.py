@@ -14,8 +14,8 @@ from rich.console import Console
 
 from safedpa.bus import HEALTH, SurroundingsMessage
 from safedpa.bus.overview import Recent, fleet_concerns
-from safedpa_services.status.document import document_of
-from safedpa_services.status.table import picture_of
+from safedpa_services.command_line.status import document_of
+from safedpa_services.command_line.status_table import picture_of
 
 
 def sentences(fleet: Any, level: str) -> list[str]:
@@ -42,6 +42,15 @@ def test_a_healthy_fleet_raises_no_concern(fleet: Any) -> None:
     assert (row["sense_to_act_p50"], row["sense_to_act_p99"]) == (0.0042, 0.0042)
     assert row["models"]["safety_filter"] == "0123456789ab"
     assert json.loads(json.dumps(document)) == document
+
+
+def test_a_robot_that_was_asked_for_and_is_not_there_is_no_healthy_fleet(fleet: Any) -> None:
+    fleet.overview.robot = "r9"  # what the services say was heard, and nothing of this robot
+    fleet.beat("recorder")
+    fleet.overview.listen(0.0)
+    document = document_of(fleet.overview)
+    assert not document["healthy"]
+    assert [(row["robot"], row["sentence"]) for row in document["concerns"]] == [("r9", "is not heard")]
 
 
 def test_the_age_of_each_source_is_told_and_what_is_wrong_with_one(fleet: Any) -> None:

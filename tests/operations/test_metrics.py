@@ -18,8 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safedpa.errors import InputError
-from safedpa_services.metrics.collector import FAMILIES, FleetCollector, Histogram
-from safedpa_services.metrics.exporter import Exporter
+from safedpa_services.metrics.exporter import FAMILIES, Exporter, FleetCollector, Histogram
 
 pytest.importorskip("prometheus_client", reason="prometheus_client is not installed; install 'safedpa[metrics]'")
 

@@ -16,18 +16,12 @@ from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import HistoryEncoder, LearnedNetworks, frame_of
 from safedpa_lab.experiments.point_heat_map import heat_map_markdown, write_heat_map
+from safedpa_lab.point.beliefs import LearnedBelief, ModelBelief, from_task_action
 from safedpa_lab.point.heat_map import HeatMap, agreement, heat_map
 from safedpa_lab.point.margin import one_step_errors
 from safedpa_lab.point.moments import drawn_moments
 from safedpa_lab.point.shield import Shield, shield_of, weights_named
-from safedpa_sim.point.belief import (
-    ACTION_SCALE,
-    LearnedBelief,
-    ModelBelief,
-    TrueBelief,
-    from_task_action,
-    to_task_action,
-)
+from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, to_task_action
 from safedpa_sim.point.body_steps import after_one_period, centre_state, put_state
 from safedpa_sim.point.filtering import PointFilter, least_room
 from safedpa_sim.point.simulation import PointSimulation

@@ -15,8 +15,9 @@ from safedpa_lab.experiments.point_story import PointStory, point_story, point_s
 from safedpa_lab.point.hidden import HIDDEN, point_logs
 from safedpa_services.command_line import safedpa
 from safedpa_sim.point import policy_task
+from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.observation import entries_seen
-from safedpa_sim.point.policy_task import LatentPolicy, PointPractice
+from safedpa_sim.point.policy_task import PointPractice
 from safedpa_sim.training.configuration import load_configuration
 
 

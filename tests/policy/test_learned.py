@@ -264,4 +264,4 @@ def test_controllers_that_do_not_exist_or_cannot_work_are_refused() -> None:
         controller_for(load_model("car"), "learned")
     with pytest.raises(InputError, match="no policy"):
         controller_for(learned_model(without_policy(weights())), "learned")
-    assert set(robot_named("car").controllers(load_model("car"))) == {"goal_seeker", "planner"}
+    assert set(robot_named("car").controllers(load_model("car"))) == {"goal_seeker", "planner", "way_seeker"}

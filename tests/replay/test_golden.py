@@ -1,11 +1,13 @@
 """Recorded runs that must come out as they were: whoever changes a latent, a wish or a verdict finds out here.
 
-On purpose: ``python tests/replay/golden/record.py``.
+On purpose: ``python tests/replay/golden/record.py --why "..."``.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +17,59 @@ from safedpa.bus import SetupMessage, VerdictMessage
 from safedpa.replay import setups
 from safedpa.replay.gaps import gaps_of
 from safedpa.replay.replay import replay
-from safedpa.replay.tape import Tape, read_tape
+from safedpa.replay.tape import RobotTape, read_tape
 from safedpa.safety.settings import FilterSettings, parse_settings
 
 GOLDEN = Path(__file__).parent / "golden"
+RECORD = runpy.run_path(str(GOLDEN / "record.py"))
 NAMES = sorted(path.stem for path in GOLDEN.glob("*.mcap"))
 
 
-def tape_of(name: str) -> Tape:
+def tape_of(name: str) -> RobotTape:
     return read_tape([GOLDEN / f"{name}.mcap"])
 
 
 def test_they_are_there_and_small() -> None:
     assert NAMES == ["car_box", "car_killed", "car_learned", "pendulum"]
     assert sum(path.stat().st_size for path in GOLDEN.glob("*.mcap")) < 500_000
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_whoever_recorded_one_anew_said_why_and_what_differs(name: str) -> None:
+    """Beside the recordings stands the sum of each, with the reason and the fields in which the former one differed."""
+    changes = json.loads((GOLDEN / "changes.json").read_text(encoding="utf-8"))
+    assert changes.keys() == set(NAMES)
+    newest = changes[name][-1]
+    assert newest["sha256"] == RECORD["sum_of"](GOLDEN / f"{name}.mcap"), "recorded anew without record.py"
+    assert all(len(entry["why"]) > 20 for entry in changes[name])
+    assert sorted(entry["date"] for entry in changes[name]) == [entry["date"] for entry in changes[name]]
+
+
+def test_what_differs_is_listed_by_field_with_ticks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a program that decides otherwise; by this one nothing does."""
+    path = GOLDEN / "car_box.mcap"
+    assert RECORD["differing_fields"](path) == []
+    monkeypatch.setattr(setups, "parse_settings", lambda text: dataclasses.replace(parse_settings(text), eta=0.01))
+    differing = RECORD["differing_fields"](path)
+    by_field = {row["field"]: row for row in differing}
+    assert {"verdict.action", "action.values"} <= by_field.keys()
+    row = by_field["action.values"]
+    assert 0 < row["ticks"] <= row["of"] == len(tape_of("car_box").states)
+    assert row["recorded"] != row["replayed"]
+    for _ in range(2):
+        RECORD["kept"](tmp_path / "changes.json", "car_box", "eta is a tenth", differing, path)
+    first, second = json.loads((tmp_path / "changes.json").read_text(encoding="utf-8"))["car_box"]
+    assert first == second
+    assert (first["why"], first["differing"], first["sha256"]) == ("eta is a tenth", differing, RECORD["sum_of"](path))
+
+
+def test_nothing_is_recorded_without_a_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        RECORD["main"](["car_box"])
+    assert "--why" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        RECORD["main"](["car_boks", "--why", "it shall"])
+    assert "car_boks: wanted one of car_box, " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -17,7 +17,7 @@ from safedpa.errors import RunError
 from safedpa.records import McapRecorder
 from safedpa.replay.gaps import gaps_of
 from safedpa.replay.replay import Replay, replay
-from safedpa.replay.tape import Tape, read_tape
+from safedpa.replay.tape import RobotTape, read_tape
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.senses import Senses
 
@@ -55,7 +55,7 @@ def driven(fleet: Any, ticks: int, events: list[tuple[int, str, str, int]] = ())
     return fleet
 
 
-def replayed(path: Path) -> tuple[Tape, Replay]:
+def replayed(path: Path) -> tuple[RobotTape, Replay]:
     tape = read_tape([path])
     return tape, replay(tape)
 

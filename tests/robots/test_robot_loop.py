@@ -97,10 +97,10 @@ def test_lockstep_can_be_stopped_while_it_waits():
 
 
 def test_real_time_brakes_in_each_period_without_an_action():
-    fleet = Fleet(lambda state: action(state) if state.tick % 2 else None, lockstep=False, period=0.01)
-    fleet.loop.run(never, 20)
-    assert fleet.robot.tick == 20
-    assert fleet.robot.watchdog_ticks == 10
+    fleet = Fleet(lambda state: action(state) if state.tick % 2 else None, lockstep=False, period=0.05)
+    fleet.loop.run(never, 12)
+    assert fleet.robot.tick == 12
+    assert fleet.robot.watchdog_ticks == 6
     assert [state.applied_by for state in fleet.states[1:5]] == ["watchdog", "filter", "watchdog", "filter"]
 
 

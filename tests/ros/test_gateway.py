@@ -89,15 +89,15 @@ def test_the_car_brakes_and_it_is_told_whatever_ends(side: Side, tmp_path: Path)
         car.say("go")
         loop.wait_for("ros_gateway", "the filter drives")
         loop.children["safety_filter"].send_signal(signal.SIGSTOP)
-        loop.wait_for("ros_gateway", "the gateway brakes: no action of the filter came in time", 5.0)
+        loop.wait_for("ros_gateway", "the gateway brakes: no action of the filter came in time", 20.0)
         loop.children["safety_filter"].send_signal(signal.SIGCONT)
         before = loop.log("ros_gateway").count("the filter drives")
-        end = time.monotonic() + 5.0
+        end = time.monotonic() + 30.0
         while loop.log("ros_gateway").count("the filter drives") == before and time.monotonic() < end:
             time.sleep(0.05)
         assert loop.log("ros_gateway").count("the filter drives") > before  # it goes on when the filter does
         side.car(60.0, 0, "--straight")  # somebody else on the driver's topic
-        loop.wait_for("ros_gateway", "/policy publishes on /drive too; remap it to another topic", 5.0)
+        loop.wait_for("ros_gateway", "/policy publishes on /drive too; remap it to another topic", 30.0)
         time.sleep(1.0)
         car.say("end")
         found = car.told()
@@ -131,7 +131,7 @@ def test_a_killed_gateway_leaves_a_driver_that_brakes_and_a_clock_that_jumps_hur
         car.say("go")
         loop.wait_for("ros_gateway", "the filter drives")
         time.sleep(2.0)
-        end = time.monotonic() + 15.0  # a busy machine may keep it braking now and then
+        end = time.monotonic() + 60.0  # a busy machine may keep it braking now and then
         while "the filter drives" not in loop.log("ros_gateway").splitlines()[-1] and time.monotonic() < end:
             time.sleep(0.02)
         assert "the filter drives" in loop.log("ros_gateway").splitlines()[-1]
@@ -221,11 +221,11 @@ def test_the_robot_s_router_is_lost_and_found(side: Side, tmp_path: Path) -> Non
         car.say("go")
         loop.wait_for("ros_gateway", "the filter drives")
         side.router.kill()
-        loop.wait_for("ros_gateway", "the gateway brakes: the odometry is 0.", 3.0)
+        loop.wait_for("ros_gateway", "the gateway brakes: the odometry is 0.", 20.0)
         before = loop.log("ros_gateway").count("the filter drives")
         time.sleep(1.0)
         side.restart_router()
-        end = time.monotonic() + 8.0
+        end = time.monotonic() + 40.0
         while loop.log("ros_gateway").count("the filter drives") == before and time.monotonic() < end:
             time.sleep(0.05)
         assert loop.log("ros_gateway").count("the filter drives") > before

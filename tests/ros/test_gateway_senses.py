@@ -19,7 +19,7 @@ from safedpa.robots.car.ros_face import CarFace
 from safedpa.robots.differential_drive.ros_face import DifferentialDriveFace
 from safedpa.ros.encoding import encode
 from safedpa.ros.graph import Attachment
-from safedpa.ros.telling import odometry_of, transform_of
+from safedpa.ros.outgoing import odometry_of, transform_of
 from safedpa_services.ros_gateway.gateway import Gateway
 from safedpa_services.ros_gateway.localisation import TRANSFORMS, Localised
 from safedpa_services.ros_gateway.overheard import Overheard

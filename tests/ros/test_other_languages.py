@@ -14,7 +14,7 @@ from safedpa.bus.transport import ports
 from safedpa.bus.wire.messages import VerdictMessage
 from safedpa.robots.car.ros_face import CarFace
 from safedpa.ros.encoding import encode, type_store
-from safedpa.ros.telling import diagnostics_of, odometry_of, path_marker, transform_of
+from safedpa.ros.outgoing import diagnostics_of, odometry_of, path_marker, transform_of
 from safedpa_lab.ros.side import Loop
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]

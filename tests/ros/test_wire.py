@@ -17,8 +17,8 @@ from safedpa.errors import InputError
 from safedpa.robots.car.ros_face import CarFace, ThrottleCarFace
 from safedpa.ros.encoding import encode, hash_of
 from safedpa.ros.graph import NO_HASH, PUBLISHER, Attachment, Endpoint, data_key, node_token
-from safedpa.ros.telling import odometry_of
-from safedpa_services.ros_gateway.making import checked_face
+from safedpa.ros.outgoing import odometry_of
+from safedpa_services.ros_gateway.__main__ import checked_face
 from safedpa_services.ros_gateway.robot_file import load_robot_file
 from safedpa_services.ros_gateway.senses import Newest, Pose, pose_paths
 

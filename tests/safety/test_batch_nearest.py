@@ -88,3 +88,34 @@ def test_the_corner_of_almost_parallel_conditions_is_not_believed(size: float) -
     """x >= 0.75 and 1e-10 y >= x - 0.75 + 5e-11 meet at y = 0.5, but not so that rounding could tell."""
     slopes = [[size, 0.0], [-size, 1e-10 * size]]
     assert not one(slopes, [0.75 * size, (-0.75 + 5e-11) * size], (0.5, 0.2))[1]
+
+
+def by_trying_all(slopes: Any, limits: Any, wish: Any) -> Any:
+    """The nearest of all points that could be it: the wish, its foot on every row, and every corner; None: no one."""
+    rows = [(a, b) for a, b in zip(slopes, limits, strict=True) if b > -inf and a.any()]
+    A, b = np.array([a for a, _ in rows]), np.array([b for _, b in rows])
+    points = [wish]
+    for first in range(len(A)):
+        along = A[first] / WEIGHTS
+        points.append(wish + (b[first] - A[first] @ wish) / (A[first] @ along) * along)
+        for second in range(first):
+            if abs(np.linalg.det(A[[first, second]])) > 1e-9:
+                points.append(np.linalg.solve(A[[first, second]], b[[first, second]]))
+    inside = [point for point in points if (A @ point >= b - 1e-9).all()]
+    return min(inside, key=lambda point: ((point - wish) ** 2) @ WEIGHTS, default=None)
+
+
+@pytest.mark.parametrize("rows", [2, 5, 9])
+def test_what_is_certain_is_the_nearest_of_all_points(rows: int) -> None:
+    """Around a place that keeps all of them, seen from far away: many are taken in before it is found."""
+    random, robots = np.random.default_rng(rows), 300
+    slopes = np.concatenate([random.normal(size=(robots, rows, 2)), np.tile(BOX, (robots, 1, 1))], axis=1)
+    inside = random.uniform(0.2, 0.8, (robots, 2))
+    own = (slopes[:, :rows] @ inside[:, :, np.newaxis])[..., 0] - random.uniform(0.0, 0.2, (robots, rows))
+    limits = np.concatenate([own, np.tile(BOX_LIMITS, (robots, 1))], axis=1)
+    wish = inside + random.normal(0.0, 3.0, (robots, 2))
+    points, certain = nearest_kept_by_many(slopes, limits, wish, WEIGHTS)
+    for robot in np.flatnonzero(certain).tolist():
+        nearest = by_trying_all(slopes[robot], limits[robot], wish[robot])
+        np.testing.assert_allclose(points[robot], nearest, rtol=0.0, atol=1e-6)
+    assert certain.mean() > 0.9

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -146,3 +147,57 @@ def test_slopes_are_those_of_one_where_an_actuator_saturates_too(drawn: Any) -> 
     np.testing.assert_allclose(conditions.scale, np.maximum([one.scales for one in ones], reach), rtol=1e-12)
     again = conditions.slopes(conditions.outcome(np.tile([2.9, 1.0], (200, 1))), last)
     np.testing.assert_allclose(again, slopes, rtol=1e-9)
+
+
+class Given:
+    """Predictions whose slopes are these, whatever is done."""
+
+    affine = False
+
+    def __init__(self, state: Values, g: Values, far: Values) -> None:
+        self.state, self.g, self.far = state, g, far
+
+    def only(self, which: Any) -> Given:
+        return Given(self.state[which], self.g[which], self.far[which])
+
+    def next_state(self, action: Values) -> Values:
+        return np.asarray(self.state + self.far + action**3)
+
+    def slopes(self, action: Values) -> Values:
+        return self.g.copy()
+
+
+def of_given(given: Given, robot: int) -> Conditions:
+    """The conditions of one of them."""
+    g, far = given.g[robot], given.far[robot]
+
+    def affine(x: Values, around: Values) -> tuple[Values, Values]:
+        return x, g
+
+    def step(x: Values, action: Values) -> Values:
+        return np.asarray(x + far + action**3)
+
+    barrier = FunctionBarrier(lambda x: SLOPES @ x + 5.0, lambda x: SLOPES, names=("a", "b", "c"))
+    sides = QuadraticProgram(np.array(LOW), np.array(HIGH), np.ones(2)).sides
+    state = tuple(given.state[robot].tolist())
+    return Conditions(Barriers([barrier]), Prediction(affine, step), state, None, None, 0.3, [0.01] * 3, sides)
+
+
+def test_a_slope_is_taken_for_rounding_where_that_of_one_robot_is() -> None:
+    """Slopes of all sizes, states and motions of all sizes; a chord takes the place of what says nothing."""
+    random, count = np.random.default_rng(3), 400
+    state = random.normal(size=(count, 2)) * 10.0 ** random.uniform(-4.0, 4.0, (count, 1))
+    far = np.where(random.random((count, 1)) < 0.5, -2.0 * state, 0.0)
+    g = random.normal(size=(count, 2, 2)) * 10.0 ** random.uniform(-12.0, -4.0, (count, 1, 2))
+    g[random.random((count, 2, 2)) < 0.2] = 0.0
+    actions = random.uniform(LOW, HIGH, (count, 2))
+    actions[0], g[0] = (1.0, 1.5), 0.0  # in the middle, as far from either bound
+    given = Given(state, g, far)
+    ones = [of_given(given, robot) for robot in range(count)]
+    wanted = [one.linearised(one.outcome(own.tolist())).all(3) for one, own in zip(ones, actions, strict=True)]
+    silent = [one.saturated for one in ones]
+    conditions = replace(many(state, ones), predictions=given)
+    found = conditions.slopes(conditions.outcome(actions), np.full((count, 2, 2), np.nan))
+    assert conditions.saturated.tolist() == silent
+    assert 40 < sum(silent) < 360
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-300)

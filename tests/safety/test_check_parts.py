@@ -252,6 +252,13 @@ def test_a_fall_of_the_threshold_is_none() -> None:
         assert bool(tick_issues(checked, [probe(0.0, h=0.3 * depth)])) is told
 
 
+def test_what_dips_is_named_behind_others_of_several_values() -> None:
+    flat = FunctionBarrier(lambda x: [5.0, 6.0], names=("high", "higher"))
+    checked = made(flat, wall(0.05), model=lambda x: (x + 0.2, 0.05 * np.eye(1)))
+    (issue,) = tick_issues(checked, [probe(-0.3, h=[5.0, 6.0, float(checked.h(np.array([-0.3]))[2])])])
+    assert issue.names == ("h1",)
+
+
 def test_who_is_outside_already_is_not_chased() -> None:
     checked = made(wall(0.05), model=lambda x: (x + 0.2, 0.05 * np.eye(1)))
     assert tick_issues(checked, [probe(0.0, h=-0.1)]) == []

@@ -50,3 +50,9 @@ def test_an_empty_corridor_is_refused(low: float, high: float) -> None:
 def test_a_time_that_is_none_is_refused(time: float) -> None:
     with pytest.raises(InputError, match="wanted a finite time > 0"):
         CorridorBarrier(0.0, 1.0, time)
+
+
+def test_whose_state_it_reads_is_known_where_no_entry_is_named() -> None:
+    assert CorridorBarrier(-1.0, 1.0, 0.2).reads == ("angle", "rate")
+    for named in ({"angle": 0}, {"rate": 1}, {"angle": 2, "rate": 3}):
+        assert CorridorBarrier(-1.0, 1.0, 0.2, **named).reads == ()

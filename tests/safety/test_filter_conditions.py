@@ -249,3 +249,30 @@ def test_an_outcome_with_nothing_broken_may_still_be_unsafe() -> None:
     assert Outcome((0.0,), [0.0], [0.0], [0.0], []).kept
     assert not Outcome((0.0,), [0.0], [2.0, -1e-300], [1.0, 1.0], []).kept
     assert not Outcome((0.0,), [0.0], [1.0], [-1.0], [0]).kept
+
+
+def test_the_second_of_two_actions_has_its_chord_too() -> None:
+    """Saturated above 1: to the lower bound, three away, two of it are felt."""
+
+    def step(x: np.ndarray, a: np.ndarray) -> np.ndarray:
+        assert a.shape == (2,)
+        return np.array([a[0], min(a[1], 1.0)])
+
+    posed = Conditions(
+        Barriers([FunctionBarrier(lambda x: x[0] + x[1], lambda x: [1.0, 1.0])]),
+        Prediction(lambda x: (x, np.array([[1.0, 0.0], [0.0, 0.0]])), step),
+        (1.0, 0.5), None, None, 0.2, [0.1], [(-1.0, 3.0, 4.0)] * 2,
+    )  # fmt: skip
+    assert posed.linearised(posed.outcome((0.7, 2.0))).all(1)[0] == pytest.approx([1.0, 2.0 / 3.0])
+
+
+def test_numbers_whose_sum_is_too_large_are_numbers() -> None:
+    """As large as a float can be, but finite: of the state, and of h."""
+    large = 1.5e308
+    posed = Conditions(
+        Barriers([FunctionBarrier(lambda x: np.where(x > 1.0, x, 0.0), names=("a", "b"))]),
+        Prediction(lambda x: (x, np.eye(2)), lambda x, a: np.array([large, large])),
+        (0.5, 0.5), None, None, 0.2, [0.0, 0.0], [(0.0, 1.0, 1.0)] * 2,
+    )  # fmt: skip
+    outcome = posed.outcome((0.0, 0.0))
+    assert (outcome.usable, outcome.kept, outcome.h_next) == (True, True, [large, large])

@@ -65,6 +65,10 @@ def test_keys_left_out_keep_their_defaults() -> None:
         ("slack_quadratic = 1e5", "slack_quadratic: no setting any more"),
         ("slack_linear = 1e4", "slack_linear: no setting any more"),
         ("braking_gain = 0", "braking_gain: got 0"),
+        ("plausible_wish = 0", "plausible_wish: got 0, wanted more than 0"),
+        ("speed_high = -0.8", r"speed_high: got -0\.8, wanted more than speed_low -0\.8"),
+        ('system = "pendulum"\nclearance = 0.1', "action_low: got none for the system 'pendulum', wanted its bounds"),
+        ('system = "pendulum"\netta = 0.1', "etta: unknown key"),
         ("clearance = -0.1", r"clearance: got -0\.1, wanted at least 0"),
         ("speed_low = 3.0", r"speed_high: got 2\.2, wanted more than speed_low 3\.0"),
         ("relinearisations = 2.5", r"relinearisations: got 2\.5, wanted a whole number"),
@@ -96,8 +100,8 @@ def test_arrays_and_lists_become_tuples(value: Any) -> None:
 def test_what_is_left_out_is_what_the_page_says() -> None:
     left = FilterSettings()
     assert (left.eta, left.relinearisations, left.plausible_wish) == (0.2, 3, 10.0)
-    names = ("braking_deceleration", "braking_gain", "speed_low", "speed_high", "clearance")
-    assert left.barriers == dict(zip(names, (2.0, 2.5, -0.8, 2.2, 0.05), strict=True))
+    names = ("braking_deceleration", "braking_gain", "speed_low", "speed_high", "clearance", "own_radius", "creeping")
+    assert left.barriers == dict(zip(names, (2.0, 2.5, -0.8, 2.2, 0.05, 0.0, 0.0), strict=True))
     pendulum = FilterSettings(system="pendulum", action_low=(-1.0,), action_high=(1.0,))
     assert pendulum.barriers == {"corridor_seconds": 0.25}
 
@@ -136,3 +140,16 @@ def test_keys_that_are_settings_no_more_are_named_and_left_out() -> None:
     text = "format = 1\nslack_tolerance = 0.1\neta = 0.3\n slack_linear=2.0\n"
     assert without_former_keys(text) == ("format = 1\neta = 0.3\n", ["slack_tolerance", "slack_linear"])
     assert without_former_keys("eta = 0.3") == ("eta = 0.3", [])
+
+
+def test_a_wish_may_be_believed_less_than_a_range_outside() -> None:
+    assert parse_settings("plausible_wish = 0.5").plausible_wish == 0.5
+
+
+def test_bounds_of_nobody_in_particular_go_with_what_any_barrier_takes() -> None:
+    """With bounds of its own a file speaks of no robot: numbers of any barrier are kept; one bound is enough."""
+    both = "action_low = [-1.0]\naction_high = [1.0]\n"
+    assert parse_settings(both + "corridor_seconds = 0.4").barriers == {"corridor_seconds": 0.4}
+    with pytest.raises(InputError, match="corridor_seconds: no setting of the barriers of 'car'"):
+        parse_settings("action_low = [-0.5, -0.3]\ncorridor_seconds = 0.4")
+    assert parse_settings("corridor_seconds = 0.4").barriers == FilterSettings().barriers

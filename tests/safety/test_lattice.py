@@ -1,9 +1,11 @@
 """Actions spread over the whole of their range."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-from safedpa.safety.lattice import around, lattice
+from safedpa.safety.lattice import NEARBY, around, lattice
 
 SIDE = (-1.0, 2.0, 3.0)
 
@@ -41,3 +43,17 @@ def test_what_lies_around_an_action_is_one_entry_moved_at_a_time_within_the_boun
     assert around(sides, (5.0, 0.0), 0.25) == [(2.5, 0.0), (7.5, 0.0), (5.0, -0.5), (5.0, 0.5)]
     assert around(sides, (0.0, 0.75), 0.25) == [(2.5, 0.75), (0.0, 0.25), (0.0, 1.0)], "no step that a bound forbids"
     assert around(sides, (0.0, 1.0), 0.0) == []
+
+
+def test_of_three_actions_the_others_stay_where_they_are() -> None:
+    sides = (SIDE,) * 3
+    for other in around(sides, (0.1, 0.2, 0.3), 0.1):
+        assert sum(one != kept for one, kept in zip(other, (0.1, 0.2, 0.3), strict=True)) == 1
+
+
+def test_it_is_looked_nearer_and_nearer() -> None:
+    """From a quarter of the range, between the points of the lattice, down to what is as good as the same."""
+    assert tuple(sorted(NEARBY, reverse=True)) == NEARBY
+    assert 0.2 < NEARBY[0] <= 0.25
+    assert 0.005 < NEARBY[-1] < 0.01
+    assert all(0.3 < less / more < 0.6 for more, less in pairwise(NEARBY))

@@ -31,6 +31,27 @@ def test_what_is_given_away_is_a_share_of_what_actions_can_change(far: float) ->
     assert found.action[0] >= 1.0 - 2.1 * TOLERANCE
 
 
+@pytest.mark.parametrize("actions", [3, 5])
+def test_few_outcomes_do_not_tell_what_many_actions_can_change(actions: int) -> None:
+    """Of five actions no corners are tried: what a handful of outcomes have in common is not beyond their reach."""
+    rest = [0.0] * (actions - 1)
+    known = [[-1.0, share, *rest[1:]] for share in np.linspace(-1.0, 1.0, 12)]
+    case = Case(lambda a: [a[0] - 3.0, a[1] + 3.0], [-3.0, 3.0], [-1.0, *rest])
+    found = case.run(*known)
+    assert case.stuck == ()
+    assert found.action[0] == pytest.approx(1.0, abs=2.5 * TOLERANCE)
+
+
+@pytest.mark.parametrize(("actions", "known"), [(1, [[1.0], [0.95]]), (3, [[1.0, 0.0, 0.0]])])
+def test_of_an_actuator_that_saturates_the_corners_tell_and_not_the_slope(
+    actions: int, known: list[list[float]]
+) -> None:
+    """What the actions change is 0.1, though the slope at the best of them promises 2: of that little is given away."""
+    rest = [0.0] * (actions - 1)
+    case = Case(lambda a: [max(a[0] - 0.9, 0.0) - 3.0], [-3.0], [-1.0, *rest], backup=[1.0, *rest])
+    assert case.run(*known).action[0] == pytest.approx(1.0 - 0.05 * TOLERANCE, abs=1e-5)
+
+
 def test_a_little_height_is_given_away_for_the_wish() -> None:
     """The programs give away half of what the comparison allows for: rounding refuses nothing."""
     found = Case(lambda a: [a[0] - 3.0], [-3.0], [-1.0]).run()

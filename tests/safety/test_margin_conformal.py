@@ -22,6 +22,7 @@ from safedpa.safety import (
     smallest_sample,
     split_conformal_margin,
 )
+from safedpa.safety.calibration import calibration_from_errors
 
 FOOTPRINT = (0.08, 0.40, 0.12)
 
@@ -142,6 +143,7 @@ def test_a_prediction_without_numbers_is_no_error_of_zero(number: float) -> None
         ({"latents": [[1.0]]}, "latents: got shape"),
         ({"barriers": []}, "barriers: got none"),
         ({"coverage": 0.9}, "transitions: got 3, wanted at least 9"),
+        ({"states": np.zeros((0, 1)), "actions": np.zeros((0, 1)), "next_states": np.zeros((0, 1))}, "got shapes"),
     ],
 )
 def test_calibration_says_what_is_missing(changes: dict[str, Any], words: str) -> None:
@@ -159,6 +161,21 @@ def test_calibration_says_what_is_missing(changes: dict[str, Any], words: str) -
         calibrate_margin(**{**good, **changes})
 
 
+def test_as_few_transitions_as_say_something_are_enough_and_every_kind_needs_as_many() -> None:
+    made = calibration_from_errors({"a": np.arange(9.0)}, 0.9, "", "x")
+    assert (made.epsilon, made.transitions) == ({"a": 8.0}, 9)
+    for errors, count in (({"a": np.zeros(8)}, 8), ({"a": np.zeros(9), "b": np.zeros(8)}, 8), ({}, 0)):
+        with pytest.raises(InputError, match=f"transitions: got {count}, wanted at least 9"):
+            calibration_from_errors(errors, 0.9, "", "x")
+    with pytest.raises(InputError, match="transitions: got 0, wanted at least 1 "):
+        calibration_from_errors({}, 0.5, "", "x")
+    prediction = Prediction(lambda x: (x, np.eye(1)))
+    barriers, one = [FunctionBarrier(lambda x: x[0])], ([[0.0]], [[0.5]], [[0.2]])
+    own = calibrate_margin(prediction, barriers, *one, coverage=0.5, date="")
+    assert own.transitions == 1
+    assert own.epsilon == {"function": pytest.approx(0.3)}
+
+
 GOOD_FILE = MarginCalibration({"obstacle": 0.02}, 0.95, 500, "2026-11-21", "abc").write()
 
 
@@ -166,6 +183,7 @@ GOOD_FILE = MarginCalibration({"obstacle": 0.02}, 0.95, 500, "2026-11-21", "abc"
     ("old", "new", "words"),
     [
         ("coverage = 0.95", "coverage = 1.0", "coverage: got 1"),
+        ("coverage = 0.95", "coverage = 0.0", "coverage: got 0.0, wanted more than 0"),
         ("coverage = 0.95", "coverage = 'x'", "coverage: got 'x'"),
         ("coverage = 0.95", "", "coverage: missing"),
         ("coverage", "coverrage", "coverrage: unknown key; did you mean 'coverage'"),

@@ -27,7 +27,7 @@ def test_by_hand() -> None:
     assert margins_over_drives([[1.0]], 0.5) == (1.0, 1.0)
 
 
-@pytest.mark.parametrize("bad", [[[]], [[math.nan]], [[[1.0]]], [[math.inf]]])
+@pytest.mark.parametrize("bad", [[[]], [[math.nan]], [[[1.0]]], [[math.inf]], [[1.0], [1.0, math.nan]]])
 def test_refuses_drives_without_errors_or_with_none_that_are_numbers(bad: list[list[float]]) -> None:
     with pytest.raises(InputError, match="errors of a drive"):
         margins_over_drives(bad, 0.5)

@@ -118,3 +118,10 @@ def test_of_a_function_and_of_actuators_that_remember_no_sensitivity_is_known() 
     assert Prediction(line).sensitivity_of_one((0.0,), (0.0,), None) is None
     late = load_model("car").with_effect(effect("car", "drive_lag"), {"time_constant": Setting(0.1)})
     assert Prediction.of_model(late).sensitivity_of_one(STATE, ACTION, None) is None
+
+
+def test_dead_time_is_the_actuators_and_functions_tell_of_none() -> None:
+    late = load_model("car").with_effect(effect("car", "actuator_delay"), {"seconds": Setting(0.2)})
+    assert Prediction.of_model(late).dead_time(None) == pytest.approx(0.2)
+    assert Prediction(line).dead_time(None) == 0.0
+    assert Prediction(line).begin((0.0,), None, ((0.0,),)) is None

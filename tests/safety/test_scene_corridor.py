@@ -14,8 +14,9 @@ from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.robots.car.car_scene import CarScene
 from safedpa.robots.pendulum.pendulum_scene import PendulumScene
-from safedpa.safety import CorridorBarrier, FilterSettings, FunctionBarrier
+from safedpa.safety import CorridorBarrier, FilterSettings, FunctionBarrier, scenes
 from safedpa.safety.scene import MOST_OBSTACLES, AbstractScene, DeclaredScene
+from safedpa.safety.scenes import scene_of
 from safedpa.safety.settings import parse_settings, write_settings
 from safedpa.safety.shipped import settings_named
 
@@ -136,3 +137,13 @@ def test_whatever_a_declared_robot_raises_is_a_sentence() -> None:
         raise KeyError("towed")
 
     assert declared(broken).of(state()) == "scene (barriers of robot 'toy': KeyError: 'towed')"
+
+
+def test_a_robot_s_own_scene_is_taken_and_where_it_has_none_what_it_declares(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, own = load_model("pendulum"), scene_of(load_model("pendulum"), SETTINGS)
+    assert not isinstance(own, DeclaredScene)
+    for scene in (own, None):
+        robot = SimpleNamespace(scene=lambda *_, scene=scene: scene, stands=True, name="any", backup=None)
+        monkeypatch.setattr(scenes, "robot_like", lambda _, robot=robot: robot)
+        found = scene_of(model, SETTINGS)
+        assert found is own if scene is own else isinstance(found, DeclaredScene)

@@ -94,3 +94,17 @@ def test_who_walks_into_a_standing_car_is_counted_apart(monkeypatch: pytest.Monk
     told = run_drive(Drive("pillars", 1000, 0.1, 1.5))
     assert told["standing"] == 3
     assert told["moving"] == [str(hits[1]), str(hits[3])]
+
+
+def test_told_everything_but_who_hides_it_drives_no_farther_than_told_everything() -> None:
+    way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "told-but-hiding")}
+    assert way["told"] > way["told-but-hiding"] > 0.0
+
+
+@pytest.mark.parametrize("load", ["none", "large_chair"])
+def test_who_steps_out_meets_no_car_that_moves_however_it_looks_around_the_corner(load: str) -> None:
+    """Behind the controller that looks around, which creeps past what nobody sees."""
+    for seed in (3810, 3811):
+        told = run_drive(Drive("steps-out", seed, 6.0, 1.5, load=load, policy="way_seeker"))
+        assert told["moving"] == []
+        assert told["way"] > 1.0

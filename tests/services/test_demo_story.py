@@ -9,7 +9,16 @@ from typing import Any
 
 import pytest
 
-from safedpa.bus import Answer, Bus, FindingMessage, MemoryBroker, MemoryTransport, StateMessage, VerdictMessage
+from safedpa.bus import (
+    Answer,
+    Bus,
+    FindingMessage,
+    MemoryBroker,
+    MemoryTransport,
+    Request,
+    StateMessage,
+    VerdictMessage,
+)
 from safedpa_lab.commands.experiments.demo import judged
 from safedpa_services.supervisor.story import Story, Unsaid
 
@@ -166,3 +175,26 @@ def test_each_step_is_judged_by_itself():
         bad = judged(good | change)
         assert not bad[step]
         assert not bad["all"]
+
+
+@pytest.mark.parametrize(
+    ("model", "pending", "sentence", "told"),
+    [
+        ("aaaaaaaa", "", "the filter refused the change", True),
+        ("aaaaaaaa", "offer", "the filter refused the change", False),
+        ("bbbbbbbb", "", "change 1 is taken", False),
+        ("aaaaaaaa", "", "your turn", False),
+    ],
+)
+def test_another_click_is_asked_for_only_where_the_first_one_changed_nothing(
+    model: str, pending: str, sentence: str, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not while a change is under way, not once it is in force, and not twice with the same words."""
+    drive = Drive(accepts=False, model=model, sentence=sentence)
+    drive.story._model, drive.story._told_person = "aaaaaaaa", "your turn"
+    answered = drive.answer("r1", Request(do="status"))
+    monkeypatch.setattr(drive.story, "_asked", lambda _: replace(answered, pending=pending))
+    for _ in range(2):
+        drive.story._tell_answer()
+    lines = [drive.story._lines.get() for _ in range(drive.story._lines.qsize())]
+    assert lines == ([f"{sentence}; click Accept once more"] if told else [])

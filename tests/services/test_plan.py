@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from safedpa.errors import SafedpaError
+from safedpa.errors import InputError
 from safedpa_services.command_line import up
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.plan import Plan
@@ -58,6 +58,14 @@ def test_the_diagnosis_runs_unless_only_a_summary_is_wanted(
     children = named(planned(monkeypatch, tmp_path, *options))
     assert ("diagnosis" in children) is wanted
     assert ("workbench" in children) is (wanted and "--headless" not in options)
+
+
+def test_perception_is_told_its_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    file = tmp_path / "perception.toml"
+    file.write_text("[perception]\nmin_points = 2\n")
+    told = named(planned(monkeypatch, tmp_path, "--laser", "--perception", str(file)))["perception"].arguments
+    assert told[: told.index(str(file)) + 1] == ("--perception", str(file))
+    assert "--perception" not in named(planned(monkeypatch, tmp_path, "--laser"))["perception"].arguments
 
 
 def test_only_what_drives_is_essential_and_has_priority(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -150,7 +158,7 @@ def test_a_robot_that_refuses_its_input_before_it_ever_drove_ends_it_with_its_la
     robot.start = lambda: (tmp_path / "robot.log").write_text("/drive: nobody listens there")  # type: ignore[method-assign, assignment, return-value]
     turns = iter([False] * 5 + [True] * 50)
     supervisor = Supervisor([], robot, Deaf(), lambda: next(turns), lambda: None)  # type: ignore[arg-type]
-    with pytest.raises(SafedpaError, match="nobody listens there"):
+    with pytest.raises(InputError, match="nobody listens there"):
         supervisor.run()
 
 

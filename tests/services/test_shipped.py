@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from safedpa.dynamics import Setting, fingerprint, load_model
 from safedpa.errors import InputError
+from safedpa.safety import FilterSettings, shipped
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 
@@ -35,3 +38,20 @@ def test_comments_do_not_change_the_fingerprint_but_values_do() -> None:
 def test_unknown_names_list_what_ships() -> None:
     with pytest.raises(InputError, match="did you mean 'car'"):
         settings_named("cars")
+
+
+def test_a_declared_robot_has_its_own_settings_unless_a_file_has_its_name(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Declared:
+        def settings(self) -> FilterSettings:
+            return FilterSettings(eta=0.9)
+
+    known = {"own": Declared(), "car": Declared()}
+    monkeypatch.setattr(shipped, "robots", lambda: known)
+    monkeypatch.setattr(shipped, "robot_named", known.__getitem__)
+    monkeypatch.chdir(tmp_path)
+    assert settings_named("own").eta == 0.9
+    assert settings_named("car").eta != 0.9, "what ships under that name"
+    Path("own").write_text("eta = 0.4")
+    assert settings_named("own").eta == 0.4

@@ -99,8 +99,12 @@ def _belongs(pid: int, folder: Path) -> bool:
 
 
 def robot_has_started(folder: Path) -> None:
-    pid_of(folder, "safedpa_sim.robots")
-    time.sleep(2.0)
+    """Its process stands long before: it loads what it needs while the services do, and waits for the word."""
+    deadline = time.monotonic() + PATIENCE
+    while not any("process.started" in log.read_text() for log in folder.glob("*/robot.log")):
+        assert time.monotonic() < deadline, "the robot never started"
+        time.sleep(0.05)
+    time.sleep(2.0)  # and it drives
 
 
 def killed(folder: Path, module: str) -> None:

@@ -16,7 +16,7 @@ from safedpa.records import load_column_map, load_run
 from safedpa_services.command_line import safedpa
 from safedpa_services.driving import drive_command
 from safedpa_services.workbench import jobs
-from safedpa_services.workbench.saving import saved
+from safedpa_services.workbench.session_files import saved
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
@@ -73,13 +74,42 @@ WRONG = (  # a command line, and what of the cure the line must hold
     ("up --model dart_car --load chair", "whose stand-in has none"),
     ("up --settings crar", "did you mean 'car'?"),
     ("up --margin carr", "did you mean 'car'?"),
+    ("up --seed -1", "wanted 0 or more"),
+    ("up --headless --listen nonsense", "wanted endpoints such as tcp/robot:7447"),
+    ("status --connect nonsense", "wanted endpoints such as tcp/robot:7447"),
+    ("stop --connect nonsense", "wanted endpoints such as tcp/robot:7447"),
+    ("workbench --connect nonsense", "wanted endpoints such as tcp/robot:7447"),
+    ("workbench car drive.csv --horizon nan", "choose 1, say"),
+    ("certificates keys --days nan", "wanted more than 0"),
+    ("compare car run", "name the recording in it: run/recording.mcap"),
     ("up --name a/b", "wanted letters, digits"),
     ("up --secure --listen tcp/0.0.0.0:7447", "docs/security.md"),
     ("calibrate nothing.mcap --out m.toml", "wanted a recording"),
     ("export drive.csv --format csv --out o.csv", "wanted a recording of the bus"),
     ("replay nothing.mcap", "no such file"),
     ("screenshot nothing.rrd --out p.png", "wanted a recording that the dashboard wrote"),
+    ("export run/recording.mcap --format csv --out run/recording.mcap", "choose another place with --out"),
+    ("export run/recording.mcap --format ros2 --out run/recording.mcap", "choose another place with --out"),
+    ("calibrate run/recording.mcap --out run/recording.mcap", "choose another place with --out"),
+    ("calibrate run/recording.mcap --out nowhere/m.toml", "choose another place with --out"),
+    ("screenshot drive.csv --out p.png", "wanted one that the dashboard wrote"),
+    ("experiment safety --seeds 1 --seconds nan", "wanted more than 0"),
+    ("experiment controllers --seeds 1 --seconds inf", "wanted more than 0"),
+    *(
+        (f"experiment {name} --seconds inf", "more than 0")
+        for name in (
+            *("differential-drive", "meeting", "sensing", "long-logs", "safety-pays", "ros", "fleet-diagnosis"),
+            *("point-story", "pendulum-story"),
+        )
+    ),
+    ("replay run --eta 0.1 --out drive.csv/ticks.csv", "drive.csv"),
+    ("replay run --out run/again.mcap", "would be read with it"),
+    ("replay run/recording.mcap --out run/recording.mcap", "would be read with it"),
     ("train cra", "did you mean 'car'?"),
+    ("train pendulum --small", "--small: ships for car, point"),
+    ("experiment faults --small --only kill", "leave --small out"),
+    ("experiment bad-data text.csv --out bad", "wanted a number in every cell"),
+    ("experiment bad-data empty.csv --out bad", "wanted the native ones of a car"),
     ("bench fleet --robots 0", "wanted 1 to 1000"),
     ("bench all --only filtr", "did you mean 'filter'?"),
 )
@@ -89,6 +119,8 @@ WRONG = (  # a command line, and what of the cure the line must hold
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, text in FILES.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "run").mkdir()
+    shutil.copy(Path(__file__).parents[1] / "replay" / "golden" / "car_box.mcap", tmp_path / "run" / "recording.mcap")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -101,14 +133,14 @@ def test_there_are_forty() -> None:
 def test_a_wrong_input_is_answered_by_one_line_with_its_cure(
     line: str, cure: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = {path.name: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+    before = {path: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
     assert safedpa.run(line.split()) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.startswith("safedpa: ")
     assert said.err.count("\n") == 1
     assert cure in said.err
-    left = {path.name: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.is_file()}
+    left = {path: hashlib.md5(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
     assert left == before
 
 

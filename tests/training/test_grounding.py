@@ -8,7 +8,7 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect, effect
 from safedpa.errors import InputError
 from safedpa_sim.training.configuration import load_configuration
-from safedpa_sim.training.grounding import ground_simulator, grounded_configuration
+from safedpa_sim.training.grounded_simulator import ground_simulator, grounded_configuration
 from safedpa_sim.training.simulator import BatchedCars
 from safedpa_sim.training.tuning_data import record_circles
 

@@ -15,7 +15,7 @@ from safedpa.errors import InputError
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa_sim.training import phase_1a
 from safedpa_sim.training.configuration import Configuration, load_configuration
-from safedpa_sim.training.explained import affine_floor
+from safedpa_sim.training.explained_motion import affine_floor
 from safedpa_sim.training.networks import HistoryNetwork, affine_networks
 from safedpa_sim.training.phase_1a import train_affine
 from safedpa_sim.training.simulator import BatchedCars

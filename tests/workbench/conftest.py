@@ -146,7 +146,7 @@ from safedpa.bus.loop.process import Stop
 from safedpa.bus import FINDING, MODEL, STATE, Answer, Bus, MemoryBroker, MemoryTransport
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.recordings import Choice
-from safedpa_services.workbench.serving import Serving
+from safedpa_services.workbench.page_address import Serving
 from safedpa_services.workbench.server import serve
 
 broker = MemoryBroker()

@@ -16,7 +16,7 @@ from safedpa.disk import why_not_written
 from safedpa.errors import InputError, RecordingError
 from safedpa_services.workbench import rerun_view, worker
 from safedpa_services.workbench.recordings import Choice
-from safedpa_services.workbench.saving import Kept, write_session
+from safedpa_services.workbench.session_files import Kept, write_session
 
 pytest.importorskip("nicegui")
 FULL = "the disk is full: make room"

@@ -289,10 +289,10 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, live):
     server.wait(60)
     page.wait_for_timeout(2000)
     assert not page.locator("#popup").is_visible(), "an end is no lost connection"
-    complaints = [line for line in complaints if "ERR_CONNECTION_REFUSED" not in line and "WebSocket" not in line]
     page.close()
     assert hosts == {address.split("/")[2]}
-    assert complaints == []
+    ended = ("ERR_CONNECTION_REFUSED", "WebSocket")  # what a browser says, again and again, where a server is gone
+    assert [line for line in complaints if not any(word in line for word in ended)] == []
 
 
 @pytest.mark.browser

@@ -16,7 +16,7 @@ from safedpa.systems import Variable
 from safedpa.systems.driven import why_not_driven
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.recordings import Choice, Made
-from safedpa_services.workbench.saving import (
+from safedpa_services.workbench.session_files import (
     SESSION_FILE,
     Kept,
     absolute,

@@ -10,7 +10,14 @@ import click
 
 from safedpa.extras import needs
 from safedpa_services.command_line.names import complete_effects, complete_models
-from safedpa_services.command_line.options import force_option, given_model, inputs_of, loaded_runs, run_options
+from safedpa_services.command_line.options import (
+    force_option,
+    given_model,
+    inputs_of,
+    loaded_runs,
+    run_options,
+    value_text,
+)
 
 if TYPE_CHECKING:
     from safedpa.effects import Varies, Where
@@ -51,7 +58,6 @@ def command(
     from safedpa.compare.output import refuse_inputs, writable
     from safedpa.diagnosis.addition import add_effect
     from safedpa.dynamics import save_model
-    from safedpa_services.command_line.diagnose import value_text
 
     loaded = given_model(model, effects)
     refuse_inputs([out], inputs_of(model, runs, columns, effects), force)

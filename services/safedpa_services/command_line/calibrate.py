@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa_services.command_line.answering import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, tell
 from safedpa_services.command_line.names import complete_models
 
 if TYPE_CHECKING:
@@ -38,10 +38,13 @@ def command(recordings: tuple[Path, ...], model: str, settings: str, coverage: f
     Fewer than 123 drives (for 99 %) are cut into blocks instead, and say nothing about drives. The setting ``margin``
     says which of the margins a filter uses: conformal, drive or theorem.
     """
+    from safedpa.compare.output import refuse_inputs, writable
     from safedpa.dynamics import load_model
     from safedpa.safety.recorded import calibration_from_recordings
     from safedpa.safety.shipped import settings_named
 
+    refuse_inputs([out], recordings)
+    writable(out.parent)
     calibration = calibration_from_recordings(
         load_model(model), settings_named(settings), recordings, coverage, time.strftime("%Y-%m-%d")
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from safedpa_services.command_line.answering import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, tell
 
 
 @click.command()
@@ -33,9 +33,10 @@ def command(
     certificates: keep it away from robots and services, each of which needs authority.pem and its own two files alone.
     """
     from safedpa.bus.security.access import ROUTER, check_names, role_of_robot, roles_of
-    from safedpa.bus.security.authority import HOSTS, Authority
+    from safedpa.bus.security.authority import HOSTS, Authority, check_days
 
     check_names(fleet, robots)
+    check_days(days)  # before the authority is made
     authority = Authority(folder, fleet)
     made = "made" if authority.is_new else "there already"
     tell(

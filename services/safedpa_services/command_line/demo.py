@@ -14,7 +14,7 @@ import click
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import missing, need
 from safedpa.robot import DEFAULT_ROBOT
-from safedpa_services.command_line.up import driven, planned
+from safedpa_services.command_line.up import driven, planned, unasked
 from safedpa_services.lines import say
 
 if TYPE_CHECKING:
@@ -53,15 +53,7 @@ def command(**options: Any) -> None:
 
     _check(options)
     stop = Stop()
-    own = {
-        "robot": DEFAULT_ROBOT, "robot_file": None, "world": (),
-        "name": "r1", "robots": 1, "load": "none", "change": _CHANGE, "change_after": _AFTER,
-        "seconds": 0.0, "seed": options["seed"], "rate": None, "lockstep": False, "unfiltered": False,
-        "headless": options["headless"], "diagnosis": True, "model": _MODEL, "settings": None, "margin": "",
-        "controller": None, "fleet": "fleet", "listen": "", "secure": False, "out": options["out"],
-        "task": None, "wind": None, "wind_direction": None, "force": None, "payload": None, "dry_friction": None,
-    }  # fmt: skip
-    with planned(own) as plan:
+    with planned(_asked(options)) as plan:
         stop.listen_to_signals()
         demonstration = _Demonstration(plan.with_page_alone(), stop, options)
         summary = driven(demonstration.plan, stop, demonstration.shown)
@@ -72,6 +64,12 @@ def command(**options: Any) -> None:
         _tell(result)
     if result["failure"]:
         raise SafedpaError(result["failure"])
+
+
+def _asked(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of the drive."""
+    own = {"robot": DEFAULT_ROBOT, "model": _MODEL, "change": _CHANGE, "change_after": _AFTER, "diagnosis": True}
+    return {**unasked(), **own, "seed": options["seed"], "headless": options["headless"], "out": options["out"]}
 
 
 def _check(options: dict[str, Any]) -> None:
@@ -126,7 +124,7 @@ class _Demonstration:
 
     def _open(self, tell: Callable[[str], None]) -> None:
         from safedpa_services.supervisor.screen import answers
-        from safedpa_services.web.showing import show
+        from safedpa_services.web.browser import show
 
         address = self.plan.workbench_address
         if not address or self._opened or not answers(address):

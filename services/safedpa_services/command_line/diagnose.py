@@ -23,15 +23,16 @@ from safedpa_services.command_line.options import (
     horizon_option,
     inputs_of,
     loaded_runs,
+    value_text,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from safedpa.diagnosis.document import Report, Value
+    from safedpa.diagnosis.document import Report
     from safedpa.records.run import Run
 
-__all__ = ["command", "story_lines", "value_text"]
+__all__ = ["command", "story_lines"]
 
 WRITTEN = ("report.json", "report.html", "diagnosis.rrd", "model.toml", "margin.toml")
 """Files of a diagnosis."""
@@ -246,12 +247,6 @@ def _found(report: Report) -> list[str]:
         lines.append(f"{name}: {', '.join(value_text(key, item) for key, item in own.items())}")
         lines += [f"  {item.sentence}" for item in report.conditions if item.effect == name]
     return lines
-
-
-def value_text(name: str, value: Value) -> str:
-    """coefficient 0.121 +- 0.003 1/m"""
-    spread = "" if value.std is None else f" +- {value.std:.2g}"
-    return f"{name} {value.value:.4g}{spread}" + ("" if value.unit == "1" else f" {value.unit}")
 
 
 def _bars(report: Report) -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import need
-from safedpa_services.command_line.answering import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, tell
 from safedpa_services.command_line.names import Choice
 
 __all__ = ["command"]
@@ -49,11 +49,14 @@ def command(source: Path, kind: str | None, out: Path | None, robot: str | None,
             raise InputError("--onnx: got options of a recording too; leave --format, --out and --robot out")
         _export_networks(source, folder)
         return
+    from safedpa.compare.output import refuse_inputs
+
     if kind is None or out is None:
         raise InputError("export: wanted --format and --out for a recording, or --onnx DIR for a weights file")
     if kind == "simulators":
         _export_model(source, out)
         return
+    refuse_inputs([out], [source])
     if kind == "ros2":
         _export_bag(source, out, robot)
         return
@@ -77,7 +80,7 @@ def _export_model(source: Path, out: Path) -> None:
     found = robot_named(model.system.name).elsewhere(model) or Elsewhere()
     texts = {"parameters.json": table_of(model, found), **found.documents}
     writable(out, create=True)
-    refuse_inputs([out / name for name in texts], [source], force=False)
+    refuse_inputs([out / name for name in texts], [source])
     for name, text in texts.items():
         (out / name).write_text(text, encoding="utf-8")
         tell(str(out / name), facts={"written": [str(out / name)]})

@@ -15,7 +15,7 @@ from safedpa_services.command_line.names import Choice
 from safedpa_services.command_line.options import inputs_of
 
 if TYPE_CHECKING:
-    from safedpa.fleet import Found, Workers
+    from safedpa.fleet import RobotsFound, Workers
 
 __all__ = ["diagnosed_fleet", "fleet_options", "wants_fleet"]
 
@@ -106,7 +106,7 @@ def _absolute(name: str) -> str:
     return str(Path(name).resolve()) if Path(name).is_file() else name
 
 
-def _found(runs: Sequence[str], options: dict[str, Any]) -> Found:
+def _found(runs: Sequence[str], options: dict[str, Any]) -> RobotsFound:
     from safedpa.fleet import robots_in_folder, robots_of_files
 
     fleet: Path | None = options["fleet"]

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from safedpa_services.command_line.listening import listening_options, who_option
-from safedpa_services.command_line.ordering import give_order
+from safedpa_services.command_line.bus_options import listening_options, who_option
+from safedpa_services.command_line.stop_orders import give_order
 
 
 @click.command()

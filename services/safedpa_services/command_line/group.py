@@ -16,7 +16,7 @@ __all__ = ["COMMANDS", "safedpa"]
 COMMANDS = (
     "accept", "add", "calibrate", "certificates", "check", "columns", "compare", "demo", "diagnose",
     "effects", "export", "go", "predict", "rehearse", "reject", "replay", "roll-back", "ros", "screenshot",
-    "serve", "status", "stop", "train", "up", "workbench",
+    "sense", "serve", "status", "stop", "train", "up", "workbench",
 )  # fmt: skip
 """One file beside this one each, with a click command named ``command``; imported when it is called."""
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
+    from safedpa.diagnosis.document import Value
     from safedpa.dynamics import PhysicsModel
     from safedpa.records.run import Run
 
@@ -25,6 +26,7 @@ __all__ = [
     "loaded_runs",
     "run_options",
     "runs_argument",
+    "value_text",
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -116,3 +118,9 @@ class Grouped(click.Command):
             if rows:
                 with formatter.section(heading):
                     formatter.write_dl(rows)
+
+
+def value_text(name: str, value: Value) -> str:
+    """coefficient 0.121 +- 0.003 1/m"""
+    spread = "" if value.std is None else f" +- {value.std:.2g}"
+    return f"{name} {value.value:.4g}{spread}" + ("" if value.unit == "1" else f" {value.unit}")

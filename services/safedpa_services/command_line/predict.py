@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from safedpa.extras import needs
-from safedpa_services.command_line.answering import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, tell
 from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import (
     columns_option,
@@ -40,7 +40,7 @@ def command(
     t and the states, one line per measured row up to the horizon.
     """
     from safedpa.compare.output import refuse_inputs, writable
-    from safedpa.compare.predict import predict_run
+    from safedpa.compare.rollout import predict_run
     from safedpa.records import load_column_map, load_run
     from safedpa.records.write import write_columns
 

@@ -16,8 +16,9 @@ from safedpa_services.lines import say
 
 if TYPE_CHECKING:
     from safedpa.replay.replay import Replay
-    from safedpa.replay.tape import Tape
+    from safedpa.replay.tape import RobotTape
     from safedpa.replay.what_if import Change
+    from safedpa.safety.calibration import MarginCalibration
 
 
 @click.command()
@@ -46,13 +47,14 @@ def command(**options: Any) -> int:
     code 0: identical (or only looked at under another model, eta or margin), 1: something came out differently.
     """
     from safedpa.dynamics import load_own
-    from safedpa.replay.assumed import complete_setups
+    from safedpa.replay.setups import complete_setups
     from safedpa.replay.tape import read_tape
 
     if options["rrd"] is not None:
         need("view", what="--rrd")
     if options["effects"] is not None:
         load_own(options["effects"])
+    _check_out(options)
     change = _change(options)
     tape = read_tape(options["runs"], options["robot"])
     assumed = complete_setups(tape, options["recorded_model"])
@@ -61,6 +63,24 @@ def command(**options: Any) -> int:
     if change.is_none and not options["closed_loop"]:
         return _compared(tape, assumed, options)
     return _changed(tape, change, assumed, options)
+
+
+def _check_out(options: dict[str, Any]) -> None:
+    """Refuses a place where what is written would be taken for a part of what was read."""
+    from safedpa.compare.output import writable
+    from safedpa.replay.tape import files_of
+
+    out: Path | None = options["out"]
+    if out is None:
+        return
+    writable(out.parent, create=True)
+    folders = [run.resolve() for run in options["runs"] if run.is_dir()]
+    if out.resolve() in [file.resolve() for file in files_of(options["runs"])] or (
+        out.suffix == ".mcap" and out.resolve().parent in folders
+    ):
+        raise InputError(
+            f"--out {out}: stands for a recording of this run, which would be read with it; choose another place"
+        )
 
 
 def _window(options: dict[str, Any]) -> tuple[float, float]:
@@ -78,19 +98,21 @@ def _folders(options: dict[str, Any]) -> tuple[Path, ...]:
 def _change(options: dict[str, Any]) -> Change:
     from safedpa.dynamics import load_model
     from safedpa.replay.what_if import Change
-    from safedpa.safety.calibration import MarginCalibration
+    from safedpa.robot import DEFAULT_ROBOT
+    from safedpa.safety.shipped import margin_for
 
+    model = None if options["model"] is None else load_model(options["model"])
     margin: float | MarginCalibration | None = None
     if options["margin"] is not None:
         try:
             margin = float(options["margin"])
         except ValueError:
-            margin = MarginCalibration.load(Path(options["margin"]))
-    model = None if options["model"] is None else load_model(options["model"])
+            of_any = model or load_model(DEFAULT_ROBOT)  # a margin that is named is the same for every model
+            margin = margin_for(of_any, options["margin"])
     return Change(model, options["eta"], margin, options["filtered"])
 
 
-def _compared(tape: Tape, assumed: list[str], options: dict[str, Any]) -> int:
+def _compared(tape: RobotTape, assumed: list[str], options: dict[str, Any]) -> int:
     from safedpa.replay.comparison import TOLERANCE
     from safedpa.replay.gaps import gaps_of
     from safedpa.replay.replay import replay
@@ -114,7 +136,7 @@ def _code(found: Replay) -> int:
     return 0 if found.agrees and any(part.compared for part in found.services) else 1
 
 
-def _changed(tape: Tape, change: Change, assumed: list[str], options: dict[str, Any]) -> int:
+def _changed(tape: RobotTape, change: Change, assumed: list[str], options: dict[str, Any]) -> int:
     from safedpa.replay.report import told_lines, what_if_document, what_if_lines, write_decisions
     from safedpa.replay.what_if import summary_of, what_if
 
@@ -141,8 +163,8 @@ def _words(options: dict[str, Any]) -> str:
     return ", ".join(given) or "nothing changed"
 
 
-def _driven(tape: Tape, change: Change, options: dict[str, Any]) -> dict[str, Any]:
-    from safedpa_sim.replayed import drive_again
+def _driven(tape: RobotTape, change: Change, options: dict[str, Any]) -> dict[str, Any]:
+    from safedpa_sim.recorded_drive import drive_again
 
     return drive_again(tape, change, _folders(options))
 
@@ -156,7 +178,7 @@ def _driven_lines(driven: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _draw(tape: Tape, path: Path) -> None:
+def _draw(tape: RobotTape, path: Path) -> None:
     from safedpa.replay.setups import model_of_document
     from safedpa.safety.settings import parse_settings
     from safedpa_services.dashboard.dashboard import draw_recording

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from safedpa_services.command_line.asking import ask_for_change, bus_options
+from safedpa_services.command_line.change_requests import ask_for_change, bus_options
 
 
 @click.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,11 +11,13 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
-from safedpa_services.command_line.answering import answers_json, tell
+from safedpa_services.command_line.json_answer import answers_json, tell
 
 if TYPE_CHECKING:
     import subprocess
 
+_MAGIC = b"RRF"
+"""How a file of Rerun begins."""
 _TIMEOUT_SECONDS = 20.0
 _PAINT_SECONDS = 1.0
 """The plots fill within a few frames, of which a software renderer makes some ten a second."""
@@ -31,6 +34,15 @@ def command(recording: Path, out: Path, size: str, at: float | None) -> None:
     """Make a picture of a dashboard RECORDING (.rrd)."""
     if not recording.is_file():
         raise InputError(f"{recording}: no such file; wanted a recording that the dashboard wrote (--save FILE.rrd)")
+    with recording.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise InputError(
+                f"{recording}: is no recording of Rerun; wanted one that the dashboard wrote (--save FILE.rrd)"
+            )
+    if at is not None and not math.isfinite(at):
+        raise InputError(f"--at: got {at}, wanted a moment in seconds")
+    if out.resolve() == recording.resolve():
+        raise InputError(f"--out {out}: is the recording itself, which would be replaced; choose another place")
     if not re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size):
         raise InputError(f"--size {size}: wanted WIDTHxHEIGHT of three or four digits each, such as 1400x800")
     if not out.parent.is_dir():

@@ -11,8 +11,8 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import missing, need
-from safedpa_services.command_line.answering import answers_json, finish, tell
-from safedpa_services.command_line.up import planned
+from safedpa_services.command_line.json_answer import answers_json, finish, tell
+from safedpa_services.command_line.up import planned, unasked
 
 if TYPE_CHECKING:
     from safedpa_services.ros_gateway.robot_file import Served
@@ -29,6 +29,7 @@ __all__ = ["command"]
 @click.option(
     "--policy", "controller", metavar="NAME", help="let a policy here wish: goal_seeker, learned, planner ..."
 )
+@click.option("--perception", default="", metavar="FILE.toml", help="settings, sources and zones of perception")
 @click.option("--headless", is_flag=True, help="no dashboard and no workbench")
 @click.option("--diagnosis/--no-diagnosis", default=True, show_default=True, help="watch over the model")
 @click.option("--fleet", default="fleet", show_default=True, help="name of the fleet on the bus")
@@ -59,6 +60,10 @@ def command(file: Path, **options: Any) -> None:
     asked = load_served(file)
     speaks_ros = isinstance(asked, RobotFile)
     wishes = isinstance(asked, RobotFile) and bool(asked.wish.topic)
+    if options["perception"] and not (isinstance(asked, RobotFile) and asked.scans):
+        raise InputError(
+            f"--perception: got a file, and {file} has no [[scans]]; leave it out, or name its scans there"
+        )
     if speaks_ros:
         need("ros", what="a robot that speaks ROS 2")
     if wishes and options["controller"]:
@@ -96,26 +101,15 @@ def _own_certificates(options: dict[str, Any], *, speaks_ros: bool) -> Wallet | 
 
 def _as_asked(asked: Served, options: dict[str, Any]) -> dict[str, Any]:
     """Options of a drive, as far as they hold without a simulator."""
-    from safedpa.robot import robot_named
-
-    nothing = dict.fromkeys((*robot_named(asked.robot).options, "load", "change", "world"))
     return {
-        **nothing,
+        **unasked(),
         **options,
         "robot": asked.robot,
         "name": asked.name,
-        "robots": 1,
-        "seconds": 0.0,
-        "seed": 0,
         "rate": asked.rate or None,
-        "lockstep": False,
-        "unfiltered": False,
-        "change_after": 0.0,
         "model": asked.model or None,
         "settings": asked.settings or None,
         "margin": asked.margin,
-        "effects": None,
-        **dict.fromkeys(("wind", "wind_direction", "force", "payload", "dry_friction", "task")),
     }
 
 

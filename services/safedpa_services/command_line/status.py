@@ -6,18 +6,21 @@ import io
 import json
 import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from safedpa.errors import InputError, SafedpaError
-from safedpa_services.command_line.listening import bus_of, listening_options
+from safedpa_services.command_line.bus_options import bus_of, listening_options
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from safedpa.bus.overview import FleetOverview
+    from safedpa.bus.overview import Concern, FleetOverview, RobotOverview, ServiceOverview
+
+__all__ = ["command", "document_of"]
 
 _REDRAW_SECONDS = 0.5
 _FEWEST_COLUMNS = 80
@@ -49,7 +52,6 @@ def command(robot: str, seconds: float, watch: bool, **options: Any) -> int:
 
 
 def _told(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> bool:
-    from safedpa_services.status.document import document_of
 
     fleet.listen(seconds)
     document = document_of(fleet)
@@ -71,7 +73,7 @@ def _nobody(fleet: FleetOverview, seconds: float, options: dict[str, Any]) -> st
 
 
 def _draw(document: dict[str, Any], picture: Path | None) -> None:
-    from safedpa_services.status.table import picture_of
+    from safedpa_services.command_line.status_table import picture_of
     from safedpa_services.terminal import terminal
 
     console = terminal(soft_wrap=False)
@@ -101,8 +103,7 @@ def _watched(fleet: FleetOverview) -> bool:
     from rich.text import Text
 
     from safedpa.bus.loop.process import Stop
-    from safedpa_services.status.document import document_of
-    from safedpa_services.status.table import picture_of
+    from safedpa_services.command_line.status_table import picture_of
     from safedpa_services.terminal import Shown, terminal
 
     stop, console, healthy = Stop(), terminal(), False
@@ -118,3 +119,101 @@ def _watched(fleet: FleetOverview) -> bool:
             else:
                 live.update(Shown(picture_of(document, console.width, console.height)), refresh=True)
     return healthy
+
+
+_LEVELS = ("trouble", "attention", "well")
+
+
+def document_of(fleet: FleetOverview) -> dict[str, Any]:
+    """Robots and processes, the worst first, and what is not as it should be; ``healthy`` is false with any trouble."""
+    from safedpa.bus.overview import fleet_concerns
+
+    now = fleet.clock()
+    concerns = fleet_concerns(fleet)
+    robots = [_robot(robot, now) for robot in fleet.robots.values()]
+    robots.sort(key=lambda row: (_LEVELS.index(row["health"]), -row["late"], -row["fallback"], row["robot"]))
+    services = [_service(known, concerns, now) for known in fleet.services.values() if not fleet.replaced(known)]
+    services.sort(key=lambda row: (_LEVELS.index(row["health"]), row["service"], row["pid"]))
+    return {
+        "fleet": fleet.bus.fleet,
+        "healthy": not fleet.nobody and all(concern.level != "trouble" for concern in concerns),
+        "listened": round(now - fleet.since, 3),
+        "robots": robots,
+        "services": services,
+        "concerns": [_concern(concern) for concern in concerns],
+        "unreadable": fleet.refused,
+    }
+
+
+def _concern(concern: Concern) -> dict[str, Any]:
+    return {
+        "level": concern.level,
+        "robot": concern.robot,
+        "service": concern.service,
+        "sentence": concern.sentence,
+        "kind": concern.kind or concern.sentence,
+        "size": concern.size,
+    }
+
+
+def _level(concerns: Sequence[Concern]) -> str:
+    levels = {concern.level for concern in concerns}
+    return next((level for level in _LEVELS if level in levels), "well")
+
+
+def _robot(robot: RobotOverview, now: float) -> dict[str, Any]:
+    from safedpa.bus.overview import concerns_of
+
+    state, verdict = robot.state, robot.verdict
+    p50, p99 = robot.latency(0.5), robot.latency(0.99)
+    row: dict[str, Any] = {
+        "robot": robot.name,
+        "health": _level(concerns_of(robot, now)),
+        "verdict": verdict.status if verdict else "",
+        "h": verdict.h_now if verdict else None,
+        "margin": verdict.margin if verdict else None,
+        "coverage": verdict.coverage if verdict and verdict.coverage >= 0.0 else None,
+        "promised": verdict.promised if verdict and verdict.promised >= 0.0 else None,
+        "rate": round(robot.recent_ticks.rate(now), 2),
+        "wanted_rate": round(1.0 / state.period, 2) if state else None,
+        "lockstep": state.lockstep if state else None,
+        "time": state.robot_time if state else None,
+        "goals": state.goals_reached if state else None,
+        "collisions": state.collisions if state else None,
+        "age": round(robot.silent_for(now), 3),
+        "late": robot.recent_ticks.share("watchdog", now),
+        "sense_to_act_p50": p50,
+        "sense_to_act_p99": p99,
+        "sources": robot.sources(),
+        "diagnosis": robot.finding.stage if robot.finding else "",
+        "models": {name: message.model for name, (message, _) in sorted(robot.health.items()) if message.model},
+    }
+    shares = robot.recent_verdicts.counts(now)
+    total = shares.total() or 1
+    named = ("passed", "corrected", "relaxed", "violated", "fallback", "stopped", "disabled")
+    return {**row, **{status: shares[status] / total for status in named}}
+
+
+def _service(service: ServiceOverview, concerns: Sequence[Concern], now: float) -> dict[str, Any]:
+    health = service.health
+    own = [concern for concern in concerns if concern.service == service.name and concern.robot in service.robots]
+    own += [concern for concern in concerns if concern.service == service.name and not concern.robot]
+    silent = service.age(now) > 1.5
+    level = _level(own) if own or not silent else "attention"
+    return {
+        "service": service.name,
+        "health": level,
+        "state": "silent" if silent else service.state,
+        "pid": service.pid,
+        "robots": len(service.robots),
+        "steps": service.steps,
+        "steps_per_second": round(service.steps_per_second(), 2),
+        "step_microseconds": health.step_microseconds,
+        "stale": service.stale,
+        "refused": service.refused,
+        "age": round(service.age(now), 3),
+        "software": health.software,
+        "acknowledged": health.acknowledged,
+        "free_bytes": health.free_bytes,
+        "detail": service.detail,
+    }

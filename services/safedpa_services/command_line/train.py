@@ -88,9 +88,14 @@ def _check(runs: tuple[Path, ...], options: dict[str, Any]) -> None:
 def _configuration(robot: str, options: dict[str, Any]) -> Configuration:
     from dataclasses import replace
 
-    from safedpa_sim.training.configuration import load_configuration
+    from safedpa_sim.training.configuration import configurations, load_configuration
 
     source = options["source"] or (f"{robot}_small" if options["small"] else robot)
+    if options["small"] and source not in configurations():
+        small = sorted(name.removesuffix("_small") for name in configurations() if name.endswith("_small"))
+        raise InputError(
+            f"--small: ships for {', '.join(small)}, and for no {robot}; wanted --configuration FILE with short phases"
+        )
     configuration = load_configuration(source)
     if configuration.robot != robot:
         raise InputError(f"{source}: got a simulator of robot '{configuration.robot}', wanted '{robot}'")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     ShownBy = Callable[[Watch, Sequence[Child], Child], AbstractContextManager[Callable[[], None]]]
 
-__all__ = ["command", "driven", "planned"]
+__all__ = ["command", "driven", "planned", "unasked"]
 
 LOADS = ("none", "box", "chair", "large_chair")
 TASKS = ("balance", "swing")
@@ -63,7 +63,7 @@ GROUPS = {
     "The point robot": ("force", "wind_direction"),
     "A robot of your own": ("world",),
     "How it drives": ("seconds", "rate", "lockstep", "unfiltered", "controller"),
-    "What it knows": ("model", "effects", "settings", "margin", "diagnosis"),
+    "What it knows": ("model", "effects", "settings", "margin", "perception", "diagnosis"),
     "Where it is seen and heard": ("headless", "fleet", "listen", "secure", "out", "as_json"),
 }
 """Options as ``--help`` groups them."""
@@ -111,6 +111,7 @@ GROUPS = {
 @click.option("--effects", type=click.Path(path_type=Path), metavar="FILE.py", help="effects of your own in the model")
 @click.option("--settings", help="settings of the filter: a file or a name; default: the robot's")
 @click.option("--margin", default="", help="margin file; default: the shipped one of the model, if there is one")
+@click.option("--perception", default="", metavar="FILE.toml", help="settings, sources and zones of perception")
 @click.option(
     "--controller",
     help="who wishes for actions, such as goal_seeker, learned, planner, random; default: learned where the model's "
@@ -132,6 +133,8 @@ def command(**options: Any) -> None:
     if options["effects"] is not None:
         load_own_everywhere(options["effects"])
     options = {**options, "robot": _robot_of(options)}
+    if options["perception"] and not options["laser"]:
+        raise InputError("--perception: got a file without --laser; a robot that is told everything has no perception")
     stop = Stop()
     with planned(options) as plan:
         stop.listen_to_signals()
@@ -140,6 +143,11 @@ def command(**options: Any) -> None:
         click.echo(json.dumps(summary))
     else:
         _tell(summary)
+
+
+def unasked() -> dict[str, Any]:
+    """Every option as it is where a person says nothing: what other commands that drive begin with."""
+    return dict(command.make_context("up", []).params)
 
 
 def _robot_of(options: dict[str, Any]) -> str:
@@ -215,18 +223,13 @@ def _from_inside(door: str) -> str:
 def _plan(options: dict[str, Any]) -> Plan:
     from safedpa.bus import STATE, key_of
     from safedpa.dynamics import load_model
+    from safedpa.perception import load_perception
     from safedpa.robot import robot_named
     from safedpa.safety.shipped import margin_for
     from safedpa_services.supervisor.plan import Plan
 
     key_of(options["fleet"], options["name"], STATE)  # refuses names that the bus cannot carry
-
-    if not 0.0 <= options["seconds"] < 1e9:
-        raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
-    if not 0.0 <= options["change_after"] < 1e9:
-        raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
-    if not 1 <= options["robots"] <= _MOST_ROBOTS:
-        raise InputError(f"--robots: got {options['robots']}, wanted 1 to {_MOST_ROBOTS}")
+    _check_numbers(options)
     robot, declared = options["robot"], robot_named(options["robot"])
     options = {**options, "model": options["model"] or str(declared.model)}
     model = load_model(options["model"])
@@ -241,6 +244,8 @@ def _plan(options: dict[str, Any]) -> Plan:
     _check_rate(model, options["rate"])
     _check_robot(model, robot, options["model"], options["settings"])
     margin_for(model, options["margin"])
+    if options["perception"]:
+        load_perception(Path(options["perception"]))
     return Plan(
         robot=robot,
         name=options["name"],
@@ -261,6 +266,7 @@ def _plan(options: dict[str, Any]) -> Plan:
         model=options["model"],
         settings=options["settings"],
         margin=options["margin"],
+        perception=options["perception"],
         controller=_controller(model, options["controller"]),
         fleet=options["fleet"],
         endpoint=options["endpoint"],
@@ -268,6 +274,18 @@ def _plan(options: dict[str, Any]) -> Plan:
         door=options["listen"] if options["wallet"] is not None else "",
         folder=Plan.new_folder(options["out"], options["name"]),
     )
+
+
+def _check_numbers(options: dict[str, Any]) -> None:
+    """Of any robot; raises InputError naming the option."""
+    if not 0.0 <= options["seconds"] < 1e9:
+        raise InputError(f"--seconds: got {options['seconds']}, wanted 0 (until Ctrl-C) or more")
+    if not 0.0 <= options["change_after"] < 1e9:
+        raise InputError(f"--change-after: got {options['change_after']}, wanted 0 seconds or more")
+    if not 1 <= options["robots"] <= _MOST_ROBOTS:
+        raise InputError(f"--robots: got {options['robots']}, wanted 1 to {_MOST_ROBOTS}")
+    if options["seed"] < 0:
+        raise InputError(f"--seed: got {options['seed']}, wanted 0 or more")
 
 
 def _check_robot(model: PhysicsModel, robot: str, name: str, settings: str) -> None:
@@ -384,7 +402,7 @@ def driven(plan: Plan, stop: Stop, shown_by: ShownBy) -> dict[str, Any]:
     if stop.hurried:
         click.echo(f"safedpa: ended at once at the second signal; what was recorded: {plan.recording}", err=True)
         raise click.exceptions.Exit(_ENDED_AT_ONCE)
-    if robot.pid == 0:
+    if not robot.begun:
         raise SafedpaError("ended before the robot was started; nothing was driven")
     health = {name: message for name, (message, _) in watch.health.items()}
     stands, accounts = watch.standstills, plan.other_summaries

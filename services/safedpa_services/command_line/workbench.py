@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +10,8 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
-from safedpa_services.command_line.answering import answers_json, finish, tell
-from safedpa_services.command_line.listening import bus_of
+from safedpa_services.command_line.bus_options import bus_of
+from safedpa_services.command_line.json_answer import answers_json, finish, tell
 from safedpa_services.command_line.names import complete_models
 from safedpa_services.command_line.options import columns_option, effects_option
 
@@ -99,8 +100,8 @@ def command(**options: Any) -> None:
 
 
 def _serve(options: dict[str, Any]) -> None:
+    from safedpa_services.workbench.page_address import Serving
     from safedpa_services.workbench.server import chosen_port, serve
-    from safedpa_services.workbench.serving import Serving
 
     bench, browser = _bench(options), not options["no_browser"]
     serving = Serving(
@@ -131,8 +132,10 @@ def _bench(options: dict[str, Any]) -> Bench:
     """What the page begins with: a session that goes on, or what was named."""
     from safedpa_services.workbench.bench import Bench
     from safedpa_services.workbench.recordings import Choice
-    from safedpa_services.workbench.saving import newest_in, read_session
+    from safedpa_services.workbench.session_files import newest_in, read_session
 
+    if not 0.0 < options["horizon"] < math.inf:
+        raise InputError(f"--horizon: got {options['horizon']} s, wanted a positive number of seconds; choose 1, say")
     out, named = options["out"], Choice(options["model"], options["runs"], options["columns"], options["horizon"])
     if options["session"] is not None and named.model:
         raise InputError(f"MODEL {named.model}: got it with --session, which names its own; leave one of them out")

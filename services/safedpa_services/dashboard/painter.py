@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +134,8 @@ class Painter:
 
     def close(self) -> None:
         """Writes what is still on its way, for a second at most."""
-        self._stream.flush(timeout_sec=_FLUSH_SECONDS)
+        with suppress(RuntimeError):  # who does not read in time does without
+            self._stream.flush(timeout_sec=_FLUSH_SECONDS)
         self._stream.disconnect()
 
     def _log(self, entry: Entry, at: float = 0.0) -> None:

@@ -47,7 +47,7 @@ from safedpa_services.dashboard.world import (
 __all__ = ["RobotView"]
 
 _LONGEST_GAP_TICKS = 4
-"""Beyond it the trail has a gap too."""
+"""Without a verdict; beyond it nobody knows what the trail's colour would say."""
 
 
 class RobotView:

@@ -16,12 +16,12 @@ from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, write_model
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import BusError
 from safedpa.live.change import ModelChanges
+from safedpa.live.foresight import foretell_with
 from safedpa.live.node import DiagnosisNode
 from safedpa.live.versions import Version, VersionFolder
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.shipped import margin_for
-from safedpa_services.diagnosis.foretelling import foretell_with
 from safedpa_services.diagnosis.process_worker import ProcessWorker
 from safedpa_services.serving import service_parser
 

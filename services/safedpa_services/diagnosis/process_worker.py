@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from safedpa.live.work import AbstractWorker, Outcome, Work
+from safedpa.live.work import AbstractWorker, Work, WorkOutcome
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa_services.diagnosis.work_files import read_outcome, write_work
 
@@ -47,7 +47,7 @@ class ProcessWorker(AbstractWorker):
         write_work(work, folder)
         self._jobs[robot] = _Job(folder, self._start(folder), self._clock())
 
-    def outcome(self, robot: str) -> Outcome | None:  # noqa: D102
+    def outcome(self, robot: str) -> WorkOutcome | None:  # noqa: D102
         job = self._jobs.get(robot)
         if job is None:
             return None
@@ -61,7 +61,7 @@ class ProcessWorker(AbstractWorker):
             return None
         words = "took too long" if code is None else f"ended with code {code}, {job.starts} times"
         self.cancel(robot)
-        return Outcome(failure=f"its process {words}") if found is None else found
+        return WorkOutcome(failure=f"its process {words}") if found is None else found
 
     def cancel(self, robot: str) -> None:  # noqa: D102
         job = self._jobs.pop(robot, None)

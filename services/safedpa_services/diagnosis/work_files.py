@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from safedpa.dynamics import parse_model
-from safedpa.live.work import Outcome, Work
+from safedpa.live.work import Work, WorkOutcome
 from safedpa.records.atomic import atomic_path
 from safedpa.records.run import Run, Stretch
 
@@ -42,16 +42,16 @@ def read_work(folder: Path) -> Work:
     return Work(run=run, footprint=footprint, folder=weights, **words)
 
 
-def write_outcome(outcome: Outcome, folder: Path) -> None:
+def write_outcome(outcome: WorkOutcome, folder: Path) -> None:
     """Writes an outcome, whole or not at all."""
     with atomic_path(folder / _OUTCOME) as temporary:
         temporary.write_text(json.dumps(asdict(outcome)), encoding="utf-8")
 
 
-def read_outcome(folder: Path) -> Outcome | None:
+def read_outcome(folder: Path) -> WorkOutcome | None:
     """The outcome that ``write_outcome`` wrote; None when there is none."""
     path = folder / _OUTCOME
     if not path.exists():
         return None
     words = json.loads(path.read_text(encoding="utf-8"))
-    return Outcome(**{**words, "effects": tuple(words["effects"])})
+    return WorkOutcome(**{**words, "effects": tuple(words["effects"])})

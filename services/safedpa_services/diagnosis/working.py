@@ -15,7 +15,7 @@ from pathlib import Path
 
 from safedpa.adaptation import HistoryEstimator, LatentEstimator
 from safedpa.dynamics import LearnedBase, PhysicsModel
-from safedpa.live.work import Calibrate, Outcome, carried_out
+from safedpa.live.work import Calibrate, WorkOutcome, carried_out
 from safedpa.records.run import Run
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa.safety.live_margin import live_margin
@@ -52,7 +52,7 @@ def main() -> None:
     try:
         outcome = carried_out(read_work(options.folder), calibrate_with(options.settings))
     except Exception as error:  # noqa: BLE001 - whatever the numbers brought about, the service is to hear of it
-        outcome = Outcome(failure=f"{type(error).__name__}: {' '.join(str(error).split())}")
+        outcome = WorkOutcome(failure=f"{type(error).__name__}: {' '.join(str(error).split())}")
     with writing:
         write_outcome(outcome, options.folder)
 

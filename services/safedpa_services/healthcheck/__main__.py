@@ -1,12 +1,57 @@
-"""``python -m safedpa_services.healthcheck SERVICE``: exit code 0 when it makes progress, 1 when it does not."""
+"""``python -m safedpa_services.healthcheck SERVICE``: exit code 0 when it makes progress, 1 when it does not.
+
+A service is judged by its heartbeats, which its working loop itself sends: a process that hangs sends none. Healthy is
+one of which two heartbeats of one process come within the time given, neither says ``failing``, and, where the later
+one says that it works for a robot, the steps counted have grown in between.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
+import time
+from collections.abc import Callable
 
+from safedpa.bus import HEALTH, Bus, HealthMessage, Received
 from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_process
-from safedpa_services.healthcheck.healthcheck import HealthCheck
+
+
+class HealthCheck:
+    """Hears the heartbeats of ``service`` from now on; ``robot`` limits them to one robot's."""
+
+    def __init__(self, bus: Bus, service: str, robot: str = "*", clock: Callable[[], float] = time.monotonic) -> None:
+        self._service = service
+        self._clock = clock
+        self._inbox = bus.inbox((HEALTH,), robot, keep_all=True)
+        self._first: dict[tuple[str, int], HealthMessage] = {}
+        self._reason = ""
+
+    def run(self, seconds: float) -> str:
+        """Why the service is not healthy, in words, or nothing as soon as it proved that it is."""
+        self._reason = f"{self._service}: no two heartbeats within {seconds:g} s"
+        end = self._clock() + seconds
+        while True:
+            rest = end - self._clock()
+            for item in self._inbox.take(max(0.0, rest)):
+                if isinstance(item, Received) and self._proves(item):
+                    return ""
+            if rest <= 0.0:
+                return self._reason
+
+    def _proves(self, item: Received) -> bool:
+        heartbeat = item.message
+        if not isinstance(heartbeat, HealthMessage) or heartbeat.service != self._service:
+            return False
+        first = self._first.setdefault((item.key, heartbeat.pid), heartbeat)
+        if heartbeat.state == "failing":
+            self._reason = f"{self._service}: failing{f', {heartbeat.detail}' if heartbeat.detail else ''}"
+            return False
+        if heartbeat.publish_time <= first.publish_time:
+            return False
+        if heartbeat.state == "running" and heartbeat.steps <= first.steps:
+            self._reason = f"{self._service}: alive, but it made no step after step {first.steps}"
+            return False
+        return True
 
 
 def health_parser() -> argparse.ArgumentParser:

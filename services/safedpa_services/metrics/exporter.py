@@ -1,18 +1,30 @@
-"""The web page that Prometheus reads, and the heartbeat of the process that serves it."""
+"""The web page that Prometheus reads, and the heartbeat of the process that serves it.
+
+From what is known of a fleet to metric families; asked by the web server's thread, told by the listener's.
+"""
 
 from __future__ import annotations
 
 import os
+import threading
 import time
-from collections.abc import Callable
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from safedpa.bus import HEALTH, NO_ROBOT, HealthMessage
-from safedpa.bus.overview import FleetOverview
+from safedpa.bus.overview import FleetOverview, RobotOverview, ServiceOverview, concerns_of
 from safedpa.bus.wire.version import software_version
 from safedpa.errors import InputError
-from safedpa_services.metrics.collector import FleetCollector
 
-__all__ = ["Exporter"]
+if TYPE_CHECKING:
+    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
+
+    AnyFamily = CounterMetricFamily | GaugeMetricFamily | HistogramMetricFamily
+
+__all__ = ["FAMILIES", "Exporter", "Family", "FleetCollector", "Histogram"]
 
 _TURN_SECONDS = 0.25
 
@@ -63,3 +75,232 @@ class Exporter:
             software=software_version(),
         )
         self._fleet.bus.publish(HEALTH, NO_ROBOT, message, "metrics")
+
+
+LATENCY_BUCKETS = (0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.02, 0.03, 0.045, 0.1, 0.5)
+"""s; 0.045 s is the deadline of a robot at 20 Hz, 0.009 s that of one at 100 Hz."""
+STEP_BUCKETS = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
+"""s."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """One metric."""
+
+    kind: Literal["counter", "gauge", "histogram"]
+    meaning: str
+    labels: tuple[str, ...]
+
+
+_ROBOT = ("robot",)
+_SERVICE = ("service", "pid")
+
+FAMILIES: dict[str, Family] = {
+    "safedpa_robot_up": Family(
+        "gauge", "1 while the robot is heard, 0 when it was silent for more than 1.5 s.", _ROBOT
+    ),
+    "safedpa_robot_healthy": Family("gauge", "1 unless safedpa status tells of trouble with the robot.", _ROBOT),
+    "safedpa_ticks_total": Family("counter", "Ticks heard of the robot.", _ROBOT),
+    "safedpa_late_ticks_total": Family("counter", "Ticks for which no action came in time: the robot braked.", _ROBOT),
+    "safedpa_verdicts_total": Family("counter", "Verdicts of the safety filter, by status.", ("robot", "status")),
+    "safedpa_collisions_total": Family("counter", "Contacts since the robot's start, as it tells them.", _ROBOT),
+    "safedpa_goals_total": Family("counter", "Goals reached since the robot's start.", _ROBOT),
+    "safedpa_sense_to_act_seconds": Family(
+        "histogram", "From publishing a state to accepting its action, by the robot's own clock.", _ROBOT
+    ),
+    "safedpa_message_age_seconds": Family(
+        "gauge", "Since the newest message of the topic came to this exporter.", ("robot", "topic")
+    ),
+    "safedpa_barrier_value": Family(
+        "gauge", "Smallest barrier value h at the measured state; below 0: outside the safe set.", _ROBOT
+    ),
+    "safedpa_margin": Family("gauge", "Largest epsilon by which the barrier condition is tightened.", _ROBOT),
+    "safedpa_margin_coverage": Family("gauge", "Share of the last 500 steps in which the margin held.", _ROBOT),
+    "safedpa_margin_coverage_promised": Family("gauge", "Share of the steps that it was calibrated for.", _ROBOT),
+    "safedpa_model_error": Family("gauge", "Open-loop error over one second that the diagnosis tells.", _ROBOT),
+    "safedpa_model_error_band": Family("gauge", "Upper edge of that error's learned band; 0 while learning.", _ROBOT),
+    "safedpa_diagnosis_stage": Family("gauge", "1 for the stage of the diagnosis, by name.", ("robot", "stage")),
+    "safedpa_findings_total": Family("counter", "Findings since the diagnosis met the robot.", _ROBOT),
+    "safedpa_service_processes": Family(
+        "gauge", "Processes of the service whose heartbeats come and tell no failure.", ("service",)
+    ),
+    "safedpa_service_info": Family("gauge", "Always 1; the labels tell the version.", (*_SERVICE, "version")),
+    "safedpa_service_robots": Family("gauge", "Robots that the process serves.", _SERVICE),
+    "safedpa_heartbeat_age_seconds": Family("gauge", "Since the newest heartbeat.", _SERVICE),
+    "safedpa_steps_total": Family("counter", "Steps of the process; of the recorder, messages written.", _SERVICE),
+    "safedpa_step_seconds": Family(
+        "histogram", "Time of a step, of the last one before each heartbeat, four a second.", ("service",)
+    ),
+    "safedpa_stale_steps_total": Family("counter", "Steps without some input: missing or too old.", _SERVICE),
+    "safedpa_refused_messages_total": Family("counter", "Refused messages; of the router, denials.", _SERVICE),
+    "safedpa_recorder_acknowledged_total": Family("counter", "Messages known to be on disk.", ("pid",)),
+    "safedpa_recorder_free_bytes": Family("gauge", "Room left where the recorder writes.", ("pid",)),
+    "safedpa_unreadable_messages_total": Family("counter", "What came to this exporter and was no message.", ()),
+}
+"""By name, in the order in which they are told."""
+
+
+class Histogram:
+    """How many values were at most each bound; the last bucket, of all, has no bound."""
+
+    def __init__(self, bounds: Sequence[float]) -> None:
+        self._bounds = tuple(bounds)
+        self._counts = [0] * (len(self._bounds) + 1)
+        self.sum = 0.0
+
+    def add(self, value: float) -> None:
+        """Counts one value; one equal to a bound lies below it."""
+        self._counts[bisect_left(self._bounds, value)] += 1
+        self.sum += value
+
+    def buckets(self) -> list[tuple[str, float]]:
+        """(upper bound as text, count of the values at most so large), growing."""
+        found, total = [], 0
+        for bound, count in zip((*map(str, self._bounds), "+Inf"), self._counts, strict=True):
+            total += count
+            found.append((bound, float(total)))
+        return found
+
+
+_SILENT_SECONDS = 1.5
+_GONE_SECONDS = 30.0
+"""A process that was silent for so long is told of no more; its successor has a number of its own."""
+_STAGES = ("learning", "watching", "raised", "searching", "candidates", "nothing")
+Sample = tuple[str, tuple[str, ...], float]
+"""Name of the family, values of its labels, value."""
+
+
+class FleetCollector:
+    """A collector of ``prometheus_client``: ``listen`` in a loop, ``collect`` whenever somebody scrapes."""
+
+    def __init__(self, fleet: FleetOverview) -> None:
+        self._fleet, self._lock = fleet, threading.Lock()
+        self._latencies: dict[str, Histogram] = {}
+        self._steps: dict[str, Histogram] = {}
+        self._seen: dict[tuple[str, int], float] = {}
+
+    def listen(self, wait: float) -> None:
+        """Takes in what is said within ``wait`` [s]."""
+        time.sleep(wait)
+        with self._lock:
+            self._fleet.listen(0.0)
+            self._fill_histograms()
+
+    def collect(self) -> Iterator[AnyFamily]:
+        """Every family, with the samples of now."""
+        with self._lock:
+            samples = list(self._samples())
+            histograms = self._histograms()
+        for name, family in FAMILIES.items():
+            if family.kind == "histogram":
+                yield _histogram_family(name, histograms[name])
+            else:
+                yield _family(name, [sample for sample in samples if sample[0] == name])
+
+    def _fill_histograms(self) -> None:
+        for robot in self._fleet.robots.values():
+            told, robot.new_latencies = robot.new_latencies, []
+            for latency in told:
+                self._latencies.setdefault(robot.name, Histogram(LATENCY_BUCKETS)).add(latency)
+        for which, service in self._fleet.services.items():
+            if self._seen.get(which) != service.at:
+                self._seen[which] = service.at
+                seconds = 1e-6 * service.health.step_microseconds
+                if seconds > 0.0:  # 0 tells that nothing was measured
+                    self._steps.setdefault(service.name, Histogram(STEP_BUCKETS)).add(seconds)
+        self._seen = {which: at for which, at in self._seen.items() if which in self._fleet.services}
+        self._latencies = {name: kept for name, kept in self._latencies.items() if name in self._fleet.robots}
+
+    def _histograms(self) -> dict[str, list[tuple[str, list[tuple[str, float]], float]]]:
+        """By family: (label, buckets, sum)."""
+        kept = {"safedpa_sense_to_act_seconds": self._latencies, "safedpa_step_seconds": self._steps}
+        return {
+            name: [(label, told.buckets(), told.sum) for label, told in sorted(table.items())]
+            for name, table in kept.items()
+        }
+
+    def _samples(self) -> Iterator[Sample]:
+        now = self._fleet.clock()
+        for _, robot in sorted(self._fleet.robots.items()):
+            yield from _of_robot(robot, now)
+        alive = Counter(known.name for known in self._fleet.services.values() if _works(known, now))
+        for name in sorted({known.name for known in self._fleet.services.values()}):
+            yield "safedpa_service_processes", (name,), float(alive[name])
+        for _, service in sorted(self._fleet.services.items()):
+            if service.age(now) <= _GONE_SECONDS:
+                yield from _of_service(service, now)
+        yield "safedpa_unreadable_messages_total", (), float(self._fleet.refused)
+
+
+def _of_robot(robot: RobotOverview, now: float) -> Iterator[Sample]:
+    name = (robot.name,)
+    trouble = any(concern.level == "trouble" for concern in concerns_of(robot, now))
+    yield "safedpa_robot_up", name, float(robot.silent_for(now) <= _SILENT_SECONDS)
+    yield "safedpa_robot_healthy", name, float(not trouble)
+    yield "safedpa_ticks_total", name, float(robot.ticks)
+    yield "safedpa_late_ticks_total", name, float(robot.late_ticks)
+    for status, count in sorted(robot.verdicts.items()):
+        yield "safedpa_verdicts_total", (robot.name, status), float(count)
+    if robot.state is not None:
+        yield "safedpa_collisions_total", name, float(robot.state.collisions)
+        yield "safedpa_goals_total", name, float(robot.state.goals_reached)
+        yield "safedpa_message_age_seconds", (robot.name, "state"), max(0.0, now - robot.state_at)
+    if robot.verdict is not None:
+        yield "safedpa_message_age_seconds", (robot.name, "verdict"), max(0.0, now - robot.verdict_at)
+        yield "safedpa_barrier_value", name, robot.verdict.h_now
+        yield "safedpa_margin", name, robot.verdict.margin
+        if robot.verdict.coverage >= 0.0:
+            yield "safedpa_margin_coverage", name, robot.verdict.coverage
+        if robot.verdict.promised >= 0.0:
+            yield "safedpa_margin_coverage_promised", name, robot.verdict.promised
+    yield from _of_finding(robot)
+
+
+def _of_finding(robot: RobotOverview) -> Iterator[Sample]:
+    finding = robot.finding
+    if finding is None:
+        return
+    yield "safedpa_model_error", (robot.name,), finding.error
+    yield "safedpa_model_error_band", (robot.name,), finding.band
+    yield "safedpa_findings_total", (robot.name,), float(finding.number)
+    for stage in _STAGES:
+        yield "safedpa_diagnosis_stage", (robot.name, stage), float(stage == finding.stage)
+
+
+def _works(service: ServiceOverview, now: float) -> bool:
+    return service.age(now) <= _SILENT_SECONDS and not service.failing
+
+
+def _of_service(service: ServiceOverview, now: float) -> Iterator[Sample]:
+    health = service.health
+    which = (service.name, str(health.pid))
+    yield "safedpa_service_info", (*which, health.software), 1.0
+    yield "safedpa_service_robots", which, float(len(service.robots))
+    yield "safedpa_heartbeat_age_seconds", which, service.age(now)
+    yield "safedpa_steps_total", which, float(service.steps)
+    yield "safedpa_stale_steps_total", which, float(service.stale)
+    yield "safedpa_refused_messages_total", which, float(service.refused)
+    if service.name == "recorder":
+        yield "safedpa_recorder_acknowledged_total", (str(health.pid),), float(health.acknowledged)
+        if health.free_bytes:
+            yield "safedpa_recorder_free_bytes", (str(health.pid),), float(health.free_bytes)
+
+
+def _family(name: str, samples: list[Sample]) -> AnyFamily:
+    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+
+    described = FAMILIES[name]
+    made = CounterMetricFamily if described.kind == "counter" else GaugeMetricFamily
+    family = made(name, described.meaning, labels=described.labels)
+    for _, labels, value in samples:
+        family.add_metric(labels, value)
+    return family
+
+
+def _histogram_family(name: str, rows: list[tuple[str, list[tuple[str, float]], float]]) -> AnyFamily:
+    from prometheus_client.core import HistogramMetricFamily
+
+    family: HistogramMetricFamily = HistogramMetricFamily(name, FAMILIES[name].meaning, labels=FAMILIES[name].labels)
+    for label, buckets, total in rows:
+        family.add_metric([label], buckets, total)
+    return family

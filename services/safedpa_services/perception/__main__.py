@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from safedpa.bus.loop.process import Stop, Urgency, run_process
-from safedpa_services.nodes import perception
+from safedpa_services.nodes import add_perception_options, perception
 from safedpa_services.serving import serve, service_parser
 
 
@@ -15,4 +15,6 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 
 
 if __name__ == "__main__":
-    run_process(work, service_parser("safedpa-perception"), Urgency.POLICY)
+    parser = service_parser("safedpa-perception")
+    add_perception_options(parser)
+    run_process(work, parser, Urgency.POLICY)

@@ -1,8 +1,13 @@
-"""``python -m safedpa_services.ros_gateway``: a robot that speaks ROS 2, as a robot of the bus."""
+"""``python -m safedpa_services.ros_gateway``: a robot that speaks ROS 2, as a robot of the bus.
+
+A gateway as its file describes it: model, limits, the driver's type and hash, everything checked first.
+"""
 
 from __future__ import annotations
 
 import argparse
+import secrets
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,11 +15,25 @@ from pathlib import Path
 from safedpa.bus import Bus
 from safedpa.bus.loop.process import Stop, Urgency, add_bus_options, bus_from, lifetime, run_process
 from safedpa.bus.security.access import role_of_robot
+from safedpa.dynamics import load_model
 from safedpa.dynamics.own import load_own_of_environment
-from safedpa_services.ros_gateway.making import made
-from safedpa_services.ros_gateway.robot_file import load_robot_file
+from safedpa.errors import InputError
+from safedpa.robot import robot_named
+from safedpa.ros.encoding import hash_of
+from safedpa.ros.face import AbstractFace
+from safedpa.ros.graph import PUBLISHER, SUBSCRIBER
+from safedpa.ros.link import RosLink
+from safedpa.safety.shipped import settings_named
+from safedpa.systems.driven import why_not_driven
+from safedpa_services.ros_gateway.gateway import Gateway, Limits
+from safedpa_services.ros_gateway.localisation import TRANSFORMS, Localised
+from safedpa_services.ros_gateway.overheard import Overheard
+from safedpa_services.ros_gateway.robot_file import RobotFile, load_robot_file
+from safedpa_services.ros_gateway.scanner import SCAN_TYPE, Scanner
+from safedpa_services.ros_gateway.senses import Newest, Senses, goal_paths, pose_paths
+from safedpa_services.ros_gateway.voice import Voice
 
-__all__ = ["parser", "work"]
+__all__ = ["checked_face", "made", "parser", "work"]
 
 _POLICY = "policy"
 """Whose certificate is shown for the wish; it lies beside the robot's."""
@@ -56,6 +75,103 @@ def _wishing(options: argparse.Namespace, bus: Bus, *, wishes: bool) -> Iterator
         return
     with bus_from(argparse.Namespace(**{**vars(options), "role": _POLICY, "card": card, "listen": []})) as other:
         yield other
+
+
+_GOAL = "geometry_msgs/msg/PoseStamped"
+_DRIVER_SECONDS = 10.0
+"""For the robot's driver to appear."""
+
+
+def checked_face(asked: RobotFile) -> tuple[AbstractFace, Limits, float]:
+    """How this robot speaks ROS, its limits, its period. Raises InputError for what does not fit together."""
+    declared = robot_named(asked.robot)
+    model = load_model(asked.model or str(declared.model))
+    refusal = why_not_driven(model.system, asked.robot)
+    if refusal:
+        raise InputError(f"model '{asked.model}': {refusal}")
+    declared = declared.of_system(model.system)
+    face = declared.ros_face(model)
+    if face is None:
+        raise InputError(f"robot '{asked.robot}': it does not say how it speaks ROS; write its method 'ros_face'")
+    for key, kind in (("command", asked.command.type), ("wish", asked.wish.type)):
+        if kind and kind not in face.commands:
+            raise InputError(f"{key}.type: got '{kind}', wanted one of {', '.join(face.commands)}")
+    settings = settings_named(asked.settings or declared.settings_name)
+    limits = (tuple(settings.action_low), tuple(settings.action_high), tuple(settings.resting_action))
+    return face, limits, 1.0 / (asked.rate or declared.rate)
+
+
+@contextmanager
+def made(asked: RobotFile, bus: Bus, wishing: Bus | None = None) -> Iterator[Gateway]:
+    """The gateway, joined to both sides; it wishes over another bus where one is given.
+
+    Raises InputError and BusError before anything is sent to the robot.
+    """
+    face, limits, period = checked_face(asked)
+    wire = asked.wire
+    with RosLink(wire.endpoint, wire.domain, "bridge" if wire.form == "bridge" else "rmw_zenoh") as link:
+        command_type = asked.command.type or face.commands[0]
+        type_hash = asked.command.hash or _hash_wanted(link, asked, command_type)
+        bus.claim(asked.name, "robot", f"{time.time_ns():016x}-{secrets.token_hex(4)}")
+        told = [
+            link.publisher(topic, kind) if topic else None
+            for topic, kind in (
+                (wire.diagnostics, "diagnostic_msgs/msg/DiagnosticArray"),
+                (wire.markers, "visualization_msgs/msg/MarkerArray"),
+            )
+        ]
+        voice = Voice(asked.name, asked.frame, face, told[0], told[1])
+        senses = _senses(link, asked, face, asked.wish.type or command_type)
+        command = link.publisher(asked.command.topic, command_type, type_hash)
+        link.watched(asked.command.topic, PUBLISHER)  # from now on it is told
+        yield Gateway(bus, link, asked, face, limits, senses, command, voice, period, wishing=wishing)
+
+
+def _senses(link: RosLink, asked: RobotFile, face: AbstractFace, wish_type: str) -> Senses:
+    """Everything that the file names, heard from now on."""
+    odometry = Newest(asked.odometry.type, pose_paths(), asked.wire.frame)
+    driver = Overheard(asked.command.topic)
+    link.hear(asked.odometry.topic, asked.odometry.type, odometry.take)
+    link.overhear(asked.command.topic, driver.take)
+    wish = goal = localised = None
+    if asked.wish.topic:
+        wish = Newest(wish_type, face.paths(wish_type))
+        link.hear(asked.wish.topic, wish_type, wish.take)
+    if asked.goal.topic:
+        goal = Newest(_GOAL, goal_paths(), asked.frame)
+        link.hear(asked.goal.topic, _GOAL, goal.take)
+    if asked.localisation.topic:
+        localised = Localised(asked.localisation.frame, asked.wire.frame)
+        link.hear(asked.localisation.topic, TRANSFORMS, localised.take)
+    scanners = tuple(Scanner(scan.frame) for scan in asked.scans)
+    for scan, scanner in zip(asked.scans, scanners, strict=True):
+        link.hear(scan.topic, SCAN_TYPE, scanner.take)
+    return Senses(odometry, driver, wish, goal, localised, scanners)
+
+
+def _hash_wanted(link: RosLink, asked: RobotFile, command_type: str) -> str:
+    """As the driver's own token asks. Raises InputError where it wants another type, or somebody drives already."""
+    if link.form != "rmw_zenoh":
+        return hash_of(command_type)
+    topic = asked.command.topic
+    others = link.others_on(topic, PUBLISHER)
+    if others:
+        raise InputError(
+            f"{topic}: {others[0].node} publishes there already; have it publish {asked.wish.topic}, which goes "
+            "through the filter, and let the gateway alone write the driver's topic"
+        )
+    end = time.monotonic() + _DRIVER_SECONDS
+    while not (drivers := link.others_on(topic, SUBSCRIBER)):
+        if time.monotonic() > end:
+            raise InputError(
+                f"{topic}: nobody listens there after {_DRIVER_SECONDS:.0f} s; start the robot's driver, correct the "
+                "topic, or name command.hash to drive all the same"
+            )
+        time.sleep(0.2)
+    for driver in drivers:
+        if driver.type != command_type:
+            raise InputError(f"command.type: got '{command_type}', {driver.node} on {topic} wants '{driver.type}'")
+    return drivers[0].hash
 
 
 if __name__ == "__main__":

@@ -1,15 +1,24 @@
-"""``robot.toml``: which robot, where it is reached, what it tells, who wishes, and how it is driven."""
+"""``robot.toml``: which robot, where it is reached, what it tells, who wishes, and how it is driven.
+
+What cannot be in it is told by key, before anything is joined or moved.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+from safedpa.bus import STATE, key_of
 from safedpa.errors import InputError, did_you_mean
 from safedpa.limits import finite_number, parse_toml, text_of_file, whole_number
-from safedpa_services.ros_gateway.robot_file_checks import check_robot_file, check_served
+from safedpa.robot import robot_named
+from safedpa.ros.graph import NO_HASH
+from safedpa.ros.link import FORMS
+from safedpa.safety.scene import MOST_OBSTACLES
 
 __all__ = [
     "Command",
@@ -22,6 +31,8 @@ __all__ = [
     "Surroundings",
     "Wire",
     "Wish",
+    "check_robot_file",
+    "check_served",
     "load_robot_file",
     "load_served",
 ]
@@ -216,3 +227,126 @@ def _value(kind: Any, value: Any, key: str) -> Any:
         wanted = f"tables [[{key}]]" if hasattr(inner, "__dataclass_fields__") else "a list of numbers"
         raise InputError(f"{key}: got {value!r}, wanted {wanted}")
     return tuple(_value(inner, one, key) for one in value)
+
+
+_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+"""A name of ROS without substitutions (design.ros2.org/articles/topic_and_service_names.html)."""
+_HASH = re.compile(rf"RIHS01_[0-9a-f]{{64}}|{NO_HASH}")
+_LARGEST = 1e4
+"""m; no robot of a field of 10 km sees its walls."""
+_WIDEST = 100.0
+_ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+def check_served(found: Served) -> None:
+    """Raises InputError for a name that the bus cannot carry, a robot that nobody knows, a rate that is none."""
+    robot_named(found.robot)
+    try:
+        key_of("fleet", found.name, STATE)
+    except InputError as error:
+        raise InputError(f"name: {str(error).removeprefix('name ')}") from error
+    if found.rate and not 1.0 <= found.rate <= 500.0:
+        raise InputError(f"rate: got {found.rate}, wanted 1 to 500 ticks per second, or none for the robot's own")
+
+
+def check_robot_file(found: RobotFile) -> None:
+    """Raises InputError naming the key."""
+    _check_surroundings(found.surroundings)
+    _check_wire(found)
+    _check_ages(found)
+    _check_topics(found)
+    for scan in found.scans:
+        _check_scan(scan)
+    names = [scan.name for scan in found.scans]
+    if len({*names}) < len(names):
+        raise InputError(f"scans.name: got {', '.join(names)}, wanted another one for each scanner")
+    if found.scans and found.surroundings.obstacles:
+        raise InputError(
+            "surroundings.obstacles: got some beside [[scans]], wanted none: perception tells what is seen"
+        )
+
+
+def _check_surroundings(around: Surroundings) -> None:
+    for key, values, count in (("field", around.field, 4), ("footprint", around.footprint, 3)):
+        if len(values) != count:
+            raise InputError(f"surroundings.{key}: got {len(values)} numbers, wanted {count}")
+        if max(map(abs, values)) > _LARGEST:
+            raise InputError(f"surroundings.{key}: got {list(values)}, wanted m, {_LARGEST:g} at most")
+    west, east, south, north = around.field
+    rear, front, radius = around.footprint
+    if not 0.0 < radius <= _WIDEST or not -front <= rear <= _WIDEST or front > _WIDEST:
+        raise InputError(
+            f"surroundings.footprint: got {list(around.footprint)}, wanted how far it reaches behind and ahead of its "
+            f"reference point, together 0 or more, and a radius above 0; m, {_WIDEST:g} at most"
+        )
+    if east - west <= 2.0 * radius or north - south <= 2.0 * radius:
+        raise InputError(
+            f"surroundings.field: got {list(around.field)}, wanted lowest x, highest x, lowest y, highest y in m, with "
+            f"room for a robot that is {2.0 * radius:g} m wide"
+        )
+    if len(around.obstacles) > MOST_OBSTACLES:
+        raise InputError(f"surroundings.obstacles: got {len(around.obstacles)}, wanted at most {MOST_OBSTACLES}")
+    if any(len(one) != 3 or not 0.0 < one[2] <= _LARGEST for one in around.obstacles):
+        raise InputError("surroundings.obstacles: wanted x, y and a radius above 0 of each")
+    if around.goal and not (len(around.goal) == 2 and west < around.goal[0] < east and south < around.goal[1] < north):
+        raise InputError(f"surroundings.goal: got {list(around.goal)}, wanted x and y within the field, or none")
+
+
+def _check_wire(found: RobotFile) -> None:
+    wire = found.wire
+    if wire.form not in FORMS:
+        raise InputError(f"wire.form: got '{wire.form}', wanted {' or '.join(FORMS)}")
+    if not 0 <= wire.domain <= 232:
+        raise InputError(f"wire.domain: got {wire.domain}, wanted 0 to 232")
+    if not re.fullmatch(r"[a-z-]+/[^\s#?]+", wire.endpoint):
+        raise InputError(f"wire.endpoint: got '{wire.endpoint}', wanted one such as tcp/robot:7447")
+
+
+def _check_ages(found: RobotFile) -> None:
+    ages = [("odometry", found.odometry.largest_age), ("wish", found.wish.largest_age)]
+    for key, age in [*ages, ("localisation", found.localisation.largest_age)]:
+        if not 0.0 < age <= 2.0:
+            raise InputError(f"{key}.largest_age: got {age}, wanted more than 0 and at most 2 s")
+    if not abs(found.odometry.ahead) <= _WIDEST:
+        raise InputError(f"odometry.ahead: got {found.odometry.ahead}, wanted m, {_WIDEST:g} at most")
+    if found.odometry.type not in (_ODOMETRY, _ODOMETRY.replace("/msg", "")):
+        raise InputError(f"odometry.type: got '{found.odometry.type}', wanted {_ODOMETRY}")
+
+
+def _check_topics(found: RobotFile) -> None:
+    topics = {
+        "odometry": found.odometry.topic,
+        "command": found.command.topic,
+        "wish": found.wish.topic,
+        "goal": found.goal.topic,
+        "localisation": found.localisation.topic,
+    }
+    said = {"wire.diagnostics": found.wire.diagnostics, "wire.markers": found.wire.markers}
+    heard = [*topics.items(), *(("scans", scan.topic) for scan in found.scans)]
+    for key, topic in [*((f"{key}.topic", topic) for key, topic in heard), *said.items()]:
+        if not _TOPIC.fullmatch(topic) and (topic or key in ("odometry.topic", "command.topic", "scans.topic")):
+            raise InputError(f"{key}: got '{topic}', wanted a topic such as /odom: letters, digits, '_' and '/'")
+    for key, topic in said.items():  # over a bridge its bytes would be taken for a command
+        if topic.strip("/") == found.command.topic.strip("/"):
+            raise InputError(f"{key}: got the command's own topic, '{topic}': the driver obeys what comes there")
+    if found.wish.topic.strip("/") == found.command.topic.strip("/"):
+        raise InputError(
+            f"wish.topic: got the command's own, '{found.command.topic}': the policy would speak past the filter; have "
+            "it publish another one, drive_in say"
+        )
+    if found.localisation.topic and found.localisation.frame.strip("/") in ("", found.wire.frame.strip("/")):
+        raise InputError(
+            f"localisation.frame: got '{found.localisation.frame}', wanted the map's, another than the odometry's, "
+            f"'{found.wire.frame}' (wire.frame)"
+        )
+    if found.command.hash and not _HASH.fullmatch(found.command.hash):
+        raise InputError(f"command.hash: got '{found.command.hash}', wanted RIHS01_ and 64 hex digits, or {NO_HASH}")
+
+
+def _check_scan(scan: Scan) -> None:
+    if len(scan.mount) != 3 or max(map(abs, scan.mount[:2])) > _WIDEST or abs(scan.mount[2]) > 2.0 * math.pi:
+        raise InputError(f"scans.mount: got {list(scan.mount)}, wanted x ahead, y to the left in m, and a yaw in rad")
+    if not 0.0 <= scan.delay <= 0.5:
+        raise InputError(f"scans.delay: got {scan.delay}, wanted 0 to 0.5 s")
+    if not re.fullmatch(r"[A-Za-z0-9_.-]{1,40}", scan.name):
+        raise InputError(f"scans.name: got '{scan.name}', wanted letters, digits, '-', '_' or '.', at most 40")

@@ -10,7 +10,7 @@ from safedpa.bus.wire.messages import VerdictMessage
 from safedpa.ros.encoding import stamp_of
 from safedpa.ros.face import AbstractFace
 from safedpa.ros.link import RosPublisher
-from safedpa.ros.telling import diagnostics_of, gateway_diagnostics, path_marker
+from safedpa.ros.outgoing import diagnostics_of, gateway_diagnostics, path_marker
 
 __all__ = ["Voice"]
 

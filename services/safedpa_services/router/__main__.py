@@ -11,9 +11,8 @@ from safedpa.bus.loop.process import Stop, Urgency, add_card_option, identity_fr
 from safedpa.bus.security.access import ROUTER, access_control, rate_limits, size_limits
 from safedpa.errors import InputError
 from safedpa_services.router.pulse import Pulse
-from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals
+from safedpa_services.router.refusals import LOG_DIRECTIVES, Refusals, capture_zenoh_log
 from safedpa_services.router.router import Router, revoked_in
-from safedpa_services.router.zenoh_log import capture_zenoh_log
 
 REVOKED = "revoked.txt"
 """In the folder of certificates: names of certificates that are good for nothing any more, one a line."""

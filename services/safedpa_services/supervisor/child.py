@@ -42,6 +42,8 @@ class Child:
     """Whether the loop ends when this one cannot be brought up; one that only looks on is left out then."""
     heartbeat: bool = True
     """Whether it tells its health on the bus."""
+    waits: bool = False
+    """Whether it makes itself ready at its start and begins its work when told to, by ``begin``."""
     restarts: int = 0
     environment: Mapping[str, str] = field(default_factory=dict)
     """What it is told and other users of the machine must not read, as they can its arguments."""
@@ -56,11 +58,17 @@ class Child:
         self._died = 0.0
         self._pause = 0.0
         self._asked = False
+        self._told = False
 
     @property
     def pid(self) -> int:
         """Of the process that runs now or ran last; 0 before the first start."""
         return self._process.pid if self._process else 0
+
+    @property
+    def begun(self) -> bool:
+        """Whether its work has begun, or at least may have."""
+        return self.pid != 0 and (self._told or not self.waits)
 
     @property
     def exit_code(self) -> int | None:
@@ -70,7 +78,10 @@ class Child:
     def start(self) -> None:
         """Starts the process; a later call starts it anew."""
         command = [sys.executable, "-m", self.module, *self.arguments, "--supervised"]
+        command += ["--await-word"] if self.waits and not self._told else []
         cards = {**({} if self.card is None else {"--card": self.card}), **self.further}
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()  # of the one that died
         with self.log.open("ab") as log, _handed(cards) as descriptors:
             command += [word for option, descriptor in descriptors.items() for word in (option, str(descriptor))]
             self._process = subprocess.Popen(
@@ -94,6 +105,15 @@ class Child:
                 os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_STARTING_PRIORITY))
         self._started = time.monotonic()
         self._died, self._asked = 0.0, False
+
+    def begin(self) -> None:
+        """Starts its work: by a word to the process that waits for it, else by starting the process."""
+        self._told = True
+        if self._process is None:
+            self.start()
+        elif self.waits and self._process.stdin is not None:
+            with contextlib.suppress(OSError):  # it died meanwhile; what is started in its place does not wait
+                os.write(self._process.stdin.fileno(), b"begin\n")
 
     def restart_if_due(self) -> bool:
         """Starts a process that died, after a pause that grows with quick deaths; True when it did so now."""

@@ -57,6 +57,8 @@ class Plan:
 
     senses: bool = False
     """Whether the robot has sensors of its own, and perception runs beside the loop."""
+    perception: str = ""
+    """Its settings, sources and zones: a file; empty: the defaults."""
     robots: int = 1
     """How many drive side by side, each in a scene of its own, all served by the same services."""
     wallet: Wallet | None = None
@@ -113,7 +115,8 @@ class Plan:
             self._child("recorder", "safedpa_services.recorder", "--out", str(self.recording)),
         ]
         if self.senses:
-            children.insert(1, self._child("perception", "safedpa_services.perception", *self._scheduling))
+            file = ("--perception", self.perception) if self.perception else ()
+            children.insert(1, self._child("perception", "safedpa_services.perception", *file, *self._scheduling))
         if self.diagnosis:
             kept = ("--versions", str(self.folder / "models"))
             children.append(
@@ -174,7 +177,9 @@ class Plan:
         options += ["--change", self.change, "--change-after", repr(self.change_after)] if self.change else []
         options += ["--lockstep"] if self.lockstep else self._scheduling
         name = f"robot {self.names[index]}" if index else "robot"
-        return self._child(name, "safedpa_sim.robots", *options, heartbeat=not index)
+        child = self._child(name, "safedpa_sim.robots", *options, heartbeat=not index)
+        child.waits = True
+        return child
 
     def _child(self, name: str, module: str, *arguments: str, essential: bool = True, heartbeat: bool = True) -> Child:
         bus = ["--fleet", self.fleet, "--connect", self.endpoint]

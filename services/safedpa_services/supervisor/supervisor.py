@@ -1,4 +1,4 @@
-"""Keeps the processes of a loop alive: services first, the robot when they are ready, the robot's end is the end."""
+"""Keeps the processes of a loop alive: the robot drives when all services are ready, and its end is the end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from safedpa.errors import SafedpaError
+from safedpa.errors import InputError, SafedpaError
 from safedpa_services.supervisor.child import Child
 from safedpa_services.supervisor.watch import Watch
 
@@ -46,16 +46,18 @@ class Supervisor:
     def run(self) -> int:
         """Returns the robot's exit code, or 0 when stopped. Everything has ended afterwards, whatever happened.
 
-        Raises SafedpaError when a service that the loop needs cannot be brought up, or refuses its input.
+        Raises SafedpaError when a service that the loop needs cannot be brought up, InputError when it or the robot
+        refuses its input before anything drives.
         """
         try:
-            for child in self.services:
+            early = [robot for robot in self._robots if robot.waits]  # it takes as long to be ready as they do
+            for child in (*early, *self.services):
                 if child.pid == 0:  # the router runs already
                     child.start()
             self._await_services()
             if not self.stopped():
                 for child in self._robots:
-                    child.start()
+                    child.begin()
             return self._attend()
         finally:
             self._end()
@@ -113,11 +115,11 @@ class Supervisor:
     def _revive(self, child: Child) -> None:
         """Starts it anew. What it refuses now it will refuse again; but once the robot drives no drive ends by that."""
         if child is self.robot and child.exit_code == _BAD_INPUT and "robot" not in self.watch.health:
-            raise SafedpaError(child.last_words())  # it never drove: nobody would hear why
-        if child.exit_code != _BAD_INPUT or any(robot.pid != 0 for robot in self._robots):
+            raise InputError(child.last_words())  # it never drove: nobody would hear why
+        if child.exit_code != _BAD_INPUT or any(robot.begun for robot in self._robots):
             child.restart_if_due()
         elif child.essential:
-            raise SafedpaError(child.last_words())
+            raise InputError(child.last_words())
 
     def _end(self) -> None:
         """The robot stands first, then it ends, then the services, and the recorder last: it hears everything."""
@@ -154,4 +156,4 @@ class Supervisor:
 
 
 def _drives(child: Child) -> bool:
-    return child.pid != 0 and child.exit_code is None
+    return child.begun and child.exit_code is None

@@ -16,9 +16,9 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     os.nice(10)  # the loop comes first
     need("workbench", what="the workbench", alone=True)  # its container writes no reports
     from safedpa_services.workbench.bench import Bench
+    from safedpa_services.workbench.page_address import Serving
     from safedpa_services.workbench.recordings import Choice
     from safedpa_services.workbench.server import chosen_port, serve
-    from safedpa_services.workbench.serving import Serving
 
     serving = Serving(
         options.host,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, Literal
@@ -12,11 +13,13 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa_services.driving import why_refused
 from safedpa_services.workbench import jobs
 from safedpa_services.workbench.recordings import Choice, loaded
-from safedpa_services.workbench.saving import STEPS, Decision, Kept, absolute, place_for, saved, write_session
 from safedpa_services.workbench.session import Session
+from safedpa_services.workbench.session_files import STEPS, Decision, Kept, absolute, place_for, saved, write_session
 from safedpa_services.workbench.worker import StoppedError, Worker
 
 __all__ = ["Bench", "News"]
+
+_log = logging.getLogger(__name__)
 
 News = Literal["opening", "opened", "versions", "candidates", "busy", "saving", "trouble"]
 """What changed, told to every tab."""
@@ -60,7 +63,10 @@ class Bench:
 
     def _tell(self, news: News) -> None:
         for heard in list(self._tabs.values()):
-            heard(news)
+            try:
+                heard(news)
+            except Exception:  # noqa: BLE001  whatever happened in one tab: the others hear, and what was decided goes on
+                _log.exception("a tab could not show what is new")
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.ensure_future(work)

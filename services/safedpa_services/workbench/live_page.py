@@ -69,7 +69,7 @@ class LivePage:
         self._ended = False
         self._drawn: Any = None
         self._shown: Any = None
-        self._asking = False
+        self._asking = self._gone = False
         ui.add_head_html(_GONE)
         link.untold.add(self)  # from the first byte on: a drive may end while the page loads
         self._build()
@@ -128,12 +128,15 @@ class LivePage:
 
     def close(self) -> None:
         """The tab is gone."""
+        self._gone = True
         self._link.untold.discard(self)
 
     async def begin(self) -> None:
         """Chooses dark or light as the browser wishes."""
-        self._set_dark(await wishes_dark())
-        self.show()
+        dark = await wishes_dark()
+        if not self._gone:
+            self._set_dark(dark)
+            self.show()
 
     # showing
 

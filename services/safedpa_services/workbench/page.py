@@ -14,17 +14,16 @@ from safedpa_services.workbench.bench import Bench, News
 from safedpa_services.workbench.browser import answer_of, wishes_dark
 from safedpa_services.workbench.brush import Brush
 from safedpa_services.workbench.elements import action, escaped, text
-from safedpa_services.workbench.figures_where import window_near
 from safedpa_services.workbench.help import show_keys
 from safedpa_services.workbench.look import DARK, LIGHT
 from safedpa_services.workbench.open_dialog import OpenDialog
 from safedpa_services.workbench.panel_candidates import CandidatesPanel
 from safedpa_services.workbench.panel_fall import FallPanel
 from safedpa_services.workbench.panel_path import PathPanel
-from safedpa_services.workbench.panel_where import WherePanel
+from safedpa_services.workbench.panel_where import WherePanel, window_near
 from safedpa_services.workbench.rerun_view import RerunDoor
-from safedpa_services.workbench.saving import SESSION_FILE
 from safedpa_services.workbench.session import Session
+from safedpa_services.workbench.session_files import SESSION_FILE
 
 __all__ = ["Page"]
 
@@ -36,6 +35,7 @@ class Page:
         self._bench, self._door, self._live, self._shelf = bench, door, live, shelf
         self._session: Session | None = None
         """This tab's view."""
+        self._gone = False
         self._look = LIGHT
         self._build()
 
@@ -68,11 +68,15 @@ class Page:
 
     def close(self) -> None:
         """The tab is gone; the bench works on."""
+        self._gone = True
         self._bench.leave(self)
 
     async def begin(self) -> None:
-        """Shows what the bench holds, has it open what the command line named, or asks."""
-        self._set_dark(await wishes_dark())
+        """Shows what the bench holds, or has it open what was named, or asks; does nothing in a tab that went."""
+        dark = await wishes_dark()
+        if self._gone:  # closed while it was asked: who begins to listen now would never leave
+            return
+        self._set_dark(dark)
         self._bench.listen(self, self._heard)
         if self._bench.session is not None:
             self._heard("opened")

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from nicegui import events, ui
+from numpy.typing import NDArray
 
-from safedpa_services.workbench.brush import Brush, variables_of
+from safedpa.compare.comparison import Comparison
+from safedpa_services.workbench.brush import ERROR, TIME, Brush, time_of, values_of, variables_of
 from safedpa_services.workbench.elements import action, escaped, named, panel, text
-from safedpa_services.workbench.figures_where import brush_of_map, brush_of_time, map_figure, time_figure
-from safedpa_services.workbench.look import Look
+from safedpa_services.workbench.look import CONFIG, MAP_COLOURS, Look, axis, frame
 from safedpa_services.workbench.session import Session
 
-__all__ = ["WherePanel"]
+__all__ = ["WherePanel", "brush_of_map", "brush_of_time", "map_figure", "time_figure", "window_near"]
 
 _RANGE = """(e) => { if (e && e.range) setTimeout(() => {
   document.querySelectorAll(".js-plotly-plot").forEach((plot) => {
@@ -100,3 +102,195 @@ class WherePanel:
 
 def _ranges(entry: Any) -> dict[str, Any]:
     return entry if isinstance(entry, dict) else {}
+
+
+Floats = NDArray[np.float64]
+
+_DOTS = 900
+"""Windows drawn as dots in the map."""
+
+
+def map_figure(session: Session, look: Look) -> dict[str, Any]:
+    """The error map, with a dot for windows: those that are selected stand out."""
+    found, windows = session.map(), session.comparison.windows
+    units = variables_of(windows)
+    heat = {
+        "type": "heatmap",
+        "x": _numbers(found.x_edges),
+        "y": _numbers(found.y_edges),
+        "z": [_numbers(row) for row in found.errors],
+        "zmin": 0.0,
+        "zmax": _top(session),
+        "colorscale": MAP_COLOURS,
+        "customdata": found.windows.tolist(),
+        "hovertemplate": "error %{z:.2f}<br>%{customdata} windows<extra></extra>",
+        "xgap": 1,
+        "ygap": 1,
+        "colorbar": {"thickness": 10, "len": 1.0, "outlinewidth": 0, "title": {"text": "error", "side": "right"}},
+    }
+    layout = frame(
+        look,
+        dragmode="select",
+        selections=[],
+        xaxis=axis(look, _titled(found.x, units), showgrid=False, zeroline=False, range=_ends(found.x_edges)),
+        yaxis=axis(look, _titled(found.y, units), showgrid=False, zeroline=False, range=_ends(found.y_edges)),
+        shapes=_box(session.brush, found.x, found.y, look),
+        margin={"l": 50, "r": 4, "t": 6, "b": 38},
+    )
+    return {"data": [heat, _dots(session, found.x, found.y, look)], "layout": layout, "config": CONFIG}
+
+
+def _dots(session: Session, x: str, y: str, look: Look) -> dict[str, Any]:
+    windows, mask = session.comparison.windows, session.mask
+    shown = np.arange(len(windows)) if mask is None else np.flatnonzero(mask)
+    shown = shown[np.linspace(0, len(shown) - 1, min(_DOTS, len(shown))).astype(np.int64)] if len(shown) else shown
+    selected = mask is not None
+    marker: dict[str, Any] = {"size": 3, "color": "#ffffff", "opacity": 0.35}
+    if selected:
+        marker = {"size": 5, "color": look.selected, "line": {"width": 1, "color": "#ffffff"}, "opacity": 0.9}
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "x": _numbers(values_of(windows, x)[shown]),
+        "y": _numbers(values_of(windows, y)[shown]),
+        "marker": marker,
+        "hoverinfo": "skip",
+        "selected": {"marker": {"opacity": marker["opacity"]}},
+        "unselected": {"marker": {"opacity": marker["opacity"]}},
+    }
+
+
+def time_figure(session: Session, look: Look) -> dict[str, Any]:
+    """The error of every window along time, runs one after another, the given model's behind the present one's."""
+    comparison, given = session.comparison, session.versions[0].comparison
+    t, errors = time_of(comparison.windows), comparison.window_errors
+    highest = _height(session)
+    data = []
+    if comparison is not given:
+        data.append(_line(given, t, highest, look.given, 1.0, "given model"))
+    data.append(_line(comparison, t, highest, look.present, 1.4, session.looked_at.label))
+    mask = session.mask
+    if mask is not None and mask.any():
+        marker = {"size": 4, "color": look.selected}
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "x": _numbers(t[mask]),
+                "y": _numbers(np.minimum(errors[mask], highest)),
+                "marker": marker,
+                "hoverinfo": "skip",
+            }
+        )
+    layout = frame(
+        look,
+        dragmode="select",
+        selections=[],
+        selectdirection="h",
+        xaxis=axis(look, "time, runs one after another [s]", showgrid=False, range=[float(t[0]), float(t[-1])]),
+        yaxis=axis(look, "error", range=[0.0, highest], nticks=4),
+        shapes=[*_borders(comparison, t, look), _mark(float(t[session.start]), look)],
+        margin={"l": 50, "r": 8, "t": 6, "b": 38},
+    )
+    return {"data": data, "layout": layout, "config": CONFIG}
+
+
+def _line(comparison: Comparison, t: Floats, highest: float, colour: str, width: float, name: str) -> dict[str, Any]:
+    """One line, broken between stretches."""
+    windows, errors = comparison.windows, np.minimum(comparison.window_errors, highest)
+    breaks = np.flatnonzero((np.diff(windows.begin) != 0) | (np.diff(windows.run) != 0)) + 1
+    x, y = np.insert(t, breaks, np.nan), np.insert(errors, breaks, np.nan)
+    names = np.insert(np.array([windows.names[run] for run in windows.run], dtype=object), breaks, "")
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": _numbers(x),
+        "y": _numbers(y),
+        "line": {"color": colour, "width": width},
+        "opacity": 1.0 if width > 1.0 else 0.55,
+        "customdata": names.tolist(),
+        "hovertemplate": f"{name}<br>%{{customdata}}<br>error %{{y:.2f}}<extra></extra>",
+    }
+
+
+def brush_of_map(session: Session, ranges: dict[str, Any]) -> Brush | None:
+    """The brush of a box in the map: the event's ranges of x and y; None for something else."""
+    x, y = _pair(ranges.get("x")), _pair(ranges.get("y"))
+    if x is None or y is None:
+        return None
+    across, up = session.axes
+    return Brush({across: x} if across == up else {across: x, up: y})
+
+
+def brush_of_time(ranges: dict[str, Any]) -> Brush | None:
+    """The brush of a box along time; None for something else."""
+    x, y = _pair(ranges.get("x")), _pair(ranges.get("y"))
+    if x is None:
+        return None
+    return Brush({TIME: x} if y is None else {TIME: x, ERROR: (y[0], float("inf"))})
+
+
+def window_near(session: Session, t: float) -> int:
+    """The window that begins nearest to a moment on the axis of time."""
+    return int(np.argmin(np.abs(time_of(session.comparison.windows) - t)))
+
+
+def _pair(entry: Any) -> tuple[float, float] | None:
+    if not isinstance(entry, list | tuple) or len(entry) != 2:
+        return None
+    if not all(isinstance(number, int | float) and np.isfinite(number) for number in entry):
+        return None
+    return (float(min(entry)), float(max(entry)))
+
+
+def _top(session: Session) -> float:
+    """The end of the colour scale: that of the first versions' map, so that colours mean the same after an addition."""
+    finite = session.first_map().errors
+    finite = finite[np.isfinite(finite)]
+    return float(np.quantile(finite, 0.98)) if len(finite) else 1.0
+
+
+def _height(session: Session) -> float:
+    errors = session.versions[0].comparison.window_errors
+    finite = errors[np.isfinite(errors)]
+    return max(1e-6, 1.15 * float(np.quantile(finite, 0.99))) if len(finite) else 1.0
+
+
+def _box(brush: Brush | None, x: str, y: str, look: Look) -> list[dict[str, Any]]:
+    if brush is None or not {x, y} <= set(brush.ranges):
+        return []
+    (x0, x1), (y0, y1) = brush.ranges[x], brush.ranges[y]
+    line = {"color": look.selected, "width": 2}
+    return [{"type": "rect", "x0": x0, "x1": x1, "y0": y0, "y1": y1, "line": line}]
+
+
+def _borders(comparison: Comparison, t: Floats, look: Look) -> list[dict[str, Any]]:
+    edges = np.flatnonzero(np.diff(comparison.windows.run)) + 1
+    line = {"color": look.dim, "width": 1, "dash": "dot"}
+    return [{"type": "line", "x0": float(t[e]), "x1": float(t[e]), "yref": "paper", "y0": 0, "y1": 1, "line": line}
+            for e in edges]  # fmt: skip
+
+
+def _mark(t: float, look: Look) -> dict[str, Any]:
+    return {
+        "type": "line",
+        "x0": t,
+        "x1": t,
+        "yref": "paper",
+        "y0": 0,
+        "y1": 1,
+        "line": {"color": look.text, "width": 1},
+    }
+
+
+def _ends(edges: Floats) -> list[float]:
+    return [float(edges[0]), float(edges[-1])]
+
+
+def _titled(name: str, units: dict[str, str]) -> str:
+    return name.replace("_", " ") + ("" if units[name] == "1" else f" [{units[name]}]")
+
+
+def _numbers(values: Floats) -> list[float | None]:
+    """Four significant digits; None for what is not finite."""
+    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values.tolist()]

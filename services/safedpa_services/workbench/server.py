@@ -21,18 +21,18 @@ from safedpa.bus import Bus
 from safedpa.bus.loop.process import Stop
 from safedpa.errors import InputError
 from safedpa.limits import limit, readable
+from safedpa_services.web.browser import show
 from safedpa_services.web.guard import Guard
 from safedpa_services.web.hosts import is_loopback
 from safedpa_services.web.shelf import Shelf
-from safedpa_services.web.showing import show
 from safedpa_services.workbench.bench import Bench
 from safedpa_services.workbench.elements import dressed
 from safedpa_services.workbench.live_link import LiveLink
 from safedpa_services.workbench.live_page import LivePage
 from safedpa_services.workbench.page import Page
+from safedpa_services.workbench.page_address import Serving
 from safedpa_services.workbench.replay_link import ReplayLink
 from safedpa_services.workbench.rerun_view import RerunDoor
-from safedpa_services.workbench.serving import Serving
 
 __all__ = ["DEFAULT_PORT", "chosen_port", "serve"]
 

@@ -30,7 +30,7 @@ from safedpa.bus import (
 from safedpa.bus.loop.apart import AbstractTicket
 from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import LearnedBase, PhysicsModel, fingerprint
-from safedpa.dynamics.offered import offered_model
+from safedpa.dynamics.model_offer import offered_model
 from safedpa.errors import InputError, MessageError
 
 __all__ = ["AdaptationNode"]

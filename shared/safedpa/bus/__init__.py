@@ -3,8 +3,8 @@
 from safedpa.bus.loop.node import AbstractNode, Inputs, Outputs, Stale
 from safedpa.bus.loop.service import NO_ROBOT, ServiceLoop
 from safedpa.bus.transport.bus import Bus
+from safedpa.bus.transport.in_process import MemoryBroker, MemoryTransport
 from safedpa.bus.transport.inbox import Inbox, Received, Refused
-from safedpa.bus.transport.memory_transport import MemoryBroker, MemoryTransport
 from safedpa.bus.transport.transport import AbstractTransport
 from safedpa.bus.transport.zenoh_transport import ZenohSettings, ZenohTransport
 from safedpa.bus.wire.codec import decode, encode

@@ -64,12 +64,15 @@ def new_folder(command: str, model: str, now: datetime.datetime | None = None) -
     return next(path for path in (Path(name if n == 1 else f"{name}-{n}") for n in count(1)) if not path.exists())
 
 
-def refuse_inputs(outputs: Iterable[Path], inputs: Iterable[str | Path], force: bool) -> None:
-    """Raises InputError where writing one of ``outputs`` would replace one of ``inputs``, unless ``force``."""
+def refuse_inputs(outputs: Iterable[Path], inputs: Iterable[str | Path], force: bool | None = None) -> None:
+    """Raises InputError where writing one of ``outputs`` would replace one of ``inputs``, unless ``force``.
+
+    None: the command has no option --force.
+    """
     read = {Path(item).resolve() for item in inputs if Path(item).exists()}
     for path in outputs:
         if path.resolve() in read and not force:
+            how = "" if force is None else ", or say --force"
             raise InputError(
-                f"{path}: is an input of this command and would be replaced; choose another place with --out, "
-                "or say --force"
+                f"{path}: is an input of this command and would be replaced; choose another place with --out{how}"
             )

@@ -14,15 +14,17 @@ import numpy as np
 
 from safedpa.compare.actuators import felt_at_once
 from safedpa.compare.side_by_side import SideBySide
-from safedpa.compare.windows import Floats, Rows, Windows
+from safedpa.compare.windows import Floats, Rows, Windows, windows_of
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import CommandEffect
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS, NUMPY
+from safedpa.records.run import Run
 from safedpa.systems import System
 
 __all__ = [
-    "check_system", "common_period", "felt_actions", "felt_columns", "rollout", "rollout_at", "rollout_steps",
+    "check_system", "common_period", "felt_actions", "felt_columns", "predict_run", "rollout", "rollout_at",
+    "rollout_steps",
 ]  # fmt: skip
 
 Columns = dict[str, Floats]
@@ -43,6 +45,24 @@ def rollout(model: PhysicsModel, windows: Windows) -> Floats:
     for step, active, states in rollout_steps(model, windows):
         predicted[step, active] = states
     return predicted
+
+
+def predict_run(model: PhysicsModel, run: Run, horizon: float, *, stride: int = 10) -> dict[str, Floats]:
+    """A table of predictions from every ``stride``-th trusted row: columns start_t, t [s] and the states by name.
+
+    One entry per measured row after the start, up to and including the horizon (to half a period) or the end of the
+    stretch, whichever comes first; starts in order, and within a start by time. Only the state at the start and the
+    run's actions before t enter a prediction at t. Raises InputError and RunError as ``windows_of`` does.
+    """
+    windows = windows_of([run], horizon, stride=stride, partial=True)
+    predicted = rollout(model, windows)[1:]
+    step = np.arange(1, len(predicted) + 1)
+    there = step[None, :] <= windows.steps[:, None]
+    rows = (windows.start[:, None] + step[None, :])[there]
+    starts = np.repeat(windows.start, windows.steps)
+    states = predicted.transpose(1, 0, 2)[there]
+    columns = {"start_t": windows.t[starts], "t": windows.t[rows]}
+    return columns | {name: states[:, index] for index, name in enumerate(windows.system.state_names)}
 
 
 def rollout_at(model: PhysicsModel, windows: Windows, rows: Sequence[Rows]) -> Floats:

@@ -14,9 +14,9 @@ from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.readiness import prepared
 from safedpa.diagnosis.fit.shooting import Shooting
 from safedpa.diagnosis.fit.trial import Trial, trial_of, tried, with_start
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.condition_screen import begun_law
 from safedpa.diagnosis.search.final_numbers import with_final_numbers
-from safedpa.diagnosis.search.search import begun
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect, Varies, Where, conditioned, effect
 from safedpa.errors import InputError, RunError

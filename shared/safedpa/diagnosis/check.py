@@ -11,7 +11,7 @@ from safedpa.diagnosis.diagnose import library_for
 from safedpa.diagnosis.document import Detectable
 from safedpa.diagnosis.fit.evidence import evidence_at
 from safedpa.diagnosis.fit.readiness import judgeable, prepared
-from safedpa.diagnosis.search.search import begun
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 

@@ -13,6 +13,7 @@ from safedpa.compare.summary import worst_bins
 from safedpa.compare.where import PLACE
 from safedpa.diagnosis.addition import Addition, add_effect
 from safedpa.diagnosis.condition_words import conditions_of
+from safedpa.diagnosis.coverage import coverage_of
 from safedpa.diagnosis.detectable import detectable_sizes, with_manoeuvres
 from safedpa.diagnosis.document import Candidate, Detectable, Experiment, Report, Unexplained, Value, Verdict
 from safedpa.diagnosis.experiment.choice import chosen_experiment
@@ -99,6 +100,7 @@ def diagnose(
         worse=told.worse,
         conditions=conditions_of(search.current.fit.model, search.added),
         evidence=(usable.seconds, *asked),
+        coverage=coverage_of(usable.runs),
     )
 
 

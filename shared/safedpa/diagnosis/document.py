@@ -10,8 +10,8 @@ from safedpa.diagnosis.unexplained import Unexplained
 from safedpa.dynamics import PhysicsModel
 
 __all__ = [
-    "Candidate", "Close", "Condition", "Decision", "Detectable", "Experiment", "Report", "Stage", "Unexplained",
-    "Value", "Verdict", "Worse", "as_document",
+    "Candidate", "Close", "Condition", "Covered", "Decision", "Detectable", "Experiment", "Gap", "Report", "Stage",
+    "Unexplained", "Value", "Verdict", "Worse", "as_document",
 ]  # fmt: skip
 
 Verdict = Literal["nothing_missing", "effect_missing", "unexplained", "undecided"]
@@ -129,6 +129,29 @@ class Condition:
 
 
 @dataclass(frozen=True)
+class Gap:
+    """A part of a variable's range in which the recordings hold less than a block of time."""
+
+    low: float
+    high: float
+    seconds: float
+    """That were driven there."""
+
+
+@dataclass(frozen=True)
+class Covered:
+    """The range of a state or action that the recordings hold, and what of it they hardly hold."""
+
+    variable: str
+    unit: str
+    low: float
+    high: float
+    seconds: float
+    """Of all recordings."""
+    gaps: tuple[Gap, ...]
+
+
+@dataclass(frozen=True)
 class Report:
     """Everything that a diagnosis found; ``models`` are those of the stages, the given one (refitted) first."""
 
@@ -158,6 +181,8 @@ class Report:
     """Of added effects that do not act everywhere and always alike."""
     evidence: tuple[float, ...] = ()
     """s; the horizons at which was decided, the search's own first: they follow from the data."""
+    coverage: tuple[Covered, ...] = ()
+    """What was driven of each state and action: elsewhere the last model is extrapolated."""
 
 
 def as_document(report: Report) -> dict[str, Any]:
@@ -166,7 +191,7 @@ def as_document(report: Report) -> dict[str, Any]:
     for name in (
         "robot", "horizon", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
         "data_quality", "parameters", "closest", "detectable", "naive", "worse", "evidence",
-        "conditions",
+        "conditions", "coverage",
     ):  # fmt: skip
         plain[name] = _plain(getattr(report, name))
     return plain

@@ -18,7 +18,7 @@ from safedpa.diagnosis.diagnose import diagnose, library_for
 from safedpa.diagnosis.document import Detectable
 from safedpa.diagnosis.fit.evidence import evidence_at
 from safedpa.diagnosis.fit.readiness import MOST_ROWS, prepared
-from safedpa.diagnosis.search.search import begun
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import AbstractEffect
 from safedpa.errors import InputError, did_you_mean

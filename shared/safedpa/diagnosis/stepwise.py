@@ -22,8 +22,9 @@ from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.readiness import judgeable, prepared
 from safedpa.diagnosis.fit.trial import trial_of, tried_in_turn
 from safedpa.diagnosis.remains.remaining import remaining
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.final_numbers import with_final_numbers
-from safedpa.diagnosis.search.search import Search, accept, addition, begun
+from safedpa.diagnosis.search.search import Search, accept, addition
 from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, did_you_mean
 from safedpa.records.run import Run

@@ -13,8 +13,8 @@ from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.dynamics.own import load_own_of_environment
 from safedpa.dynamics.physics import PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX, Setting, base_default, wanted
-from safedpa.effects.conditioned import conditioned, law_behind
 from safedpa.effects.effect import AbstractEffect
+from safedpa.effects.effects_with_law import conditioned, law_behind
 from safedpa.effects.law import Varies, Where, law_of
 from safedpa.effects.library import effect
 from safedpa.effects.parameter import Parameter

@@ -25,8 +25,8 @@ from safedpa.dynamics.straight import (
     straight_step,
 )
 from safedpa.dynamics.tangent import StraightTangent, batched_difference, forward_mode, intercept, single_tangent
-from safedpa.effects.conditioned import plain
 from safedpa.effects.effect import AbstractEffect, CommandEffect, Context, FeltEffect, Named, RateEffect, SensorEffect
+from safedpa.effects.effects_with_law import plain
 from safedpa.effects.parameter import Parameter
 from safedpa.errors import ModelFileError
 from safedpa.operations import FLOATS, NUMPY, Operations, Scalar

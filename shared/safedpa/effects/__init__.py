@@ -1,6 +1,5 @@
 """Named physical effects: one a file, with equation, parameters, units, bounds, signature and source."""
 
-from safedpa.effects.conditioned import Conditioned, conditioned
 from safedpa.effects.effect import (
     AbstractEffect,
     CommandEffect,
@@ -10,6 +9,7 @@ from safedpa.effects.effect import (
     SensorEffect,
     Stage,
 )
+from safedpa.effects.effects_with_law import Conditioned, conditioned
 from safedpa.effects.general import general_effects
 from safedpa.effects.law import Varies, Where
 from safedpa.effects.library import effect, effects_of, load_effects, robots

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from safedpa.fleet.outcome import Number, Outcome, Tried, neutral_of
+from safedpa.fleet.outcome import Number, RobotOutcome, Tried, neutral_of
 
 __all__ = ["APART", "SURELY", "Alike", "apart", "clusters", "same_effects", "with_one_name"]
 
@@ -24,12 +24,12 @@ class Alike:
     """Robots that lack the same effects with numbers without a gap."""
 
     effects: tuple[str, ...]
-    members: tuple[Outcome, ...]
+    members: tuple[RobotOutcome, ...]
     equals: Mapping[str, tuple[str, ...]]
     """For each effect those that not one of the members could tell from it."""
 
 
-def with_one_name(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def with_one_name(outcomes: Sequence[RobotOutcome]) -> list[RobotOutcome]:
     """Effects renamed to what most of the fleet calls them, where a robot's own data cannot tell the two apart.
 
     The numbers are then those of the same candidate of the robot's own search.
@@ -55,9 +55,9 @@ def _as(item: Tried, name: str) -> Tried:
     return Tried(name, other.numbers, item.score, equals, others)
 
 
-def same_effects(outcomes: Sequence[Outcome], robot: str) -> list[Alike]:
+def same_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[Alike]:
     """Groups of robots by what was found in them, and by numbers without a gap; the largest first."""
-    sets: dict[tuple[str, ...], list[Outcome]] = {}
+    sets: dict[tuple[str, ...], list[RobotOutcome]] = {}
     for outcome in outcomes:
         sets.setdefault(tuple(sorted(item.effect for item in outcome.found)), []).append(outcome)
     groups = []
@@ -67,7 +67,7 @@ def same_effects(outcomes: Sequence[Outcome], robot: str) -> list[Alike]:
     return sorted(groups, key=lambda group: (-len(group.members), group.effects))
 
 
-def _equals(effects: tuple[str, ...], members: Sequence[Outcome]) -> dict[str, tuple[str, ...]]:
+def _equals(effects: tuple[str, ...], members: Sequence[RobotOutcome]) -> dict[str, tuple[str, ...]]:
     found = {}
     for effect in effects:
         every = [set(item.equals) for member in members for item in member.found if item.effect == effect]
@@ -75,9 +75,11 @@ def _equals(effects: tuple[str, ...], members: Sequence[Outcome]) -> dict[str, t
     return found
 
 
-def clusters(members: Sequence[Outcome], different: Callable[[Outcome, Outcome], bool]) -> list[list[Outcome]]:
+def clusters(
+    members: Sequence[RobotOutcome], different: Callable[[RobotOutcome, RobotOutcome], bool]
+) -> list[list[RobotOutcome]]:
     """Connected parts of the graph whose edges are pairs that do not differ, in order of their first member."""
-    parts: list[list[Outcome]] = []
+    parts: list[list[RobotOutcome]] = []
     for member in members:
         near = [part for part in parts if any(not different(member, other) for other in part)]
         joined = [each for part in near for each in part] + [member]
@@ -85,7 +87,7 @@ def clusters(members: Sequence[Outcome], different: Callable[[Outcome, Outcome],
     return parts
 
 
-def apart(one: Outcome, other: Outcome, robot: str) -> bool:
+def apart(one: RobotOutcome, other: RobotOutcome, robot: str) -> bool:
     """Whether the numbers of any effect differ widely and surely.
 
     Widely: |a - b| > APART (|a| + |b|) / 2, a and b the changes from doing nothing, as vectors of all numbers of one

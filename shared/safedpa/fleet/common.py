@@ -17,8 +17,8 @@ from safedpa.fleet.alike import APART, apart, clusters
 from safedpa.fleet.discovery import upper_tail
 from safedpa.fleet.inputs import Options
 from safedpa.fleet.one_robot import read_runs
-from safedpa.fleet.outcome import Outcome, Tried, neutral_of
-from safedpa.fleet.pooled import Pooled, PooledEvidence, estimates, pooled_numbers
+from safedpa.fleet.outcome import RobotOutcome, Tried, neutral_of
+from safedpa.fleet.pooled_evidence import Pooled, PooledEvidence, estimates, pooled_numbers
 from safedpa.fleet.robots import RobotLogs
 
 __all__ = [
@@ -89,7 +89,7 @@ class Confirmation:
         return self.robots > 0 and _coin(self.better, self.robots) < _FALLS and self.fall > 0
 
 
-def common_effects(outcomes: Sequence[Outcome], robot: str) -> list[Common]:
+def common_effects(outcomes: Sequence[RobotOutcome], robot: str) -> list[Common]:
     """Effects that were found in nearly all robots that were judged, the most frequent first."""
     judged = [item for item in outcomes if item.judged]
     if len(judged) < _FEWEST:
@@ -99,7 +99,7 @@ def common_effects(outcomes: Sequence[Outcome], robot: str) -> list[Common]:
     return sorted(found, key=lambda item: -item.found_in)
 
 
-def together_effects(outcomes: Sequence[Outcome], evidence: Sequence[PooledEvidence]) -> list[Common]:
+def together_effects(outcomes: Sequence[RobotOutcome], evidence: Sequence[PooledEvidence]) -> list[Common]:
     """Effects that show in all robots together only, the strongest first: one of them at most acts, as a rule.
 
     They resemble each other, so trying them on the robots decides, not their order.
@@ -118,16 +118,16 @@ def together_effects(outcomes: Sequence[Outcome], evidence: Sequence[PooledEvide
     return found
 
 
-def _many(count: int, judged: Sequence[Outcome]) -> bool:
+def _many(count: int, judged: Sequence[RobotOutcome]) -> bool:
     return count >= max(_FEWEST, _NEARLY_ALL * len(judged))
 
 
-def _shows(item: PooledEvidence, judged: Sequence[Outcome]) -> bool:
+def _shows(item: PooledEvidence, judged: Sequence[RobotOutcome]) -> bool:
     """Most of the robots have to gain by it: a few in which it is strong are a group of their own."""
     return item.score > _TOGETHER and item.robots >= _NEARLY_ALL * len(judged) and item.favourable > 0.6 * item.robots
 
 
-def _strong(name: str, count: int, judged: Sequence[Outcome], robot: str) -> Common:
+def _strong(name: str, count: int, judged: Sequence[RobotOutcome], robot: str) -> Common:
     own = [_only(outcome, name) for outcome in judged if any(item.effect == name for item in outcome.found)]
     largest = max(clusters(own, lambda one, other: apart(one, other, robot)), key=len)
     said = {outcome.name: outcome.found[0] for outcome in own}
@@ -137,9 +137,9 @@ def _strong(name: str, count: int, judged: Sequence[Outcome], robot: str) -> Com
     return Common(name, numbers, said, count, len(judged), None, rivals, wide or not _many(len(largest), judged))
 
 
-def _only(outcome: Outcome, name: str) -> Outcome:
+def _only(outcome: RobotOutcome, name: str) -> RobotOutcome:
     kept = tuple(item for item in outcome.found if item.effect == name)
-    return Outcome(outcome.name, outcome.status, outcome.reason, kept)
+    return RobotOutcome(outcome.name, outcome.status, outcome.reason, kept)
 
 
 def _wide(robot: str, effect: str, parameter: str, item: Pooled) -> bool:
@@ -177,7 +177,7 @@ def mended_error(task: MendTask) -> tuple[str, float]:
     from safedpa.diagnosis.fit.evidence import evidence_at, shown_of
     from safedpa.diagnosis.fit.heldout import error_with
     from safedpa.diagnosis.fit.readiness import prepared
-    from safedpa.diagnosis.search.search import begun
+    from safedpa.diagnosis.search.beginning import begun
     from safedpa.dynamics import load_model
 
     model = mended_model(load_model(task.options.model), task.settings)

@@ -12,8 +12,8 @@ import numpy as np
 from safedpa.fleet.alike import Alike, same_effects, with_one_name
 from safedpa.fleet.common import Common, Confirmation, common_effects, together_effects
 from safedpa.fleet.discovery import FALSE_SHARE, believed, chance
-from safedpa.fleet.outcome import Outcome
-from safedpa.fleet.pooled import PooledEvidence, evidence_over, pooled_number, pooled_numbers
+from safedpa.fleet.outcome import RobotOutcome
+from safedpa.fleet.pooled_evidence import PooledEvidence, evidence_over, pooled_number, pooled_numbers
 
 __all__ = ["Analysis", "Group", "analysed", "fleet_document"]
 
@@ -35,7 +35,7 @@ class Group:
     kind: str
     effects: tuple[str, ...]
     equals: Mapping[str, tuple[str, ...]]
-    members: tuple[Outcome, ...]
+    members: tuple[RobotOutcome, ...]
     reason: str = ""
 
 
@@ -45,7 +45,7 @@ class Analysis:
 
     robot: str
     """Kind of robot."""
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[RobotOutcome, ...]
     groups: tuple[Group, ...]
     chances: Mapping[str, float]
     limit: float
@@ -57,7 +57,7 @@ class Analysis:
     """Robots that even the model with what was found predicts much worse than the others, and how many times."""
 
 
-def analysed(outcomes: Sequence[Outcome], robot: str) -> Analysis:
+def analysed(outcomes: Sequence[RobotOutcome], robot: str) -> Analysis:
     """Groups, false discoveries, pooled evidence and odd ones among the robots of one fleet."""
     named = with_one_name(sorted(outcomes, key=lambda item: item.name))
     judged = [item for item in named if item.judged]
@@ -82,7 +82,7 @@ def analysed(outcomes: Sequence[Outcome], robot: str) -> Analysis:
     )
 
 
-def _groups(outcomes: Sequence[Outcome], sure: set[str], robot: str) -> tuple[Group, ...]:
+def _groups(outcomes: Sequence[RobotOutcome], sure: set[str], robot: str) -> tuple[Group, ...]:
     missing = [item for item in outcomes if item.judged and item.found]
     groups = [_group("missing", part) for part in same_effects([i for i in missing if i.name in sure], robot)]
     groups += [_group("suspected", part) for part in same_effects([i for i in missing if i.name not in sure], robot)]
@@ -99,15 +99,15 @@ def _group(kind: str, part: Alike) -> Group:
     return Group(kind, part.effects, part.equals, part.members)
 
 
-def _by_text(kind: str, outcomes: Sequence[Outcome]) -> list[Group]:
+def _by_text(kind: str, outcomes: Sequence[RobotOutcome]) -> list[Group]:
     """One group for each set of variables on which what remains depends."""
-    sets: dict[tuple[str, ...], list[Outcome]] = {}
+    sets: dict[tuple[str, ...], list[RobotOutcome]] = {}
     for outcome in outcomes:
         sets.setdefault(tuple(sorted(outcome.depends_on)), []).append(outcome)
     return [Group(kind, (), {}, tuple(own), f"depends on {' and '.join(names)}") for names, own in sets.items()]
 
 
-def _odd(judged: Sequence[Outcome]) -> tuple[tuple[str, float], ...]:
+def _odd(judged: Sequence[RobotOutcome]) -> tuple[tuple[str, float], ...]:
     known = [item for item in judged if item.error_after > 0 and math.isfinite(item.error_after)]
     if len(known) < 8:
         return ()
@@ -192,7 +192,7 @@ def _discovery_document(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _free_document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def _free_document(outcomes: Sequence[RobotOutcome]) -> dict[str, Any]:
     """Free parameters of the given model over the robots."""
     numbers: dict[str, list[Any]] = {}
     for outcome in outcomes:
@@ -201,7 +201,7 @@ def _free_document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     return {path: _plain(asdict(pooled_number(own))) for path, own in numbers.items()}
 
 
-def _robot_document(item: Outcome, group: int, analysis: Analysis) -> dict[str, Any]:
+def _robot_document(item: RobotOutcome, group: int, analysis: Analysis) -> dict[str, Any]:
     kind = analysis.groups[group].kind
     return {
         "robot": item.name,

@@ -10,7 +10,7 @@ from typing import Any
 from safedpa.effects import effects_of
 from safedpa.errors import InputError
 
-__all__ = ["Number", "Outcome", "Tried", "neutral_of", "outcome_of"]
+__all__ = ["Number", "RobotOutcome", "Tried", "neutral_of", "outcome_of"]
 
 _BY_FILTER = 3.0
 """The filter's standard deviations count a third: it has to put a number 9 away from doing nothing where unseen blocks
@@ -42,7 +42,7 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RobotOutcome:
     """One robot's diagnosis."""
 
     name: str
@@ -75,13 +75,13 @@ class Outcome:
         return self.status == "diagnosed"
 
 
-def outcome_of(result: Mapping[str, Any], report: Mapping[str, Any] | None) -> Outcome:
+def outcome_of(result: Mapping[str, Any], report: Mapping[str, Any] | None) -> RobotOutcome:
     """The outcome of ``result.json`` and ``report.json``, which is None where there was nothing to diagnose."""
     costs = {name: float(result.get(name, 0.0)) for name in _COSTS}
     common = {"name": result["robot"], "status": result["status"], "reason": result["reason"], **costs}
     common["unread"] = len(result["unreadable_files"])
     if report is None:
-        return Outcome(**common)
+        return RobotOutcome(**common)
     # where and when are a robot's own: a number that holds in one place is not pooled with one that holds everywhere
     laws = {item["effect"]: item for item in report.get("conditions") or ()}
     every = set(report["added"])
@@ -91,7 +91,7 @@ def outcome_of(result: Mapping[str, Any], report: Mapping[str, Any] | None) -> O
     unexplained = [rest["expression"]] if rest.get("depends_on") else []
     last = _last(report)
     best = max((item["score"] for item in report["candidates"] if item["score"] is not None), default=-math.inf)
-    return Outcome(
+    return RobotOutcome(
         **common,
         found=found,
         evidence=min((_evidence(item, report["robot"]) for item in found), default=best),

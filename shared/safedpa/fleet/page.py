@@ -9,7 +9,7 @@ from typing import Any
 
 from safedpa.fleet.document import Analysis
 from safedpa.fleet.outcome import Number, neutral_of
-from safedpa.fleet.pooled import estimates
+from safedpa.fleet.pooled_evidence import estimates
 from safedpa.fleet.story import (
     common_sentence,
     discovery_sentence,

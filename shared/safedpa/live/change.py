@@ -24,7 +24,7 @@ from typing import Final, final
 from safedpa.bus import Answer, HealthMessage, ModelMessage, Request, StateMessage, TakeoverMessage
 from safedpa.errors import RecordingError, did_you_mean
 from safedpa.live.under_way import Strays, UnderWay, stamped
-from safedpa.live.versions import Candidate, Kept, Version, VersionFolder
+from safedpa.live.versions import Kept, OfferedEffect, Version, VersionFolder
 
 __all__ = ["ChangeSettings", "ModelChanges"]
 
@@ -68,7 +68,7 @@ class ModelChanges:
         self._told: deque[ModelMessage] = deque()
         self._strays = Strays()
         self._finding = 0
-        self._candidates: dict[str, Candidate] = {}
+        self._candidates: dict[str, OfferedEffect] = {}
         self.sentence = "the model is the one that the robot began with" if kept is None else "taken up after a restart"
         """What became of the last change."""
         if self._kept.offered:
@@ -98,7 +98,7 @@ class ModelChanges:
         return "" if change is None else change.stage
 
     @property
-    def wanted(self) -> Candidate | None:
+    def wanted(self) -> OfferedEffect | None:
         """An accepted candidate whose document is to be made: answer with ``prepared`` or ``failed``."""
         change = self._change
         return change.candidate if change is not None and change.version is None else None
@@ -108,12 +108,12 @@ class ModelChanges:
         """(finding, effect) that a person rejected."""
         return frozenset(self._kept.rejected)
 
-    def propose(self, finding: int, candidates: Mapping[str, Candidate]) -> None:
+    def propose(self, finding: int, candidates: Mapping[str, OfferedEffect]) -> None:
         """What may be accepted from now on: candidates of one finding by effect, best first; empty: none."""
         with self._lock:
             self._finding, self._candidates = finding, dict(candidates)
 
-    def prepared(self, made: Candidate) -> None:
+    def prepared(self, made: OfferedEffect) -> None:
         """The document of the wanted candidate was made; ignored when nobody waits for it any more."""
         with self._lock:
             if self._change is not None and self.wanted is not None and self.wanted.effect == made.effect:

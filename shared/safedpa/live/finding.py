@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from safedpa.bus import FindingMessage, LatentMessage, StateMessage, VerdictMessage
 from safedpa.dynamics import fingerprint, parse_model
-from safedpa.live.watch import Decision, Watch
-from safedpa.live.work import AbstractWorker, Outcome, Work
+from safedpa.live.watch import VerdictFacts, Watch
+from safedpa.live.work import AbstractWorker, Work, WorkOutcome
 from safedpa.records.run import Run, Stretch
 from safedpa.systems import System
 
@@ -97,7 +97,7 @@ class _Finding:
     seconds: float = FIRST_SEARCH
     """Data that the next search wants."""
     searching: bool = False
-    outcome: Outcome | None = None
+    outcome: WorkOutcome | None = None
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class RobotDiagnosis:
         return "searching" if finding.searching else "raised"
 
     @property
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> WorkOutcome | None:
         """Of the newest search about the open finding."""
         return None if self._finding is None else self._finding.outcome
 
@@ -293,7 +293,7 @@ class RobotDiagnosis:
         return f"{left}; {seconds:.0f} of {finding.seconds:.0f} s are recorded for the search"
 
 
-def _told_outcome(outcome: Outcome) -> str:
+def _told_outcome(outcome: WorkOutcome) -> str:
     if outcome.failure:
         return f"the search failed: {outcome.failure}"
     if not outcome.effects:
@@ -305,8 +305,8 @@ def _told_outcome(outcome: Outcome) -> str:
     return f"{first} {certain}: held-out error {before:.3f} without, {after:.3f} with it"
 
 
-def _decision(verdict: VerdictMessage | None) -> Decision | None:
+def _decision(verdict: VerdictMessage | None) -> VerdictFacts | None:
     """Of a verdict that rests on a prediction; a fallback predicts nothing."""
     if verdict is None or verdict.status not in ("passed", "corrected", "relaxed", "violated"):
         return None
-    return Decision(verdict.h_now, verdict.h_next, verdict.margin)
+    return VerdictFacts(verdict.h_now, verdict.h_next, verdict.margin)

@@ -1,7 +1,8 @@
 """What accepting a candidate would do, told before anybody accepts it.
 
 While nobody asks anything of the worker, it makes the models of the first candidates and calibrates their margins, as
-it would for an accepted one. What comes of it is only told: who accepts has the model made anew, on the newest data.
+it would for an accepted one. What comes of it is only told, and in words what another margin would do to the robot: who
+accepts has the model made anew, on the newest data.
 """
 
 from __future__ import annotations
@@ -11,15 +12,21 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from safedpa.bus import VerdictMessage
-from safedpa.live.work import AbstractWorker, Outcome, Work
+from safedpa.errors import InputError
+from safedpa.live.work import AbstractWorker, Work, WorkOutcome
+from safedpa.safety.margin_change import margin_change
+from safedpa.safety.margin_text import margin_from_text
+from safedpa.safety.settings import FilterSettings
+from safedpa.safety.shipped import settings_named
 
-__all__ = ["Foresight", "Foretell"]
+__all__ = ["Foresight", "Foretell", "foretell_with"]
 
 Foretell = Callable[[str, str, VerdictMessage | None], str]
 """(text of the margin in force, text of another one, newest verdict) -> what the change does to the robot, in words."""
 
 MOST: Final = 3
 """Candidates that are looked at, best first."""
+_WITHOUT_H: Final = ("fallback", "disabled", "stopped")
 
 
 @dataclass
@@ -29,7 +36,7 @@ class Foresight:
     waiting: list[Work] = field(default_factory=list)
     """To be done, best first."""
     running: Work | None = None
-    found: dict[str, Outcome] = field(default_factory=dict)
+    found: dict[str, WorkOutcome] = field(default_factory=dict)
     """By effect."""
     verdict: VerdictMessage | None = None
 
@@ -63,3 +70,33 @@ class Foresight:
             else foretell(margin, found.margin, self.verdict)
             for effect, found in dict(self.found).items()
         }
+
+
+def foretell_with(settings: str) -> Foretell:
+    """For the filter's settings (a file or a name).
+
+    Of h the verdict tells the least of all barriers alone; it stands for every kind, which is on the safe side. The
+    filter tells of each kind by itself once the model is offered.
+    """
+    known = settings_named(settings)
+
+    def foretell(present: str, other: str, verdict: VerdictMessage | None) -> str:
+        if not other:
+            return "no margin could be calibrated for it from this drive: the filter will use the shipped one, or none"
+        try:
+            old, new = _epsilon(present, known), _epsilon(other, known)
+        except InputError as error:
+            return f"its margin cannot be read: {error}"
+        unknown = verdict is None or (verdict.status in _WITHOUT_H and verdict.h_now == verdict.h_next == 0.0)
+        h = {} if verdict is None or unknown else dict.fromkeys(new, verdict.h_now)
+        return margin_change(old, new, h, known.eta) or f"the margin stays as it is: {_listed(new)}"
+
+    return foretell
+
+
+def _epsilon(text: str, settings: FilterSettings) -> dict[str, float]:
+    return dict(margin_from_text(text).epsilon if text else settings.epsilon)
+
+
+def _listed(margins: dict[str, float]) -> str:
+    return ", ".join(f"{kind} {value:.3g}" for kind, value in sorted(margins.items()))

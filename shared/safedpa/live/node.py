@@ -33,8 +33,8 @@ from safedpa.errors import MessageError
 from safedpa.live.change import ModelChanges
 from safedpa.live.finding import RobotDiagnosis
 from safedpa.live.foresight import Foresight, Foretell
-from safedpa.live.versions import Candidate, Version
-from safedpa.live.work import AbstractWorker, Outcome, Work
+from safedpa.live.versions import OfferedEffect, Version
+from safedpa.live.work import AbstractWorker, Work, WorkOutcome
 from safedpa.systems import System
 
 __all__ = ["DiagnosisNode"]
@@ -44,7 +44,7 @@ __all__ = ["DiagnosisNode"]
 class _Robot:
     diagnosis: RobotDiagnosis
     footprint: tuple[float, ...] = ()
-    told: Outcome | None = None
+    told: WorkOutcome | None = None
     """Whose candidates are proposed."""
     preparing: Work | None = None
     ahead: Foresight = field(default_factory=Foresight)
@@ -165,7 +165,7 @@ class DiagnosisNode(AbstractNode):
         if outcome is not known.told:
             known.told = outcome
             effects = () if outcome is None else outcome.effects
-            changes.propose(number, {effect: Candidate(effect) for effect in effects})
+            changes.propose(number, {effect: OfferedEffect(effect) for effect in effects})
             if self._foretell is not None:
                 known.ahead.begin(self._works(known, changes, effects))
         if outcome is not None and outcome.effects and {(number, e) for e in outcome.effects} <= changes.rejected:
@@ -203,11 +203,13 @@ class DiagnosisNode(AbstractNode):
         return [replace(work, effect=effect, document=outcome.documents.get(effect, "")) for effect in effects]
 
 
-def _hand_over(changes: ModelChanges, work: Work, outcome: Outcome) -> None:
+def _hand_over(changes: ModelChanges, work: Work, outcome: WorkOutcome) -> None:
     if outcome.failure:
         changes.failed(outcome.failure)
         return
     document = outcome.documents[work.effect]
     data = f"{work.run.name}, {work.run.t[0]:.2f} to {work.run.t[-1]:.2f} s of its clock"
-    version = Candidate(work.effect, fingerprint(parse_model(document, work.folder)), document, outcome.margin, data)
+    version = OfferedEffect(
+        work.effect, fingerprint(parse_model(document, work.folder)), document, outcome.margin, data
+    )
     changes.prepared(version)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, final
 
 from safedpa.bus import HealthMessage, ModelMessage, StateMessage, TakeoverMessage
-from safedpa.live.versions import Candidate, Version
+from safedpa.live.versions import OfferedEffect, Version
 
 __all__ = ["SERVICES", "Strays", "UnderWay", "stamped"]
 
@@ -30,7 +30,7 @@ class UnderWay:
     """Agreed on if it succeeds, the last of them in force."""
     version: Version | None
     """The last of them; None while its document is being made."""
-    candidate: Candidate = field(default_factory=lambda: Candidate(""))
+    candidate: OfferedEffect = field(default_factory=lambda: OfferedEffect(""))
     """What was accepted."""
     repair: bool = False
     """Whether it offers the version in force again."""
@@ -70,7 +70,7 @@ class UnderWay:
         """Goes on to the next stage."""
         self.stage, self.steps, self.refused = stage, 0, ""
 
-    def complete(self, made: Candidate) -> None:
+    def complete(self, made: OfferedEffect) -> None:
         """The document is there."""
         self.version = Version(made.fingerprint, made.document, made.margin, self.number, self.why, self.who, made.data)
         self.versions = (*self.versions, self.version)

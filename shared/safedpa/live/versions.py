@@ -12,7 +12,7 @@ from typing import Any, final
 from safedpa.errors import InputError, RecordingError
 from safedpa.limits import parse_json, text_of_file
 
-__all__ = ["Candidate", "Kept", "Version", "VersionFolder"]
+__all__ = ["Kept", "OfferedEffect", "Version", "VersionFolder"]
 
 _STATE = "changes.json"
 
@@ -35,7 +35,7 @@ class Version:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class OfferedEffect:
     """An effect that may be accepted, and the model with it; without a document it is made when it is accepted."""
 
     effect: str

@@ -45,7 +45,7 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.live.forecasts import Forecast, Forecasts, channel_errors, channels, stretch_error
 from safedpa.systems import System
 
-__all__ = ["ALPHA", "BEYOND", "Band", "Decision", "Evidence", "Watch", "learned_band", "moved", "place_in_words"]
+__all__ = ["ALPHA", "BEYOND", "Band", "EDetector", "VerdictFacts", "Watch", "learned_band", "moved", "place_in_words"]
 
 
 _STRETCH: Final = 10
@@ -194,7 +194,7 @@ _MOST = log(1e9)
 
 
 @final
-class Evidence:
+class EDetector:
     """The e-detector of one robot and model."""
 
     def __init__(self) -> None:
@@ -242,7 +242,7 @@ _KEPT = 80
 
 
 @dataclass(frozen=True)
-class Decision:
+class VerdictFacts:
     """What of the filter's verdict the watch needs."""
 
     h_now: float
@@ -265,13 +265,13 @@ class Watch:
         self.horizon = horizon
         self.band: Band | None = None
         """None while it is being learned."""
-        self.evidence = Evidence()
+        self.evidence = EDetector()
         self._forecasts = Forecasts(model, horizon, period)
         self._seen: deque[Forecast] = deque(maxlen=_KEPT)
         self._settling = _SETTLE
         self._judged_until = -1
         self._covered: deque[bool] = deque(maxlen=round(_COVERED_SECONDS / (period or model.period)))
-        self._decision: tuple[int, Decision] | None = None
+        self._decision: tuple[int, VerdictFacts] | None = None
         self._scale = scale
 
     @property
@@ -335,7 +335,7 @@ class Watch:
             elif moved(self.model.system, forecast):
                 self._take(forecast)
 
-    def judge_margin(self, tick: int, decision: Decision | None, *, obeyed: bool = True) -> None:
+    def judge_margin(self, tick: int, decision: VerdictFacts | None, *, obeyed: bool = True) -> None:
         """Holds what the filter foresaw one tick ago against h now; None where there is no verdict of it.
 
         ``obeyed``: whether the filter's action was the one applied since.

@@ -16,7 +16,7 @@ from safedpa.records.run import Run
 if TYPE_CHECKING:
     from safedpa.diagnosis.document import Candidate
 
-__all__ = ["AbstractWorker", "Calibrate", "InlineWorker", "Outcome", "Work", "carried_out"]
+__all__ = ["AbstractWorker", "Calibrate", "InlineWorker", "Work", "WorkOutcome", "carried_out"]
 
 _BETTER = 0.9
 """Times the error of what the search took."""
@@ -48,7 +48,7 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class WorkOutcome:
     """What came of it. Texts, so that they pass from process to process."""
 
     report: str = ""
@@ -62,15 +62,15 @@ class Outcome:
     """Why nothing came of it, in one sentence."""
 
 
-def carried_out(work: Work, calibrate: Calibrate) -> Outcome:
+def carried_out(work: Work, calibrate: Calibrate) -> WorkOutcome:
     """Does the work in this process; takes seconds. What goes wrong with data or model stands in the outcome."""
     try:
         return _searched(work) if work.task == "search" else _prepared(work, calibrate)
     except SafedpaError as error:
-        return Outcome(failure=" ".join(str(error).split()))
+        return WorkOutcome(failure=" ".join(str(error).split()))
 
 
-def _searched(work: Work) -> Outcome:
+def _searched(work: Work) -> WorkOutcome:
     from safedpa.diagnosis.diagnose import diagnose
     from safedpa.diagnosis.document import as_document
 
@@ -81,7 +81,7 @@ def _searched(work: Work) -> Outcome:
         extra = report.models[1].effects[len(given.effects) :]
         documents[" + ".join(item.name for item in extra)] = write_model(report.models[1])
     effects = _in_order([item for item in report.candidates if item.stage == 0], set(documents))
-    return Outcome(json.dumps(as_document(report), allow_nan=False), effects, documents)
+    return WorkOutcome(json.dumps(as_document(report), allow_nan=False), effects, documents)
 
 
 def _in_order(candidates: Sequence[Candidate], confirmed: set[str]) -> tuple[str, ...]:
@@ -106,7 +106,7 @@ def _in_order(candidates: Sequence[Candidate], confirmed: set[str]) -> tuple[str
     return tuple(dict.fromkeys(ordered))
 
 
-def _prepared(work: Work, calibrate: Calibrate) -> Outcome:
+def _prepared(work: Work, calibrate: Calibrate) -> WorkOutcome:
     from safedpa.diagnosis.diagnose import add_effect
 
     if work.document:
@@ -114,7 +114,7 @@ def _prepared(work: Work, calibrate: Calibrate) -> Outcome:
     else:
         model = add_effect(parse_model(work.model, work.folder), work.effect, [work.run], work.horizon).model
     margin = calibrate(model, work.run, work.footprint)
-    return Outcome(documents={work.effect: write_model(model)}, margin=margin)
+    return WorkOutcome(documents={work.effect: write_model(model)}, margin=margin)
 
 
 class AbstractWorker(ABC):
@@ -125,7 +125,7 @@ class AbstractWorker(ABC):
         """Starts a work; one that the robot still has is cancelled."""
 
     @abstractmethod
-    def outcome(self, robot: str) -> Outcome | None:
+    def outcome(self, robot: str) -> WorkOutcome | None:
         """What came of it, once; None while it goes on, and when there is none."""
 
     @abstractmethod
@@ -143,12 +143,12 @@ class InlineWorker(AbstractWorker):
 
     def __init__(self, calibrate: Calibrate) -> None:
         self._calibrate = calibrate
-        self._outcomes: dict[str, Outcome] = {}
+        self._outcomes: dict[str, WorkOutcome] = {}
 
     def begin(self, robot: str, work: Work) -> None:  # noqa: D102
         self._outcomes[robot] = carried_out(work, self._calibrate)
 
-    def outcome(self, robot: str) -> Outcome | None:  # noqa: D102
+    def outcome(self, robot: str) -> WorkOutcome | None:  # noqa: D102
         return self._outcomes.pop(robot, None)
 
     def cancel(self, robot: str) -> None:  # noqa: D102

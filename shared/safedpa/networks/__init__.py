@@ -3,7 +3,7 @@
 from safedpa.networks.frame import Frame, frame_of
 from safedpa.networks.history import HistoryEncoder
 from safedpa.networks.layers import Layer, convolution_stack, dense_stack
-from safedpa.networks.learned import LearnedNetworks
+from safedpa.networks.learned_networks import LearnedNetworks
 from safedpa.networks.stream import HistoryStreams
 from safedpa.networks.weights import Description, EnvironmentEntry, Weights, load_weights, save_weights
 

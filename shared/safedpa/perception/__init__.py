@@ -1,7 +1,16 @@
 """From scans to what a safety filter needs: what is at rest, what may move, and what nobody sees."""
 
 from safedpa.perception.node import PerceptionNode
-from safedpa.perception.settings import PerceptionSettings
+from safedpa.perception.settings import PerceptionSettings, SourceSettings, load_perception, parse_perception
 from safedpa.perception.surroundings import Surroundings
+from safedpa.perception.zones import Zone
 
-__all__ = ["PerceptionNode", "PerceptionSettings", "Surroundings"]
+__all__ = [
+    "PerceptionNode",
+    "PerceptionSettings",
+    "SourceSettings",
+    "Surroundings",
+    "Zone",
+    "load_perception",
+    "parse_perception",
+]

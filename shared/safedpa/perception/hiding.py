@@ -47,12 +47,16 @@ class Hiding:
         self.present: Flags = np.ones((size, size), dtype=bool)
         """(size, size) cells in which the middle of something hidden may be, as of the last look."""
         self._stuck: Flags = np.zeros((size, size), dtype=bool)
+        self.nobody: Flags = np.zeros((size, size), dtype=bool)
+        """(size, size) cells in which a person says that nobody hides: nobody comes out of them. Who would come through
+        them is told where he comes in."""
 
     def move(self, way: tuple[int, int]) -> None:
         """With the grid; what comes in may hold something."""
         self._earliest = moved(self._earliest, way, -inf)
         self.present = moved(self.present, way, True)
         self._stuck = moved(self._stuck, way, False)
+        self.nobody = moved(self.nobody, way, False)
 
     def look(self, time: float, seen: Flags, solid: Flags, own: Flags, leaves: Flags) -> None:
         """Takes up what ``solid`` is at rest at ``time`` [s], the robot's ``own``, and cells past whose middle, within
@@ -74,12 +78,16 @@ class Hiding:
 
         Between what hides and what is solid nobody comes out: behind a wall somebody may be, and stays there.
         """
-        open_room = ~self.present & ~self._stuck
-        return self.present & grown(open_room, 1.5 * CELL, beyond=False)
+        present = self.present & ~self.nobody
+        open_room = ~present & ~self._stuck
+        return present & grown(open_room, 1.5 * CELL, beyond=False)
 
     def reached(self, time: float) -> Flags:
-        """(size, size) cells in which the middle of something that moves may be at ``time`` [s] unless it is seen."""
-        return self._earliest <= time
+        """(size, size) cells in which the middle of something that moves may be at ``time`` [s] unless it is seen.
+
+        Who comes out of where a person says that nobody hides was not seen to come either.
+        """
+        return (self._earliest <= time) | self.nobody
 
     def wait(self, time: float) -> None:
         """Nobody looked until ``time`` [s]: the front goes on."""
@@ -92,7 +100,7 @@ class Hiding:
         return (_FRONT - CELL) / self._fastest
 
     def _spread(self, time: float, leaves: Flags) -> None:
-        start = np.where(self.present | leaves, 0.0, inf)
+        start = np.where((self.present | leaves) & ~self.nobody, 0.0, inf)
         pad, size = floor(_FRONT / CELL + 1e-9), len(start)
         wide = np.pad(start, pad, constant_values=0.0)
         way = np.full_like(start, inf)

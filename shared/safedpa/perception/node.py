@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import final
 
 from safedpa.bus import (
@@ -16,8 +17,11 @@ from safedpa.bus import (
     StateMessage,
     SurroundingsMessage,
 )
+from safedpa.bus.log import log_event
 from safedpa.perception.settings import PerceptionSettings
 from safedpa.perception.surroundings import Surroundings
+from safedpa.perception.switches import Switches
+from safedpa.perception.zones import InForce
 
 __all__ = ["PerceptionNode"]
 
@@ -35,7 +39,11 @@ class PerceptionNode(AbstractNode):
 
     def __init__(self, settings: PerceptionSettings | None = None) -> None:
         self._settings = settings or PerceptionSettings()
+        self.switches = Switches(self._settings)
+        """What a person may switch while it runs."""
         self._robots: dict[str, Surroundings] = {}
+        self._in_force: dict[str, InForce] = {}
+        """By robot, as of its last tick."""
 
     def hear(self, robot: str, message: Message) -> None:  # noqa: D102
         assert isinstance(message, ScanMessage)
@@ -46,7 +54,10 @@ class PerceptionNode(AbstractNode):
         if not state.sources:
             return {}
         around = self._of(robot)
-        seen = around.at(state)
+        in_force = self.switches.in_force(robot, state.sources, state.tick)
+        if in_force != self._in_force.get(robot):
+            self._tell(robot, state, in_force)
+        seen = around.at(state, in_force)
         message = SurroundingsMessage(
             epoch=state.epoch,
             tick=state.tick,
@@ -59,6 +70,22 @@ class PerceptionNode(AbstractNode):
             amiss=around.sources.amiss(state.robot_time),
         )
         return {SURROUNDINGS: message}
+
+    def _tell(self, robot: str, state: StateMessage, now: InForce) -> None:
+        """What takes something away from what is told: when a robot is met, and when somebody switched."""
+        known, self._in_force[robot] = self._in_force.get(robot), now
+        tell = partial(log_event, level="warning", robot=robot, tick=state.tick, service=self.name)
+        ignored = ", ".join(zone.name for zone in now.zones if zone.kind == "ignored")
+        off, on = ", ".join(sorted(now.off)), ", ".join(zone.name for zone in now.zones)
+        strange = ", ".join(name for name in self._settings.sources if name not in state.sources)
+        if known is not None:
+            tell("perception.switched", f"zones that count: {on or 'none'}; sources off: {off or 'none'}")
+        elif strange:
+            tell("perception.source_unknown", f"the file names the source {strange}, the robot does not")
+        if ignored:
+            tell("perception.ignores", f"what is seen in {ignored} is not told, and nobody is taken to hide there")
+        if off:
+            tell("perception.source_off", f"not listened to: {off}; what only it sees is hidden")
 
     def _of(self, robot: str) -> Surroundings:
         if robot not in self._robots:
@@ -73,3 +100,5 @@ class PerceptionNode(AbstractNode):
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
+        self._in_force.pop(robot, None)
+        self.switches.forget(robot)

@@ -1,14 +1,43 @@
-"""What a person may set about perception; errors name the setting."""
+"""What a person may set about perception, and its TOML file; errors name the setting."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from math import isfinite
-from typing import final
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, final
 
 from safedpa.errors import InputError
+from safedpa.limits import finite_number, parse_toml, refuse_unknown, text_of_file, whole_number
+from safedpa.perception.zones import Zone
 
-__all__ = ["PerceptionSettings"]
+__all__ = ["PerceptionSettings", "SourceSettings", "load_perception", "parse_perception"]
+
+FORMAT = 1
+_MOST_ZONES = 64
+_MOST_POINTS = 20
+_TIME_OUT = (0.05, 10.0)
+"""s"""
+
+
+@final
+@dataclass(frozen=True)
+class SourceSettings:
+    """What is set about one source alone; None: as for all. Raises InputError naming the setting."""
+
+    use: bool = True
+    """Whether it is listened to unless an order says otherwise. What only it sees is hidden then, not free."""
+    time_out: float | None = None
+    """s"""
+    min_points: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.time_out is not None:
+            _check("time_out", self.time_out, *_TIME_OUT)
+        if self.min_points is not None:
+            _check("min_points", self.min_points, 1, _MOST_POINTS)
 
 
 @final
@@ -44,6 +73,12 @@ class PerceptionSettings:
     """Discs of each kind that are told at most: where there is more, one stands for several."""
     open_air: bool = False
     """Whether a ray that does not come back has seen free room: not so where there is glass."""
+    min_points: int = 1
+    """So many rays of one scan have to end in a cell of 0.1 m or its eight neighbours before something is there. More
+    than 1 takes lone rays for noise, and with them whatever is so slim or so far away that fewer rays meet it."""
+    sources: Mapping[str, SourceSettings] = field(default_factory=lambda: MappingProxyType({}))
+    """What is set about single sources, by the name that the robot's states give them."""
+    zones: tuple[Zone, ...] = ()
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -53,13 +88,119 @@ class PerceptionSettings:
             ("widest", self.slimmest, 5.0),
             ("point_radius", 0.0, 1.0),
             ("drift", 0.0, 1.0),
-            ("time_out", 0.05, 10.0),
+            ("time_out", *_TIME_OUT),
             ("still_after", 0.0, 60.0),
             ("restless", 0.0, 600.0),
             ("memory", 0.1, 3600.0),
             ("reach", 1.0, 15.0),
             ("most", 8, 256),
+            ("min_points", 1, _MOST_POINTS),
         ):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not (isfinite(value) and low <= value <= high):
-                raise InputError(f"perception {name}: got {value!r}, wanted {low:g} to {high:g}")
+            _check(name, getattr(self, name), low, high)
+        if len(self.zones) > _MOST_ZONES:
+            raise InputError(f"perception zones: got {len(self.zones)}, wanted {_MOST_ZONES} at most")
+        names = [zone.name for zone in self.zones]
+        twice = [name for index, name in enumerate(names) if name in names[:index]]
+        if twice:
+            raise InputError(f"zone {twice[0]}: got two of this name, wanted each once; an order could not tell them")
+
+    def time_out_of(self, source: str) -> float:
+        """s of silence after which a source is told as amiss."""
+        own = self.sources.get(source)
+        return self.time_out if own is None or own.time_out is None else own.time_out
+
+    def min_points_of(self, source: str) -> int:
+        """Rays of a source that have to end near each other before something is there."""
+        own = self.sources.get(source)
+        return self.min_points if own is None or own.min_points is None else own.min_points
+
+
+def _check(name: str, value: float, low: float, high: float) -> None:
+    if isinstance(value, bool) or not (isfinite(value) and low <= value <= high):
+        raise InputError(f"perception {name}: got {value!r}, wanted {low:g} to {high:g}")
+
+
+def load_perception(path: Path) -> tuple[PerceptionSettings, str]:
+    """The settings in a file, and its text. Raises InputError naming the file and the key."""
+    try:
+        text = text_of_file(path, "toml_bytes")
+        return parse_perception(text), text
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read ({reason}); docs/sensing-zones.md has a whole file") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def parse_perception(text: str) -> PerceptionSettings:
+    """The settings in a TOML text: ``[perception]``, ``[sources.NAME]``, ``[[zones]]``. Raises InputError naming the
+    key."""
+    table = parse_toml(text)
+    refuse_unknown(table, ("format", "perception", "sources", "zones"))
+    if table.get("format", FORMAT) != FORMAT:
+        raise InputError(f"format: got {table['format']!r}, wanted {FORMAT}; this program reads no other")
+    own = _of_table(PerceptionSettings, "[perception]", table.get("perception", {}), but=("sources", "zones"))
+    sources = _table("sources", table.get("sources", {}))
+    told = {name: SourceSettings(**_of_table(SourceSettings, f"[sources.{name}]", sources[name])) for name in sources}
+    zones = table.get("zones", [])
+    if not isinstance(zones, list):
+        raise InputError(f"zones: got {type(zones).__name__}, wanted a [[zones]] for each")
+    return PerceptionSettings(**own, sources=MappingProxyType(told), zones=tuple(map(_zone, zones)))
+
+
+def _table(where: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: got {value!r}, wanted a table")
+    return value
+
+
+def _of_table(kind: type[Any], where: str, value: Any, but: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The keys of a table with values of the types that the fields of ``kind`` have."""
+    table, known = _table(where, value), {item.name: str(item.type) for item in fields(kind) if item.name not in but}
+    refuse_unknown(table, known, f"{where} ")
+    return {key: _value(f"{where} {key}", known[key], entry) for key, entry in table.items()}
+
+
+def _value(key: str, kind: str, value: Any) -> Any:
+    if kind == "bool":
+        if not isinstance(value, bool):
+            raise InputError(f"{key}: got {value!r}, wanted true or false")
+        return value
+    if kind == "str":
+        if not isinstance(value, str):
+            raise InputError(f"{key}: got {value!r}, wanted a text")
+        return value
+    return whole_number(key, value) if kind.startswith("int") else finite_number(key, value)
+
+
+def _zone(value: Any) -> Zone:
+    """One of ``[[zones]]``."""
+    table = _table("zones", value)
+    where = f"zone {table.get('name', '')}".rstrip()
+    refuse_unknown(table, [item.name for item in fields(Zone)], f"{where}: ")
+    for key in ("name", "kind", "frame", "polygon"):
+        if key not in table:
+            raise InputError(f"{where}: {key}: missing; docs/sensing-zones.md has a whole file")
+    given = {key: _value(f"{where}: {key}", "str", table[key]) for key in ("name", "kind", "frame")}
+    speed = table.get("speed")
+    return Zone(
+        **given,
+        polygon=tuple(_pair(f"{where}: polygon", entry, "[x, y] in m") for entry in _list(where, "polygon", table)),
+        speed=None if speed is None else _pair(f"{where}: speed", speed, "[lowest, highest] in m/s"),
+        robots=tuple(_value(f"{where}: robots", "str", name) for name in _list(where, "robots", table)),
+        use=_value(f"{where}: use", "bool", table.get("use", True)),
+    )
+
+
+def _list(where: str, key: str, table: Mapping[str, Any]) -> list[Any]:
+    value = table.get(key, [])
+    if not isinstance(value, list):
+        raise InputError(f"{where}: {key}: got {value!r}, wanted a list")
+    return value
+
+
+def _pair(where: str, value: Any, wanted: str) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise InputError(f"{where}: got {value!r}, wanted {wanted}")
+    first, second = (finite_number(where, entry, wanted) for entry in value)
+    return first, second

@@ -44,16 +44,19 @@ class Sources:
     def __init__(self, settings: PerceptionSettings) -> None:
         self._settings = settings
         self._known: dict[str, _Source] = {}
+        self._off: frozenset[str] = frozenset()
 
-    def expect(self, state: StateMessage) -> None:
-        """The sources that there are now."""
+    def expect(self, state: StateMessage, off: frozenset[str] = frozenset()) -> None:
+        """The sources that there are now, and which of them are not listened to."""
         self._known = {name: self._known.get(name) or _Source() for name in state.sources}
+        self._off = off
 
     def believes(self, scan: ScanMessage, state: StateMessage) -> bool:
         """Whether a scan is of a source of this robot, newer than the last one, and not the same once more."""
         source = self._known.get(scan.source)
         if (
             source is None
+            or scan.source in self._off
             or scan.epoch != state.epoch
             or (source.heard is not None and scan.robot_time <= source.heard)
         ):
@@ -73,24 +76,33 @@ class Sources:
         )
 
     def ages(self, now: float) -> tuple[float, ...]:
-        """s since each source measured what was looked at last; -1 where nothing was."""
-        return tuple(-1.0 if one.time is None else now - one.time for one in self._known.values())
+        """s since each source measured what was looked at last; -1 where nothing was.
+
+        What is told rests on none that is off: in its place stands the oldest of the others.
+        """
+        told = {name: -1.0 if one.time is None else now - one.time for name, one in self._known.items()}
+        others = [age for name, age in told.items() if name not in self._off]
+        oldest = -1.0 if not others or min(others) == -1.0 else max(others)
+        return tuple(oldest if name in self._off else age for name, age in told.items())
 
     def amiss(self, now: float) -> tuple[str, ...]:
         """A sentence for each thing that is wrong."""
-        return tuple(filter(None, (self._wrong(name, one, now) for name, one in self._known.items())))
+        if self._known and self._off.issuperset(self._known):
+            return (f"no source is listened to: {', '.join(self._known)} switched off",)
+        used = ((name, one) for name, one in self._known.items() if name not in self._off)
+        return tuple(filter(None, (self._wrong(name, one, now) for name, one in used)))
 
     def _wrong(self, name: str, source: _Source, now: float) -> str:
-        own = self._settings
+        time_out = self._settings.time_out_of(name)
         if source.time is None and source.same < _FROZEN:
             return f"nothing was {'heard of' if source.heard is None else 'looked at of'} the source {name}"
         if source.believed < _SEES:
             return f"the source {name} measures {100.0 * source.believed:.0f} % of its rays, wanted {100 * _SEES:.0f} %"
-        if source.same >= _FROZEN and source.heard is not None and now - source.heard <= own.time_out:
+        if source.same >= _FROZEN and source.heard is not None and now - source.heard <= time_out:
             return f"the source {name} has told the same for {source.same + 1} scans: it is frozen"
         age = inf if source.time is None else now - source.time
-        if age > own.time_out:
-            return f"the source {name} was silent for {age:.2f} s, its time-out is {own.time_out:g} s"
+        if age > time_out:
+            return f"the source {name} was silent for {age:.2f} s, its time-out is {time_out:g} s"
         if source.contradictions >= _CONTRADICTIONS:
             return (
                 f"the source {name} contradicts what it saw before: is its mount, its direction or the robot's own way "

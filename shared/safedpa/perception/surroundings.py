@@ -1,9 +1,15 @@
-"""The surroundings of one robot, from its scans and its own way: kept from tick to tick, told for the tick's moment."""
+"""The surroundings of one robot, from its scans and its own way: kept from tick to tick, told for the tick's moment.
+
+They are told as few discs that cover many places: one each where they are near, one for a block of them where they are
+far. Nothing is left out: where there would still be too many, all blocks grow. So what is told errs on the safe side
+only.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from math import inf
+from functools import lru_cache
+from math import floor, inf
 from typing import final
 
 import numpy as np
@@ -11,26 +17,34 @@ from numpy.typing import NDArray
 
 from safedpa.bus.wire.messages import ScanMessage, StateMessage
 from safedpa.errors import MessageError
-from safedpa.perception.discs import covering
 from safedpa.perception.grid import CELL
 from safedpa.perception.odometry import Odometry
 from safedpa.perception.settings import PerceptionSettings
 from safedpa.perception.sources import Sources
 from safedpa.perception.sweep import Sweep, check_scan, hitch_at, within_body
 from safedpa.perception.things import Things
+from safedpa.perception.zones import AS_EVER, HALF_DIAGONAL, InForce, Zone, closed_cells, nobody_in, within_any
 
-__all__ = ["Seen", "Surroundings"]
+__all__ = ["Seen", "Surroundings", "closed_discs", "covering"]
 
 Values = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Rows = tuple[tuple[float, ...], ...]
 
 _WAITING = 64
 """Scans that wait for the state after them."""
 _LEAP = 10.0
 """s; after a leap of the clock by so much, or any backwards, nothing of before is believed."""
-_HALF_DIAGONAL = CELL / 2**0.5
 _STRIDE = 0.3
 """m beyond what is towed at which somebody may have been seen last who went to it: two scans at 1.5 m/s."""
+_NEAR = 1.5
+"""m; up to here each place has a disc of its own, up to twice as far a block of 2 x 2 cells, and so on."""
+_LEVELS = 2
+"""Blocks of 4 x 4 cells at most, unless there is too much of it."""
+_DEEPEST = 4
+"""Of what is closed, blocks of 16 x 16 cells at most."""
+_SPAN = 2**20
+"""More blocks than a robot meets along a line, so that column and row make one number."""
 
 
 @final
@@ -57,14 +71,20 @@ class Surroundings:
         """Epoch and time [s] of the last state."""
         self._at_load = -inf
         """s; when somebody went out of sight beside what is towed."""
+        self._ignored: tuple[Zone, ...] = ()
+        """Of the last state, as are the closed ones."""
+        self._closed: tuple[Zone, ...] = ()
 
     def hear(self, scan: ScanMessage) -> None:
         """Keeps a scan for the next state. Raises MessageError for one that can be none."""
         check_scan(scan)
         self._waiting.append(scan)
 
-    def at(self, state: StateMessage) -> Seen:
-        """What is around the robot at the moment of ``state``. Raises MessageError for a robot that is nowhere."""
+    def at(self, state: StateMessage, in_force: InForce = AS_EVER) -> Seen:
+        """What is around the robot at the moment of ``state``, by what is ``in_force`` of sources and zones.
+
+        Raises MessageError for a robot that is nowhere.
+        """
         if len(state.values) < 3:
             raise MessageError(f"state: got {len(state.values)} values, wanted x, y, yaw first")
         x, y, yaw = state.values[:3]
@@ -73,11 +93,14 @@ class Surroundings:
             self._at_load = -inf
         self._now = state.epoch, state.robot_time
         self._odometry.add(state.robot_time, (x, y, yaw))
-        self.sources.expect(state)
+        self.sources.expect(state, in_force.off)
+        speed = state.values[3] if len(state.values) > 3 else None
+        self._ignored, self._closed = (in_force.of_kind(kind, speed) for kind in ("ignored", "closed"))
         if self._things is None:
             self._things, self._looked = Things(self.settings, x, y), state.robot_time
         self._things.follow(x, y)
         self._things.driven += self._odometry.last_step
+        self._things.hiding.nobody = nobody_in(self._ignored, self._things.grid, (x, y, yaw))
         for scan in self._due(state):
             self._take(scan, state, self._things)
         while state.robot_time - self._looked > self._things.hiding.patience:
@@ -97,7 +120,7 @@ class Surroundings:
         pose = self._odometry.at(scan.robot_time)
         if not self.sources.believes(scan, state) or pose is None:
             return
-        sweep = Sweep(scan, pose, state, open_air=self.settings.open_air)
+        sweep = Sweep(scan, pose, state, open_air=self.settings.open_air, ignored=self._ignored)
         middles = np.column_stack([part.ravel() for part in things.grid.middles])
         own = within_body(middles, pose, state, CELL).reshape(things.grid.size, -1)
         things.take(sweep, own)
@@ -124,11 +147,15 @@ class Surroundings:
         own, now = self.settings, state.robot_time
         x, y, yaw = state.values[:3]
         here = np.array((x, y))
-        at_rest = things.at_rest(now)
+        at_rest = self._told_of(things, things.at_rest(now))
         rest, ago = things.places(at_rest), things.driven - things.seen_at[at_rest]
         outside = ~within_body(rest, (x, y, yaw), state, 0.0)
-        points = covering(rest[outside], own.point_radius + own.drift * ago[outside], here, own.most)
-        moving = things.moving_now(now)
+        places, radii = rest[outside], own.point_radius + own.drift * ago[outside]
+        if self._closed:
+            closed = closed_discs(self._closed, x, y, own.reach)
+            places, radii = np.vstack([places, closed[:, :2]]), np.append(radii, closed[:, 2])
+        points = covering(places, radii, here, own.most)
+        moving = self._told_of(things, things.moving_now(now))
         age = np.maximum(now - things.last[moving], 0.0)
         beside = self._beside_load(state)
         radii = own.point_radius + own.fastest * age
@@ -137,9 +164,67 @@ class Surroundings:
         ways_out = things.hiding.ways_out
         places = np.column_stack([grid_x[ways_out], grid_y[ways_out]])
         ahead = own.fastest * (now - self._looked)
-        hidden = covering(places, np.full(len(places), own.slimmest + _HALF_DIAGONAL + ahead), here, own.most)
+        hidden = covering(places, np.full(len(places), own.slimmest + HALF_DIAGONAL + ahead), here, own.most)
         return Seen(
             tuple((x, y, radius) for x, y, radius in points.tolist()),
             tuple((x, y, radius, 0.0, 0.0, own.fastest) for x, y, radius in (*movers.tolist(), *beside)),
             tuple((x, y, radius, own.coming) for x, y, radius in hidden.tolist()),
         )
+
+    def _told_of(self, things: Things, cells: Flags) -> Flags:
+        """``cells`` without those whose content lies in a zone of the map that is ignored.
+
+        What came into a zone of the robot's own frame was seen outside of it before, and is told on.
+        """
+        zones = tuple(zone for zone in self._ignored if zone.frame == "map")
+        if zones:
+            cells = cells.copy()
+            cells[cells] = ~within_any(zones, things.places(cells), (0.0, 0.0, 0.0))
+        return cells
+
+
+@lru_cache(maxsize=16)
+def _closed_discs(zones: tuple[Zone, ...], column: int, row: int, reach: float) -> Values:
+    places, depth = closed_cells(zones, column, row, reach)
+    if not len(places):
+        return np.empty((0, 3))
+    level = np.sum([depth >= 2.0**deeper * CELL for deeper in range(1, _DEEPEST + 1)], axis=0)
+    return _blocks(places, np.full(len(places), HALF_DIAGONAL), level)
+
+
+def closed_discs(zones: tuple[Zone, ...], x: float, y: float, reach: float) -> Values:
+    """Discs (n, 3) x, y, radius [m] that cover all of the zones within ``reach`` [m] of (x, y).
+
+    Along the border one for each cell; the deeper inside, the larger, so that none goes farther beyond the zone. They
+    are the same for every place in a cell of 0.1 m, and are kept for as long as the robot is there.
+    """
+    return _closed_discs(zones, floor(x / CELL), floor(y / CELL), reach)
+
+
+def covering(places: Values, radii: Values, here: Values, most: int) -> Values:
+    """Discs (m, 3) x, y, radius [m], m <= ``most``, that cover those of ``radii`` (n,) at ``places`` (n, 2) [m].
+
+    The nearest to ``here`` (2,) first.
+    """
+    if not len(places):
+        return np.empty((0, 3))
+    ring = np.floor(np.hypot(*(places - here).T) / _NEAR).astype(np.int64)
+    level, coarser = np.minimum(ring, _LEVELS), 0
+    while len(found := _blocks(places, radii, level)) > most:
+        coarser += 1  # the far ones first
+        level = np.minimum(np.maximum(ring + coarser - _LEVELS, 0), _LEVELS + coarser)
+        level = np.maximum(level, np.minimum(ring, _LEVELS))
+    order = np.argsort(np.hypot(found[:, 0] - here[0], found[:, 1] - here[1]) - found[:, 2])
+    return found[order]
+
+
+def _blocks(places: Values, radii: Values, level: NDArray[np.int64]) -> Values:
+    """One disc for all places of a level in the same block of 2^level x 2^level cells."""
+    edge = CELL * 2.0**level
+    column, row = (np.floor(places[:, axis] / edge).astype(np.int64) for axis in (0, 1))
+    key = (level * _SPAN + column % _SPAN) * _SPAN + row % _SPAN
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    low, high = np.minimum.reduceat(places[order], starts), np.maximum.reduceat(places[order], starts)
+    middle, reach = 0.5 * (low + high), np.maximum.reduceat(radii[order], starts)
+    return np.column_stack([middle, reach + 0.5 * np.hypot(*(high - low).T)])

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from safedpa.bus.wire.messages import ScanMessage, StateMessage
 from safedpa.errors import MessageError
 from safedpa.perception.odometry import Pose
+from safedpa.perception.zones import Zone, entered
 
-__all__ = ["Sweep", "check_scan", "hitch_at", "within_body"]
+__all__ = ["BEHIND", "Sweep", "check_scan", "hitch_at", "within_body"]
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -20,6 +21,8 @@ Flags = NDArray[np.bool_]
 _MOST_RAYS = 1080
 _DEEPEST = 8
 """Neighbours up to 2^8 rays aside are looked at."""
+BEHIND = 0.15
+"""m that a cell's middle must lie before what ends the rays, so that the cell is seen through: noise and its corner."""
 
 
 def check_scan(scan: ScanMessage) -> None:
@@ -53,10 +56,13 @@ class Sweep:
     """The rays of one scan, from the sensor's place at (``x``, ``y``) [m].
 
     ``open_air``: a ray that does not come back has seen free room up to the sensor's reach, else it has seen nothing.
-    What ends within ``own`` (see ``within_body``) is the robot itself: nothing is seen there, nor behind it.
+    What ends within ``own`` (see ``within_body``) is the robot itself: nothing is seen there, nor behind it. What ends
+    in a zone that is ``ignored`` hit nothing, and saw no farther than to where it came into the zone.
     """
 
-    def __init__(self, scan: ScanMessage, pose: Pose, state: StateMessage, *, open_air: bool) -> None:
+    def __init__(
+        self, scan: ScanMessage, pose: Pose, state: StateMessage, *, open_air: bool, ignored: tuple[Zone, ...] = ()
+    ) -> None:
         ranges = np.array(scan.ranges)
         first, step = scan.first_angle, scan.angle_step
         if step < 0.0:  # one order for all: to the left
@@ -71,10 +77,12 @@ class Sweep:
         ends = np.column_stack([self.x + ranges * np.cos(angles), self.y + ranges * np.sin(angles)])
         returned = (ranges >= scan.nearest) & (ranges < scan.farthest)
         own = returned & within_body(ends, pose, state)
-        self.ends: Values = ends[returned & ~own]
+        into = entered(ignored, pose, (self.x, self.y), ends) if ignored else np.full(len(ends), np.inf)
+        self.ends: Values = ends[returned & ~own & (into == np.inf)]
         """(points, 2) m; where something was hit that is not the robot."""
         empty = ranges >= scan.farthest
-        self._sight = np.where(returned & ~own, ranges, np.where(empty & open_air, scan.farthest, 0.0))
+        free = np.minimum(ranges, np.where(into > 0.0, into + BEHIND, 0.0))
+        self._sight = np.where(returned & ~own, free, np.where(empty & open_air, scan.farthest, 0.0))
         self.believed = float((returned | empty).mean())
         """Share of the rays that measured something."""
         self._around = 2.0 * pi - step * len(ranges) < 0.5 * step

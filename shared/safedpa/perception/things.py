@@ -19,15 +19,13 @@ from numpy.typing import NDArray
 from safedpa.perception.grid import CELL, Grid, grown, moved
 from safedpa.perception.hiding import Hiding
 from safedpa.perception.settings import PerceptionSettings
-from safedpa.perception.sweep import Sweep
+from safedpa.perception.sweep import BEHIND, Sweep
 
 __all__ = ["Things"]
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-_BEHIND = 0.15
-"""m that a cell's middle must lie before what ends the rays, so that the cell is seen through: noise and its corner."""
 _WIDTH = 0.06
 """m around the middle through which every ray must pass."""
 _BESIDE = 1.5 * CELL
@@ -102,9 +100,13 @@ class Things:
         distance, sight = sweep.sight(*middles, _WIDTH)
         i, j, within = self.grid.cells(sweep.ends)
         i, j, ends = i[within], j[within], sweep.ends[within]
+        least = self.settings.min_points_of(sweep.source)
+        if least > 1:
+            enough = _around(i, j, self.grid.size) >= least
+            i, j, ends = i[enough], j[enough], ends[enough]
         hit = np.zeros_like(own)
         hit[i, j] = True
-        seen = (distance < sight - _BEHIND) & ~hit
+        seen = (distance < sight - BEHIND) & ~hit
         empty = seen & ~grown(hit, _BESIDE, beyond=False)  # along a wall one sees far past what stands beside the ray
         self._forget(empty, sweep)
         self._add(hit, sweep)
@@ -115,7 +117,7 @@ class Things:
         knows = time > self._began + 2.0 * _LONG
         self.contradicted = float((hit & moving).sum() / max(hit.sum(), 1)) if knows else 0.0
         past = sweep.farthest_past(*middles, self.hiding.width)
-        looked_through = (distance < past - _BEHIND) & ~hit
+        looked_through = (distance < past - BEHIND) & ~hit
         looked_through |= grown(hit & moving, CELL, beyond=False) & (distance < sight)
         self.hiding.look(time, looked_through, self._solid(time), own, moving)
         self._emptied[sweep.source] |= empty
@@ -190,3 +192,11 @@ class Things:
     def places(self, cells: Flags) -> Values:
         """(n, 2) m; where the things in ``cells`` are."""
         return np.column_stack([self._x[cells], self._y[cells]])
+
+
+def _around(i: NDArray[np.int64], j: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """(n,) how many of the points in cells (i, j) are in the same cell as each of them, or in its eight neighbours."""
+    count = np.zeros((size + 2, size + 2), dtype=np.int64)
+    np.add.at(count, (i + 1, j + 1), 1)
+    found: NDArray[np.int64] = np.sum([count[i + right, j + up] for right in range(3) for up in range(3)], axis=0)
+    return found

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from typing import Protocol, final
+from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.bus import StateMessage
+from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.dynamics import AbstractDynamics, LearnedBase, PhysicsModel
 from safedpa.dynamics.settings import LATENT_PREFIX
 from safedpa.errors import InputError, did_you_mean
 from safedpa.policy.learned import LearnedPolicy
 from safedpa.robot import AbstractRobot, robot_like
 
-__all__ = ["Controller", "NetworkLatent", "RandomWishes", "controller_for"]
+__all__ = ["Controller", "LooksAround", "NetworkLatent", "RandomWishes", "controller_for"]
 
 
 @final
@@ -70,6 +70,14 @@ class Controller(Protocol):
         ``latent`` (latents,) is that of the model, None when it is not known. Raises MessageError when the state does
         not fit.
         """
+
+
+@runtime_checkable
+class LooksAround(Protocol):
+    """A controller that is told what perception makes of the sensors, before each wish of a robot that names any."""
+
+    def look(self, seen: SurroundingsMessage | None) -> None:
+        """What is around the robot at the moment of the state that follows; None: nobody knows."""
 
 
 def controller_for(model: PhysicsModel, name: str | None = None) -> Callable[[], Controller]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from safedpa.bus import (
     LATENT,
     MODEL,
+    SURROUNDINGS,
     TAKEOVER,
     WISH,
     AbstractNode,
@@ -23,14 +24,15 @@ from safedpa.bus import (
     ModelMessage,
     Outputs,
     StateMessage,
+    SurroundingsMessage,
     Topic,
     WishMessage,
 )
 from safedpa.bus.loop.apart import AbstractTicket
 from safedpa.bus.loop.model_versions import ModelVersions
 from safedpa.dynamics import PhysicsModel, fingerprint
-from safedpa.dynamics.offered import offered_model
-from safedpa.policy.controller import Controller, controller_for
+from safedpa.dynamics.model_offer import offered_model
+from safedpa.policy.controller import Controller, LooksAround, controller_for
 
 __all__ = ["PolicyNode"]
 
@@ -59,15 +61,22 @@ class PolicyNode(AbstractNode):
     listens = (MODEL,)
     share = 0.2
     # A load does not change within a tick, and waiting for news of it would take a quarter of sense to act.
-    slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1}
+    # Nor what is around it: where it goes is planned for seconds.
+    slack: ClassVar[Mapping[Topic, int]] = {LATENT: 1, SURROUNDINGS: 2}
+    senses = (SURROUNDINGS,)
     lingers = False
 
     def __init__(self, model: PhysicsModel, controller: str | None = None) -> None:
         self._controller = controller
         first = self._held(model)
+        self._looks = isinstance(first.make(), LooksAround)
         self._versions = ModelVersions(self.name, first, first.fingerprint, self._load)
         self._controllers: dict[str, Controller] = {}
         self._states: dict[str, StateMessage] = {}
+
+    def needs(self, state: StateMessage) -> tuple[Topic, ...]:
+        """What is around the robot only where its controller looks there."""
+        return super().needs(state) if self._looks else self.inputs
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         if self._versions.begin(robot, state):
@@ -76,7 +85,11 @@ class PolicyNode(AbstractNode):
         self._states[robot] = state
         if robot not in self._controllers:
             self._controllers[robot] = held.make()
-        values, controller = self._controllers[robot].wish(state, _latent(held, inputs))
+        wishes = self._controllers[robot]
+        if isinstance(wishes, LooksAround):
+            seen = inputs.get(SURROUNDINGS)
+            wishes.look(seen if isinstance(seen, SurroundingsMessage) else None)
+        values, controller = wishes.wish(state, _latent(held, inputs))
         message = WishMessage(
             epoch=state.epoch,
             tick=state.tick,

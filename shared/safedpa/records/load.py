@@ -46,6 +46,8 @@ def _topics_told(path: Path, system: System) -> str:
     """One line: what a log of topics holds, and that it wants a map."""
     log = topic_log(path)
     topics = [topic for topic in log.topics().values() if topic.count]
+    if topics and all(topic.name.startswith("safedpa/") for topic in topics):
+        return f"{path}: is the folder of a run; name the recording in it: {path / 'recording.mcap'}"
     said = "; ".join(f"{topic.name} ({topic.type}, {topic.rate:.0f} Hz)" for topic in topics[:_MOST_TOPICS])
     more = f" and {len(topics) - _MOST_TOPICS} more" if len(topics) > _MOST_TOPICS else ""
     return (

@@ -32,7 +32,7 @@ from safedpa.bus import (
     VerdictMessage,
 )
 from safedpa.errors import InputError
-from safedpa.replay.tape import Entry, Stamp, Tape
+from safedpa.replay.tape import Entry, RobotTape, Stamp
 from safedpa.safety.node import SafetyFilterNode
 
 __all__ = ["Driven", "Driver", "ModelChange", "Overrule"]
@@ -83,7 +83,7 @@ class Driver:
 
     def __init__(
         self,
-        tape: Tape,
+        tape: RobotTape,
         service: str,
         build: Callable[[SetupMessage], AbstractNode],
         overrule: Overrule | None = None,
@@ -283,7 +283,7 @@ class ModelChange:
     ``follow`` then says so.
     """
 
-    def __init__(self, tape: Tape, service: str) -> None:
+    def __init__(self, tape: RobotTape, service: str) -> None:
         self._offers: dict[int, ModelMessage] = {}
         self._takes: dict[int, ModelMessage] = {}
         for message in tape.models:

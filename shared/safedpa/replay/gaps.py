@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from safedpa.bus import LATENT, WISH, Topic
-from safedpa.replay.tape import Tape
+from safedpa.replay.tape import RobotTape
 
-__all__ = ["Gap", "gaps_of"]
+__all__ = ["TickGap", "gaps_of"]
 
 
 @dataclass(frozen=True)
-class Gap:
+class TickGap:
     """A stretch in which messages of one kind are missing."""
 
     what: str
@@ -31,7 +31,7 @@ class Gap:
         return f"{self.missing} {kind} between tick {self.after_tick} and tick {self.before_tick}"
 
 
-def gaps_of(tape: Tape) -> list[Gap]:
+def gaps_of(tape: RobotTape) -> list[TickGap]:
     """Every gap, states first.
 
     A robot counts its periods, so a tick that is left out is a state that was lost (or a period in which the robot's
@@ -45,22 +45,22 @@ def gaps_of(tape: Tape) -> list[Gap]:
     return [*_state_gaps(tape), *found, *behind]
 
 
-def _state_gaps(tape: Tape) -> Iterator[Gap]:
+def _state_gaps(tape: RobotTape) -> Iterator[TickGap]:
     stamps = sorted(tape.states)
     for (epoch, tick), (following_epoch, following) in pairwise(stamps):
         if epoch == following_epoch and following > tick + 1:
-            yield Gap("state", epoch, tick, following, following - tick - 1)
+            yield TickGap("state", epoch, tick, following, following - tick - 1)
 
 
-def _output_gaps(tape: Tape, service: str) -> Iterator[Gap]:
+def _output_gaps(tape: RobotTape, service: str) -> Iterator[TickGap]:
     messages = [entry.message for entry in tape.computed[service]]
     for before, after in pairwise(messages):
         missing = after.step - before.step - 1
         if before.epoch == after.epoch and before.step and missing > 0:
-            yield Gap(service, after.epoch, before.tick, after.tick, missing)
+            yield TickGap(service, after.epoch, before.tick, after.tick, missing)
 
 
-def _behind(tape: Tape, service: str, topic: Topic) -> Iterator[Gap]:
+def _behind(tape: RobotTape, service: str, topic: Topic) -> Iterator[TickGap]:
     """Outputs behind the last recorded one that other services used."""
     last = {entry.message.epoch: entry.message.tick for entry in tape.computed[service]}
     behind: dict[int, list[int]] = defaultdict(list)
@@ -68,4 +68,4 @@ def _behind(tape: Tape, service: str, topic: Topic) -> Iterator[Gap]:
         if tick > last.get(epoch, -1):
             behind[epoch].append(tick)
     for epoch, ticks in sorted(behind.items()):
-        yield Gap(service, epoch, last.get(epoch, -1), max(ticks) + 1, len(ticks))
+        yield TickGap(service, epoch, last.get(epoch, -1), max(ticks) + 1, len(ticks))

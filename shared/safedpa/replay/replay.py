@@ -10,7 +10,7 @@ from safedpa.bus import ACTION, LATENT, VERDICT, WISH, ActionMessage, Message, S
 from safedpa.replay.comparison import TOLERANCE, Difference, differences
 from safedpa.replay.driver import Driven, Driver
 from safedpa.replay.setups import REPLAYED, node_of
-from safedpa.replay.tape import Tape
+from safedpa.replay.tape import RobotTape
 
 __all__ = ["Replay", "ServiceReplay", "Span", "replay"]
 
@@ -83,7 +83,7 @@ class Replay:
 
 
 def replay(
-    tape: Tape,
+    tape: RobotTape,
     window: tuple[float, float] = (float("-inf"), float("inf")),
     tolerance: float = TOLERANCE,
     folders: tuple[Path, ...] = (),
@@ -110,7 +110,7 @@ _Judged = list[tuple[Topic, list[Difference]]]
 class _Judge:
     """Holds the steps of one service against the recording."""
 
-    def __init__(self, tape: Tape, service: str, window: tuple[float, float], tolerance: float) -> None:
+    def __init__(self, tape: RobotTape, service: str, window: tuple[float, float], tolerance: float) -> None:
         self._tape, self._window, self._tolerance = tape, window, tolerance
         self._found = ServiceReplay(service)
         self._span: Span | None = None

@@ -13,17 +13,17 @@ from safedpa.errors import InputError
 from safedpa.records import McapRecorder
 from safedpa.replay.comparison import Difference
 from safedpa.replay.driver import Driven
-from safedpa.replay.gaps import Gap
+from safedpa.replay.gaps import TickGap
 from safedpa.replay.replay import Replay, ServiceReplay, Span
-from safedpa.replay.tape import Tape
-from safedpa.replay.what_if import Decision, Summary
+from safedpa.replay.tape import RobotTape
+from safedpa.replay.what_if import DecisionTwice, Summary
 
 __all__ = ["Saved", "document_of", "lines_of", "told_lines", "what_if_document", "what_if_lines", "write_decisions"]
 
 _SHOWN = 10
 
 
-def lines_of(tape: Tape, found: Replay, gaps: list[Gap], assumed: list[str]) -> Iterator[str]:
+def lines_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[str]) -> Iterator[str]:
     """The agreement, or the first differences."""
     begin, end = tape.seconds()
     yield f"robot '{tape.robot}': {len(tape.states)} states, {begin:.2f} to {end:.2f} s, from {_named(tape)}"
@@ -42,13 +42,13 @@ def lines_of(tape: Tape, found: Replay, gaps: list[Gap], assumed: list[str]) -> 
     yield _verdict(found)
 
 
-def told_lines(tape: Tape, assumed: list[str]) -> Iterator[str]:
+def told_lines(tape: RobotTape, assumed: list[str]) -> Iterator[str]:
     """What was noticed about the recording, and what was assumed in place of what it lacks."""
     yield from (f"  {finding.kind}: {finding.message}" for finding in tape.findings)
     yield from (f"  assumed: {sentence}" for sentence in assumed)
 
 
-def _named(tape: Tape) -> str:
+def _named(tape: RobotTape) -> str:
     return ", ".join(str(path) for path in tape.files)
 
 
@@ -92,7 +92,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 100 else text[:97] + "..."
 
 
-def document_of(tape: Tape, found: Replay, gaps: list[Gap], assumed: list[str]) -> dict[str, Any]:
+def document_of(tape: RobotTape, found: Replay, gaps: list[TickGap], assumed: list[str]) -> dict[str, Any]:
     """The same for programs."""
     begin, end = tape.seconds()
     return {
@@ -111,7 +111,7 @@ def document_of(tape: Tape, found: Replay, gaps: list[Gap], assumed: list[str]) 
     }
 
 
-def what_if_lines(summary: Summary, decisions: list[Decision], changed: str) -> Iterator[str]:
+def what_if_lines(summary: Summary, decisions: list[DecisionTwice], changed: str) -> Iterator[str]:
     """How the other filter's decisions differ, and where first."""
     yield f"  what if {changed}: {summary.ticks} decisions on the RECORDED states (open loop: what the other actions"
     yield "  would have brought about is not in them; --closed-loop drives again where the robot was simulated)"
@@ -139,7 +139,7 @@ def _numbers(action: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{value:.3f}" for value in action) + ")"
 
 
-def what_if_document(summary: Summary, decisions: list[Decision], changed: str) -> dict[str, Any]:
+def what_if_document(summary: Summary, decisions: list[DecisionTwice], changed: str) -> dict[str, Any]:
     """The same for programs, with every tick that is decided differently."""
     return {
         "changed": changed,
@@ -159,7 +159,7 @@ def what_if_document(summary: Summary, decisions: list[Decision], changed: str) 
     }
 
 
-def _side(decision: Decision, *, now: bool) -> dict[str, Any]:
+def _side(decision: DecisionTwice, *, now: bool) -> dict[str, Any]:
     verdict = decision.now if now else decision.then
     return {
         "status": verdict.status,
@@ -187,7 +187,7 @@ class Saved:
     def leave(self, step: Driven) -> None:
         """Hears of one step that nobody wants to keep."""
 
-    def write(self, tape: Tape, path: Path) -> None:
+    def write(self, tape: RobotTape, path: Path) -> None:
         """The recorded states and setups with the replayed outputs, as a recording that can be replayed itself.
 
         Raises InputError unless the file is to be an .mcap.
@@ -199,7 +199,7 @@ class Saved:
                 key = key_of("replay", tape.robot, topic, getattr(message, "service", ""))
                 recorder.write(key, encode(message), at, _nanoseconds(message))
 
-    def _messages(self, tape: Tape) -> Iterable[tuple[int, Topic, Message]]:
+    def _messages(self, tape: RobotTape) -> Iterable[tuple[int, Topic, Message]]:
         """Log time, topic and message."""
         yield from ((at, SETUP, setup) for setups in tape.setups.values() for at, setup in setups)
         yield from ((_nanoseconds(message), MODEL, message) for message in tape.models)
@@ -224,7 +224,7 @@ def _nanoseconds(message: Message) -> int:
     return round(1e9 * message.publish_time)
 
 
-def write_decisions(decisions: Sequence[Decision], path: Path) -> None:
+def write_decisions(decisions: Sequence[DecisionTwice], path: Path) -> None:
     """One row a tick: what was decided then, and what would have been now. Raises InputError unless it is a .csv."""
     if path.suffix != ".csv":
         raise InputError(f"--out {path}: got no .csv; decisions under another model or margin are a table")

@@ -19,7 +19,7 @@ from safedpa.records.run import Finding
 from safedpa.robot import AbstractRobot, robot_like, robots
 from safedpa.ros.encoding import encode, stamp_of, type_store
 from safedpa.ros.face import AbstractFace
-from safedpa.ros.telling import diagnostics_of, odometry_of, path_marker, transform_of
+from safedpa.ros.outgoing import diagnostics_of, odometry_of, path_marker, transform_of
 
 __all__ = ["ExportedBag", "export_bag"]
 

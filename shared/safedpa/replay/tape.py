@@ -45,7 +45,7 @@ from safedpa.records.mcap_messages import read_payloads
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.settings import without_former_keys
 
-__all__ = ["Entry", "Stamp", "Tape", "files_of", "options_of", "read_tape"]
+__all__ = ["Entry", "RobotTape", "Stamp", "files_of", "options_of", "read_tape"]
 
 Stamp = tuple[int, int]
 """Epoch and tick."""
@@ -78,7 +78,7 @@ class Entry:
 
 
 @dataclass
-class Tape:
+class RobotTape:
     """What was recorded of one robot."""
 
     robot: str
@@ -186,10 +186,10 @@ def files_of(runs: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(found)
 
 
-def read_tape(runs: Sequence[Path], robot: str | None = None) -> Tape:
+def read_tape(runs: Sequence[Path], robot: str | None = None) -> RobotTape:
     """What the recordings hold of one robot. Raises RunError when they hold none, or several and none was named."""
     files = files_of(runs)
-    tapes: dict[str, Tape] = {}
+    tapes: dict[str, RobotTape] = {}
     setups: list[tuple[int, str, SetupMessage]] = []
     findings: list[Finding] = []
     fields: dict[type[Message], frozenset[str]] = {}
@@ -199,7 +199,7 @@ def read_tape(runs: Sequence[Path], robot: str | None = None) -> Tape:
         if isinstance(message, SetupMessage):
             setups.append((at, name, message))
         else:
-            tapes.setdefault(name, Tape(name, files)).add(at, message)
+            tapes.setdefault(name, RobotTape(name, files)).add(at, message)
     tape = _chosen(files, {name: tape for name, tape in tapes.items() if tape.states}, robot, others)
     tape.fields, tape.findings = fields, [*findings, *tape.findings]
     for at, name, setup in setups:
@@ -256,7 +256,7 @@ def _note_fields(fields: dict[type[Message], frozenset[str]], topic: Topic, payl
             fields[topic.message] = frozenset(item.name for item in dataclass_fields(topic.message))
 
 
-def _chosen(files: tuple[Path, ...], tapes: dict[str, Tape], robot: str | None, others: set[str]) -> Tape:
+def _chosen(files: tuple[Path, ...], tapes: dict[str, RobotTape], robot: str | None, others: set[str]) -> RobotTape:
     where = files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
     if not tapes and not others:
         raise RunError(f"{where}: no robot's states in it; wanted a recording of a drive")

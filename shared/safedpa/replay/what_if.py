@@ -9,12 +9,12 @@ about its margin from that period.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
+from math import inf
 from pathlib import Path
 from typing import final
-
-import numpy as np
 
 from safedpa.bus import (
     ACTION,
@@ -33,13 +33,13 @@ from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import InputError, RunError
 from safedpa.replay.driver import Driver, Overrule
 from safedpa.replay.setups import node_of
-from safedpa.replay.tape import Tape
+from safedpa.replay.tape import RobotTape
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.settings import parse_settings, write_settings
 from safedpa.safety.shipped import margin_for
 
-__all__ = ["Change", "Decision", "Summary", "summary_of", "what_if"]
+__all__ = ["Change", "DecisionTwice", "Summary", "summary_of", "what_if"]
 
 _SAME = 1e-6
 """Actions that differ by less are the same."""
@@ -72,7 +72,8 @@ class Change:
         if isinstance(self.margin, MarginCalibration):
             settings, changed = replace(settings, margin="conformal"), replace(changed, margin=margin_text(self.margin))
         elif self.margin is not None:
-            settings = replace(settings, margin=self.margin)
+            # a number needs no file, and the recorded one is the recorded model's
+            settings, changed = replace(settings, margin=self.margin), replace(changed, margin="")
         elif self.model is not None and changed.fingerprint != setup.fingerprint:
             shipped = margin_for(self.model)
             changed = replace(changed, margin="" if shipped is None else margin_text(shipped))
@@ -80,7 +81,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class DecisionTwice:
     """One tick: what was decided, and what the other filter would have decided."""
 
     state: StateMessage
@@ -100,7 +101,7 @@ class Decision:
     @property
     def distance(self) -> float:
         """Largest difference of an entry of the actions."""
-        return float(np.abs(np.subtract(self.then.action, self.now.action)).max(initial=0.0))
+        return _apart(self.then.action, self.now.action)
 
 
 @dataclass(frozen=True)
@@ -123,8 +124,8 @@ class Summary:
 
 
 def what_if(
-    tape: Tape, change: Change, window: tuple[float, float] = (-np.inf, np.inf), folders: tuple[Path, ...] = ()
-) -> list[Decision]:
+    tape: RobotTape, change: Change, window: tuple[float, float] = (-inf, inf), folders: tuple[Path, ...] = ()
+) -> list[DecisionTwice]:
     """The decisions with robot time in ``window`` [s]. Raises InputError when the change does not fit the recording."""
     if not tape.computed["safety_filter"]:
         raise RunError(f"{tape.files[0]}: holds no verdict of robot '{tape.robot}'; nothing to be decided anew")
@@ -140,14 +141,14 @@ def what_if(
     return [decision for decision in _decisions(driver) if window[0] <= decision.state.robot_time <= window[1]]
 
 
-def _decisions(driver: Driver) -> Iterator[Decision]:
+def _decisions(driver: Driver) -> Iterator[DecisionTwice]:
     for step in driver.run():
         now = step.outputs.get(VERDICT)
         if isinstance(step.recorded, VerdictMessage) and isinstance(now, VerdictMessage):
-            yield Decision(step.state, step.recorded, now)
+            yield DecisionTwice(step.state, step.recorded, now)
 
 
-def summary_of(decisions: list[Decision]) -> Summary:
+def summary_of(decisions: list[DecisionTwice]) -> Summary:
     """The figures of all decisions. Raises InputError when there are none."""
     if not decisions:
         raise InputError("--from, --to: got a stretch without any verdict, wanted one within the recording")
@@ -166,7 +167,7 @@ def summary_of(decisions: list[Decision]) -> Summary:
     )
 
 
-def _check(tape: Tape, change: Change) -> None:
+def _check(tape: RobotTape, change: Change) -> None:
     if change.model is None:
         return
     state, system = next(iter(tape.states.values())), change.model.system
@@ -181,7 +182,9 @@ def _check(tape: Tape, change: Change) -> None:
         )
 
 
-def _estimates(tape: Tape, change: Change, folders: tuple[Path, ...]) -> dict[tuple[int, int, float], LatentMessage]:
+def _estimates(
+    tape: RobotTape, change: Change, folders: tuple[Path, ...]
+) -> dict[tuple[int, int, float], LatentMessage]:
     """The other model's latent in place of each recorded one, by epoch, tick and publish time of that."""
     found: dict[tuple[int, int, float], LatentMessage] = {}
     if not tape.computed["adaptation"] or not tape.setups.get("adaptation"):
@@ -204,7 +207,7 @@ class _Hypothetical(Overrule):
 
     def state(self, state: StateMessage) -> StateMessage:
         said = self._said.get((state.epoch, state.tick - 1))
-        obeyed = said is None or bool(np.abs(np.subtract(said, state.applied)).max(initial=0.0) <= _SAME)
+        obeyed = said is None or _apart(said, state.applied) <= _SAME
         return state if obeyed else replace(state, applied_by="recorded")
 
     def message(self, recorded: Message) -> Message:
@@ -215,3 +218,8 @@ class _Hypothetical(Overrule):
         action = outputs.get(ACTION)
         if isinstance(action, ActionMessage):
             self._said = {(state.epoch, state.tick): action.values}
+
+
+def _apart(one: Sequence[float], other: Sequence[float]) -> float:
+    """Largest difference of an entry; what is not there counts as 0, since recordings of others may hold anything."""
+    return max((abs(here - there) for here, there in zip_longest(one, other, fillvalue=0.0)), default=0.0)

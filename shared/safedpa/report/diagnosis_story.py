@@ -10,7 +10,7 @@ from typing import Any
 
 from safedpa.report.undecided_story import naive_sentence, nothing_sentence, undecided_sentence, unsure_sentence
 
-__all__ = ["Found", "Stage", "Story", "number", "parameters_text", "step_text", "story_of"]
+__all__ = ["Found", "Stage", "Story", "gaps_clause", "number", "parameters_text", "step_text", "story_of"]
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ def step_text(before: Mapping[str, Any] | None, stage: Mapping[str, Any]) -> str
 
 _TELLS = 0.02
 """Share that is worth a line."""
+_MOST_GAPS = 3
+"""That are told in a sentence."""
 
 _FORMULA = {
     "place": (
@@ -148,7 +150,7 @@ def _verdict(document: Mapping[str, Any]) -> str:
         if document["verdict"] == "undecided":
             return unsure_sentence(document, _joined(lacking), first, last)
         return (
-            f"The model lacks {_joined(lacking)}. With {them} the error on data that was "
+            f"The model lacks {_joined(lacking)}{gaps_clause(document)}. With {them} the error on data that was "
             f"not used for fitting {verb} from {first:.3g} to {last:.3g}, by {abs(fall):.0f} %."
         )
     if document["verdict"] == "undecided":
@@ -156,12 +158,34 @@ def _verdict(document: Mapping[str, Any]) -> str:
     if document["verdict"] == "nothing_missing":
         told = nothing_sentence(document)
         return (
-            f"Nothing is missing: no effect of the library predicts unseen data better than chance would have it. "
-            f"The error is {first:.3g}.{' ' if told else ''}{told}"
+            f"Nothing is missing{gaps_clause(document)}: no effect of the library predicts unseen data better than "
+            f"chance would have it. The error is {first:.3g}.{' ' if told else ''}{told}"
         )
     if document["unexplained"] is not None and not document["unexplained"]["depends_on"]:
         return f"No verdict: {document['unexplained']['expression']}."
     return f"Something is missing that no effect of the library describes. The error is {first:.3g}."
+
+
+def gaps_clause(document: Mapping[str, Any]) -> str:
+    """Which parts of the driven ranges the recordings hardly hold, as an aside after what was found; empty for none."""
+    found = [(item, gap) for item in document.get("coverage") or () for gap in item["gaps"]]
+    if not found:
+        return ""
+    told = [_gap_text(item, gap) for item, gap in sorted(found, key=_narrower)[:_MOST_GAPS]]
+    names = " and ".join([", ".join(told[:-1]), told[-1]]) if len(told) > 1 else told[0]
+    return f", judged without {names}, which these logs hardly hold (there the model is extrapolated)"
+
+
+def _narrower(found: tuple[Mapping[str, Any], Mapping[str, Any]]) -> float:
+    """Less the share of its range that a gap takes: the widest first."""
+    item, gap = found
+    return -float(gap["high"] - gap["low"]) / float(item["high"] - item["low"])
+
+
+def _gap_text(item: Mapping[str, Any], gap: Mapping[str, Any]) -> str:
+    unit = "" if item["unit"] == "1" else f" {item['unit']}"
+    held = f"{gap['seconds']:.0f} of {item['seconds']:.0f} s"
+    return f"{item['variable']} {gap['low']:.2g} to {gap['high']:.2g}{unit} ({held})"
 
 
 def _told(document: Mapping[str, Any], name: str) -> str:

@@ -136,10 +136,10 @@ def search_by_many(conditions: ManyConditions, wish: Values, start: ManyOutcomes
     """
     settings, robots = conditions.settings, len(wish)
     last = np.full((*start.next_state.shape, wish.shape[1]), np.nan)
+    missing, overshoot = np.maximum(0.0, -conditions.tightest(start)), np.zeros(robots)  # before slopes widen the scale
     A = conditions.slopes(start, last)
     about, before = start.only(np.arange(robots)), start.only(np.arange(robots))
     certain, plain = np.ones(robots, dtype=bool), np.zeros(robots, dtype=bool)
-    missing, overshoot = np.maximum(0.0, -conditions.tightest(start)), np.zeros(robots)
     for index in range(settings.relinearisations + 1):
         going = np.flatnonzero(certain & ~plain)
         if len(going) == 0:

@@ -254,7 +254,7 @@ class FilteredRobot:
 
     def _watch_delay(self, state: StateMessage, latent: Values | None) -> None:
         passed = self.trail.passed(MOST) if state.applied_by == "filter" else None
-        if passed is None:
+        if passed is None or (state.sources and passed.stood(self.speeds)):
             return
         try:
             self.delay.observe(passed, None if latent is None else tuple(latent.tolist()))

@@ -42,6 +42,8 @@ _FEWEST: Final = 6.0
 """Ticks that count, before anything is believed."""
 _DIFFERS: Final = 0.01
 """Share of an action's range by which commands have to differ to tell anything."""
+_STANDS: Final = 0.1
+"""m/s"""
 _ROUNDING: Final = 1e-9
 """Share of a state below which an error is none."""
 _LEAST: Final = 1e-12
@@ -58,6 +60,14 @@ class Passed(NamedTuple):
     """(states,) at its end."""
     commands: tuple[tuple[Plain, object], ...]
     """Of n = 0, 1, ...: the command (actions,) that was sent n periods earlier, and what actuators remembered then."""
+
+    def stood(self, speeds: Sequence[int]) -> bool:
+        """Whether it stood all the time, by the states that are ``speeds`` [m/s]: what is held by friction, or by a
+        load that it tows, does not move for a while, however soon its commands act."""
+        if len(self.before) != len(self.now) or any(index >= len(self.now) for index in speeds):
+            return False  # a state that is none: the node says so
+        at = [self.before[index] for index in speeds] + [self.now[index] for index in speeds]
+        return bool(at) and all(abs(speed) <= _STANDS for speed in at)
 
 
 @final

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from safedpa.bus import ModelMessage
 from safedpa.dynamics import PhysicsModel
-from safedpa.dynamics.offered import offered_model
+from safedpa.dynamics.model_offer import offered_model
 from safedpa.errors import InputError
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.compatibility import check_margins

@@ -40,7 +40,8 @@ _LEVELS: Final = 4
 _TRUE: Final = 1e-6
 """Share of a scale to which a tangent has to foretell h for its optimum to be the optimum."""
 _FEWEST: Final = 5
-"""Outcomes from which what the actions can change is read; of fewer they are not all over their range."""
+"""Outcomes from which what the actions can change is read, and no fewer than there are corners of their range: fewer
+are not all over it."""
 _STEPS: Final = (0.5, 0.125)
 """Shares of the way to a solution that are tried where its end is no better."""
 
@@ -120,7 +121,7 @@ class _Lift:
                 low = height if height < low else low
                 high = height if height > high else high
             reach.append(high - low)
-        if len(usable) >= _FEWEST:
+        if len(usable) >= max(_FEWEST, 2 ** len(self._sides)):
             return reach
         tangents = self._conditions.linearised(usable[0]).all(len(reach))
         for row in range(len(reach)):

@@ -43,11 +43,9 @@ class ManyPredictions(AbstractManyPredictions):
     def __init__(self, model: AbstractDynamics, state: Values, latent: Values | None) -> None:
         self._model, self.state, self._latent = model, state, latent
         self._affine: tuple[Values, Values] | None = None
-        if isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase) and not model.effects:
-            known = np.zeros((len(state), 0)) if latent is None else latent
-            f, g = model.base.networks.increment(state, known)
-            self._affine = state + f, g
-        self.affine = self._affine is not None
+        self.affine = isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase) and not model.effects
+        if isinstance(model, PhysicsModel) and isinstance(model.base, LearnedBase) and self.affine:
+            self._affine = _increments(model, model.base, state, latent)
 
     def only(self, which: Indices) -> ManyPredictions:  # noqa: D102
         some = object.__new__(ManyPredictions)
@@ -66,6 +64,21 @@ class ManyPredictions(AbstractManyPredictions):
         if self._affine is not None:
             return self._affine[1].copy()
         return np.array(self._model.affine(self.state, self._latent, around=around)[1])
+
+
+def _increments(
+    model: PhysicsModel, base: LearnedBase, state: Values, latent: Values | None
+) -> tuple[Values, Values] | None:
+    """f (robots, states) and g (robots, states, actions) over the model's own period, with the networks asked once.
+
+    None where the latent (robots, latents) is not what the networks take: some of it may be fixed.
+    """
+    known = np.zeros((len(state), 0)) if latent is None else latent
+    if not base.is_latent(model.latent_names) or known.shape[1] != len(model.latent_names):
+        return None
+    f, g = base.networks.increment(state, known)
+    share = model.period / base.weights.description.period
+    return state + share * f, share * g
 
 
 @final

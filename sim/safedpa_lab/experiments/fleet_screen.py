@@ -11,7 +11,7 @@ import numpy as np
 
 from safedpa.diagnosis.fit.heldout import heldout_of
 from safedpa.diagnosis.fit.shooting import shooting_of
-from safedpa.diagnosis.search.search import begun
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.dynamics import load_model
 from safedpa.records import load_run
 from safedpa_lab.experiments.diagnosing import HORIZON

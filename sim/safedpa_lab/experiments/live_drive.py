@@ -14,7 +14,7 @@ from safedpa.bus import FINDING, MODEL, STATE, FindingMessage, ModelMessage, Rec
 from safedpa.dynamics import PhysicsModel, load_model, write_model
 from safedpa.live.finding import RobotDiagnosis
 from safedpa.live.node import DiagnosisNode
-from safedpa.live.work import AbstractWorker, Calibrate, InlineWorker, Outcome
+from safedpa.live.work import AbstractWorker, Calibrate, InlineWorker, WorkOutcome
 from safedpa.policy import PolicyNode
 from safedpa.records.run import Run
 from safedpa.safety.live_margin import live_margin
@@ -145,8 +145,8 @@ class _Notes:
         self._node = node
         self._errors: list[float] = []
         self._later: list[float] = []
-        self._seen: Outcome | None = None
-        self._shown: tuple[Outcome | None, float] = (None, 0.0)
+        self._seen: WorkOutcome | None = None
+        self._shown: tuple[WorkOutcome | None, float] = (None, 0.0)
         """The newest outcome, and the robot's time when it was first there."""
         self._searches = 0
 

@@ -17,9 +17,10 @@ from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.experiments.diagnosing import beside_the_truth
 from safedpa_lab.experiments.statistics import wilson_interval
+from safedpa_lab.point.beliefs import ModelBelief
 from safedpa_lab.point.hidden import HIDDEN, HiddenPoint, hide, point_logs
 from safedpa_lab.point.shield import EPSILON, Shield
-from safedpa_sim.point.belief import ModelBelief, TrueBelief
+from safedpa_sim.point.belief import TrueBelief
 from safedpa_sim.point.task import PointTask
 
 __all__ = ["PointStory", "point_story", "point_story_markdown"]

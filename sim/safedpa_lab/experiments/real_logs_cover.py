@@ -7,14 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.compare.windows import Windows
+from safedpa.diagnosis.coverage import inside
+from safedpa.diagnosis.document import Covered
 from safedpa.records.run import Run
 
-__all__ = ["VARIABLES", "uncovered"]
+__all__ = ["VARIABLES", "told_windows", "uncovered"]
 
 VARIABLES = ("speed", "throttle")
 """What drives: laws of drive and drag that agree at some pairs of these differ at others."""
 _NEAR = 0.05
 """Of each variable's range over all rows (2 to 98 %): rows closer than that, in every variable, are alike."""
+_STAYS = 0.9
 _LEAST = 1.0
 """s of driving without which a row counts as not covered."""
 
@@ -29,6 +33,13 @@ def uncovered(seen: Sequence[Run], unseen: Run) -> float:
     found = cKDTree(others / near).query_ball_point(own / near, 1.0, p=np.inf, return_length=True)
     period = float(np.median([run.period for run in seen]))
     return float((found * period < _LEAST).mean())
+
+
+def told_windows(coverage: Sequence[Covered], windows: Windows) -> NDArray[np.bool_]:
+    """Windows (windows,) that begin, end and for nine tenths of their rows stay where a report says that it holds."""
+    good = inside(coverage, windows.system, windows.states, windows.actions)
+    spans = zip(windows.start.tolist(), windows.end.tolist(), strict=True)
+    return np.array([good[begin] and good[end] and good[begin : end + 1].mean() >= _STAYS for begin, end in spans])
 
 
 def _rows(run: Run) -> NDArray[np.float64]:

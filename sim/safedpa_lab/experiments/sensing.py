@@ -23,7 +23,7 @@ from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, TimeToCollision
 from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
-from safedpa_lab.experiments.sensing_told import TellsEverything
+from safedpa_lab.experiments.sensing_told import TellsAllButWhoHides, TellsEverything
 from safedpa_lab.experiments.statistics import clopper_pearson_interval, ratio_interval
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
@@ -32,14 +32,15 @@ from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
 from safedpa_sim.sensing.senses import Senses
 
-__all__ = ["GUARDS", "LOADS", "SCENES", "Drive", "run_drive", "sensing_experiment"]
+__all__ = ["GUARDS", "LOADS", "POLICIES", "SCENES", "Drive", "run_drive", "sensing_experiment"]
 
-GUARDS = ("safedpa", "told", "monitor", "monitor-2s", "time-to-collision", "nothing")
-"""Who stands between policy and car: the filter with the laser alone; the filter that is told everything; nav2's
-collision monitor by its defaults and with more time; the F1TENTH course's brake; nobody. The last four hear the same
-scans."""
+GUARDS = ("safedpa", "told", "told-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
+"""Who stands between policy and car: the filter with the laser alone; the filter that is told everything; told
+everything but who hides, who may be wherever the laser does not look; nav2's collision monitor by its defaults and with
+more time; the F1TENTH course's brake; nobody. The last four hear the same scans."""
 LOADS = ("none", *TOWED)
-POLICY = "goal_seeker"
+POLICIES = ("way_seeker", "goal_seeker")
+"""One that is told the surroundings as the filter is, and one that looks nowhere."""
 _PERIOD = 0.05
 
 
@@ -54,7 +55,7 @@ class Drive:
     """Speed that perception reckons with for what nobody sees."""
     guard: str = GUARDS[0]
     load: str = LOADS[0]
-    policy: str = POLICY
+    policy: str = POLICIES[1]
 
 
 def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Person]) -> list[AbstractNode]:
@@ -68,10 +69,14 @@ def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Pe
     }
     if wanted.guard in peers:
         return [AdaptationNode(model), policy, peers[wanted.guard]()]
-    sees = PerceptionNode(PerceptionSettings(coming=wanted.coming))
+    settings = PerceptionSettings(coming=wanted.coming)
+    told: dict[str, Callable[[], AbstractNode]] = {
+        "told": lambda: TellsEverything(scene, people),
+        "told-but-hiding": lambda: TellsAllButWhoHides(scene, people, settings),
+    }
     return [
         AdaptationNode(model),
-        TellsEverything(scene, people) if wanted.guard == "told" else sees,
+        told[wanted.guard]() if wanted.guard in told else PerceptionNode(settings),
         policy,
         SafetyFilterNode(model, settings_named("car"), margin_for(model)),
     ]
@@ -113,11 +118,15 @@ def sensing_experiment(
     on_drive: Callable[[int, int], None] = lambda _done, _all: None,
     scenes: Sequence[str] = SCENES,
     loads: Sequence[str] = LOADS[:1],
+    policy: str = POLICIES[0],
 ) -> dict[str, Any]:
     """Every scene with every seed and load behind each guard; one row for each scene and guard."""
     kinds = [(scene, guard) for scene in scenes for guard in guards]
     wanted = [
-        Drive(scene, seed, seconds, coming, guard, load) for scene, guard in kinds for seed in seeds for load in loads
+        Drive(scene, seed, seconds, coming, guard, load, policy)
+        for scene, guard in kinds
+        for seed in seeds
+        for load in loads
     ]
     found: list[dict[str, Any]] = []
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -126,7 +135,15 @@ def sensing_experiment(
             on_drive(len(found), len(wanted))
     by_kind = {kind: [one for one in found if (one["scene"], one["guard"]) == kind] for kind in kinds}
     rows = [_row(kind, drives, by_kind.get((kind[0], "told"), []), seconds) for kind, drives in by_kind.items()]
-    return {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "rows": rows}
+    chosen = {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "policy": policy}
+    by_load = [_of_load(kind, load, drives, seconds) for kind, drives in by_kind.items() for load in loads]
+    return {**chosen, "rows": rows, "by_load": by_load}
+
+
+def _of_load(kind: tuple[str, str], load: str, drives: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
+    own = [one for one in drives if one["load"] == load]
+    goals = 60.0 * sum(one["goals"] for one in own) / (seconds * len(own))
+    return {"scene": kind[0], "guard": kind[1], "load": load, "drives": len(own), "goals_a_minute": goals}
 
 
 def _row(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 __all__ = ["page_of"]
@@ -10,6 +10,7 @@ __all__ = ["page_of"]
 _GUARDS = {
     "safedpa": "this filter, laser alone",
     "told": "this filter, told everything",
+    "told-but-hiding": "this filter, told everything but who hides",
     "monitor": "nav2's collision monitor, its defaults (1.2 s, 6 points)",
     "monitor-2s": "the same with 2 s, 3 points",
     "time-to-collision": "time to collision below 0.8 s (F1TENTH course)",
@@ -23,7 +24,8 @@ def page_of(result: Mapping[str, Any], title: str = "Drives with a laser") -> st
     lines = [
         f"# {title}",
         "",
-        f"Seeds {seeds[0]} to {seeds[-1]}, loads {', '.join(result['loads'])}, {result['seconds']:g} s each. "
+        f"Seeds {seeds[0]} to {seeds[-1]}, loads {', '.join(result['loads'])}, {result['seconds']:g} s each, "
+        f"controller {result.get('policy', 'goal_seeker')}. "
         "A collision is the car's where it was at 0.1 m/s or more.",
         "",
         f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
@@ -34,7 +36,21 @@ def page_of(result: Mapping[str, Any], title: str = "Drives with a laser") -> st
     ]
     lines += [_line(row) for row in result["rows"]]
     hit = [f"- {row['scene']}, {row['guard']}: {what}" for row in result["rows"] for what in row["which"]]
+    lines += _by_load(result.get("by_load", ()), result["loads"])
     return "\n".join([*lines, *(["", "Into what:", "", *hit] if hit else []), ""])
+
+
+def _by_load(found: Sequence[Mapping[str, Any]], loads: Sequence[str]) -> list[str]:
+    """A table of the goals with each load, where there are several."""
+    if len(loads) < 2 or not found:
+        return []
+    goals = {(one["scene"], one["guard"], one["load"]): f"{one['goals_a_minute']:.1f}" for one in found}
+    kinds = dict.fromkeys((one["scene"], one["guard"]) for one in found)
+    rows = [
+        f"| {kind[0]} | {_GUARDS[kind[1]]} | {' | '.join(goals[(*kind, load)] for load in loads)} |" for kind in kinds
+    ]
+    head = f"| scene | behind | {' | '.join(loads)} |"
+    return ["", "Goals a minute by load:", "", head, "|---|---|" + "---|" * len(loads), *rows]
 
 
 def _line(row: Mapping[str, Any]) -> str:

@@ -4,24 +4,36 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from math import ceil
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.bus import SURROUNDINGS, AbstractNode, Inputs, Outputs, StateMessage, SurroundingsMessage
-from safedpa.perception import PerceptionSettings
+from safedpa.bus import SCAN, SURROUNDINGS, AbstractNode, Inputs, Message, Outputs, StateMessage, SurroundingsMessage
+from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa_sim.robots.scene import Scene
-from safedpa_sim.sensing import Person
-from safedpa_sim.sensing.shapes import Outline
+from safedpa_sim.sensing.shapes import Outline, Point
 
-__all__ = ["TellsEverything"]
+__all__ = ["Disc", "TellsAllButWhoHides", "TellsEverything"]
 
 _APART = 0.1
 """m between the points that stand for an edge: between two of them a car's body gets 7 mm nearer to it."""
 _RADIUS = 0.01
 """m of each."""
+
+
+class Disc(Protocol):
+    """Somebody, or a part of something, that moves."""
+
+    @property
+    def place(self) -> Point:
+        """x, y [m] now."""
+
+    @property
+    def radius(self) -> float:
+        """m"""
 
 
 @final
@@ -37,8 +49,8 @@ class TellsEverything(AbstractNode):
     share = 0.0
     lingers = False
 
-    def __init__(self, scene: Scene, people: Sequence[Person]) -> None:
-        self._people, self._settings = people, PerceptionSettings()
+    def __init__(self, scene: Scene, people: Sequence[Disc], settings: PerceptionSettings | None = None) -> None:
+        self._people, self._settings = people, settings or PerceptionSettings()
         outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
         self._points = np.vstack([outline.discs, *map(_along, outline.edges)])
 
@@ -59,6 +71,34 @@ class TellsEverything(AbstractNode):
             ages=(0.0,) * len(state.sources),
         )
         return {SURROUNDINGS: message}
+
+
+@final
+class TellsAllButWhoHides(AbstractNode):
+    """Tells the scene as it is and where everybody is, and the places that the laser leaves hidden: what the promise
+    about who hides costs, with nothing lost to noise, age and tracks."""
+
+    name = "perception"
+    inputs = ()
+    outputs = (SURROUNDINGS,)
+    listens = (SCAN,)
+    share = 0.0
+    lingers = False
+
+    def __init__(self, scene: Scene, people: Sequence[Disc], settings: PerceptionSettings) -> None:
+        self._seen, self._told = PerceptionNode(settings), TellsEverything(scene, people, settings)
+
+    def hear(self, robot: str, message: Message) -> None:  # noqa: D102
+        self._seen.hear(robot, message)
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
+        seen = self._seen.step(robot, state, inputs)
+        told = self._told.step(robot, state, inputs)[SURROUNDINGS]
+        if not seen or not isinstance(told, SurroundingsMessage):
+            return seen
+        message = seen[SURROUNDINGS]
+        assert isinstance(message, SurroundingsMessage)
+        return {SURROUNDINGS: replace(message, points=told.points, movers=told.movers)}
 
 
 def _along(edge: NDArray[np.float64]) -> NDArray[np.float64]:

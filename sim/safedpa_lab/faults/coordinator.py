@@ -32,7 +32,7 @@ from safedpa.bus.loop.process import Stop, add_bus_options, bus_from, run_proces
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.errors import SafedpaError
 from safedpa.live.change import ModelChanges
-from safedpa.live.versions import Candidate, Version, VersionFolder
+from safedpa.live.versions import OfferedEffect, Version, VersionFolder
 from safedpa.safety.margin_text import margin_text
 from safedpa.safety.shipped import margin_for
 
@@ -72,7 +72,7 @@ class _Coordinator(AbstractNode):
         return self._changes.answer(request)
 
 
-def _versions() -> tuple[Version, Candidate]:
+def _versions() -> tuple[Version, OfferedEffect]:
     """The shipped car, and the same with the effect; its margin is the shipped one, measured or not."""
     model = load_model("car")
     changed = parse_model(write_model(model) + _ADDED)
@@ -81,7 +81,7 @@ def _versions() -> tuple[Version, Candidate]:
         raise SafedpaError("coordinator: the shipped car has no margin; the package is incomplete")
     own = margin_text(dataclasses.replace(margin, fingerprint=fingerprint(changed)))
     first = Version(fingerprint(model), write_model(model), margin_text(margin))
-    return first, Candidate(EFFECT, fingerprint(changed), write_model(changed), own)
+    return first, OfferedEffect(EFFECT, fingerprint(changed), write_model(changed), own)
 
 
 def _work(options: argparse.Namespace, stop: Stop) -> int:

@@ -130,17 +130,27 @@ BAD: Final[Mapping[str, Bad]] = {
 """By name. ``same_twice`` is to be given beside the log that it is a copy of; ``percent`` is of a throttle."""
 
 
+_NEEDED = {"t", "x", "y", "yaw", "speed", "steer"}
+_NATIVE = _NEEDED | {"target_speed", "throttle"}
+
+
 def write_bad_files(log: Path, folder: Path, faults: Sequence[str] = tuple(BAD)) -> dict[str, Path]:
     """Writes each of ``faults`` made from a good log of a car in native columns into a folder; the files by name.
 
-    Raises InputError where the log has other columns.
+    Only the native columns are read and written. Raises InputError where the log has other ones, or no numbers in them.
     """
     lines = log.read_text(encoding="utf-8").splitlines()
-    names = lines[0].split(",")
-    if not {"t", "x", "y", "yaw", "speed", "steer"} <= set(names):
+    names = lines[0].split(",") if lines else []
+    if not set(names) >= _NEEDED:
         raise InputError(f"{log}: got the columns {', '.join(names)}; wanted the native ones of a car")
-    values = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
-    table = {name: values[:, index].copy() for index, name in enumerate(names)}
+    native = [index for index, name in enumerate(names) if name in _NATIVE]  # an export tells verdicts in words beside
+    try:
+        values = np.array([[float(line.split(",")[index]) for index in native] for line in lines[1:]])
+    except (ValueError, IndexError) as error:
+        raise InputError(f"{log}: wanted a number in every cell of the native columns ({error})") from error
+    if not len(values):
+        raise InputError(f"{log}: got no rows; wanted a good log of a car")
+    table = {names[index]: values[:, place].copy() for place, index in enumerate(native)}
     folder.mkdir(parents=True, exist_ok=True)
     found = {}
     for name, bad in ((name, BAD[name]) for name in faults):

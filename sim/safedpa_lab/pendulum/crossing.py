@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safedpa.dynamics import LearnedBase
 from safedpa.policy import LearnedPolicy
-from safedpa.robots.pendulum.pendulum_observation import observe_pendulum
+from safedpa.robots.pendulum.perception import observe_pendulum
 from safedpa_lab.pendulum.balancing import sensors_of
 from safedpa_lab.pendulum.difficulty import Difficulty, Episodes
 from safedpa_lab.pendulum.methods import Method, closed_of, model_named

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from safedpa.networks import Weights
 from safedpa.safety import split_conformal_margin
+from safedpa_lab.point.beliefs import LearnedBelief
 from safedpa_lab.point.moments import Moments, drawn_moments
 from safedpa_lab.point.shield import weights_named
-from safedpa_sim.point.belief import LearnedBelief
 from safedpa_sim.point.filtering import least_room
 from safedpa_sim.point.policy_task import LARGEST_FORCE
 

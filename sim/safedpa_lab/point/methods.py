@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from safedpa.errors import InputError
 from safedpa.robots.point.point_seeker import sought
 from safedpa_lab.point.baseline_set import baseline_named
+from safedpa_lab.point.beliefs import LearnedBelief
 from safedpa_lab.point.driven import Driver, PolicyDriver
 from safedpa_lab.point.plan import BASELINES
 from safedpa_lab.point.shield import FIXED_DIRECTIONS, Shield, shield_of, weights_named
-from safedpa_sim.point.belief import Belief, LearnedBelief, to_task_action
+from safedpa_sim.point.belief import Belief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import around_hazards
 from safedpa_sim.point.observation import policy_seen
@@ -99,7 +100,7 @@ def driver_of(method: Method, task: PointTask, models: Path, baselines: Path) ->
     if method.policy == "seeker":
         shield = shield_of(method.filter, task, folder=models)
         return ShieldedDriver(task, shield, _seeking(task, LearnedBelief(weights_named("learned", models))))
-    from safedpa_sim.point.policy_task import LatentPolicy
+    from safedpa_sim.point.latent_policy import LatentPolicy
 
     learned = LatentPolicy(weights_named(method.policy, models))
     shield = shield_of(method.filter or "none", task, adapts=method.policy, folder=models)

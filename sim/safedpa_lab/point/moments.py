@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from safedpa.adaptation.histories import Histories
 from safedpa.networks import Weights
 from safedpa.safety.stopping_barrier import Motion
+from safedpa_lab.point.beliefs import from_task_action
 from safedpa_lab.point.shield import Shield
-from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, from_task_action
+from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief
 from safedpa_sim.point.body import POINT_BODY
 from safedpa_sim.point.body_steps import LARGEST_TURN, centre_state
 from safedpa_sim.point.filtering import least_room

@@ -13,7 +13,8 @@ from safedpa.dynamics import load_model
 from safedpa.dynamics.learned_base import LearnedBase
 from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
-from safedpa_sim.point.belief import ACTION_SCALE, Belief, LearnedBelief, TrueBelief, from_task_action, to_task_action
+from safedpa_lab.point.beliefs import LearnedBelief, from_task_action
+from safedpa_sim.point.belief import ACTION_SCALE, Belief, TrueBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import Filtered, PointFilter
 from safedpa_sim.point.task import PointTask

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from safedpa.networks import LearnedNetworks, Weights
 from safedpa.policy.learned import LearnedPolicy
-from safedpa.robots.pendulum.pendulum_observation import observe_pendulum
+from safedpa.robots.pendulum.perception import observe_pendulum
 from safedpa.robots.pendulum.system import PENDULUM
 from safedpa.safety.batch import BatchFilter
 from safedpa.safety.many_barriers import ManyEquations
@@ -35,8 +35,8 @@ from safedpa_sim.pendulum.task import (
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives as random_drives_around
 from safedpa_sim.training.histories import Lived, joined, lived
-from safedpa_sim.training.moved import Moved
 from safedpa_sim.training.networks import AffineNetworks
+from safedpa_sim.training.one_period import Moved
 from safedpa_sim.training.simulator import BatchedCars
 
 __all__ = ["EPISODE_TICKS", "CorridorShelter", "Swinging", "evaluate", "practice", "random_drives", "starts_beneath"]

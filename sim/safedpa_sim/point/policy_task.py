@@ -11,21 +11,20 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.errors import InputError
-from safedpa.networks import LearnedNetworks, Weights, dense_stack
-from safedpa.networks.layers import layers_of
+from safedpa.networks import LearnedNetworks, Weights
 from safedpa_sim.point.belief import ACTION_SCALE, TrueBelief, to_task_action
 from safedpa_sim.point.body_steps import centre_state
 from safedpa_sim.point.filtering import PointFilter
+from safedpa_sim.point.latent_policy import LatentPolicy
 from safedpa_sim.point.layout import GOAL_RADIUS
-from safedpa_sim.point.observation import entries_seen, policy_seen
+from safedpa_sim.point.observation import policy_seen
 from safedpa_sim.point.task import EPISODE_STEPS, GOAL_REWARD, PointTask
 from safedpa_sim.point.way import Ways, taught
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
-from safedpa_sim.training.moved import Moved
+from safedpa_sim.training.one_period import Moved
 
-__all__ = ["EPSILON", "LARGEST_FORCE", "LatentPolicy", "PointPractice", "evaluate", "practice", "random_drives"]
+__all__ = ["EPSILON", "LARGEST_FORCE", "PointPractice", "evaluate", "practice", "random_drives"]
 
 Floats = NDArray[np.float32]
 
@@ -40,36 +39,6 @@ _TURNS = 0.001
 """Probability per tick that the wind becomes another."""
 _JUMP = 0.3
 """m; a way past the other side of a hazard may be longer at once, by no more than this in the reward."""
-_LARGEST = 10.0
-"""Scaled observations are clipped to it."""
-
-
-@final
-class LatentPolicy:
-    """a = clip(pi(o), -1, 1) over the range of commands, scaled as it was trained; o: ``policy_seen``.
-
-    Raises InputError for weights without a policy, or with one for other observations.
-    """
-
-    def __init__(self, weights: Weights) -> None:
-        self._layers = layers_of(weights.tensors, "policy")
-        if not self._layers:
-            raise InputError("weights: got no policy (policy.0.weight), wanted one; run phase 1b of 'safedpa train'")
-        self._middle, self._scale = weights["observation_middle"], weights["observation_scale"]
-        got, wanted = self._layers[0].weight.shape[1], entries_seen(weights.description.latents)
-        if got != wanted:
-            raise InputError(
-                f"weights: got a policy of {got} numbers, wanted one of {wanted}; train it with 'safedpa train point'"
-            )
-
-    def act(self, seen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Actions (robots, 2) of ``PointTask`` for what ``policy_seen`` gives (robots, entries)."""
-        return to_task_action(self.chosen(seen))
-
-    def chosen(self, seen: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Actions (robots, 2) in [-1, 1] of the fastest thrust and turn."""
-        scaled = ((seen - self._middle) / self._scale).clip(-_LARGEST, _LARGEST).astype(np.float32)
-        return np.asarray(dense_stack(scaled, self._layers, "tanh").clip(-1.0, 1.0), dtype=np.float64)
 
 
 @final

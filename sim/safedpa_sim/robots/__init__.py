@@ -11,6 +11,7 @@ from safedpa_sim.robots.pendulum_task import TASKS, PendulumTask, task_named
 from safedpa_sim.robots.pendulum_world import PendulumWorld, wind_towards
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
+from safedpa_sim.robots.shared_field import SharedField, Touch
 from safedpa_sim.robots.trace import LivedPeriod, Trace, read_trace
 from safedpa_sim.robots.world import CarWorld
 
@@ -31,7 +32,9 @@ __all__ = [
     "PendulumWorld",
     "PlannedChange",
     "Scene",
+    "SharedField",
     "SimulatedRobot",
+    "Touch",
     "Trace",
     "Violation",
     "footprint",

@@ -17,8 +17,8 @@ from safedpa_sim.robots.changes import CHANGES
 from safedpa_sim.robots.claim import claim_name
 from safedpa_sim.robots.loads import LOADS
 from safedpa_sim.robots.loop import NoActionError, RobotLoop
-from safedpa_sim.robots.made import robot_of
 from safedpa_sim.robots.pendulum_task import TASKS
+from safedpa_sim.robots.stand_ins import robot_of
 from safedpa_sim.robots.trace import Trace
 
 
@@ -56,6 +56,7 @@ def robot_parser() -> argparse.ArgumentParser:
     parser.add_argument("--lockstep", action="store_true", help="wait for each action: a run repeats bit for bit")
     parser.add_argument("--rate", type=float, help="ticks per second; default: the robot's own")
     parser.add_argument("--summary", type=Path, default=None, help="write the account of the run here")
+    parser.add_argument("--await-word", action="store_true", help="drive when the supervisor says so")
     parser.add_argument("--trace", type=Path, default=None, help="append what was done in every period here")
     return parser
 
@@ -69,6 +70,10 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
         check_writable(options.summary)
     with bus_from(options) as bus, contextlib.ExitStack() as files:
         claim_name(bus, options.name)
+        if options.await_word:
+            stop.await_word()
+            if stop():
+                return 0
         files.enter_context(lifetime("robot", stop))
         trace = None if options.trace is None else files.enter_context(Trace(options.trace))
         setup = setup_message("robot", vars(options))

@@ -53,6 +53,14 @@ class ContactCounter:
         """What collisions with ``shape`` are called."""
         self._names[shape] = name
 
+    def lasts(self, part: str, what: str) -> bool:
+        """Whether ``part`` touches ``what``, or did a moment ago: what begins now is the same contact."""
+        return self._lasts((part, what))
+
+    def _lasts(self, pair: tuple[str, str]) -> bool:
+        ended = self._ended.get(pair, -_SAME_CONTACT_SECONDS)
+        return pair in self._touching or self.time - ended < _SAME_CONTACT_SECONDS
+
     def _pair(self, arbiter: pymunk.Arbiter) -> tuple[str, str]:
         part, solid = arbiter.shapes
         return self._names[part], self._names[solid]
@@ -60,8 +68,7 @@ class ContactCounter:
     def _begin(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
         del space, data
         pair = self._pair(arbiter)
-        ended = self._ended.get(pair, -_SAME_CONTACT_SECONDS)
-        if pair not in self._touching and self.time - ended >= _SAME_CONTACT_SECONDS:
+        if not self._lasts(pair):
             body = arbiter.shapes[0].body
             assert body is not None
             x, y = body.position

@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from math import hypot, isfinite
+from math import ceil, hypot, inf, isfinite
 from typing import Any, final
 
 from safedpa.bus.wire.messages import ScanMessage, StateMessage
 from safedpa.errors import InputError
 from safedpa.reversing import reversed_way
 from safedpa_sim.robots.actuators import ThrottleMotor
-from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, CarParameters
+from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, SUBSTEP, CarParameters
 from safedpa_sim.robots.changes import PlannedChange
 from safedpa_sim.robots.contacts import Collision
 from safedpa_sim.robots.footprint import footprint, towed_reach
@@ -21,6 +21,7 @@ from safedpa_sim.robots.loads import Load
 from safedpa_sim.robots.robot import SimulatedRobot
 from safedpa_sim.robots.scene import GOAL_RADIUS, Scene
 from safedpa_sim.robots.world import CarWorld
+from safedpa_sim.sensing.people import Person
 from safedpa_sim.sensing.senses import Senses
 
 __all__ = ["BRAKE", "CarRobot", "LateCommands"]
@@ -117,7 +118,6 @@ class CarRobot(SimulatedRobot):
         self._senses = senses
         if senses is not None:
             senses.join(self.world, scene, epoch)
-            senses.sense(self.tick)
 
     @property
     def values(self) -> tuple[float, float, float, float]:
@@ -141,6 +141,11 @@ class CarRobot(SimulatedRobot):
     def collisions(self) -> list[Collision]:
         """Every collision so far."""
         return self.world.collisions
+
+    @property
+    def people(self) -> tuple[Person, ...]:
+        """Who walks about in this car's world."""
+        return () if self._senses is None else self._senses.people
 
     def hitch(self, load: Load) -> None:
         """Puts a load behind the car while it drives."""
@@ -168,7 +173,19 @@ class CarRobot(SimulatedRobot):
         )
 
     def scans(self) -> list[ScanMessage]:  # noqa: D102
-        return [] if self._senses is None else self._senses.told()
+        if self._senses is None:
+            return []
+        self._senses.sense(self.tick)  # at the very first moment nobody has asked for what is due then
+        return self._senses.told()
+
+    def lives(self) -> Iterator[float]:
+        """The period of ``advance``, a step of the physics at a time: before each one it tells the world's time [s].
+
+        For whoever moves what else is in the world meanwhile; to be gone through to its end.
+        """
+        self._begin_period()
+        yield from self._lived(SUBSTEP)
+        self._end_period()
 
     def _take(self, load: Load | None) -> None:
         """What it tows, and the room that it takes with it; of a new load nobody knows how it hangs."""
@@ -183,12 +200,19 @@ class CarRobot(SimulatedRobot):
         return motor.braking(speed, min(_BRAKING_GAIN * abs(speed), _BRAKING)), BRAKE[1]
 
     def _live(self) -> None:
+        for _ in self._lived(inf):
+            pass
+
+    def _lived(self, longest: float) -> Iterator[float]:
+        """One period in pieces of at most ``longest`` [s]; before each the world's time [s]."""
         if self._change is not None and self._change.made(self):
             self._change, self.changed_at = None, self.tick
         (drive, steer), before = self._applied, self.world.state
         parts = ((drive, steer, self.period),) if self._late is None else self._late.felt((drive, steer), self.period)
         for felt_drive, felt_steer, seconds in parts:
-            self._advance(felt_drive, felt_steer, seconds)
+            for piece in self._pieces(seconds, longest):
+                yield self.world.time
+                self.world.advance(felt_drive, felt_steer, piece)
         if self._taken[2]:
             self._way = reversed_way(self._way, before, self.world.state, self._taken[2][1])
         x, y, _, _ = self.world.state
@@ -196,13 +220,20 @@ class CarRobot(SimulatedRobot):
             self.goals_reached += 1
             self.goal = next(self._goals)
 
-    def _advance(self, drive: float, steer: float, seconds: float) -> None:
-        """Holds what is felt; a robot with sensors stops at each of their moments to measure."""
+    def _pieces(self, seconds: float, longest: float) -> Iterator[float]:
+        """s; of the way through ``seconds``. A robot with sensors stops at each of their moments to measure."""
         if self._senses is None:
-            self.world.advance(drive, steer, seconds)
+            yield from _split(seconds, longest)
             return
         end = self.world.time + seconds
         for moment in self._senses.moments(end):
-            self.world.advance(drive, steer, moment - self.world.time)
+            yield from _split(moment - self.world.time, longest)
             self._senses.sense(self.tick)
-        self.world.advance(drive, steer, end - self.world.time)
+        yield from _split(end - self.world.time, longest)
+
+
+def _split(seconds: float, longest: float) -> Iterator[float]:
+    """Equal parts of ``seconds``, none longer than ``longest`` [s]; of no time, none."""
+    parts = ceil(seconds / longest - _ROUNDING) if longest < inf else int(seconds > 0.0)
+    for _ in range(parts):
+        yield seconds / parts

@@ -84,13 +84,21 @@ class SimulatedRobot(ABC):
     @final
     def advance(self) -> None:
         """One period under the accepted action, or under the watchdog's when none was accepted."""
+        self._begin_period()
+        self._live()
+        self._end_period()
+
+    @final
+    def _begin_period(self) -> None:
         accepted = self.guard.accepted
         if accepted is None:
             self._applied, self._applied_by = self._watchdog_action(), "watchdog"
             self.watchdog_ticks += 1
         else:
             self._applied, self._applied_by = accepted, "filter"
-        self._live()
+
+    @final
+    def _end_period(self) -> None:
         self.tick += 1
         self.guard.begin(self.tick)
         self._record()

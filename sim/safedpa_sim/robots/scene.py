@@ -74,6 +74,10 @@ class Scene:
             )
         return cls(seed, towed, field, placed, _start(draw, field, placed, towed))
 
+    def drawn_start(self, draw: np.random.Generator) -> tuple[float, float, float]:
+        """Another free pose to begin in: x, y [m], yaw [rad]. Raises InputError where there is none."""
+        return _start(draw, self.field, self.obstacles, self.load)
+
     def goals(self) -> Iterator[Point]:
         """The goals in order, without end; the same ones at each call."""
         if self.fixed_goals:

@@ -15,6 +15,7 @@ from safedpa_sim.robots.actuators import SteeringActuator, drive_of
 from safedpa_sim.robots.car_parameters import CAR_PARAMETERS, GRAVITY, SUBSTEP, CarParameters
 from safedpa_sim.robots.contacts import CAR, LOAD, OBSTACLE, WALL, Collision, ContactCounter
 from safedpa_sim.robots.loads import Load
+from safedpa_sim.robots.other_body import OtherBody
 
 __all__ = ["CarWorld", "TowedBody", "ground_forces"]
 
@@ -48,7 +49,7 @@ class CarWorld:
         self.space.collision_slop = 0.0005  # m; the default of 0.1 is meant for pixels
         self.contacts = ContactCounter(self.space)
         _add_solids(self.space, self.contacts, field, obstacles, polygons)
-        self.body = self._add_car(start)
+        self.body, self._shape = self._add_car(start)
         self._handle = self.body._body
         self._ground_forces = ground_forces(parameters)
         self.wind = (0.0, 0.0)
@@ -56,11 +57,13 @@ class CarWorld:
         self.steering_offset = 0.0
         """rad by which the steering actuator misunderstands every command."""
         self.towed: TowedBody | None = None
+        self.others: list[OtherBody] = []
+        """Of other cars of the same field."""
         self._loads: list[TowedBody] = []
         if load is not None:
             self.hitch(load)
 
-    def _add_car(self, start: tuple[float, float, float]) -> pymunk.Body:
+    def _add_car(self, start: tuple[float, float, float]) -> tuple[pymunk.Body, pymunk.Poly]:
         car = self.parameters
         x, y, yaw = start
         body = pymunk.Body(car.mass, car.inertia)
@@ -71,7 +74,7 @@ class CarWorld:
         shape.friction, shape.collision_type = 0.5, CAR
         self.contacts.name(shape, "car")
         self.space.add(body, shape)
-        return body
+        return body, shape
 
     @property
     def state(self) -> tuple[float, float, float, float]:
@@ -95,6 +98,17 @@ class CarWorld:
         self.contacts.name(shape, name)
         self.space.add(body, shape)
         return body
+
+    @property
+    def bodies(self) -> list[tuple[str, pymunk.Poly]]:
+        """The car's own body, then every load that it towed so far, each with the part that collisions name."""
+        return [("car", self._shape), *(("load", load.shape) for load in self._loads)]
+
+    def add_other(self, shape: pymunk.Poly, name: str) -> None:
+        """Puts a body of another car's world into this one; contacts count under ``name``."""
+        other = OtherBody(self.space, shape, OBSTACLE, name)
+        self.others.append(other)
+        self.contacts.name(other.shape, name)
 
     def hitch(self, load: Load) -> None:
         """Puts a load behind the car, straight and at the car's speed; a load that hangs there is let go first.

@@ -89,14 +89,14 @@ class Senses:
         return [message for laser in self.lasers for message in laser.told(self._world.time)]
 
     def _outline(self) -> Outline:
-        """What can be seen now: things at rest, people, and the load that is towed."""
+        """What can be seen now: things at rest, people, other cars, and the load that is towed."""
         people = tuple((*person.place, person.radius) for person in self.people)
         towed = self._world.towed if self._sees_load else None
-        load: tuple[Polygon, ...] = ()
+        moving: tuple[Polygon, ...] = tuple(other.corners for other in self._world.others)
         if towed is not None:
             x, y, yaw, length, width = towed.pose
-            load = (box(x, y, length, width, yaw),)
-        return Outline(self._seen.circles + people, self._seen.polygons + load, self._seen.rooms)
+            moving += (box(x, y, length, width, yaw),)
+        return Outline(self._seen.circles + people, self._seen.polygons + moving, self._seen.rooms)
 
 
 def _along(velocity: Point, outwards: Point) -> Point:

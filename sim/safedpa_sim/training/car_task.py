@@ -23,7 +23,7 @@ from safedpa.safety.shipped import settings_named
 from safedpa_sim.robots.scene import GOAL_RADIUS
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
-from safedpa_sim.training.moved import Moved
+from safedpa_sim.training.one_period import Moved
 from safedpa_sim.training.scenes import FOOTPRINTS, ScenePool, draw_scenes
 from safedpa_sim.training.simulator import BatchedCars
 

@@ -210,7 +210,7 @@ def policy_drives(
 def _chooser(weights: Weights) -> Callable[[Any], Any]:
     """Actions (count, actions), each entry in [-1, 1] over its range, for observations, by the weights' policy."""
     if weights.description.robot == "point":
-        from safedpa_sim.point.policy_task import LatentPolicy
+        from safedpa_sim.point.latent_policy import LatentPolicy
 
         return LatentPolicy(weights).chosen
     from safedpa.policy.learned import LearnedPolicy

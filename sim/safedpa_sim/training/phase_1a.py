@@ -17,7 +17,7 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights, frame_of
 from safedpa.records.atomic import atomic_path
 from safedpa_sim.training.configuration import Configuration
-from safedpa_sim.training.explained import affine_floor, evaluate
+from safedpa_sim.training.explained_motion import affine_floor, evaluate
 from safedpa_sim.training.networks import AffineNetworks, AffineSizes
 from safedpa_sim.training.progress import Tell, silent
 from safedpa_sim.training.simulator import BatchedCars

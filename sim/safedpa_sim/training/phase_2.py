@@ -24,7 +24,7 @@ from safedpa.networks import Weights
 from safedpa.networks.weights import STRIDE
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import policy_drives, random_drives
-from safedpa_sim.training.explained import explained
+from safedpa_sim.training.explained_motion import explained
 from safedpa_sim.training.histories import Lived, joined
 from safedpa_sim.training.networks import AffineNetworks, HistoryNetwork, affine_networks, tensors_of
 from safedpa_sim.training.phase_1a import training_device

@@ -1,8 +1,8 @@
 """Phase 3: f, g and phi tuned on few data of the real robot.
 
-Tuned on drives without load alone, networks forget what loads do. So the same data first mend the simulator (see
-``grounding``); drives in it under the loads and winds of the configuration are mixed with the recorded ones. Loss, with
-z = phi(history), so that z also tells where motor and steering stand:
+Tuned on drives without load alone, networks forget what loads do. So the same data first mend the simulator
+(``grounded_simulator.py``); drives in it under the loads and winds of the configuration are mixed with the recorded
+ones. Loss, with z = phi(history), so that z also tells where motor and steering stand:
 
     one-step error + error of short rollouts in which phi looks at the predictions + anchor |phi - mu(e)|^2
 
@@ -30,7 +30,7 @@ from safedpa.networks.weights import STRIDE
 from safedpa.records import Run, Stretch
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.drives import random_drives
-from safedpa_sim.training.grounding import ground_simulator, grounded_configuration
+from safedpa_sim.training.grounded_simulator import ground_simulator, grounded_configuration
 from safedpa_sim.training.histories import Lived, joined, lived
 from safedpa_sim.training.networks import (
     AffineNetworks,

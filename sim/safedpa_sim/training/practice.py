@@ -13,8 +13,8 @@ from safedpa.errors import InputError, did_you_mean
 from safedpa.networks import Weights
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.histories import Lived
-from safedpa_sim.training.moved import Moved
 from safedpa_sim.training.networks import AffineNetworks
+from safedpa_sim.training.one_period import Moved
 from safedpa_sim.training.simulator import BatchedCars
 
 __all__ = ["PolicyTask", "Practice", "has_task", "task_of"]

@@ -1,11 +1,15 @@
-"""Records the golden runs anew: ``python tests/replay/golden/record.py [NAME ...]``; takes about a minute.
+"""Records the golden runs anew: ``python tests/replay/golden/record.py --why "..." [NAME ...]``; about a minute.
 
-To be done on purpose only: when services shall decide otherwise than before. Look at ``safedpa replay`` of the old
-ones first: it names every field that changed.
+To be done on purpose only: when services shall decide otherwise than before. Each one's former recording is replayed by
+the program as it is now, and what differs, field by field, is written with the reason into ``changes.json`` beside it;
+a recording whose sum does not stand there as the newest fails its test.
 """
 
 from __future__ import annotations
 
+import argparse
+import datetime
+import hashlib
 import json
 import signal
 import subprocess
@@ -15,10 +19,13 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from safedpa.bus import SETUP, SetupMessage, decode, encode
 from safedpa.records.mcap_messages import read_payloads
 from safedpa.records.mcap_recorder import schema_of
+from safedpa.replay.replay import replay
+from safedpa.replay.tape import read_tape
 
 HERE = Path(__file__).parent
 RUNS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
@@ -36,11 +43,52 @@ _OPTIONS += ("payload", "dry_friction", "model", "controller", "settings", "off"
 _CHUNK_BYTES = 4 * 1024 * 1024
 
 
-def main(names: list[str]) -> None:
+CHANGES = HERE / "changes.json"
+"""By run, the oldest first: when it was recorded, why, what its predecessor did otherwise then, and its sum."""
+
+
+def main(arguments: list[str]) -> None:
     """Records the runs named, or all."""
-    for name in names or list(RUNS):
+    parser = argparse.ArgumentParser(description="Records golden runs anew.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(RUNS)}; default: all")
+    parser.add_argument("--why", required=True, help="why the services shall decide otherwise than before")
+    given = parser.parse_args(arguments)
+    if unknown := [name for name in given.names if name not in RUNS]:
+        parser.error(f"{unknown[0]}: wanted one of {', '.join(RUNS)}")
+    for name in given.names or list(RUNS):
+        path = HERE / f"{name}.mcap"
         with tempfile.TemporaryDirectory() as folder:
-            compacted(recorded(Path(folder), *RUNS[name]), HERE / f"{name}.mcap")
+            anew = recorded(Path(folder), *RUNS[name])
+            differing = differing_fields(path)
+            compacted(anew, path)
+        kept(CHANGES, name, given.why, differing, path)
+
+
+def differing_fields(path: Path) -> list[dict[str, Any]]:
+    """Of a recording that this program replays: each field that comes out otherwise, in how many ticks, and how."""
+    tape = read_tape([path])
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for item in (item for part in replay(tape).services for item in part.differing):
+        row = found.setdefault(
+            (item.topic, item.field),
+            {"field": f"{item.topic}.{item.field}", "ticks": 0, "of": len(tape.states), "first_tick": item.tick,
+             "recorded": str(item.recorded)[:120], "replayed": str(item.replayed)[:120]},
+        )  # fmt: skip
+        row["ticks"] += 1
+    return [found[key] for key in sorted(found)]
+
+
+def kept(changes: Path, name: str, why: str, differing: list[dict[str, Any]], path: Path) -> None:
+    """Writes down that a run was recorded anew."""
+    known: dict[str, list[dict[str, Any]]] = json.loads(changes.read_text("utf-8")) if changes.exists() else {}
+    entry = {"date": datetime.date.today().isoformat(), "why": why, "differing": differing, "sha256": sum_of(path)}
+    known.setdefault(name, []).append(entry)
+    changes.write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
+
+
+def sum_of(path: Path) -> str:
+    """SHA-256 of a recording."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def recorded(folder: Path, options: tuple[str, ...], kills: dict[str, float]) -> Path:

@@ -62,6 +62,7 @@ class Stop:
 
     def __init__(self) -> None:
         self._event = threading.Event()
+        self._word = threading.Event()
         self.reason = ""
         self.hurried = False
         """Whether a second signal came: whoever ends in order stops doing so."""
@@ -74,6 +75,14 @@ class Stop:
     def wait(self) -> None:
         """Returns once the process shall end."""
         self._event.wait()
+
+    def await_word(self) -> None:
+        """Returns once the supervisor said to begin, or the process shall end."""
+        self._word.wait()
+
+    def begin(self) -> None:
+        """The supervisor's word: whoever awaits it goes on."""
+        self._word.set()
 
     def listen_to_signals(self, at_once: Callable[[], None] = lambda: None) -> None:
         """Ends in order on SIGTERM and SIGINT instead of at once; only the main thread may call it.
@@ -94,6 +103,7 @@ class Stop:
         """Asks the process to end; the first reason stays."""
         self.reason = self.reason or reason
         self._event.set()
+        self._word.set()
 
 
 def add_bus_options(parser: argparse.ArgumentParser) -> None:
@@ -193,7 +203,7 @@ def _ask_for_real_time(urgency: Urgency) -> None:
 
 def _watch_supervisor(stop: Stop) -> None:
     while os.read(sys.stdin.fileno(), 4096):
-        continue
+        stop.begin()
     stop.set("the supervisor is gone")
 
 

@@ -15,14 +15,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from safedpa.bus.loop.agenda import LONGEST_HOLD_SECONDS, Agenda, quantum_for
 from safedpa.bus.loop.greeting import Greeting
-from safedpa.bus.loop.heartbeat import NO_ROBOT, heartbeat
 from safedpa.bus.loop.journal import Journal
 from safedpa.bus.loop.node import AbstractNode, Inputs, Outputs, Stale
-from safedpa.bus.loop.slot import Counts, Slot
+from safedpa.bus.loop.slot import NO_ROBOT, Counts, Slot, heartbeat
 from safedpa.bus.loop.trace import Trace, consumed
-from safedpa.bus.loop.turning import Turning
+from safedpa.bus.loop.turning import LONGEST_HOLD_SECONDS, Agenda, Turning, quantum_for
 from safedpa.bus.transport.bus import Bus
 from safedpa.bus.transport.inbox import Received, Refused
 from safedpa.bus.wire.messages import SetupMessage, StateMessage
@@ -288,9 +286,8 @@ class ServiceLoop:
     def _expect(self, robot: str, slot: Slot) -> None:
         """Looks at the robot now, and again when in real time its share of the period is over."""
         self._touched[robot] = None
-        waits = self._node.needs(slot.state) and not slot.state.lockstep
-        if waits:  # else it is stepped now, or waits for its inputs alone
-            self._agenda.at(self._deadline(slot), robot)
+        if self._node.needs(slot.state):  # else it is stepped now
+            self._agenda.at(self._deadline(slot), robot)  # in lockstep never: it waits for its inputs alone
 
     def _deadline(self, slot: Slot) -> float:
         return float("inf") if slot.state.lockstep else slot.arrived + self._node.share * slot.state.period

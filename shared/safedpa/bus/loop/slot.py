@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from safedpa.bus.loop.node import Inputs, Outputs, Stale
 from safedpa.bus.loop.trace import Trace
-from safedpa.bus.wire.messages import Message, StateMessage
+from safedpa.bus.wire.messages import HealthMessage, Message, StateMessage
 from safedpa.bus.wire.topics import Topic
+from safedpa.bus.wire.version import software_version
 
-__all__ = ["Counts", "Slot"]
+__all__ = ["NO_ROBOT", "Counts", "Slot", "heartbeat"]
 
 _NO_SLACK: Mapping[Topic, int] = {}
 _BURST = 10.0
@@ -119,3 +122,29 @@ def _usable(topic: Topic, message: Message | None, state: StateMessage, slack: i
         return Stale(topic, None)
     age = state.tick - message.tick
     return message if 0 <= age <= max(topic.largest_age_ticks, slack) else Stale(topic, max(age, 0))
+
+
+NO_ROBOT = "-"
+"""Stands for the robot in the health key of a service that serves none yet."""
+
+
+def heartbeat(service: str, slot: Slot | None, strangers: Counts, model: str) -> HealthMessage:
+    """What ``service`` tells of one robot: its own steps, stale inputs and refusals, and those of nobody it serves."""
+    counts = strangers if slot is None else slot.counts
+    refused = counts.refused if slot is None else counts.refused + strangers.refused
+    return HealthMessage(
+        epoch=slot.state.epoch if slot else 0,
+        tick=slot.state.tick if slot else 0,
+        robot_time=slot.state.robot_time if slot else 0.0,
+        publish_time=time.time(),
+        service=service,
+        pid=os.getpid(),
+        state="failing" if counts.failing else "running" if slot else "ready",
+        detail=counts.detail,
+        steps=counts.steps,
+        stale=counts.stale,
+        refused=refused,
+        step_microseconds=counts.microseconds,
+        model=model,
+        software=software_version(),
+    )

@@ -52,6 +52,8 @@ def fleet_concerns(fleet: FleetOverview) -> list[Concern]:
     now = fleet.clock()
     found = [concern for robot in fleet.robots.values() for concern in concerns_of(robot, now)]
     found += [concern for service in fleet.services.values() for concern in _about_process(service, now, fleet)]
+    if fleet.robot not in ("*", *fleet.robots):
+        found.append(Concern("trouble", "is not heard", fleet.robot))
     if not any(service.name == "recorder" for service in fleet.services.values()):
         found.append(Concern("attention", "nobody records", service="recorder"))
     versions = sorted({known.health.software for known in fleet.services.values() if known.health.software})

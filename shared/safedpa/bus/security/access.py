@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from safedpa.bus.wire.requests import AGREED, ORDER, REQUEST, STATUS, request_key
+from safedpa.bus.wire.requests import AGREED, ORDER, REQUEST, SENSE, STATUS, request_key
 from safedpa.bus.wire.topics import (
     ACTION,
     BUNDLE,
@@ -87,8 +87,8 @@ ROLES: dict[str, Role] = {
     for role in (
         Role(ROBOT, (STATE, ACTION, VERDICT), looks=True),
         Role("adaptation", (STATE, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
-        Role("perception", (STATE, SCAN)),
-        Role("policy", (STATE, LATENT, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
+        Role("perception", (STATE, SCAN), answers=(SENSE,)),
+        Role("policy", (STATE, SURROUNDINGS, LATENT, MODEL), (STATUS, AGREED), (AGREED,), takes_over=True),
         Role(
             "safety_filter",
             (STATE, SURROUNDINGS, LATENT, WISH, MODEL),
@@ -101,7 +101,7 @@ ROLES: dict[str, Role] = {
         Role("metrics", _EVERYTHING),
         Role("dashboard", _EVERYTHING, looks=True),
         Role("workbench", _EVERYTHING, asks=(REQUEST, STATUS), looks=True),
-        Role("operator", _EVERYTHING, asks=(REQUEST, STATUS, ORDER), lives=False, looks=True),
+        Role("operator", _EVERYTHING, asks=(REQUEST, STATUS, ORDER, SENSE), lives=False, looks=True),
         Role("healthcheck", (HEALTH,), lives=False, looks=True),
     )
 }

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey, EllipticCurvePublicKey
 
-__all__ = ["HOSTS", "Authority"]
+__all__ = ["HOSTS", "Authority", "check_days"]
 
 HOSTS = ("localhost", "127.0.0.1", "::1", "router")
 """Names under which a router may be reached unless others are given."""
@@ -121,6 +121,11 @@ def _fleet_of(certificate: x509.Certificate) -> str:
 def _check(role: str, days: float) -> None:
     if not role or role == AUTHORITY or not all(letter.isalnum() or letter in "-_." for letter in role):
         raise InputError(f"role '{role}': wanted letters, digits, '-', '_' or '.', and not '{AUTHORITY}'")
+    check_days(days)
+
+
+def check_days(days: float) -> None:
+    """Raises InputError for a foolish time [days] that a certificate shall be good."""
     if not 0.0 < days <= _LARGEST_DAYS:
         raise InputError(f"--days: got {days:g}, wanted more than 0 and at most {_LARGEST_DAYS}")
 

@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
-from safedpa.bus.transport.accepting import Accepting
 from safedpa.bus.transport.bundle import Entry, packed, parts
 from safedpa.bus.transport.inbox import Answered, Decode, Inbox
+from safedpa.bus.transport.intake import Intake
 from safedpa.bus.transport.transport import AbstractTransport
 from safedpa.bus.wire.codec import decode, encode
 from safedpa.bus.wire.messages import Message
@@ -109,8 +109,8 @@ class Bus:
                     inbox.fill_from(subscription)
         return inbox
 
-    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> Accepting:
-        return Accepting(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
+    def _accepting(self, inbox: Inbox, topic: Topic, wanted: str, *, all_of_them: bool) -> Intake:
+        return Intake(inbox, topic, self.fleet, wanted, self._serves, all_of_them=all_of_them)
 
     def request(self, robot: str, request: Request, timeout: float = 1.0, kind: str = REQUEST) -> Answer | None:
         """Asks about one robot; None when nobody answers within ``timeout`` [s].

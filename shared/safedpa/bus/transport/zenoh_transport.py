@@ -22,7 +22,7 @@ from safedpa.bus.security.certificates import Card, Certificates
 from safedpa.bus.security.doorkeeper import Doorkeeper, cut_off, defer_accept, listening_ports
 from safedpa.bus.transport.session import close_in_peace, configuration_of, first_clause, open_session
 from safedpa.bus.transport.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
-from safedpa.errors import BusError, JoinError
+from safedpa.errors import BusError, InputError, JoinError
 
 if TYPE_CHECKING:
     import zenoh
@@ -169,14 +169,22 @@ def _is_loopback(endpoint: str) -> bool:
 
 @final
 class ZenohTransport(AbstractTransport):
-    """One Zenoh session. Raises BusError when it cannot be opened."""
+    """One Zenoh session. Raises BusError when it cannot be opened, InputError for endpoints that are none."""
 
     def __init__(self, settings: ZenohSettings) -> None:
         import zenoh
 
         others = listening_ports()  # whom this process lets in there is nothing to this session
         try:
-            self._session = open_session(configuration_of(settings.configuration()))
+            configuration = configuration_of(settings.configuration())
+        except zenoh.ZError as error:
+            asked = ", ".join((*settings.listen, *settings.connect))
+            raise InputError(
+                f"bus: {asked}: got what Zenoh does not take ({first_clause(error)}); wanted endpoints such as "
+                "tcp/robot:7447"
+            ) from error
+        try:
+            self._session = open_session(configuration)
         except zenoh.ZError as error:
             kind = JoinError if settings.connect else BusError  # where it listens is the person's choice
             raise kind(

@@ -53,8 +53,8 @@ def decode(kind: type[_M], payload: bytes) -> _M:
     try:
         message: _M = _READERS[kind](payload)
         return message
-    except (KeyError, ValueError, RecursionError) as error:  # is refused with a sentence of our own, or by field
-        if kind in _READERS and len(payload) > _LARGEST_BY_FIELD:
+    except (ValueError, RecursionError) as error:  # is refused with a sentence of our own, or by field
+        if len(payload) > _LARGEST_BY_FIELD:
             raise MessageError(f"{kind.__name__}: {str(error)[:200] or type(error).__name__}") from error
         return decode_by_field(kind, payload)
 

@@ -172,7 +172,8 @@ class SurroundingsMessage(ComputedMessage):
     """(places, 4): x, y, radius in m of places that nobody sees, where something may stand that moves, and the speed in
     m/s that it may have."""
     ages: Vector
-    """(sources,) s since each of the state's sources measured what was heard of it last; -1: nothing was heard."""
+    """(sources,) s since each of the state's sources measured what was heard of it last; -1: nothing was heard. Of one
+    that is switched off, the age of the oldest of the others: what is told rests on those."""
     amiss: tuple[str, ...] = ()
     """What is wrong with a source, a sentence each; while there is one, what is told here is not believed."""
 

@@ -13,6 +13,7 @@ __all__ = [
     "AGREED",
     "ORDER",
     "REQUEST",
+    "SENSE",
     "STATUS",
     "Answer",
     "Request",
@@ -27,6 +28,8 @@ STATUS = "status"
 """The same, but only ``status`` may be asked: the services of the loop may ask what is, and change nothing."""
 ORDER = "order"
 """The same of the safety filter, which is told to stop robots or to let them drive: ``stop``, ``go`` or ``status``."""
+SENSE = "sense"
+"""The same of perception, which is told to switch sources and zones: ``switch`` or ``status``."""
 AGREED = "agreed"
 """Last part of the key under which services tell each other what they agreed on, while no diagnosis is there."""
 
@@ -36,7 +39,8 @@ class Request:
     """A question to the diagnosis about one robot."""
 
     do: str
-    """``accept``, ``reject``, ``roll_back`` or ``status``; of the safety filter ``stop``, ``go`` or ``status``."""
+    """``accept``, ``reject``, ``roll_back`` or ``status``; of the safety filter ``stop``, ``go`` or ``status``; of
+    perception ``switch`` or ``status``."""
     effect: str = ""
     """Name of the candidate to accept or reject."""
     model: str = ""
@@ -45,6 +49,8 @@ class Request:
     """Number of the finding whose candidate it is."""
     who: str = ""
     """Who asks, for the recording."""
+    switches: tuple[str, ...] = ()
+    """Of perception: ``source NAME=on``, ``zone NAME=off``; all of them or none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +101,7 @@ def request_key(fleet: str, robot: str, name: str = REQUEST) -> str:
 def robot_of_request(key: str) -> str:
     """The robot that a request is about. Raises InputError when the key names none, or more than one."""
     parts = key.split("/")
-    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, ORDER, AGREED) or "*" in key:
+    if len(parts) != 4 or parts[3] not in (REQUEST, STATUS, ORDER, SENSE, AGREED) or "*" in key:
         raise InputError(f"key '{key}': wanted safedpa/FLEET/ROBOT/{REQUEST}")
     return parts[2]
 

@@ -36,6 +36,8 @@ _BEGUN, _NEARLY = 3, 2e-3
 """Steps with slopes that are known, and the fall below which they have done what they can."""
 _FALLING = 0.02
 """Fall in the last of them, from which nobody knows yet where the fit ends."""
+_BEHIND = 4.0
+"""Times the fall of a step: steps that shrink by a fifth each take no more than that from there on."""
 
 
 @dataclass(frozen=True)
@@ -177,13 +179,16 @@ def fit(
             return begun
         best = _linearised(begun.model, names, shooting, begun.scale, None)
         known = None
-    return _descended(best, shooting, steps, known, _DONE)[0]
+    return _descended(best, shooting, steps, known, _DONE, enough)[0]
 
 
-def _descended(best: Fit, shooting: Shooting, steps: int, known: Floats | None, done: float) -> tuple[Fit, float]:
+def _descended(
+    best: Fit, shooting: Shooting, steps: int, known: Floats | None, done: float, enough: float = np.inf
+) -> tuple[Fit, float]:
     """Gauss-Newton steps until the objective falls by less than ``done``; and by how much it fell in the last one.
 
-    A last step that by its slopes takes _HARDLY anything is not simulated again: what it changes follows from them.
+    A last step that by its slopes takes _HARDLY anything is not simulated again: what it changes follows from them. A
+    fit that no longer falls fast and is farther above ``enough`` than _BEHIND times the last step's fall is left.
     """
     damping = fall = 0.0
     for _ in range(steps):
@@ -197,7 +202,7 @@ def _descended(best: Fit, shooting: Shooting, steps: int, known: Floats | None, 
         new = _linearised(_shifted(best, shift), best.paths, shooting, best.scale, known)
         if new.value < best.value:
             fall, best, damping = best.value - new.value, new, 0.0 if damping < 0.1 else 0.1 * damping
-            if fall < done:
+            if fall < done or (fall < _FALLING and best.value - enough > _BEHIND * fall):
                 break
         else:
             damping = 0.05 if damping == 0.0 else 10.0 * damping
@@ -252,12 +257,12 @@ def _linearised(
     variants = [model]
     for path, step in zip(paths[count:], steps, strict=True):
         variants.append(moved(model, {path: model.settings[path].value + step}))
-    residual, slopes = shooting.linearised(variants, steps)
-    whole = np.empty((*residual.shape, 1 + len(paths)))
-    whole[..., 0], columns = residual, whole[..., 1:]
+    whole = np.empty((*shooting.measured.shape, 1 + len(paths)))
+    columns = whole[..., 1:]
     if known is not None:
         columns[..., :count] = known
-    columns[..., count:] = slopes
+    residual = shooting.linearised(variants, steps, columns[..., count:])
+    whole[..., 0] = residual
     products = shooting.elimination.products(residual[None])
     for _ in range(2):
         values, found = _objectives(products, shooting, scale)

@@ -21,7 +21,7 @@ from safedpa.diagnosis.fit.simulation import simulate
 from safedpa.dynamics import PhysicsModel
 from safedpa.records.run import Run
 
-__all__ = ["Shooting", "folds_of", "shooting_of"]
+__all__ = ["Shooting", "block_seconds", "folds_of", "shooting_of"]
 
 _ROWS = 24
 """Rows of a window that are compared at most."""
@@ -39,6 +39,8 @@ _FARTHEST = 1e3
 _STEEPEST = 100.0
 """Slope of a prediction beyond which residuals are differenced instead, with angles by the short way round and no
 entry above _FARTHEST: predictions that part ways say nothing by how far."""
+_ALIKE = 0.9
+"""Share of the longest window's rows that windows have, from which recordings count as of one rate."""
 _PUSH = 5.0
 """Times the median size of a window's residual beyond which it counts less."""
 
@@ -75,16 +77,19 @@ class Shooting:
         """(models, windows, compared, states)"""
         return self.residual(np.moveaxis(simulate(models, self.windows, self.rows, self.starts), -1, 0))
 
-    def linearised(self, models: Sequence[PhysicsModel], steps: Sequence[float]) -> tuple[Floats, Floats]:
-        """The first model's residual (windows, compared, states), and by how much each other one's is larger, over its
-        step: slopes (..., models - 1)."""
+    def linearised(self, models: Sequence[PhysicsModel], steps: Sequence[float], slopes: Floats) -> Floats:
+        """The first model's residual (windows, compared, states).
+
+        By how much each other one's is larger, over its step, is written into ``slopes`` (..., models - 1).
+        """
         predicted = simulate(models, self.windows, self.rows, self.starts)
         with np.errstate(all="ignore"):
-            slopes = (predicted[..., 1:] - predicted[..., :1]) / np.asarray(steps)
+            np.subtract(predicted[..., 1:], predicted[..., :1], out=slopes)
+            slopes /= np.asarray(steps)
         if slopes.size and not (slopes.min() >= -_STEEPEST and slopes.max() <= _STEEPEST):  # neither for NaN
             residuals = self.residual(np.moveaxis(predicted, -1, 0))
-            slopes = np.moveaxis((residuals[1:] - residuals[0]) / np.reshape(steps, (-1, 1, 1, 1)), 0, -1)
-        return self.residual(predicted[..., 0]), slopes
+            slopes[...] = np.moveaxis((residuals[1:] - residuals[0]) / np.reshape(steps, (-1, 1, 1, 1)), 0, -1)
+        return self.residual(predicted[..., 0])
 
     @cached_property
     def elimination(self) -> Elimination:
@@ -117,6 +122,13 @@ class Shooting:
     def first_of_block(self) -> Rows:
         """Where each block begins in that order, (blocks,)."""
         return np.asarray(np.unique(self.block[self.by_block], return_index=True)[1], dtype=np.int64)
+
+    def counted_by_rate(self, model: PhysicsModel) -> Shooting | None:
+        """The same with glitches told by what is usual among the rows of each rate; None where windows have as many
+        rows: there it is what counts already."""
+        if (self.windows.steps[:, None] >= self.rows).mean() > _ALIKE:
+            return None
+        return replace(self, counts=_counts(self, self.residuals([model])[0], by_rate=True))
 
     def around(self, model: PhysicsModel, scale: Floats | None = None) -> Shooting:
         """The same with starts, derivatives and weights as they are best for one model."""
@@ -165,8 +177,7 @@ def shooting_of(runs: Sequence[Run], seconds: float, folds: int = 6) -> Shooting
     size = states.shape[-1]
     identity = np.broadcast_to(np.eye(size), (*states.shape, size)).copy()
     clock = windows.clock[windows.start]
-    whole = sum(run.duration for run in runs)
-    block = float(np.clip(whole / _BLOCKS, min(_BLOCK[0], whole / _FEWEST_BLOCKS), _BLOCK[1]))
+    block = block_seconds(runs)
     return Shooting(
         windows=windows,
         rows=rows,
@@ -177,6 +188,12 @@ def shooting_of(runs: Sequence[Run], seconds: float, folds: int = 6) -> Shooting
         block=np.unique(np.stack([windows.run, (clock / block).astype(np.int64)]), axis=1, return_inverse=True)[1],
         fold=folds_of(windows, folds),
     )
+
+
+def block_seconds(runs: Sequence[Run]) -> float:
+    """s of driving that count as independent of the next."""
+    whole = sum(run.duration for run in runs)
+    return float(np.clip(whole / _BLOCKS, min(_BLOCK[0], whole / _FEWEST_BLOCKS), _BLOCK[1]))
 
 
 def folds_of(windows: Windows, folds: int) -> Rows:
@@ -212,8 +229,12 @@ def _robust(residual: Floats, counts: Floats) -> Floats:
     return np.maximum(found, 1e-7)
 
 
-def _counts(shooting: Shooting, residual: Floats) -> Floats:
-    """1 where a row is like its neighbours, 0 where it is a glitch; less in windows with a far larger residual."""
+def _counts(shooting: Shooting, residual: Floats, *, by_rate: bool = False) -> Floats:
+    """1 where a row is like its neighbours, 0 where it is a glitch; less in windows with a far larger residual.
+
+    What is usual is told by all windows as if they were as long as the longest, which is strict about recordings of
+    fewer rows a second; ``by_rate``: by the rows that those of each rate have.
+    """
     inside = (shooting.windows.steps[:, None] >= shooting.rows)[..., None]
     from numpy.lib.stride_tricks import sliding_window_view
 
@@ -221,7 +242,11 @@ def _counts(shooting: Shooting, residual: Floats) -> Floats:
     if residual.shape[1] > 2:
         smooth = np.median(sliding_window_view(padded, 5, axis=1), axis=-1)
         rough = np.abs(residual - smooth)
-        typical = np.median(rough.reshape(-1, rough.shape[-1]), axis=0) * 1.4826 + 1e-6
+        if by_rate:
+            usual = _usual(rough, inside[..., 0], shooting.windows)
+        else:
+            usual = np.median(rough.reshape(-1, rough.shape[-1]), axis=0)
+        typical = 1.4826 * usual + 1e-6
         kept = inside & (rough <= _GLITCH * typical).all(axis=-1, keepdims=True)
     else:
         kept = np.broadcast_to(inside, residual.shape)
@@ -229,6 +254,17 @@ def _counts(shooting: Shooting, residual: Floats) -> Floats:
     size = np.sqrt((((residual / scale) ** 2) * kept).sum(axis=(1, 2)) / np.maximum(kept.sum(axis=(1, 2)), 1))
     light = np.minimum(1.0, (_PUSH * np.median(size) + 1e-12) / (size + 1e-12)) ** 2
     return np.asarray(kept * light[:, None, None] * np.ones_like(residual))
+
+
+def _usual(rough: Floats, inside: NDArray[np.bool_], windows: Windows) -> Floats:
+    """Median over the rows inside windows (windows, compared), of recordings with as many rows a second, (windows, 1,
+    states): how rough a motion looks depends on how far apart its rows are."""
+    found = np.empty((len(rough), 1, rough.shape[-1]))
+    rates = np.round(np.log2(windows.period[windows.start]), 1)
+    for rate in np.unique(rates):
+        own = rates == rate
+        found[own] = np.median(rough[own][inside[own]], axis=0)
+    return found
 
 
 def _one_after_the_other(windows: Windows) -> NDArray[np.int64]:

@@ -24,7 +24,7 @@ from safedpa.diagnosis.search.patch import in_one_room
 from safedpa.diagnosis.search.places import Circle, Strip
 from safedpa.diagnosis.search.progress import Search, given_names
 from safedpa.effects import AbstractEffect, Varies, Where
-from safedpa.effects.conditioned import may_have_law
+from safedpa.effects.effects_with_law import may_have_law
 from safedpa.effects.law import ABS, TIME, variables_of_law
 
 __all__ = ["Proposal", "begun_law", "proposals_of"]
@@ -36,6 +36,8 @@ _RARE, _USUAL = 0.04, 0.9
 _EDGE = 0.02
 """Of the range of a variable: the width over which a condition sets in; 0.1 m for places."""
 _EDGE_OF_PLACE = 0.05
+_SOME = 0.03
+"""Share of the rows of either sign without which the size of a variable is the variable."""
 _LIKELY = 2.5
 """Standard errors of linearised gain from which a law is fitted."""
 
@@ -62,7 +64,8 @@ class _Column:
     parameter: str
     column: Floats
     now: dict[str, float]
-    added: bool
+    path: int | None = None
+    """Its place among the fitted numbers, of an effect that is in the model."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ def _of_trial(trial: Trial, item: AbstractEffect, law: Where | Varies, null: Tri
     index = [p.name for p in item.parameters].index(named) - len(item.parameters)
     scale = np.tile(trial.fit.scale / null.fit.scale, len(shooting.rows))
     now = {p.name: trial.fit.model.settings[f"{item.name}.{p.name}"].value for p in item.parameters}
-    return _Column(item, named, trial.fit.columns[..., index] * scale, now, False)
+    return _Column(item, named, trial.fit.columns[..., index] * scale, now)
 
 
 def _columns(search: Search, library: Sequence[AbstractEffect], most: int | None) -> Iterator[_Column]:
@@ -133,7 +136,8 @@ def _columns(search: Search, library: Sequence[AbstractEffect], most: int | None
         for parameter in item.parameters:
             path = f"{item.name}.{parameter.name}"
             if path in fitted.paths and parameter.neutral is not None:
-                yield _Column(item, parameter.name, fitted.columns[..., fitted.paths.index(path)], now, True)
+                place = fitted.paths.index(path)
+                yield _Column(item, parameter.name, fitted.columns[..., place], now, place)
     have = {item.name for item in fitted.model.effects}
     by_name = {item.name: item for item in library}
     last = max((item.stage for item in search.candidates), default=0)
@@ -151,7 +155,7 @@ def _columns(search: Search, library: Sequence[AbstractEffect], most: int | None
         for index, parameter in enumerate(new.parameters):
             if parameter.neutral is not None:
                 column = trial.fit.columns[..., index - len(new.parameters)] * scale
-                yield _Column(new, parameter.name, column, now, False)
+                yield _Column(new, parameter.name, column, now)
 
 
 def _rows(shooting: Shooting) -> Rows:
@@ -169,7 +173,8 @@ def _weights(shooting: Shooting, *, anywhere: bool = False) -> Iterator[_Weights
             continue
         values = _values(name, at, shooting)
         low, high = np.quantile(values, [0.02, 0.98])
-        if not high - low > 1e-9 or (name.startswith(ABS) and not _both_signs(name, at, shooting)):
+        least = _EDGE * (high - low)
+        if not high - low > 1e-9 or (name.startswith(ABS) and not _both_signs(name, at, shooting, least)):
             continue
         if name not in PLACE:
             yield _Weights(None, name, [{}], values.mean(axis=1)[None])
@@ -216,10 +221,11 @@ def _values(name: str, at: Rows, shooting: Shooting) -> Floats:
     return np.asarray(np.abs(found) if own != name else found)
 
 
-def _both_signs(name: str, at: Rows, shooting: Shooting) -> bool:
-    """Whether the size of a variable is another thing than the variable."""
+def _both_signs(name: str, at: Rows, shooting: Shooting, least: float) -> bool:
+    """Whether the size of a variable is another thing than the variable: of both signs by more than ``least``, below
+    which noise at rest decides."""
     values = _values(name.removeprefix(ABS), at, shooting)
-    return bool((values < 0.0).mean() > 0.03 and (values > 0.0).mean() > 0.03)
+    return bool((values < -least).mean() > _SOME and (values > least).mean() > _SOME)
 
 
 class _Sums:
@@ -301,14 +307,28 @@ def _best(column: _Column, weights: _Weights, sums: _Sums) -> Proposal | None:
     if best is None or not best[0] > 0.0:
         return None
     law = weights.law or Varies(column.parameter, weights.variable)
+    if isinstance(law, Where) and _inside_out(column, best[3]):
+        return None
     start = _start(column, law, weights.starts[best[1]], best[3])
     return Proposal(column.item, law, start, deviate_of(best[2], sums.shooting, local=True), best[0])
+
+
+def _inside_out(column: _Column, values: Floats) -> bool:
+    """Whether an effect of the model would rather do nothing inside a region than outside: then it acts outside, where
+    the region's opposite has it. To first order the two explain the same."""
+    if column.path is None:
+        return False
+    neutral = next(p.neutral for p in column.item.parameters if p.name == column.parameter) or 0.0
+    outside = column.now[column.parameter] + float(values[column.path]) - neutral
+    return abs(outside) > abs(outside + float(values[-1]))
 
 
 def _start(column: _Column, law: Where | Varies, own: dict[str, float], values: Floats) -> dict[str, float]:
     """Numbers of the effect inside a region or at 0 of the variable, and of the law."""
     parameter = next(p for p in column.item.parameters if p.name == column.parameter)
-    begin = column.now[column.parameter] if column.added else float(parameter.neutral or 0.0)
+    begin = float(parameter.neutral or 0.0)
+    if column.path is not None:
+        begin = column.now[column.parameter] + float(values[column.path])
     change = float(values[-1])
     number = begin + (change if isinstance(law, Where) else 0.0)
     found = {**column.now, column.parameter: float(np.clip(number, parameter.low, parameter.high)), **own}

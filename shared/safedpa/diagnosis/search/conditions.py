@@ -25,7 +25,7 @@ from safedpa.diagnosis.search.revision import refit, removals, take_back
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect, Conditioned, Context, Varies, Where, conditioned
-from safedpa.effects.conditioned import may_have_law, plain
+from safedpa.effects.effects_with_law import may_have_law, plain
 from safedpa.errors import ModelFileError
 from safedpa.operations import NUMPY
 
@@ -68,7 +68,7 @@ def conditional(search: Search, library: Sequence[AbstractEffect], heldout: Held
         best = _chosen(search, trials, heldout)
         if best is None:
             return done > 0
-        _accept(search, best, heldout)
+        _accept(search, _one_sided(best, search), heldout)
         removals(search, library, heldout)  # what stood for the law
     return True
 
@@ -196,6 +196,25 @@ def _chosen(search: Search, trials: Sequence[Trial], heldout: Heldout) -> Trial 
     if not passing:
         return None
     return _fewest(passing, search)
+
+
+def _one_sided(best: Trial, search: Search) -> Trial:
+    """All above the lower border of a range, or below the upper one, where unseen blocks cannot tell it from the range:
+    the other border then lies where hardly anybody drove."""
+    item = next(own for own in best.fit.model.effects if own.name == best.effects[0])
+    if not isinstance(item, Conditioned) or not isinstance(item.law, Where) or item.law.shape != "between":
+        return best
+    law, own = item.law, {p.name: best.fit.model.settings[f"{item.name}.{p.name}"].value for p in item.parameters}
+    gone = {other.name for other in search.current.fit.model.effects} - {other.name for other in best.fit.model.effects}
+    plain_one, found = plain(item), [best]
+    for shape, end in (("above", "from"), ("below", "to")):
+        start = {name: own[name] for name in _names(plain_one)}
+        start[f"{law.variable}_{shape}"] = own[f"{law.variable}_{end}"]
+        proposal = Proposal(plain_one, Where(shape, law.variable, law.edge), start, 0.0, 0.0)
+        trial = _fitted(search, proposal, tuple(sorted(gone)))
+        if trial is not None and bool(trial.fit.free.all()) and _of_some_rows(trial, search):
+            found.append(trial)
+    return _fewest(found, search)
 
 
 def _fewest(trials: Sequence[Trial], search: Search) -> Trial:

@@ -1,31 +1,45 @@
-"""The numbers that a report states: fitted windows give the effects, whole recordings give their sizes."""
+"""The numbers that a report states: fitted windows give the effects, whole recordings give their sizes.
+
+A number differs by something between kinds of driving: slow and fast, straight and in curves, steady and changing. A
+model of the right form has the same numbers in all of them, but for chance. One that is wrong in form has not, and
+stretches of time, each with every kind of driving in it, agree on a wrong number: only kinds of driving show it.
+
+Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11 (jackknife), over groups of like windows.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.compare.where import PLACE
+from safedpa.compare.windows import Floats
 from safedpa.diagnosis.fit.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.fit.kinds_of_driving import between_kinds
-from safedpa.diagnosis.fit.least_squares import Fit, bounds_of
+from safedpa.diagnosis.fit.least_squares import Fit, bounds_of, fit, jackknife, products_of
 from safedpa.diagnosis.fit.refinement import refined
 from safedpa.diagnosis.fit.shooting import Shooting
 from safedpa.diagnosis.search.progress import Search
 from safedpa.diagnosis.search.second_opinion import CLEAR_FALL, CORNERED, FRICTIONS
+from safedpa.effects import Conditioned, Where
 
-__all__ = ["with_final_numbers", "with_form_in_doubt"]
+__all__ = ["between_kinds", "with_final_numbers", "with_form_in_doubt"]
 
 _WORSE = 0.02
 """Share by which the held-out error may grow: rollouts from a measured start reward what a lasting push makes of it."""
-
-
 _MOST = 3.0
 """Deviations of the windows' number that the difference to the filter counts at most."""
 _FAR = 0.5
 """Share of a free number of the base that the filter may move: further off, much is missing, and lasting disturbances
 stand for it."""
+_GROUPS = 8
+"""Of as many windows each."""
+_FEWEST = 3
+"""Windows in a group."""
+_CHANCE = 2.0
+"""Times the deviation over blocks that groups give by chance at most: once in 5000 for 8 groups (F distribution)."""
 
 
 def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tuple[Fit, HeldoutError]:
@@ -40,6 +54,7 @@ def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tupl
     before = error_with(found, shooting, heldout)
     if not found.free.any():
         return found, before
+    found = _counted_otherwise(found, shooting)
     final = refined(found.model, found.paths, found.free, shooting.windows)
     if final is None:
         return found, before
@@ -52,6 +67,17 @@ def with_final_numbers(found: Fit, shooting: Shooting, heldout: Heldout) -> tupl
         return moved, after
     apart = np.where(_lost(moved), 0.0, 0.5 * np.abs(moved.values - found.values))
     return replace(found, stated=np.hypot(own, np.minimum(apart, _MOST * own))), before
+
+
+def _counted_otherwise(found: Fit, shooting: Shooting) -> Fit:
+    """The fit with half of what its numbers move by where glitches are told rate by rate as further uncertainty: where
+    recordings have unlike rates, nobody knows which rows are odd."""
+    other = shooting.counted_by_rate(found.model)
+    if other is None:
+        return found
+    again = fit(found.model, found.paths, other, found.scale)
+    apart = np.where(found.free & again.free, 0.5 * np.abs(again.values - found.values), 0.0)
+    return replace(found, stated=np.hypot(found.deviations(shooting), apart))
 
 
 def with_form_in_doubt(final: Fit, search: Search) -> Fit:
@@ -76,9 +102,42 @@ def with_form_in_doubt(final: Fit, search: Search) -> Fit:
     return replace(final, stated=np.hypot(np.fmax(final.deviations(search.shooting), kinds), 0.5 * apart))
 
 
+def between_kinds(fitted: Fit, shooting: Shooting) -> Floats:
+    """The largest standard deviation (paths,) by what each group of like windows moves; 0 where chance would do.
+
+    Windows are put in order by the mean size of each state and action, and by how much each action varies.
+    """
+    found = np.zeros(len(fitted.paths))
+    if not fitted.free.any() or len(shooting.windows) < _GROUPS * _FEWEST:
+        return found
+    products, slopes = products_of(fitted.columns[..., fitted.free], fitted.residual)
+    blocks = jackknife(products, slopes, shooting.block)
+    largest = np.zeros(len(blocks))
+    for kind in _kinds(shooting):
+        place = np.argsort(np.argsort(kind, kind="stable"), kind="stable")
+        largest = np.maximum(largest, jackknife(products, slopes, place * _GROUPS // len(place)))
+    found[fitted.free] = np.sqrt(np.where(largest > _CHANCE**2 * blocks, largest, 0.0))
+    return found
+
+
+def _kinds(shooting: Shooting) -> Iterator[Floats]:
+    """What windows are put in order by, (windows,) each; nothing that hardly varies."""
+    windows = shooting.windows
+    rows = np.minimum(windows.start[:, None] + shooting.rows, windows.end[:, None] - 1)
+    actions = windows.actions[rows]
+    moving = [index for index, variable in enumerate(windows.system.state) if variable.name not in PLACE]
+    for values in (
+        np.abs(windows.states[rows][..., moving]).mean(axis=1),
+        np.abs(actions).mean(axis=1),
+        actions.std(axis=1),
+    ):
+        yield from (column for column in values.T if np.ptp(column) > 0.0)
+
+
 def _cornered(found: Fit) -> NDArray[np.bool_]:
-    """Numbers of dry friction and of effects with a corner, (paths,)."""
-    return np.array([path.split(".")[0] in CORNERED | FRICTIONS for path in found.paths])
+    """Numbers of dry friction, of effects with a corner, and of those that begin at a border, (paths,)."""
+    borders = {own.name for own in found.model.effects if isinstance(own, Conditioned) and isinstance(own.law, Where)}
+    return np.array([path.split(".")[0] in CORNERED | FRICTIONS | borders for path in found.paths])
 
 
 def _lost(moved: Fit) -> NDArray[np.bool_]:

@@ -11,15 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from safedpa.compare.naive import naive_errors
-from safedpa.compare.windows import Floats
 from safedpa.diagnosis.fit.evidence import Evidence
 from safedpa.diagnosis.fit.heldout import Heldout, HeldoutError, error_with
-from safedpa.diagnosis.fit.least_squares import fit
 from safedpa.diagnosis.fit.shooting import Shooting
-from safedpa.diagnosis.fit.starts import best_start
-from safedpa.diagnosis.fit.trial import Trial, block_gain, trial_of, tried_in_turn
+from safedpa.diagnosis.fit.trial import Trial, block_gain, tried_in_turn
 from safedpa.diagnosis.search.acceptance import accept, settled
+from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.conditions import conditional, of_patch, placed
 from safedpa.diagnosis.search.final_numbers import with_final_numbers, with_form_in_doubt
 from safedpa.diagnosis.search.judgement import (
@@ -32,17 +29,15 @@ from safedpa.diagnosis.search.judgement import (
     plainest,
     preferred,
 )
-from safedpa.diagnosis.search.look_ahead import one_step_ahead, worth_it
-from safedpa.diagnosis.search.other_horizons import Passing, passing_elsewhere
-from safedpa.diagnosis.search.pairs import pairs_of
 from safedpa.diagnosis.search.patch import Patch, best_patch
 from safedpa.diagnosis.search.progress import Judged, Search
 from safedpa.diagnosis.search.revision import bounded, exchange, removals, smallest, united
 from safedpa.diagnosis.search.second_opinion import CLEAR_FALL, MUCH, agrees, certain, clear
+from safedpa.diagnosis.search.where_none_passes import Passing, one_step_ahead, pairs_of, passing_elsewhere, worth_it
 from safedpa.dynamics import PhysicsModel
 from safedpa.effects import AbstractEffect
 
-__all__ = ["Judged", "Search", "Tell", "accept", "addition", "begun", "searched"]
+__all__ = ["Judged", "Search", "Tell", "accept", "addition", "searched"]
 
 MOST = 12
 """Additions."""
@@ -51,16 +46,6 @@ _ASKED = 3
 
 _SETTLED = 4
 """Trials of one stage that are fitted about their own model while MUCH is missing."""
-
-_FAR = 0.5
-"""Share of a free number."""
-_HARDLY = 0.8
-"""Of the error of what knows no physics, from which a refitted base may be stuck."""
-_STUCK, _SURELY = 0.25, 0.5
-"""Share of the held-out error by which another start has to be better, there and elsewhere.
-
-Where much is missing, a free number that stands for all of it is a little better too, and hides what is missing.
-"""
 
 Tell = Callable[[int, int, str], None]
 """(done, of how many, what is looked for and the best that is known so far): of this stage, for nobody knows how many
@@ -145,37 +130,6 @@ def _so_far(search: Search) -> str:
         return f"so far nothing is found missing, error {search.first_error.value:.3g}"
     names = ", ".join(search.added)
     return f"so far missing: {names}, error {search.first_error.value:.3g} to {search.error.value:.3g}"
-
-
-def begun(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
-    """The search with the given model, its free parameters refitted: from where they stand, unless that gets stuck."""
-    given = _begun_at(model, shooting, heldout)
-    other = best_start(model, list(model.latent_names), shooting)
-    if other is model:
-        return given
-    found = _begun_at(other, shooting, heldout)
-    lost = given.error.value > _HARDLY * min(naive_errors(heldout.windows).values())
-    return found if found.error.value < (1.0 - (_STUCK if lost else _SURELY)) * given.error.value else given
-
-
-def _begun_at(model: PhysicsModel, shooting: Shooting, heldout: Heldout) -> Search:
-    free = list(model.latent_names)
-    scale = np.maximum(shooting.residuals([model])[0].std(axis=(0, 1)), 1e-6)
-    shooting = shooting.around(model)
-    begin = fit(model, free, shooting, scale)
-    closer = shooting.around(begin.model)
-    again = fit(begin.model, free, closer, begin.scale)
-    if not _far(begin.values, again.values):
-        shooting, begin = closer, again
-    first = trial_of(begin, shooting, (), None)
-    error = error_with(first.fit, shooting, heldout)
-    return Search(shooting, first, error, first, error)
-
-
-def _far(before: Floats, after: Floats) -> bool:
-    """Whether weights anew moved a number by more than _FAR: what counts less then is no hand that pushes, but most of
-    what the model lacks, and a number fitted to the rest would leave effects nothing to act on."""
-    return bool((np.abs(after - before) > _FAR * np.abs(before)).any())
 
 
 def addition(

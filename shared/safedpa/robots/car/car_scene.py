@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+import safedpa.robots.car.written_barriers  # noqa: F401  now: it takes as long as a tick, and would be the first one's
 from safedpa.bus import StateMessage, SurroundingsMessage
 from safedpa.errors import InputError
 from safedpa.operations import FLOATS

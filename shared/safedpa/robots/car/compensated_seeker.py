@@ -1,27 +1,30 @@
-"""The goal seeker of the car with what makes up for a towed load.
+"""The goal seeker of the car, whose wishes the model with the newest latent turns into what brings them about.
 
-The policy's use of the latent: drive so that the loaded robot behaves as the unloaded one would.
+With a speed servo it makes up for a towed load: it drives so that the loaded robot behaves as the unloaded one would.
 
 Let v be the entry of the state that an action's entry u steers directly (the speed, for a target speed). The nominal
 model, with the latent at the values of its file, would move it to v+ under the wish u. With the estimated latent z the
 model says v+ = f_v(x, z) + g_v(x, z) u', so u' = (v+ - f_v) / g_v does the same with load, as far as the bounds allow.
+
+Without a servo a speed controller in between asks the model for the throttle.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.bus import StateMessage
 from safedpa.dynamics import PhysicsModel
-from safedpa.errors import MessageError
+from safedpa.errors import InputError, MessageError
 from safedpa.robots.car.goal_seeker import GoalSeeker, GoalSeekerSettings
+from safedpa.robots.car.throttle import throttle_for
 
-__all__ = ["CompensatedGoalSeeker", "SpeedCompensation"]
+__all__ = ["CompensatedGoalSeeker", "SpeedCompensation", "ThrottledGoalSeeker"]
 
 Values = NDArray[np.float64]
 
@@ -29,6 +32,13 @@ _NUDGE = 1e-3
 """m/s of target speed, for the slope."""
 _WEAKEST = 1e-3
 """Below this sensitivity d(v+)/du the action has no hold on the speed, and the wish stays as it is."""
+
+_GAIN: Final = 3.0
+"""1/s; of the speed controller."""
+_MOST: Final = 2.0
+"""m/s2 that it asks for at most."""
+_BOUNDS: Final = (-1.0, 1.0)
+"""Of the throttle."""
 
 
 @final
@@ -101,3 +111,28 @@ class CompensatedGoalSeeker:
             speed = self._compensation.target(state.values, values, latent.tolist())
             values = min(max(speed, self._settings.slowest_target), self._settings.fastest_target), values[1]
         return values, f"goal_seeker:{self._seeker.mode}"
+
+
+@final
+class ThrottledGoalSeeker:
+    """The goal seeker; its target speed becomes a wished acceleration clip(3/s (target - speed), +-2 m/s2), and that,
+    by the model with the newest latent, a throttle.
+    """
+
+    def __init__(self, model: PhysicsModel, settings: GoalSeekerSettings) -> None:
+        self._model, self._seeker = model, GoalSeeker(settings)
+
+    def wish(self, state: StateMessage, latent: NDArray[np.float64] | None) -> tuple[tuple[float, ...], str]:
+        """Throttle and steer [rad]; the name tells what it is about, such as ``goal_seeker:seek``."""
+        if len(state.values) != 4 or len(state.goal) != 2:
+            raise MessageError(f"state: got {len(state.values)} values and a goal of {len(state.goal)}, wanted 4 and 2")
+        target, steer = self._seeker.wish(state.robot_time, state.values, state.goal)
+        values, wanted = np.array(state.values), min(max(_GAIN * (target - state.values[3]), -_MOST), _MOST)
+        throttle = 0.0
+        if self._model.system.is_plausible(values):
+            self._model.clock.seconds = state.robot_time
+            try:
+                throttle = throttle_for(self._model, values, steer, wanted, _BOUNDS, latent)
+            except InputError as error:
+                raise MessageError(f"state: {error}") from error
+        return (throttle, steer), f"goal_seeker:{self._seeker.mode}"

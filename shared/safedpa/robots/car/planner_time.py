@@ -5,17 +5,21 @@ A planner that looks one or two seconds ahead must know what comes after. T(x, y
     T(pose) = min over manoeuvres m of  seconds(m) w(pose) + T(pose after m),     T = 0 at the goal,
 
 on a grid of poses, for arcs of one heading's width to the left, straight and to the right, forwards and backwards.
+Among what a car sees it is kept on a map from tick to tick, while what it sees changes (``WayMap``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil, floor
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Grid", "TimeToGo", "clearance", "disc_ways"]
+from safedpa.robots.car.seen_room import Room, SeenRoom
+
+__all__ = ["ANGLES", "HEADINGS", "Grid", "TimeToGo", "WayMap", "clearance", "disc_ways", "shifts"]
 
 _NEAR = ((1, 0), (-1, 0), (0, 1), (0, -1))
 _DIAGONAL = ((1, 1), (1, -1), (-1, 1), (-1, -1))
@@ -66,7 +70,10 @@ def disc_ways(grid: Grid, goal: Sequence[float], weight: Values) -> Values:
 
 Values = NDArray[np.float64]
 
-_HEADINGS = 16
+HEADINGS = 16
+"""Of the grid of poses, evenly, the first along x."""
+ANGLES: Values = np.arange(HEADINGS, dtype=np.float64) * (2.0 * np.pi / HEADINGS)
+"""rad."""
 _THROUGH = 8.0
 """A second within something solid counts as so many: a planner that got too near still knows which way leads out."""
 _GRAZING = 1.0
@@ -97,26 +104,42 @@ class TimeToGo:
         turning: float = 0.92,
         cell: float = 0.2,
     ) -> None:
-        self._grid = grid = Grid(field, cell)
-        angles = 2.0 * np.pi / _HEADINGS * np.arange(_HEADINGS)
-        yaw, x, y = np.meshgrid(angles, grid.x, grid.y, indexing="ij")
+        grid = Grid(field, cell)
+        yaw, x, y = np.meshgrid(ANGLES, grid.x, grid.y, indexing="ij")
         rear, front, radius = footprint
         free = clearance((x, y, yaw), (np.array(-rear), np.array(front)), obstacles, field) - radius - room
         weight = np.where(free < 0.0, _THROUGH, 1.0 + _GRAZING * np.clip(1.0 - free / _BERTH, 0.0, 1.0))
+        self._begin(grid, goal, weight, turning, cell)
+
+    @classmethod
+    def weighed(cls, grid: Grid, goal: Sequence[float], weight: Values, turning: float = 0.92) -> TimeToGo:
+        """T where a second at the poses of ``grid`` counts ``weight`` (HEADINGS, nx, ny) >= 1, from whatever source."""
+        made = cls.__new__(cls)
+        made._begin(grid, goal, weight, turning, float(grid.cell.max()))
+        return made
+
+    def _begin(self, grid: Grid, goal: Sequence[float], weight: Values, turning: float, cell: float) -> None:
+        self._grid, angles = grid, ANGLES
         ways = disc_ways(grid, goal, weight.min(axis=0)) / _SPEEDS[0]
-        self._times = np.repeat(ways[None].astype(np.float32), _HEADINGS, axis=0)
+        self._times = np.repeat(ways[None].astype(np.float32), HEADINGS, axis=0)
         self._arrived = ways < 1.5 * cell / _SPEEDS[0]
         moves = _manoeuvres(turning)
-        self._turned = (np.arange(_HEADINGS) + [[turn] for _, _, turn, _ in moves]) % _HEADINGS
+        self._turned = (np.arange(HEADINGS) + [[turn] for _, _, turn, _ in moves]) % HEADINGS
         self._weight = weight.astype(np.float32)
         self._lengths = np.array([length for *_, length in moves])
         self.drive_at(*_SPEEDS)
         along, across = (np.array([move[index] for move in moves])[:, None] for index in (0, 1))
-        self._across = _shifts(grid, 0, along * np.cos(angles) - across * np.sin(angles))
-        self._along = _shifts(grid, 1, along * np.sin(angles) + across * np.cos(angles)).swapaxes(-1, -2)
+        self._across = shifts(grid, 0, along * np.cos(angles) - across * np.sin(angles))
+        self._along = shifts(grid, 1, along * np.sin(angles) + across * np.cos(angles)).swapaxes(-1, -2)
+
+    def reweigh(self, weight: Values) -> None:
+        """Goes on from the T of before with another ``weight`` (HEADINGS, nx, ny): ``relax`` makes it true."""
+        self._weight = weight.astype(np.float32)
+        self.drive_at(*self._speeds)
 
     def drive_at(self, forwards: float, backwards: float) -> None:
         """What the robot makes of its speeds from now on, > 0 [m/s]: a load may leave little of the reverse gear."""
+        self._speeds = forwards, backwards
         speeds = np.where(self._lengths > 0.0, forwards, -backwards)
         self._seconds = (self._lengths / speeds).astype(np.float32)[:, None, None, None] * self._weight
         self.settled = False
@@ -135,11 +158,11 @@ class TimeToGo:
         """T at poses of any one shape; outside of the field that of the nearest place inside."""
         i, s = self._grid.shares(x, 0)
         j, t = self._grid.shares(y, 1)
-        turn = np.mod(yaw * (_HEADINGS / (2.0 * np.pi)), _HEADINGS)
+        turn = np.mod(yaw * (HEADINGS / (2.0 * np.pi)), HEADINGS)
         k = turn.astype(np.intp)
         r = turn - k
         found = np.zeros(np.shape(x))
-        for heading, share in ((k % _HEADINGS, 1.0 - r), ((k + 1) % _HEADINGS, r)):
+        for heading, share in ((k % HEADINGS, 1.0 - r), ((k + 1) % HEADINGS, r)):
             low = self._times[heading, i, j] * (1.0 - s) + self._times[heading, i + 1, j] * s
             high = self._times[heading, i, j + 1] * (1.0 - s) + self._times[heading, i + 1, j + 1] * s
             found += share * (low * (1.0 - t) + high * t)
@@ -171,7 +194,7 @@ def clearance(
     return room
 
 
-def _shifts(grid: Grid, axis: int, distance: Values) -> NDArray[np.float32]:
+def shifts(grid: Grid, axis: int, distance: Values) -> NDArray[np.float32]:
     """Matrices (..., n, n) that read a table along an axis some distance (...) [m] further on, linear in between."""
     lines = grid.x if axis == 0 else grid.y
     low, share = grid.shares(lines + distance[..., None], axis)
@@ -183,7 +206,7 @@ def _shifts(grid: Grid, axis: int, distance: Values) -> NDArray[np.float32]:
 
 def _manoeuvres(turning: float) -> list[tuple[float, float, int, float]]:
     """(along [m], across [m], headings turned, signed length [m]) of six arcs, a heading wide where tightest."""
-    angle = 2.0 * np.pi / _HEADINGS
+    angle = 2.0 * np.pi / HEADINGS
     length = turning * angle
     found: list[tuple[float, float, int, float]] = []
     for side in (-1, 0, 1):
@@ -191,3 +214,75 @@ def _manoeuvres(turning: float) -> list[tuple[float, float, int, float]]:
         across = side * turning * (1.0 - float(np.cos(angle)))
         found += [(along, across, side, length), (-along, across, -side, -length)]
     return found
+
+
+_CELL = 0.2
+"""m"""
+_BEYOND = 2.0
+"""m around robot and goal."""
+_INSIDE = 0.6
+"""m from the edge, where a new map is made."""
+_FARTHEST = 7.0
+"""m; of a goal farther away the way there counts."""
+_AT_FIRST = 12
+"""Rounds of refining a new map, ..."""
+_SWEEPS = 4
+"""and one that was looked at before."""
+
+
+@final
+class WayMap:
+    """T [s] (``TimeToGo``) on a field of its own around the car at ``place`` and its ``goal``, both (x, y) [m]."""
+
+    def __init__(
+        self,
+        place: tuple[float, float],
+        goal: tuple[float, float],
+        footprint: tuple[float, float, float],
+        room: SeenRoom,
+        speeds: tuple[float, float],
+    ) -> None:
+        self.goal = goal
+        apart = np.array(goal) - place
+        towards = np.array(place) + apart * min(1.0, _FARTHEST / max(float(np.hypot(*apart)), 1e-6))
+        low, high = np.minimum(place, towards) - _BEYOND, np.maximum(place, towards) + _BEYOND
+        self._low, self._high = np.array([floor(value) for value in low]), np.array([ceil(value) for value in high])
+        grid = self._grid = Grid((self._low[0], self._high[0], self._low[1], self._high[1]), _CELL)
+        rear, front, _ = footprint
+        at = np.array((-rear, 0.5 * (front - rear), front))[:, np.newaxis]
+        self._across = shifts(grid, 0, at * np.cos(ANGLES)).astype(np.float64)
+        self._along = shifts(grid, 1, at * np.sin(ANGLES)).swapaxes(-1, -2).astype(np.float64)
+        self._x, self._y = np.meshgrid(grid.x, grid.y, indexing="ij")
+        self._rest: Values = room.to_rest(self._x, self._y)
+        self._moves: Values = room.to_moves(self._x, self._y)
+        self.time = TimeToGo.weighed(grid, tuple(towards.tolist()), self._prices(room))
+        self.drive_at(*speeds)
+        self.time.relax(_AT_FIRST)
+
+    def holds(self, place: tuple[float, float], goal: tuple[float, float]) -> bool:
+        """Whether it is a map to ``goal`` around ``place``."""
+        inside = (np.array(place) > self._low + _INSIDE).all() and (np.array(place) < self._high - _INSIDE).all()
+        return goal == self.goal and bool(inside)
+
+    def drive_at(self, forwards: float, backwards: float) -> None:
+        """m/s, above 0."""
+        self.speeds = forwards, backwards
+        self.time.drive_at(forwards, backwards)
+
+    def take(self, room: SeenRoom, *, moves: bool) -> None:
+        """Takes up what is at rest, or else what ``moves``; in turn, so that no tick takes long."""
+        if moves:
+            self._moves = room.to_moves(self._x, self._y)
+        else:
+            self._rest = room.to_rest(self._x, self._y)
+        self.time.reweigh(self._prices(room))
+
+    def refine(self) -> None:
+        """Some rounds more."""
+        self.time.relax(_SWEEPS)
+
+    def _prices(self, room: SeenRoom) -> Values:
+        """(headings, nx, ny), of the body at the grid's poses: by its rear end, middle and front end."""
+        rest = (self._across @ self._rest @ self._along).min(axis=0)
+        moves = (self._across[1:] @ self._moves @ self._along[1:]).min(axis=0)
+        return room.price(Room(rest, moves))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
     from safedpa.dynamics.elsewhere import Elsewhere
     from safedpa.networks.frame import Frame
+    from safedpa.operations import Operations, Scalar
     from safedpa.policy.controller import Controller
     from safedpa.policy.perception import Perception
     from safedpa.ros.face import AbstractFace
@@ -92,7 +93,16 @@ class Car(ShippedRobot):
 
             return Planner(model)
 
-        return {"goal_seeker": lambda: CompensatedGoalSeeker(model, GoalSeekerSettings()), "planner": planner}
+        def way_seeker() -> Controller:
+            from safedpa.robots.car.way_seeker import WaySeeker
+
+            return WaySeeker(model)
+
+        return {
+            "goal_seeker": lambda: CompensatedGoalSeeker(model, GoalSeekerSettings()),
+            "planner": planner,
+            "way_seeker": way_seeker,
+        }
 
     def ros_face(self, model: AbstractDynamics | None = None) -> AbstractFace:  # noqa: D102
         from safedpa.robots.car.ros_face import CarFace
@@ -106,14 +116,23 @@ class Car(ShippedRobot):
         return BackingOff(policy)
 
     def frame(self) -> Frame:  # noqa: D102
-        from safedpa.robots.car.frame import FRAME
+        from safedpa.networks.frame import Frame
 
-        return FRAME
+        return Frame(("cos(yaw)", "sin(yaw)", "speed"), _features, _rotation, 2)
 
     def perception(self) -> Perception:  # noqa: D102
         from safedpa.robots.car.perception import PERCEPTION
 
         return PERCEPTION
+
+
+def _features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
+    """What the networks see of a state."""
+    return [operations.cos(state[2]), operations.sin(state[2]), state[3]]
+
+
+def _rotation(state: Sequence[Scalar], operations: Operations) -> tuple[Scalar, Scalar]:
+    return operations.cos(state[2]), operations.sin(state[2])
 
 
 ROBOT = Car()

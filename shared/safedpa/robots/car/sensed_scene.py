@@ -74,7 +74,7 @@ def sensed_barriers(
     points, movers, places = (_table(seen, name, width) for name, width in _WIDTHS)
     discs = np.vstack([movers[:, [0, 1, 2, 5]], places])
     hidden = np.arange(len(discs)) >= len(movers)
-    braking, clearance = braking_of(settings), settings.barrier("clearance")
+    braking, clearance, own = braking_of(settings), settings.barrier("clearance"), settings.barrier("own_radius")
 
     def named(row: int) -> str:
         return f"mover {row}" if row < len(movers) else f"hidden {row - len(movers)}"
@@ -86,9 +86,11 @@ def sensed_barriers(
     def moving(rows: Rows) -> MoverBarrier:
         names = tuple(map(named, rows.tolist()))
         unseen = hidden[rows].tolist()
-        return MoverBarrier(discs[rows], unseen, body, braking, counter, clearance, state.period, names, towed)
+        known = body, braking, counter, clearance, state.period, names, towed
+        return MoverBarrier(discs[rows], unseen, *known, creeps=settings.barrier("creeping"), own_radius=own)
 
     speeds, kept = (settings.barrier("speed_low"), settings.barrier("speed_high")), body[2] + clearance
+    thick = body[2] if towed is None else min(own or body[2], body[2])
     none, margins = np.arange(0), {**settings.epsilon, **(epsilon or {})}
 
     def far(barrier: AbstractEquationBarrier) -> float:
@@ -97,10 +99,12 @@ def sensed_barriers(
     resting = at_rest(none)
     still, _, fewer = _that_matter(resting, (*points[:, :2].T, points[:, 2] + kept), state, speeds, far)
     x, y, radius, fastest = discs.T
-    everywhere = (x, y, radius + kept + fastest * state.period, fastest, fastest)
+    everywhere = (x, y, radius + thick + clearance + fastest * state.period, fastest, fastest)
     each = (*everywhere[:4], np.where(hidden, 0.0, fastest))
     able = moving(none) if len(discs) else resting
-    swiftest = able.sharing((*able.shared[:7], float(fastest.max()), *able.shared[8:])) if len(discs) else able
+    # without creeping: a car that creeps has h to spare of what is near, and none of it once it drives
+    strict = (*able.shared[:7], float(fastest.max()), 0.0, *able.shared[9:]) if len(discs) else ()
+    swiftest = able.sharing(strict) if len(discs) else able
     may_move, h, fewer_movers = _that_matter(swiftest, each, state, speeds, far, everywhere)
     stands = len(state.values) == len(MoverBarrier.reads) and abs(state.values[3]) <= STANDS
     left_out = " and ".join(

@@ -65,8 +65,8 @@ class ThrottleCar(ShippedRobot):
         return barriers_around(state, settings, footprint, draw)
 
     def controllers(self, model: PhysicsModel) -> Mapping[str, Callable[[], Controller]]:  # noqa: D102
+        from safedpa.robots.car.compensated_seeker import ThrottledGoalSeeker
         from safedpa.robots.car.goal_seeker import GoalSeekerSettings
-        from safedpa.robots.car.throttled_seeker import ThrottledGoalSeeker
 
         wheelbase = model.settings["base.wheelbase"].value
         settings = GoalSeekerSettings(wheelbase=wheelbase, cruise_speed=1.4)

@@ -374,6 +374,9 @@ class Sensed:
         p1_5: float = shared[1][5]
         p1_6: float = shared[1][6]
         p1_7: float = shared[1][7]
+        p1_8: float = shared[1][8]
+        p1_9: float = shared[1][9]
+        p1_10: float = shared[1][10]
         n0 = p0_2 / p0_3
         n2 = n0 / p0_3
         n4 = n0 * n0
@@ -387,12 +390,12 @@ class Sensed:
         n55 = (2.0) * p1_4
         n59 = p1_5 * p1_5
         n61 = (2.0) * p1_6
-        n102 = (1.0) / p0_3
-        n108 = (1.0) / p1_3
-        n118 = (1.0) / p1_6
-        n119 = (1.0) / p1_4
-        n120 = (n119 if n119 > n118 else n118)
-        n125 = p1_7 * ((n120 if n120 > (0.5) else (0.5)))
+        n109 = (1.0) / p0_3
+        n115 = (1.0) / p1_3
+        n125 = (1.0) / p1_6
+        n126 = (1.0) / p1_4
+        n127 = (n126 if n126 > n125 else n125)
+        n132 = p1_7 * ((n127 if n127 > (0.5) else (0.5)))
         self._p0_1: float = p0_1
         self._p0_2: float = p0_2
         self._p0_3: float = p0_3
@@ -402,6 +405,7 @@ class Sensed:
         self._p1_4: float = p1_4
         self._p1_5: float = p1_5
         self._p1_6: float = p1_6
+        self._p1_8: float = p1_8
         self._n0: float = n0
         self._n2: float = n2
         self._n4: float = n4
@@ -415,10 +419,10 @@ class Sensed:
         self._n55: float = n55
         self._n59: float = n59
         self._n61: float = n61
-        self._n102: float = n102
-        self._n108: float = n108
-        self._n120: float = n120
-        self._n125: float = n125
+        self._n109: float = n109
+        self._n115: float = n115
+        self._n127: float = n127
+        self._n132: float = n132
         self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
         self._items1: list[tuple[float, float, float, float, float]] = [(item[0], item[1], item[2], item[3], item[4],) for item in each[1]]
         self._items2: list[tuple[float, float]] = [(item[0], item[1],) for item in each[2]]
@@ -435,6 +439,7 @@ class Sensed:
         p1_4 = self._p1_4
         p1_5 = self._p1_5
         p1_6 = self._p1_6
+        p1_8 = self._p1_8
         n0 = self._n0
         n2 = self._n2
         n4 = self._n4
@@ -459,9 +464,10 @@ class Sensed:
         n67 = n46 + (((0.0) if (0.0) < n65 else n65))
         n69 = p1_1 + (((0.0) if (0.0) > n65 else n65))
         n82 = s3 >= (0.0)
-        n90 = n51 - (0.1)
-        n94 = n1 - p1_5
-        n97 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n90 else n90)) / p1_4)) + ((((0.0) if (0.0) > n94 else n94)) / p1_6)
+        n91 = n51 - (0.1)
+        n95 = n1 - p1_5
+        n98 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n91 else n91)) / p1_4)) + ((((0.0) if (0.0) > n95 else n95)) / p1_6)
+        n102 = p1_8 * ((0.1) - n1)
         h: list[float] = []
         for e0_0, e0_1, e0_2 in self._items0:
             n22 = e0_0 - s0
@@ -479,12 +485,13 @@ class Sensed:
             n77 = (n15 * n71) - (n16 * n70)
             n79 = n74 - ((n67 if n74 < n67 else n69 if n74 > n69 else n74))
             n80_square = n79 * n79 + n77 * n77
-            n99 = (((sqrt(n80_square) if 1e-290 < n80_square < 1e+290 else hypot(n79, n77))) - e1_2) - (((e1_4 if ((((n46 - n74) if n82 else (n74 - p1_1))) > (0.0)) else e1_3)) * n97)
-            h.append(n99)
+            n100 = (((sqrt(n80_square) if 1e-290 < n80_square < 1e+290 else hypot(n79, n77))) - e1_2) - (((e1_4 if ((((n46 - n74) if n82 else (n74 - p1_1))) > (0.0)) else e1_3)) * n98)
+            n106 = (((n102 if n102 > n100 else n100)) if ((p1_8 * (e1_3 - e1_4)) > (0.0)) else n100)
+            h.append(n106)
         for e2_0, e2_1 in self._items2:
-            n100 = e2_1 - s3
-            n101 = s3 - e2_0
-            h += [n100, n101]
+            n107 = e2_1 - s3
+            n108 = s3 - e2_0
+            h += [n107, n108]
         return h
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
@@ -499,6 +506,7 @@ class Sensed:
         p1_4 = self._p1_4
         p1_5 = self._p1_5
         p1_6 = self._p1_6
+        p1_8 = self._p1_8
         n0 = self._n0
         n2 = self._n2
         n4 = self._n4
@@ -524,6 +532,10 @@ class Sensed:
         n67 = n46 + (((0.0) if (0.0) < n65 else n65))
         n69 = p1_1 + (((0.0) if (0.0) > n65 else n65))
         n82 = s3 >= (0.0)
+        n91 = n51 - (0.1)
+        n95 = n1 - p1_5
+        n98 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n91 else n91)) / p1_4)) + ((((0.0) if (0.0) > n95 else n95)) / p1_6)
+        n102 = p1_8 * ((0.1) - n1)
         n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
         n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
         n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
@@ -535,7 +547,8 @@ class Sensed:
         n65_3 = (n63_3 if n11 else 0.0) + (0.0 if n11 else -n63_3)
         n66_3 = (0.0 if (0.0) < n65 else n65_3)
         n68_3 = (0.0 if (0.0) > n65 else n65_3)
-        n97_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > (n51 - (0.1)) else n51_3)) / p1_4)) + (((0.0 if (0.0) > (n1 - p1_5) else n1_3)) / p1_6)
+        n98_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > n91 else n51_3)) / p1_4)) + (((0.0 if (0.0) > n95 else n1_3)) / p1_6)
+        n102_3 = -n1_3 * p1_8
         end0 = 0
         end1 = end0 + 1 * len(self._items0)
         end2 = end1 + 1 * len(self._items1)
@@ -562,7 +575,7 @@ class Sensed:
                 d_n15 = d_n29 * n23 + d_n26 * n22
                 found.append((-d_n22, -d_n23, d_n16 * n15 + d_n15 * -n16, d_n19 * n18_3 + d_n21 * n20_3))
             elif row < end2:
-                e1_0, e1_1, _, e1_3, e1_4 = self._items1[row - end1]
+                e1_0, e1_1, e1_2, e1_3, e1_4 = self._items1[row - end1]
                 n70 = e1_0 - s0
                 n71 = e1_1 - s1
                 n74 = (n15 * n70) + (n16 * n71)
@@ -571,16 +584,22 @@ class Sensed:
                 n80_square = n79 * n79 + n77 * n77
                 n80 = (sqrt(n80_square) if 1e-290 < n80_square < 1e+290 else hypot(n79, n77))
                 n87 = (e1_4 if ((((n46 - n74) if n82 else (n74 - p1_1))) > (0.0)) else e1_3)
-                d_n79 = (n79 / n80 if n80 > 0.0 else 0.0)
-                d_n77 = (n77 / n80 if n80 > 0.0 else 1.0)
+                n100 = (n80 - e1_2) - (n87 * n98)
+                n104 = (p1_8 * (e1_3 - e1_4)) > (0.0)
+                d_n105 = (1.0 if n104 else 0.0)
+                d_n100 = (0.0 if n104 else 1.0) + (0.0 if n102 > n100 else d_n105)
+                d_n79 = (d_n100 * n79 / n80 if n80 > 0.0 else 0.0)
+                d_n77 = (d_n100 * n77 / n80 if n80 > 0.0 else d_n100)
                 d_n74 = d_n79 + (0.0 if n74 <= n67 else (0.0 if n74 >= n69 else -d_n79))
                 d_n71 = d_n77 * n15 + d_n74 * n16
                 d_n70 = -d_n77 * n16 + d_n74 * n15
+                d_n102 = (d_n105 if n102 > n100 else 0.0)
+                d_n98 = -d_n100 * n87
                 d_n67 = (-d_n79 if n74 <= n67 else 0.0)
                 d_n69 = (0.0 if n74 <= n67 else (-d_n79 if n74 >= n69 else 0.0))
                 d_n16 = -d_n77 * n70 + d_n74 * n71
                 d_n15 = d_n77 * n71 + d_n74 * n70
-                found.append((-d_n70, -d_n71, d_n16 * n15 + d_n15 * -n16, -n87 * n97_3 + d_n67 * n66_3 + d_n69 * n68_3))
+                found.append((-d_n70, -d_n71, d_n16 * n15 + d_n15 * -n16, d_n102 * n102_3 + d_n98 * n98_3 + d_n67 * n66_3 + d_n69 * n68_3))
             else:
                 which = (row - end2) % 2
                 if which == 0:
@@ -605,6 +624,7 @@ class Sensed:
         p1_2 = self._p1_2
         p1_3 = self._p1_3
         p1_5 = self._p1_5
+        p1_8 = self._p1_8
         n0 = self._n0
         n2 = self._n2
         n4 = self._n4
@@ -618,10 +638,10 @@ class Sensed:
         n55 = self._n55
         n59 = self._n59
         n61 = self._n61
-        n102 = self._n102
-        n108 = self._n108
-        n120 = self._n120
-        n125 = self._n125
+        n109 = self._n109
+        n115 = self._n115
+        n127 = self._n127
+        n132 = self._n132
         n1 = abs(s3)
         n3 = n1 * n1
         n8 = n2 + ((n3 - n4) / n6)
@@ -633,26 +653,27 @@ class Sensed:
         n52 = (p1_5 if p1_5 > n1 else n1)
         n63 = (((0.05) * n1) + ((n51 * n51) / n55)) + (((n52 * n52) - n59) / n61)
         n65 = (n63 if n11 else (-n63))
-        n103 = n1 / p0_2
-        n104 = (n103 if n103 > n102 else n102)
-        n105 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
-        n106 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
-        n107 = (n106 if n106 > n105 else n105)
-        n109 = n1 / p1_2
-        n110 = (n109 if n109 > n108 else n108)
-        n111 = abs((n46 + (((0.0) if (0.0) < n45 else n45))))
-        n112 = abs((p1_1 + (((0.0) if (0.0) > n45 else n45))))
-        n113 = (n112 if n112 > n111 else n111)
-        n114 = abs((n46 + (((0.0) if (0.0) < n65 else n65))))
-        n115 = abs((p1_1 + (((0.0) if (0.0) > n65 else n65))))
-        n116 = (n115 if n115 > n114 else n114)
-        n117 = (n116 if n116 > n113 else n113)
-        n122 = (0.05) + (n1 * n120)
-        n126 = ((n122 if n122 > n110 else n110)) + n125
-        n127 = (n117 if n117 > n107 else n107)
-        n128 = (n126 if n126 > n104 else n104)
-        n129 = ((1.0) if (1.0) > n128 else n128)
-        return (1.0), (1.0), n127, n129
+        n110 = n1 / p0_2
+        n111 = (n110 if n110 > n109 else n109)
+        n112 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n113 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n114 = (n113 if n113 > n112 else n112)
+        n116 = n1 / p1_2
+        n117 = (n116 if n116 > n115 else n115)
+        n118 = abs((n46 + (((0.0) if (0.0) < n45 else n45))))
+        n119 = abs((p1_1 + (((0.0) if (0.0) > n45 else n45))))
+        n120 = (n119 if n119 > n118 else n118)
+        n121 = abs((n46 + (((0.0) if (0.0) < n65 else n65))))
+        n122 = abs((p1_1 + (((0.0) if (0.0) > n65 else n65))))
+        n123 = (n122 if n122 > n121 else n121)
+        n124 = (n123 if n123 > n120 else n120)
+        n129 = (0.05) + (n1 * n127)
+        n133 = ((n129 if n129 > n117 else n117)) + n132
+        n134 = (p1_8 if p1_8 > n133 else n133)
+        n135 = (n124 if n124 > n114 else n114)
+        n136 = (n134 if n134 > n111 else n111)
+        n137 = ((1.0) if (1.0) > n136 else n136)
+        return (1.0), (1.0), n135, n137
 
 
 @final
@@ -1189,6 +1210,9 @@ class SensedTowing:
         p1_13: float = shared[1][13]
         p1_14: float = shared[1][14]
         p1_15: float = shared[1][15]
+        p1_16: float = shared[1][16]
+        p1_17: float = shared[1][17]
+        p1_18: float = shared[1][18]
         n0 = p0_2 / p0_3
         n2 = n0 / p0_3
         n4 = n0 * n0
@@ -1202,15 +1226,18 @@ class SensedTowing:
         n74 = (2.0) * p1_4
         n78 = p1_5 * p1_5
         n80 = (2.0) * p1_6
-        n136 = (1.0) / p0_3
-        n142 = (1.0) + p0_5
-        n144 = (1.0) / p1_3
-        n150 = (1.0) + p1_9
-        n156 = (1.0) / p1_6
-        n157 = (1.0) / p1_4
-        n158 = (n157 if n157 > n156 else n156)
-        n163 = p1_7 * ((n158 if n158 > (0.5) else (0.5)))
-        n165 = (n150 if n150 > n142 else n142)
+        n127 = p1_9 + p1_10
+        n168 = (1.0) / p0_3
+        n174 = (1.0) + p0_5
+        n176 = (1.0) / p1_3
+        n182 = (1.0) + p1_12
+        n188 = (1.0) / p1_6
+        n189 = (1.0) / p1_4
+        n190 = (n189 if n189 > n188 else n188)
+        n196 = (1.0) + ((p1_12 * n127) / p1_13)
+        n198 = (2.0) * n127
+        n203 = p1_7 * ((n190 if n190 > (0.5) else (0.5)))
+        n206 = (n196 if n196 > n174 else n174)
         self._p0_1: float = p0_1
         self._p0_2: float = p0_2
         self._p0_3: float = p0_3
@@ -1229,7 +1256,17 @@ class SensedTowing:
         self._p1_4: float = p1_4
         self._p1_5: float = p1_5
         self._p1_6: float = p1_6
+        self._p1_8: float = p1_8
+        self._p1_9: float = p1_9
         self._p1_10: float = p1_10
+        self._p1_11: float = p1_11
+        self._p1_12: float = p1_12
+        self._p1_13: float = p1_13
+        self._p1_14: float = p1_14
+        self._p1_15: float = p1_15
+        self._p1_16: float = p1_16
+        self._p1_17: float = p1_17
+        self._p1_18: float = p1_18
         self._n0: float = n0
         self._n2: float = n2
         self._n4: float = n4
@@ -1243,13 +1280,16 @@ class SensedTowing:
         self._n74: float = n74
         self._n78: float = n78
         self._n80: float = n80
-        self._n136: float = n136
-        self._n142: float = n142
-        self._n144: float = n144
-        self._n150: float = n150
-        self._n158: float = n158
-        self._n163: float = n163
-        self._n165: float = n165
+        self._n127: float = n127
+        self._n168: float = n168
+        self._n174: float = n174
+        self._n176: float = n176
+        self._n182: float = n182
+        self._n190: float = n190
+        self._n196: float = n196
+        self._n198: float = n198
+        self._n203: float = n203
+        self._n206: float = n206
         self._items0: list[tuple[float, float, float]] = [(item[0], item[1], item[2],) for item in each[0]]
         self._items1: list[tuple[float, float, float, float, float]] = [(item[0], item[1], item[2], item[3], item[4],) for item in each[1]]
         self._items2: list[tuple[float, float]] = [(item[0], item[1],) for item in each[2]]
@@ -1272,21 +1312,38 @@ class SensedTowing:
         p0_11 = self._p0_11
         p1_0 = self._p1_0
         p1_1 = self._p1_1
+        p1_3 = self._p1_3
         p1_4 = self._p1_4
         p1_5 = self._p1_5
         p1_6 = self._p1_6
+        p1_8 = self._p1_8
+        p1_9 = self._p1_9
         p1_10 = self._p1_10
+        p1_11 = self._p1_11
+        p1_12 = self._p1_12
+        p1_13 = self._p1_13
+        p1_14 = self._p1_14
+        p1_15 = self._p1_15
+        p1_16 = self._p1_16
+        p1_17 = self._p1_17
+        p1_18 = self._p1_18
         n0 = self._n0
         n2 = self._n2
         n4 = self._n4
         n6 = self._n6
         n17 = self._n17
+        n53 = self._n53
+        n54 = self._n54
+        n55 = self._n55
+        n57 = self._n57
         n65 = self._n65
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
+        n127 = self._n127
         n1 = abs(s3)
-        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n3 = n1 * n1
+        n8 = n2 + ((n3 - n4) / n6)
         n11 = s3 > (0.0)
         n14 = ((s3 / p0_3) if (n1 <= n0) else ((n8 if n11 else (-n8))))
         n15 = cos(s2)
@@ -1297,6 +1354,7 @@ class SensedTowing:
         n41 = -n14
         n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
         n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        n59 = n54 + ((n3 - n55) / n57)
         n70 = (p1_5 if p1_5 < n1 else n1)
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
@@ -1304,11 +1362,16 @@ class SensedTowing:
         n86 = n65 + (((0.0) if (0.0) < n84 else n84))
         n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
         n101 = s3 >= (0.0)
-        n108 = (n88 - p1_1) - p1_0
-        n117 = n70 - (0.1)
-        n121 = n1 - p1_5
-        n124 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n117 else n117)) / p1_4)) + ((((0.0) if (0.0) > n121 else n121)) / p1_6)
-        n127 = s3 >= (-0.01)
+        n109 = (n88 - p1_1) - p1_0
+        n119 = p1_14 - ((p1_17 * (s0 - p1_15)) + (p1_18 * (s1 - p1_16)))
+        n121 = -(((s3 / p1_3) if (n1 <= n53) else ((n59 if n11 else (-n59)))))
+        n125 = ((((n119 if n119 > (0.0) else (0.0))) + ((n121 if n121 > (0.0) else (0.0)))) - p1_11) * p1_12
+        n131 = ((((0.0) if n125 < (0.0) else p1_13 if n125 > p1_13 else n125)) * n127) / p1_13
+        n144 = n70 - (0.1)
+        n148 = n1 - p1_5
+        n151 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n144 else n144)) / p1_4)) + ((((0.0) if (0.0) > n148 else n148)) / p1_6)
+        n154 = s3 >= (-0.01)
+        n161 = p1_8 * ((0.1) - n1)
         h: list[float] = []
         for e0_0, e0_1, e0_2 in self._items0:
             n22 = e0_0 - s0
@@ -1332,16 +1395,25 @@ class SensedTowing:
             n99_square = n98 * n98 + n96 * n96
             n100 = ((sqrt(n99_square) if 1e-290 < n99_square < 1e+290 else hypot(n98, n96))) - e1_2
             n102 = n65 - n93
-            n110 = n93 - ((n86 if n93 < n86 else n108 if n93 > n108 else n93))
-            n111_square = n110 * n110 + n96 * n96
-            n113 = (((sqrt(n111_square) if 1e-290 < n111_square < 1e+290 else hypot(n110, n96))) - e1_2) - p1_10
-            n126 = ((n113 if n113 < n100 else n100)) - (((e1_4 if (((n102 if n101 else (n93 - p1_1))) > (0.0)) else e1_3)) * n124)
-            n133 = ((((0.5) if (0.5) > n126 else n126)) if ((((n102 * (e1_3 - e1_4)) if n127 else (0.0))) > (0.0)) else n126)
-            h.append(n133)
+            n107 = e1_3 - e1_4
+            n111 = n93 - ((n86 if n93 < n86 else n109 if n93 > n109 else n93))
+            n112_square = n111 * n111 + n96 * n96
+            n113 = ((sqrt(n112_square) if 1e-290 < n112_square < 1e+290 else hypot(n111, n96))) - p1_10
+            n132 = ((n93 - n109) - (0.05)) - n131
+            n134 = (abs(n96)) - n127
+            n135 = ((0.0) if (0.0) > n132 else n132)
+            n136 = ((0.0) if (0.0) > n134 else n134)
+            n137_square = n135 * n135 + n136 * n136
+            n138 = ((sqrt(n137_square) if 1e-290 < n137_square < 1e+290 else hypot(n135, n136))) + p1_9
+            n140 = ((n138 if n138 > n113 else n113)) - e1_2
+            n153 = ((n140 if n140 < n100 else n100)) - (((e1_4 if (((n102 if n101 else (n93 - p1_1))) > (0.0)) else e1_3)) * n151)
+            n159 = ((((0.5) if (0.5) > n153 else n153)) if ((((n102 * n107) if n154 else (0.0))) > (0.0)) else n153)
+            n165 = (((n161 if n161 > n159 else n159)) if ((p1_8 * n107) > (0.0)) else n159)
+            h.append(n165)
         for e2_0, e2_1 in self._items2:
-            n134 = e2_1 - s3
-            n135 = s3 - e2_0
-            h += [n134, n135]
+            n166 = e2_1 - s3
+            n167 = s3 - e2_0
+            h += [n166, n167]
         return h
 
     def slopes(self, state: Sequence[float], rows: Sequence[int]) -> list[tuple[float, float, float, float]]:
@@ -1362,21 +1434,38 @@ class SensedTowing:
         p0_11 = self._p0_11
         p1_0 = self._p1_0
         p1_1 = self._p1_1
+        p1_3 = self._p1_3
         p1_4 = self._p1_4
         p1_5 = self._p1_5
         p1_6 = self._p1_6
+        p1_8 = self._p1_8
+        p1_9 = self._p1_9
         p1_10 = self._p1_10
+        p1_11 = self._p1_11
+        p1_12 = self._p1_12
+        p1_13 = self._p1_13
+        p1_14 = self._p1_14
+        p1_15 = self._p1_15
+        p1_16 = self._p1_16
+        p1_17 = self._p1_17
+        p1_18 = self._p1_18
         n0 = self._n0
         n2 = self._n2
         n4 = self._n4
         n6 = self._n6
         n17 = self._n17
+        n53 = self._n53
+        n54 = self._n54
+        n55 = self._n55
+        n57 = self._n57
         n65 = self._n65
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
+        n127 = self._n127
         n1 = abs(s3)
-        n8 = n2 + (((n1 * n1) - n4) / n6)
+        n3 = n1 * n1
+        n8 = n2 + ((n3 - n4) / n6)
         n9 = n1 <= n0
         n11 = s3 > (0.0)
         n14 = ((s3 / p0_3) if n9 else ((n8 if n11 else (-n8))))
@@ -1388,6 +1477,8 @@ class SensedTowing:
         n41 = -n14
         n45 = ((((n39 if n39 > (0.0) else (0.0))) + ((n41 if n41 > (0.0) else (0.0)))) - p0_4) * p0_5
         n46 = ((0.0) if n45 < (0.0) else p0_6 if n45 > p0_6 else n45)
+        n59 = n54 + ((n3 - n55) / n57)
+        n60 = n1 <= n53
         n70 = (p1_5 if p1_5 < n1 else n1)
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
@@ -1395,26 +1486,37 @@ class SensedTowing:
         n86 = n65 + (((0.0) if (0.0) < n84 else n84))
         n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
         n101 = s3 >= (0.0)
-        n108 = (n88 - p1_1) - p1_0
-        n117 = n70 - (0.1)
-        n121 = n1 - p1_5
-        n124 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n117 else n117)) / p1_4)) + ((((0.0) if (0.0) > n121 else n121)) / p1_6)
-        n127 = s3 >= (-0.01)
+        n109 = (n88 - p1_1) - p1_0
+        n119 = p1_14 - ((p1_17 * (s0 - p1_15)) + (p1_18 * (s1 - p1_16)))
+        n121 = -(((s3 / p1_3) if n60 else ((n59 if n11 else (-n59)))))
+        n125 = ((((n119 if n119 > (0.0) else (0.0))) + ((n121 if n121 > (0.0) else (0.0)))) - p1_11) * p1_12
+        n131 = ((((0.0) if n125 < (0.0) else p1_13 if n125 > p1_13 else n125)) * n127) / p1_13
+        n144 = n70 - (0.1)
+        n148 = n1 - p1_5
+        n151 = (((((0.1) if (0.1) < n1 else n1)) * (0.5)) + ((((0.0) if (0.0) > n144 else n144)) / p1_4)) + ((((0.0) if (0.0) > n148 else n148)) / p1_6)
+        n154 = s3 >= (-0.01)
+        n161 = p1_8 * ((0.1) - n1)
         n1_3 = (1.0 if s3 > 0.0 else (-1.0 if s3 < 0.0 else 0.0))
-        n7_3 = (n1_3 * n1 + n1_3 * n1) / n6
+        n3_3 = n1_3 * n1 + n1_3 * n1
+        n7_3 = n3_3 / n6
         n14_3 = ((1.0 / p0_3) if n9 else 0.0) + (0.0 if n9 else ((n7_3 if n11 else 0.0) + (0.0 if n11 else -n7_3)))
         n18_3 = (0.0 if (0.0) < n14 else n14_3)
         n20_3 = (0.0 if (0.0) > n14 else n14_3)
         n46_0 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_10 if n39 > (0.0) else 0.0)) * p0_5)))
         n46_1 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-p0_11 if n39 > (0.0) else 0.0)) * p0_5)))
         n46_3 = (0.0 if n45 <= (0.0) else (0.0 if n45 >= p0_6 else (((-n14_3 if n41 > (0.0) else 0.0)) * p0_5)))
+        n58_3 = n3_3 / n57
         n70_3 = (0.0 if p1_5 < n1 else n1_3)
         n71_3 = (0.0 if p1_5 > n1 else n1_3)
         n82_3 = ((n1_3 * (0.05)) + ((n70_3 * n70 + n70_3 * n70) / n74)) + ((n71_3 * n71 + n71_3 * n71) / n80)
         n84_3 = (n82_3 if n11 else 0.0) + (0.0 if n11 else -n82_3)
         n85_3 = (0.0 if (0.0) < n84 else n84_3)
         n87_3 = (0.0 if (0.0) > n84 else n84_3)
-        n124_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > n117 else n70_3)) / p1_4)) + (((0.0 if (0.0) > n121 else n1_3)) / p1_6)
+        n131_0 = (((0.0 if n125 <= (0.0) else (0.0 if n125 >= p1_13 else (((-p1_17 if n119 > (0.0) else 0.0)) * p1_12)))) * n127) / p1_13
+        n131_1 = (((0.0 if n125 <= (0.0) else (0.0 if n125 >= p1_13 else (((-p1_18 if n119 > (0.0) else 0.0)) * p1_12)))) * n127) / p1_13
+        n131_3 = (((0.0 if n125 <= (0.0) else (0.0 if n125 >= p1_13 else (((-(((1.0 / p1_3) if n60 else 0.0) + (0.0 if n60 else ((n58_3 if n11 else 0.0) + (0.0 if n11 else -n58_3)))) if n121 > (0.0) else 0.0)) * p1_12)))) * n127) / p1_13
+        n151_3 = ((((0.0 if (0.1) < n1 else n1_3)) * (0.5)) + (((0.0 if (0.0) > n144 else n70_3)) / p1_4)) + (((0.0 if (0.0) > n148 else n1_3)) / p1_6)
+        n161_3 = -n1_3 * p1_8
         end0 = 0
         end1 = end0 + 1 * len(self._items0)
         end2 = end1 + 1 * len(self._items1)
@@ -1460,27 +1562,46 @@ class SensedTowing:
                 n100 = n99 - e1_2
                 n102 = n65 - n93
                 n106 = (e1_4 if (((n102 if n101 else (n93 - p1_1))) > (0.0)) else e1_3)
-                n110 = n93 - ((n86 if n93 < n86 else n108 if n93 > n108 else n93))
-                n111_square = n110 * n110 + n96 * n96
-                n111 = (sqrt(n111_square) if 1e-290 < n111_square < 1e+290 else hypot(n110, n96))
-                n113 = (n111 - e1_2) - p1_10
-                n131 = (((n102 * (e1_3 - e1_4)) if n127 else (0.0))) > (0.0)
-                d_n126 = (0.0 if n131 else 1.0) + (0.0 if (0.5) > (((n113 if n113 < n100 else n100)) - (n106 * n124)) else ((1.0 if n131 else 0.0)))
-                d_n113 = (d_n126 if n113 < n100 else 0.0)
-                d_n110 = (d_n113 * n110 / n111 if n111 > 0.0 else 0.0)
-                d_n100 = (0.0 if n113 < n100 else d_n126)
+                n107 = e1_3 - e1_4
+                n111 = n93 - ((n86 if n93 < n86 else n109 if n93 > n109 else n93))
+                n112_square = n111 * n111 + n96 * n96
+                n112 = (sqrt(n112_square) if 1e-290 < n112_square < 1e+290 else hypot(n111, n96))
+                n113 = n112 - p1_10
+                n132 = ((n93 - n109) - (0.05)) - n131
+                n134 = (abs(n96)) - n127
+                n135 = ((0.0) if (0.0) > n132 else n132)
+                n136 = ((0.0) if (0.0) > n134 else n134)
+                n137_square = n135 * n135 + n136 * n136
+                n137 = (sqrt(n137_square) if 1e-290 < n137_square < 1e+290 else hypot(n135, n136))
+                n138 = n137 + p1_9
+                n140 = ((n138 if n138 > n113 else n113)) - e1_2
+                n153 = ((n140 if n140 < n100 else n100)) - (n106 * n151)
+                n157 = (((n102 * n107) if n154 else (0.0))) > (0.0)
+                n159 = ((((0.5) if (0.5) > n153 else n153)) if n157 else n153)
+                n163 = (p1_8 * n107) > (0.0)
+                d_n164 = (1.0 if n163 else 0.0)
+                d_n159 = (0.0 if n163 else 1.0) + (0.0 if n161 > n159 else d_n164)
+                d_n153 = (0.0 if n157 else d_n159) + (0.0 if (0.5) > n153 else ((d_n159 if n157 else 0.0)))
+                d_n140 = (d_n153 if n140 < n100 else 0.0)
+                d_n138 = (d_n140 if n138 > n113 else 0.0)
+                d_n134 = (0.0 if (0.0) > n134 else ((d_n138 * n136 / n137 if n137 > 0.0 else d_n138)))
+                d_n132 = (0.0 if (0.0) > n132 else ((d_n138 * n135 / n137 if n137 > 0.0 else 0.0)))
+                d_n113 = (0.0 if n138 > n113 else d_n140)
+                d_n111 = (d_n113 * n111 / n112 if n112 > 0.0 else 0.0)
+                d_n100 = (0.0 if n140 < n100 else d_n153)
                 d_n98 = (d_n100 * n98 / n99 if n99 > 0.0 else 0.0)
-                d_n96 = (d_n113 * n96 / n111 if n111 > 0.0 else d_n113) + (d_n100 * n96 / n99 if n99 > 0.0 else d_n100)
-                d_n93 = d_n110 + (0.0 if n93 <= n86 else (0.0 if n93 >= n108 else -d_n110)) + d_n98 + (0.0 if n93 <= n86 else (0.0 if n93 >= n88 else -d_n98))
+                d_n96 = (d_n134 if n96 > 0.0 else (-d_n134 if n96 < 0.0 else 0.0)) + (d_n113 * n96 / n112 if n112 > 0.0 else d_n113) + (d_n100 * n96 / n99 if n99 > 0.0 else d_n100)
+                d_n93 = d_n132 + d_n111 + (0.0 if n93 <= n86 else (0.0 if n93 >= n109 else -d_n111)) + d_n98 + (0.0 if n93 <= n86 else (0.0 if n93 >= n88 else -d_n98))
                 d_n90 = d_n96 * n15 + d_n93 * n16
                 d_n89 = -d_n96 * n16 + d_n93 * n15
-                d_n124 = -d_n126 * n106
-                d_n86 = (-d_n110 if n93 <= n86 else 0.0) + (-d_n98 if n93 <= n86 else 0.0)
-                d_n108 = (0.0 if n93 <= n86 else (-d_n110 if n93 >= n108 else 0.0))
+                d_n161 = (d_n164 if n161 > n159 else 0.0)
+                d_n151 = -d_n153 * n106
+                d_n109 = -d_n132 + (0.0 if n93 <= n86 else (-d_n111 if n93 >= n109 else 0.0))
+                d_n86 = (-d_n111 if n93 <= n86 else 0.0) + (-d_n98 if n93 <= n86 else 0.0)
                 d_n88 = (0.0 if n93 <= n86 else (-d_n98 if n93 >= n88 else 0.0))
                 d_n16 = -d_n96 * n89 + d_n93 * n90
                 d_n15 = d_n96 * n90 + d_n93 * n89
-                found.append((-d_n89, -d_n90, d_n16 * n15 + d_n15 * -n16, d_n124 * n124_3 + d_n86 * n85_3 + d_n108 * n87_3 + d_n88 * n87_3))
+                found.append((-d_n132 * n131_0 - d_n89, -d_n132 * n131_1 - d_n90, d_n16 * n15 + d_n15 * -n16, d_n161 * n161_3 + d_n151 * n151_3 - d_n132 * n131_3 + d_n109 * n87_3 + d_n86 * n85_3 + d_n88 * n87_3))
             else:
                 which = (row - end2) % 2
                 if which == 0:
@@ -1505,6 +1626,7 @@ class SensedTowing:
         p1_2 = self._p1_2
         p1_3 = self._p1_3
         p1_5 = self._p1_5
+        p1_8 = self._p1_8
         n0 = self._n0
         n2 = self._n2
         n4 = self._n4
@@ -1518,13 +1640,15 @@ class SensedTowing:
         n74 = self._n74
         n78 = self._n78
         n80 = self._n80
-        n136 = self._n136
-        n142 = self._n142
-        n144 = self._n144
-        n150 = self._n150
-        n158 = self._n158
-        n163 = self._n163
-        n165 = self._n165
+        n168 = self._n168
+        n174 = self._n174
+        n176 = self._n176
+        n182 = self._n182
+        n190 = self._n190
+        n196 = self._n196
+        n198 = self._n198
+        n203 = self._n203
+        n206 = self._n206
         n1 = abs(s3)
         n3 = n1 * n1
         n8 = n2 + ((n3 - n4) / n6)
@@ -1536,34 +1660,38 @@ class SensedTowing:
         n71 = (p1_5 if p1_5 > n1 else n1)
         n82 = (((0.05) * n1) + ((n70 * n70) / n74)) + (((n71 * n71) - n78) / n80)
         n84 = (n82 if n11 else (-n82))
-        n137 = n1 / p0_2
-        n139 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
-        n140 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
-        n141 = (n140 if n140 > n139 else n139)
-        n143 = ((n137 if n137 > n136 else n136)) * n142
-        n145 = n1 / p1_2
-        n147 = abs((n65 + (((0.0) if (0.0) < n64 else n64))))
-        n148 = abs((p1_1 + (((0.0) if (0.0) > n64 else n64))))
-        n149 = (n148 if n148 > n147 else n147)
-        n151 = ((n145 if n145 > n144 else n144)) * n150
-        n152 = abs((n65 + (((0.0) if (0.0) < n84 else n84))))
-        n153 = abs((p1_1 + (((0.0) if (0.0) > n84 else n84))))
-        n154 = (n153 if n153 > n152 else n152)
-        n155 = (n154 if n154 > n149 else n149)
-        n160 = (0.05) + (n1 * n158)
-        n164 = ((n160 if n160 > n151 else n151)) + n163
-        n166 = (n155 if n155 > n141 else n141)
-        n167 = (n164 if n164 > n143 else n143)
-        n168 = ((1.0) if (1.0) > n167 else n167)
-        return n165, n165, n166, n168
+        n88 = p1_1 + (((0.0) if (0.0) > n84 else n84))
+        n169 = n1 / p0_2
+        n171 = abs((n17 + (((0.0) if (0.0) < n14 else n14))))
+        n172 = abs((p0_1 + (((0.0) if (0.0) > n14 else n14))))
+        n173 = (n172 if n172 > n171 else n171)
+        n175 = ((n169 if n169 > n168 else n168)) * n174
+        n177 = n1 / p1_2
+        n179 = abs((n65 + (((0.0) if (0.0) < n64 else n64))))
+        n180 = abs((p1_1 + (((0.0) if (0.0) > n64 else n64))))
+        n181 = (n180 if n180 > n179 else n179)
+        n184 = abs((n65 + (((0.0) if (0.0) < n84 else n84))))
+        n185 = abs(n88)
+        n186 = (n185 if n185 > n184 else n184)
+        n187 = (n186 if n186 > n181 else n181)
+        n192 = (0.05) + (n1 * n190)
+        n199 = (((0.0) if (0.0) > n88 else n88)) + n198
+        n200 = (n199 if n199 > n187 else n187)
+        n201 = (((n177 if n177 > n176 else n176)) * n182) * n196
+        n204 = ((n192 if n192 > n201 else n201)) + n203
+        n205 = (p1_8 if p1_8 > n204 else n204)
+        n207 = (n200 if n200 > n173 else n173)
+        n208 = (n205 if n205 > n175 else n175)
+        n209 = ((1.0) if (1.0) > n208 else n208)
+        return n206, n206, n207, n209
 
 
 WRITTEN: dict[str, Any] = {
     "4: ObstacleBarrier 4 3 () -1, SpeedBarrier 0 2 (3,) -1": Open,
     "4: ObstacleBarrier 4 3 () -1, FieldBarrier 4 4 () 0, SpeedBarrier 0 2 (3,) -1": Walled,
-    "4: ObstacleBarrier 4 3 () -1, MoverBarrier 8 5 () -1, SpeedBarrier 0 2 (3,) -1": Sensed,
+    "4: ObstacleBarrier 4 3 () -1, MoverBarrier 11 5 () -1, SpeedBarrier 0 2 (3,) -1": Sensed,
     "4: ObstacleBarrier 12 3 () -1, SpeedBarrier 0 2 (3,) -1": OpenTowing,
     "4: ObstacleBarrier 12 3 () -1, FieldBarrier 12 4 () 0, SpeedBarrier 0 2 (3,) -1": WalledTowing,
-    "4: ObstacleBarrier 12 3 () -1, MoverBarrier 16 5 () -1, SpeedBarrier 0 2 (3,) -1": SensedTowing,
+    "4: ObstacleBarrier 12 3 () -1, MoverBarrier 19 5 () -1, SpeedBarrier 0 2 (3,) -1": SensedTowing,
 }
 """By what was recorded."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, final
+from math import cos, sin
+from typing import TYPE_CHECKING, Final, final
 
-from safedpa.robots.differential_drive.barrier_settings import BARRIER_SETTINGS
+from safedpa.barrier_setting import BarrierSetting
 from safedpa.robots.differential_drive.system import DIFFERENTIAL_DRIVE, TRACK
 from safedpa.robots.shipped import ShippedRobot
 
@@ -27,6 +28,16 @@ __all__ = ["ROBOT", "DifferentialDrive"]
 _STAND_IN = "safedpa_sim.differential_drive.stand_in"
 _RADIUS = 0.17
 """m, where nobody tells the footprint."""
+_WHEEL = 0.05
+"""m; half of what is drawn of a wheel."""
+_BARRIER_SETTINGS: Final = (
+    BarrierSetting("braking_deceleration", "m/s2", 0.7, "of a wheel, with every load that is driven", positive=True),
+    BarrierSetting("braking_gain", "1/s", 5.0, "of a wheel's servo, likewise", positive=True),
+    BarrierSetting("clearance", "m", 0.03, "kept to obstacles and walls beyond its own radius"),
+    BarrierSetting("speed_low", "m/s", -0.3, "a little beyond the actuators'", signed=True),
+    BarrierSetting("speed_high", "m/s", 0.65, "likewise", signed=True, above="speed_low"),
+)
+"""The defaults fit the simulated one."""
 
 
 @final
@@ -38,7 +49,7 @@ class DifferentialDrive(ShippedRobot):
     model = "differential_drive"
     measurement_deviation = (0.003, 0.003, 0.005, 0.01, 0.02)
     kinds = ("obstacle", "field", "speed")
-    barrier_settings = BARRIER_SETTINGS
+    barrier_settings = _BARRIER_SETTINGS
     wish_range = ((-0.2, 0.5), (-1.9, 1.9))
 
     def bases(self) -> Mapping[str, Callable[..., AbstractBase]]:  # noqa: D102
@@ -76,9 +87,7 @@ class DifferentialDrive(ShippedRobot):
         return DifferentialDriveFace()
 
     def draw(self, state: StateMessage) -> Mapping[str, Shape]:  # noqa: D102
-        from safedpa.robots.differential_drive.drawn import drawn
-
-        return drawn(state, state.footprint[2] if len(state.footprint) == 3 else _RADIUS)
+        return _drawn(state, state.footprint[2] if len(state.footprint) == 3 else _RADIUS)
 
     def stand_in(self, seed: int, given: Mapping[str, float]) -> AbstractStandIn:  # noqa: D102
         from importlib import import_module
@@ -88,6 +97,23 @@ class DifferentialDrive(ShippedRobot):
         need("sim", what="the simulated robot")
         found: AbstractStandIn = import_module(_STAND_IN).WheeledStandIn(seed, **given)
         return found
+
+
+def _drawn(state: StateMessage, radius: float) -> Mapping[str, Shape]:
+    """A disc with its two wheels and a nose."""
+    from safedpa.drawing import Lines, Rings
+
+    x, y, yaw = state.values[:3]
+    ahead, aside = (cos(yaw), sin(yaw)), (-sin(yaw), cos(yaw))
+
+    def place(forward: float, left: float) -> tuple[float, float]:
+        return x + forward * ahead[0] + left * aside[0], y + forward * ahead[1] + left * aside[1]
+
+    wheels = [(place(-_WHEEL, side * TRACK / 2), place(_WHEEL, side * TRACK / 2)) for side in (-1.0, 1.0)]
+    return {
+        "body": Rings(((x, y),), (radius,), 0xE6EDF3FF, 0.012),
+        "wheels": Lines((*wheels, ((x, y), place(radius, 0.0))), (0x8B949EFF, 0x8B949EFF, 0xE3B341FF), 0.03),
+    }
 
 
 ROBOT = DifferentialDrive()

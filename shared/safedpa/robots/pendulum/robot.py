@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
     from safedpa.dynamics.elsewhere import Elsewhere
     from safedpa.networks.frame import Frame
+    from safedpa.operations import Operations, Scalar
     from safedpa.policy.perception import Perception
     from safedpa.safety.barrier import AbstractBarrier
     from safedpa.safety.scene import AbstractScene
@@ -75,14 +76,19 @@ class Pendulum(ShippedRobot):
         return (CorridorBarrier(angle - _EDGE, angle + _EDGE, settings.barrier("corridor_seconds")),)
 
     def frame(self) -> Frame:  # noqa: D102
-        from safedpa.robots.pendulum.frame import FRAME
+        from safedpa.networks.frame import Frame
 
-        return FRAME
+        return Frame(("cos(angle)", "sin(angle)", "rate"), _features, None, 0)
 
     def perception(self) -> Perception:  # noqa: D102
         from safedpa.robots.pendulum.perception import PERCEPTION
 
         return PERCEPTION
+
+
+def _features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
+    """What the networks see of a state."""
+    return [operations.cos(state[0]), operations.sin(state[0]), state[1]]
 
 
 ROBOT = Pendulum()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, final
 
 from safedpa.barrier_setting import BarrierSetting
@@ -12,6 +12,7 @@ from safedpa.robots.shipped import ShippedRobot
 if TYPE_CHECKING:
     from safedpa.dynamics import AbstractBase, AbstractDynamics, PhysicsModel
     from safedpa.networks.frame import Frame
+    from safedpa.operations import Operations, Scalar
     from safedpa.policy.controller import Controller
     from safedpa.safety.scene import AbstractScene
     from safedpa.safety.settings import FilterSettings
@@ -54,9 +55,21 @@ class Point(ShippedRobot):
         return BackingOff(policy)
 
     def frame(self) -> Frame:  # noqa: D102
-        from safedpa.robots.point.frame import FRAME
+        from safedpa.networks.frame import Frame
 
-        return FRAME
+        names = ("cos(yaw)", "sin(yaw)", "speed along", "speed across")
+        return Frame(names, _features, _rotation, 2, ((0, 1), (3, 4)))
+
+
+def _rotation(state: Sequence[Scalar], operations: Operations) -> tuple[Scalar, Scalar]:
+    return operations.cos(state[2]), operations.sin(state[2])
+
+
+def _features(state: Sequence[Scalar], operations: Operations) -> list[Scalar]:
+    """What the networks see of a state."""
+    cosine, sine = _rotation(state, operations)
+    x, y = state[3], state[4]
+    return [cosine, sine, cosine * x + sine * y, cosine * y - sine * x]
 
 
 ROBOT = Point()

@@ -50,16 +50,21 @@ def command(**options: Any) -> None:
         return
     if options["workers"] < 1:
         raise InputError(f"--workers: got {options['workers']}, wanted at least 1")
-    with progress("experiment adversary") as tell:
-        found = adversary(attacks, options["seed"], options["small"], options["workers"], tell)
     everything = [attack.name for attack in all_attacks()]
-    if options["out"] is not None:
-        found = with_parts_before(found, options["out"], everything)
-    names = [part["name"] for part in found["attacks"]]
-    result = {"command": _command(options, () if names == everything else names), **found}
-    if options["out"] is not None:
-        write_adversary(result, options["out"])
-    click.echo(json.dumps(result, default=float) if options["as_json"] else adversary_markdown(result))
+
+    def whole(found: dict[str, Any]) -> dict[str, Any]:
+        if options["out"] is not None:
+            found = with_parts_before(found, options["out"], everything)
+        names = [part["name"] for part in found["attacks"]]
+        return {"command": _command(options, () if names == everything else names), **found}
+
+    def keep(found: dict[str, Any]) -> None:
+        if options["out"] is not None:
+            write_adversary(whole(found), options["out"])
+
+    with progress("experiment adversary") as tell:
+        found = adversary(attacks, options["seed"], options["small"], options["workers"], tell, keep)
+    click.echo(json.dumps(whole(found), default=float) if options["as_json"] else adversary_markdown(whole(found)))
 
 
 def _command(options: dict[str, Any], names: Sequence[str]) -> str:

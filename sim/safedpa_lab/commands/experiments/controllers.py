@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
@@ -35,8 +35,7 @@ def command(**options: Any) -> None:
     from safedpa_lab.experiments.controllers import controllers_experiment
     from safedpa_services.progress import progress
 
-    if options["seeds"] < 1 or options["seconds"] <= 0.0:
-        raise InputError("--seeds and --seconds: wanted more than 0")
+    check_positive(options, "seeds", "seconds")
     model, seeds = load_model(options["model"]), range(options["first_seed"], options["first_seed"] + options["seeds"])
     learned = isinstance(model.base, LearnedBase) and model.base.weights.has("policy")
     controllers = options["controllers"] or ("goal_seeker", "planner", *(("learned",) if learned else ()))

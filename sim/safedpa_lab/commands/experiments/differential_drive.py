@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
@@ -33,9 +34,7 @@ def command(**options: Any) -> None:
     from safedpa_lab.experiments.wheels import wheels_experiment
     from safedpa_services.progress import progress
 
-    for name in ("drives", "seconds", "processes"):
-        if not options[name] > 0:
-            raise InputError(f"--{name}: got {options[name]}, wanted more than 0")
+    check_positive(options, "drives", "seconds", "processes")
     out = options["out"]
     if out is not None and not out.absolute().parent.is_dir():
         raise InputError(f"--out {out}: folder {out.parent} does not exist; create it")

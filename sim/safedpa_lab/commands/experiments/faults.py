@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from safedpa.errors import SafedpaError
+from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
 
 __all__ = ["command"]
@@ -41,6 +41,8 @@ def command(**options: Any) -> None:
     faults = faults_named(options["only"]) if options["only"] else all_faults()
     if options["small"]:
         faults = [fault for fault in faults if fault in small_faults()] if options["only"] else small_faults()
+    if not faults:
+        raise InputError(f"--only '{options['only']}': none of these is in the small version; leave --small out")
     if options["listed"]:
         for fault in faults:
             click.echo(f"{fault.name:28}{fault.sentence}")

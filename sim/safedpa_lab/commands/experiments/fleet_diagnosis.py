@@ -12,6 +12,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
@@ -82,8 +83,7 @@ def _screened(options: dict[str, Any]) -> None:
 def _check(options: dict[str, Any]) -> None:
     if options["robots"] < 5 or options["jobs"] < 1 or options["runs"] < 1 or options["seed"] < 0:
         raise InputError("--robots: wanted 5 or more; --jobs, --runs: wanted 1 or more; --seed: wanted 0 or more")
-    if not options["seconds"] > 0:
-        raise InputError(f"--seconds: got {options['seconds']}, wanted more than 0")
+    check_positive(options, "seconds")
     for name in ("record", "page"):
         path = options[name]
         if path is not None and not path.absolute().parent.is_dir():

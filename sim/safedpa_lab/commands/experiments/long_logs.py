@@ -15,6 +15,7 @@ import click
 
 from safedpa.errors import InputError, SafedpaError
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 from safedpa_services.command_line.names import Choice
 
@@ -41,9 +42,7 @@ def command(**options: Any) -> None:
     from safedpa_lab.experiments.long_logs import HIDDEN, LongLogs, write_long_logs
     from safedpa_services.progress import progress
 
-    for name in ("runs", "seconds", "period"):
-        if not options[name] > 0:
-            raise InputError(f"--{name}: got {options[name]}, wanted more than 0")
+    check_positive(options, "runs", "seconds", "period")
     out, kinds = options["out"], options["kinds"] or ("csv",)
     if out is not None and not out.absolute().parent.is_dir():
         raise InputError(f"--out {out}: folder {out.parent} does not exist; create it")

@@ -11,6 +11,7 @@ import click
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 
 __all__ = ["command"]
 
@@ -43,6 +44,7 @@ def command(**options: Any) -> None:
     from safedpa_lab.pendulum.hidden import HIDDEN
     from safedpa_services.progress import progress
 
+    check_positive(options, "directions", "episodes", "seconds", "processes")
     for name in options["hidden"]:
         if name not in HIDDEN:
             raise InputError(f"--hidden: got '{name}'; {did_you_mean(name, HIDDEN)}")

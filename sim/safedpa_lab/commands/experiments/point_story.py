@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
@@ -33,6 +34,7 @@ def command(hidden: tuple[str, ...], out: Path | None, as_json: bool, **options:
     from safedpa_lab.point.hidden import HIDDEN
     from safedpa_services.progress import progress
 
+    check_positive(options, "robots", "seconds")
     story = PointStory(hidden=hidden or tuple(HIDDEN), **options)
     with progress("experiment point-story") as tell:
         result = {"date": time.strftime("%Y-%m-%d"), **point_story(story, tell)}

@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
@@ -32,9 +33,7 @@ def command(**options: Any) -> None:
     """
     from safedpa_lab.experiments.ros_report import page_of
 
-    for name in ("drives", "seconds"):
-        if not options[name] > 0:
-            raise InputError(f"--{name}: got {options[name]}, wanted more than 0")
+    check_positive(options, "drives", "seconds")
     for name in ("out", "page"):
         path = options[name]
         if path is not None and not path.absolute().parent.is_dir():

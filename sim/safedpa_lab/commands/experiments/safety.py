@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
@@ -34,8 +34,7 @@ def command(**options: Any) -> None:
     from safedpa_lab.experiments.safety import safety_experiment
     from safedpa_services.progress import progress
 
-    if options["seeds"] < 1 or options["seconds"] <= 0.0 or options["processes"] < 1:
-        raise InputError("--seeds, --seconds and --processes: wanted more than 0")
+    check_positive(options, "seeds", "seconds", "processes")
     seeds = range(options["first_seed"], options["first_seed"] + options["seeds"])
     settings = settings_named(options["settings"])
     with progress("experiment safety") as tell:

@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import write_result
 
 __all__ = ["command"]
@@ -36,9 +37,7 @@ def command(**options: Any) -> None:
     from safedpa_lab.experiments.safety_pays import SafetyPays, safety_pays
     from safedpa_services.progress import progress
 
-    for name in ("seeds", "seconds", "drives", "drive_seconds", "processes"):
-        if not options[name] > 0:
-            raise InputError(f"--{name.replace('_', '-')}: got {options[name]}, wanted more than 0")
+    check_positive(options, "seeds", "seconds", "drives", "drive_seconds", "processes")
     for name in options["hidden"]:
         if name not in HIDDEN:
             raise InputError(f"--hidden: got '{name}'; {did_you_mean(name, HIDDEN)}")

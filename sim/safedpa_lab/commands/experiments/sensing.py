@@ -10,6 +10,7 @@ import click
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.extras import needs
+from safedpa_lab.commands.positive import check_positive
 from safedpa_lab.provenance.record import KEY, provenance, write_result
 
 __all__ = ["command"]
@@ -22,8 +23,10 @@ __all__ = ["command"]
 @click.option("--coming", type=float, default=1.5, show_default=True, help="m/s of whoever nobody sees")
 @click.option("--peers/--no-peers", default=True, help="the same drives behind others' brakes, and behind nothing")
 @click.option("--told/--not-told", default=True, help="the same drives with perfect knowledge, to compare with")
+@click.option("--hiding/--no-hiding", default=False, help="the same drives told everything but who hides")
 @click.option("--scene", "scenes", multiple=True, help="one kind of scene, once or more  [default: all]")
 @click.option("--load", "loads", multiple=True, help="what is towed, once or more; every one with every seed  [none]")
+@click.option("--policy", default="way_seeker", show_default=True, help="the controller, or goal_seeker: looks nowhere")
 @click.option("--processes", type=int, default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--page", type=click.Path(path_type=Path), help="write a page of the result there, as Markdown")
@@ -39,7 +42,8 @@ def command(**options: Any) -> None:
     out, page = options["out"], options["page"]
     seeds = range(options["first_seed"], options["first_seed"] + options["seeds"])
     with progress("experiment sensing") as tell:
-        others = [guard for guard in GUARDS[1:] if options["told" if guard == "told" else "peers"]]
+        wanted = {"told": options["told"], "told-but-hiding": options["hiding"]}
+        others = [guard for guard in GUARDS[1:] if wanted.get(guard, options["peers"])]
         found = sensing_experiment(
             seeds,
             options["seconds"],
@@ -49,6 +53,7 @@ def command(**options: Any) -> None:
             tell,
             options["scenes"] or SCENES,
             options["loads"] or LOADS[:1],
+            options["policy"],
         )
     result = {"experiment": "sensing", **found}
     if out is not None:
@@ -69,14 +74,14 @@ def command(**options: Any) -> None:
 
 def _check(options: dict[str, Any]) -> None:
     """Raises InputError naming the option that cannot be."""
-    from safedpa_lab.experiments.sensing import LOADS, SCENES
+    from safedpa_lab.experiments.sensing import LOADS, POLICIES, SCENES
 
     known_names = {"scene": SCENES, "load": LOADS}
-    for name in ("seeds", "seconds", "processes"):
-        if not options[name] > 0:
-            raise InputError(f"--{name}: got {options[name]}, wanted more than 0")
+    check_positive(options, "seeds", "seconds", "processes")
     if not 0.0 <= options["coming"] <= 1.5:
         raise InputError(f"--coming: got {options['coming']}, wanted 0 to 1.5 m/s")
+    if options["policy"] not in POLICIES:
+        raise InputError(f"--policy {options['policy']}: {did_you_mean(options['policy'], POLICIES)}")
     for name in ("out", "page"):
         path = options[name]
         if path is not None and not path.absolute().parent.is_dir():

@@ -27,6 +27,7 @@ from safedpa_lab.experiments.car_workers import Workers
 __all__ = ["adversary", "all_attacks", "attacks_named", "digest_of_code"]
 
 Tell = Callable[[int, int], None]
+Keep = Callable[[dict[str, Any]], None]
 
 
 def all_attacks(interpreters: Sequence[str] = ()) -> list[AbstractAttack]:
@@ -50,11 +51,23 @@ def adversary(
     small: bool = False,
     workers: int = 1,
     tell: Tell = lambda _done, _all: None,
+    keep: Keep = lambda _found: None,
 ) -> dict[str, Any]:
-    """Runs the attacks and tells what they found, whatever it is; ``tell(done, all)`` after each piece of work."""
+    """Runs the attacks and tells what they found, whatever it is.
+
+    ``tell(done, all)`` after each piece of work; ``keep(found)`` after each attack, with all that was found so far, so
+    that nothing is lost where somebody ends a run of hours.
+    """
     pieces = [attack.pieces(seed, small) for attack in attacks]
     everything, done = sum(map(len, pieces)), 0
-    found: list[dict[str, Any]] = []
+    result: dict[str, Any] = {
+        "experiment": "adversary",
+        "date": time.strftime("%Y-%m-%d"),
+        "seed": seed,
+        "small": small,
+        "code": digest_of_code(),
+        "attacks": [],
+    }
     with Workers(workers) as pool:
         for attack, own in zip(attacks, pieces, strict=True):
             began, answers = time.perf_counter(), []
@@ -62,15 +75,9 @@ def adversary(
                 answers.append(answer)
                 done += 1
                 tell(done, everything)
-            found.append(_told(attack, attack.told(answers), time.perf_counter() - began))
-    return {
-        "experiment": "adversary",
-        "date": time.strftime("%Y-%m-%d"),
-        "seed": seed,
-        "small": small,
-        "code": digest_of_code(),
-        "attacks": found,
-    }
+            result["attacks"].append(_told(attack, attack.told(answers), time.perf_counter() - began))
+            keep(result)
+    return result
 
 
 def digest_of_code() -> str:

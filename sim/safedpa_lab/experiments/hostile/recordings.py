@@ -126,10 +126,10 @@ def recording_targets(folder: Path, seed: int = 0) -> Iterator[Target]:
 
 def replayed(path: Path) -> object:
     """As ``safedpa replay`` does it, up to what is printed."""
-    from safedpa.replay.assumed import complete_setups
     from safedpa.replay.gaps import gaps_of
     from safedpa.replay.replay import replay
     from safedpa.replay.report import document_of, lines_of
+    from safedpa.replay.setups import complete_setups
     from safedpa.replay.tape import read_tape
 
     tape = read_tape([path])
@@ -140,11 +140,11 @@ def replayed(path: Path) -> object:
 
 def driven_again(path: Path) -> object:
     """As ``safedpa replay --closed-loop`` does it."""
-    from safedpa.replay.assumed import complete_setups
     from safedpa.replay.report import what_if_document
+    from safedpa.replay.setups import complete_setups
     from safedpa.replay.tape import read_tape
     from safedpa.replay.what_if import Change, summary_of, what_if
-    from safedpa_sim.replayed import drive_again
+    from safedpa_sim.recorded_drive import drive_again
 
     tape, change = read_tape([path]), Change(filtered=True)
     complete_setups(tape)

@@ -92,6 +92,7 @@ ROADS: tuple[Road, ...] = tuple(
         ("up --model", _TOML, (*_UP, "--model", "{file}")),
         ("up --settings", _TOML, (*_UP, "--settings", "{file}")),
         ("up --margin", _TOML, (*_UP, "--margin", "{file}")),
+        ("up --perception", _TOML, (*_UP, "--laser", "--perception", "{file}")),
         ("serve: robot", _TOML, ("serve", "{file}", "--out", "{folder}/runs")),
         ("ros run: robot", _TOML, ("ros", "run", "{file}")),
         ("train --configuration", _TOML, ("train", "car", "--configuration", "{file}", "--out", "{folder}/out")),

@@ -19,7 +19,7 @@ from safedpa.bus.wire.codec import decode, encode
 from safedpa.bus.wire.requests import Answer, Request
 from safedpa.bus.wire.topics import topic_of
 from safedpa.dynamics import load_model, parse_model, write_model
-from safedpa.dynamics.offered import offered_model
+from safedpa.dynamics.model_offer import offered_model
 from safedpa.networks import load_weights
 from safedpa.records import load_column_map, load_run
 from safedpa.records.column_map_file import parse_column_map, shipped_column_maps

@@ -1,0 +1,82 @@
+"""Telling the safety filter to stop robots or to let them drive: shared by ``stop`` and ``go``."""
+
+from __future__ import annotations
+
+import getpass
+import json
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from safedpa.errors import SafedpaError
+from safedpa_services.command_line.bus_options import answered, bus_of
+from safedpa_services.lines import say
+
+if TYPE_CHECKING:
+    from safedpa.bus import Answer
+    from safedpa.bus.overview import FleetOverview, RobotOverview
+
+__all__ = ["give_order"]
+
+_LONGEST_BRAKING_SECONDS = 6.0
+_LOOK_SECONDS = 0.1
+_STANDS = 0.02
+
+
+def give_order(do: Literal["stop", "go"], robot: str, options: dict[str, Any]) -> None:
+    """Asks the filter, waits until the order is seen in its verdicts, and tells what came of it.
+
+    An empty ``robot`` means the whole fleet. Raises InputError when the order is refused, SafedpaError when no filter
+    answers or a robot that drives does not obey.
+    """
+    from safedpa.bus import Request
+    from safedpa.bus.loop.service import NO_ROBOT
+    from safedpa.bus.overview import FleetOverview
+    from safedpa.bus.wire.requests import ORDER
+
+    with bus_of(options) as bus:
+        fleet = FleetOverview(bus, robot or "*")
+        request = Request(do=do, who=options["who"] or getpass.getuser())
+        nobody = "no safety filter answers; wanted a running loop, whose endpoint is named with --connect"
+        nobody += ". Robots without a filter brake by themselves"
+        answer = answered(bus, robot or NO_ROBOT, request, ORDER, nobody)
+        told = _obeyed(fleet, do)
+    _tell(answer, told, as_json=options["as_json"])
+    slow = [name for name, sentence in told.items() if sentence.startswith("still ")]
+    if slow:
+        raise SafedpaError(f"the order is in force, but {', '.join(slow)} did not obey within the time")
+
+
+def _obeyed(fleet: FleetOverview, do: str) -> dict[str, str]:
+    """By robot that is heard: what it does, once all do what was ordered or the time is over."""
+    end = fleet.clock() + _LONGEST_BRAKING_SECONDS
+    while fleet.clock() < end:
+        fleet.listen(_LOOK_SECONDS)
+        told = {name: _does(known, do) for name, known in sorted(fleet.robots.items()) if known.state is not None}
+        heard_long = fleet.clock() - fleet.since > 5.0 * _LOOK_SECONDS
+        if heard_long and not any(sentence.startswith("still ") for sentence in told.values()):
+            break
+    return told
+
+
+def _does(robot: RobotOverview, do: str) -> str:
+    state, verdict = robot.state, robot.verdict
+    assert state is not None
+    stopped = verdict is not None and verdict.status == "stopped"
+    if do == "go":
+        return "stopped by an order of its own" if stopped else "may drive"
+    if state.corridor:
+        return "keeps its corridor without the policy; it has no stand" if stopped else "still obeys the policy"
+    speed = state.values[3] if len(state.values) == 4 else 0.0
+    if not stopped and abs(speed) > _STANDS:
+        return f"still drives, {speed:+.2f} m/s"
+    return "stands" if abs(speed) <= _STANDS else f"still brakes, {speed:+.2f} m/s"
+
+
+def _tell(answer: Answer, told: dict[str, str], *, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps({"sentence": answer.sentence, "robots": told}))
+        return
+    say(answer.sentence)
+    for name, sentence in told.items():
+        say(f"{name}: {sentence}")

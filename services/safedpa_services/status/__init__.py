@@ -1,1 +1,0 @@
-"""The state of a fleet, for a person at a terminal and for a script."""

@@ -1,0 +1,280 @@
+"""A fleet's diagnosis from recordings to fleet.json: what is not done yet is done, then the robots are compared."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+from uuid import uuid4
+
+import numpy as np
+
+from safedpa.dynamics import LearnedBase, PhysicsModel, load_model, save_model, write_model
+from safedpa.errors import InputError, RecordingError
+from safedpa.fleet.common import (
+    Common,
+    Confirmation,
+    MendTask,
+    confirmed,
+    mended_error,
+    mended_model,
+    mended_settings,
+)
+from safedpa.fleet.document import Analysis, analysed, fleet_document
+from safedpa.fleet.inputs import Options, file_stamp, options_digest, same_files
+from safedpa.fleet.one_robot import FORMAT, RobotResult, Task, diagnosed_robot, not_diagnosed
+from safedpa.fleet.outcome import outcome_of
+from safedpa.fleet.page import write_fleet_page
+from safedpa.fleet.robot_recordings import robots_in, split_recording
+from safedpa.fleet.robots import RobotLogs, RobotsFound
+from safedpa.records.atomic import atomic_path
+
+__all__ = [
+    "Fleet",
+    "Workers",
+    "clear_others",
+    "diagnose_fleet",
+    "kept",
+    "mended",
+    "read_result",
+    "results",
+    "write_result",
+    "write_scripts",
+]
+
+Job = TypeVar("Job")
+Answer = TypeVar("Answer")
+Mended = list[tuple[Common, Confirmation]]
+"""What was tried, and whether it held beside what held before it."""
+
+_MOST_TRIED = 40
+"""Robots on which a mended model is tried, evenly spread: more would not change what a coin says."""
+
+
+class Workers(Protocol):
+    """Who does the work: answers in the order in which they are done, ``failed(job, reason)`` for what went wrong."""
+
+    def __call__(
+        self, work: Callable[[Job], Answer], jobs: Sequence[Job], failed: Callable[[Job, str], Answer]
+    ) -> Iterator[Answer]:
+        """Runs ``work`` on every job somewhere."""
+
+
+def mended(analysis: Analysis, tasks: Sequence[Task], workers: Workers, path: Path) -> Mended:
+    """Tries what the fleet has in common on robots, each with the others' numbers; writes the model with what holds.
+
+    First what nearly all were found to have, one after the other; then, beside it, the best of what shows in all
+    together only. Nothing is left at ``path`` where nothing holds.
+    """
+    path.unlink(missing_ok=True)  # of an earlier fleet
+    if not tasks:
+        return []
+    told: Mended = []
+    held: list[Common] = []
+    errors: Mapping[str, float] = {item.name: item.error_before for item in analysis.outcomes if item.judged}
+    steps = [[item] for item in analysis.common] + ([list(analysis.together)] if analysis.together else [])
+    for options in steps:
+        tried = [(item, _errors([*held, item], analysis, tasks, workers)) for item in options]
+        best, after = max(tried, key=lambda pair: confirmed(errors, pair[1]).fall)
+        found = confirmed(errors, after)
+        told.append((best, found))
+        if found.holds:
+            held.append(best)
+            errors = after
+    if held:
+        _save(mended_model(load_model(tasks[0].options.model), mended_settings(analysis.robot, held)), path)
+    return told
+
+
+def _errors(
+    common: Sequence[Common], analysis: Analysis, tasks: Sequence[Task], workers: Workers
+) -> Mapping[str, float]:
+    """Held-out errors by robot, each with the other robots' numbers."""
+    known = {item.name for item in analysis.outcomes if item.judged}
+    judged = [task for task in tasks if task.robot.name in known]
+    picked = np.unique(np.linspace(0, len(judged) - 1, min(len(judged), _MOST_TRIED)).astype(int))
+    jobs = [
+        MendTask(task.robot, task.options, mended_settings(analysis.robot, common, task.robot.name))
+        for task in (judged[index] for index in picked)
+    ]
+    return dict(workers(mended_error, jobs, _not_tried))
+
+
+def _not_tried(task: MendTask, _reason: str) -> tuple[str, float]:
+    return task.robot.name, float("nan")
+
+
+def _save(model: PhysicsModel, path: Path) -> None:
+    if isinstance(model.base, LearnedBase):
+        save_model(model, path)
+        return
+    with atomic_path(path) as temporary:
+        temporary.write_text(write_model(model), encoding="utf-8")
+
+
+ROBOTS = "robots"
+"""Folder of the robots' folders."""
+
+
+def write_result(result: RobotResult, out: Path) -> None:
+    """Writes ``out/robots/NAME``: a hidden folder first, then renamed. Raises RecordingError when it cannot be."""
+    folder = out / ROBOTS / result.name
+    part = folder.with_name(f".{result.name}.{uuid4().hex[:8]}.part")
+    old = part.with_suffix(".old")
+    try:
+        part.mkdir(parents=True)
+        for name, text in (*result.texts.items(), ("result.json", json.dumps(result.document, indent=1) + "\n")):
+            (part / name).write_text(text, encoding="utf-8")
+        if folder.exists():
+            os.replace(folder, old)
+        os.replace(part, folder)
+    except OSError as error:
+        raise RecordingError(
+            f"{folder}: cannot be written ({error.strerror}); choose another place with --out"
+        ) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def kept(task: Task, out: Path) -> bool:
+    """Whether the robot's result is there and belongs to the same model, options and recordings.
+
+    What failed by the program's own fault is done again.
+    """
+    found = read_result(out / ROBOTS / task.robot.name)
+    if found is None or found["digest"] != task.digest or found["status"] == "failed":
+        return False
+    return same_files(found["files"], task.robot.files)
+
+
+def read_result(folder: Path) -> dict[str, Any] | None:
+    """A robot's ``result.json``; None where there is none of this format."""
+    try:
+        found = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) and found.get("format") == FORMAT else None
+
+
+def results(tasks: Sequence[Task], out: Path) -> Iterator[tuple[dict[str, Any], dict[str, Any] | None]]:
+    """(result.json, report.json or None) of every robot, one at a time."""
+    for task in tasks:
+        folder = out / ROBOTS / task.robot.name
+        found = read_result(folder)
+        if found is None:
+            continue
+        report = folder / "report.json"
+        yield found, json.loads(report.read_text(encoding="utf-8")) if report.exists() else None
+
+
+def clear_others(tasks: Sequence[Task], out: Path) -> None:
+    """Takes away folders of robots that the fleet does not have any more, and what a killed run left half written."""
+    names = {task.robot.name for task in tasks}
+    folder = out / ROBOTS
+    for path in folder.iterdir() if folder.is_dir() else ():
+        half = path.name.startswith(".") and path.suffix in (".part", ".old")
+        other = path.name not in names and (path / "result.json").exists()
+        if half or other:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def write_scripts(out: Path) -> None:
+    """Writes plotly.js once for the robots' pages."""
+    text = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
+    with atomic_path(out / "plotly.min.js") as temporary:
+        temporary.write_bytes(text)
+
+
+Tell = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What was asked: robots, model and options, and the folder for everything that is written."""
+
+    found: RobotsFound
+    options: Options
+    out: Path
+
+
+def diagnose_fleet(fleet: Fleet, workers: Workers, tell: Tell = lambda _done, _all: None, *, anew: bool = False) -> Any:
+    """Diagnoses every robot whose result is not there yet, or is of other inputs; returns the document of fleet.json.
+
+    Writes ``robots/NAME/`` (result.json, report.json, report.html, model.toml) as each robot is done, then
+    ``fleet.json``, ``fleet.html`` and, where the fleet has an effect in common, ``model.toml``. ``anew``: all of it.
+    Raises InputError and ModelFileError for a model or options that no robot could be diagnosed with, RecordingError
+    when the folder cannot be written.
+    """
+    options, out = fleet.options, fleet.out
+    given = load_model(options.model)
+    _refuse_given(Path(options.model), out)
+    digest = options_digest(options)
+    tasks = [Task(robot, options, digest) for robot in _own_recordings(fleet)]
+    clear_others(tasks, out)
+    write_scripts(out)
+    todo = [task for task in tasks if anew or not kept(task, out)]
+    done = len(tasks) - len(todo)
+    tell(done, len(tasks))
+    for result in workers(diagnosed_robot, todo, not_diagnosed):
+        write_result(result, out)
+        done += 1
+        tell(done, len(tasks))
+    analysis = analysed([outcome_of(*pair) for pair in results(tasks, out)], given.system.name)
+    common = mended(analysis, tasks, workers, out / "model.toml")
+    document = fleet_document(analysis, common, **_about(fleet, len(todo)))
+    with atomic_path(out / "fleet.json") as temporary:
+        temporary.write_text(json.dumps(document, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    write_fleet_page(document, analysis, out)
+    return document
+
+
+def _refuse_given(model: Path, out: Path) -> None:
+    """The mended model must not take the place of the given one."""
+    if model.exists() and model.resolve() == (out / "model.toml").resolve():
+        raise InputError(
+            f"--out {out}: got the given model's own folder; choose another one, model.toml is written there"
+        )
+
+
+def _about(fleet: Fleet, diagnosed: int) -> dict[str, Any]:
+    found = fleet.found
+    return {
+        "model_file": fleet.options.model,
+        "horizon": fleet.options.horizon,
+        "by": found.by,
+        "left_out": [{"path": str(path), "reason": reason} for path, reason in found.left_out],
+        "diagnosed_now": diagnosed,
+    }
+
+
+def _own_recordings(fleet: Fleet) -> list[RobotLogs]:
+    """The robots with files of their own: recordings of several robots are split into ``recordings`` first."""
+    if fleet.found.by != "robot":
+        return list(fleet.found.robots)
+    pieces: dict[Path, dict[str, Path]] = {}
+    for path in sorted({path for robot in fleet.found.robots for path in robot.files}):
+        names = robots_in(path)[0]
+        pieces[path] = _split(path, fleet.out) if len(names) > 1 else dict.fromkeys(names, path)
+    return [
+        replace(robot, files=tuple(pieces[path][str(robot.inside)] for path in robot.files))
+        for robot in fleet.found.robots
+    ]
+
+
+def _split(path: Path, out: Path) -> dict[str, Path]:
+    """Pieces by robot, in a folder that is named by the recording's contents and is there whole or not at all."""
+    folder = out / "recordings" / f"{path.stem}-{file_stamp(path)['sha256'][:12]}"
+    if not folder.is_dir():
+        part = folder.with_name(f".{folder.name}.{uuid4().hex[:8]}.part")
+        try:
+            split_recording(path, part)
+            os.replace(part, folder)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+    return {piece.stem: piece for piece in folder.glob("*.mcap")}

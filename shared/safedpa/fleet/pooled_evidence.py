@@ -1,0 +1,133 @@
+"""What a fleet says that no single robot can: an effect too weak in each, but there in all; one number from many.
+
+Evidence over n robots, z_i the gains on unseen blocks in standard errors (Stouffer):
+
+    z = sum(z_i) / sqrt(n)
+
+A number over robots, x_i with stated deviations s_i, that differs from robot to robot by a spread t:
+
+    Q = sum w_i (x_i - sum(w x) / sum(w))^2,  w_i = 1 / s_i^2,   t^2 = max(0, (Q - n + 1) / (sum w - sum w^2 / sum w))
+    mean = sum(v x) / sum(v),  v_i = 1 / (s_i^2 + t^2)
+
+Sources: Stouffer et al., The American Soldier, 1949, vol. 1, p. 45; DerSimonian and Laird, Controlled Clinical Trials
+7, 1986.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safedpa.fleet.outcome import Number, RobotOutcome, Tried
+
+__all__ = ["Pooled", "PooledEvidence", "estimates", "evidence_over", "pooled_number", "pooled_numbers"]
+
+_ROUNDING = 1e-12
+"""Share of the weights' sum that its rounding errors may come to."""
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """One parameter over several robots."""
+
+    mean: float
+    std: float
+    """Standard deviation of the mean."""
+    spread: float
+    """From robot to robot, beyond what the stated deviations explain."""
+    low: float
+    high: float
+    stated: float
+    """Median of the robots' own standard deviations; NaN where none states one."""
+    robots: int
+    unit: str
+
+
+@dataclass(frozen=True)
+class PooledEvidence:
+    """An effect over the robots in which it was not found by themselves."""
+
+    effect: str
+    score: float
+    """Standard errors."""
+    robots: int
+    favourable: int
+    """Robots that gain anything by it."""
+    rivals: tuple[str, ...] = ()
+    """Effects whose pooled evidence is not surely less: the fleet cannot tell them apart either."""
+
+
+def pooled_number(numbers: Sequence[Number]) -> Pooled:
+    """Mean and spread of one parameter; robots that state no deviation count as much as the others do in the median."""
+    values = np.array([item.value for item in numbers])
+    stds = np.array([item.std for item in numbers])
+    known = np.isfinite(stds) & (stds > 0)
+    stated = float(np.median(stds[known])) if known.any() else math.nan
+    fallback = stated if known.any() else max(float(values.std()), 1e-12)
+    stds = np.where(known, stds, fallback)
+    weights = stds**-2
+    centre = float((weights * values).sum() / weights.sum())
+    surplus = float((weights * (values - centre) ** 2).sum()) - (len(values) - 1)
+    size = float(weights.sum() - (weights**2).sum() / weights.sum())
+    told_apart = size > _ROUNDING * float(weights.sum())  # of one robot it is 0 but for rounding errors
+    spread = math.sqrt(max(0.0, surplus / size)) if told_apart else 0.0
+    shrunk = 1.0 / (stds**2 + spread**2)
+    mean = float((shrunk * values).sum() / shrunk.sum())
+    deviation = float(shrunk.sum() ** -0.5)
+    low, high = float(values.min()), float(values.max())
+    return Pooled(mean, deviation, spread, low, high, stated, len(values), numbers[0].unit)
+
+
+def pooled_numbers(tried: Sequence[Tried]) -> dict[str, Pooled]:
+    """Every parameter of one effect over several robots, by name."""
+    names = tried[0].numbers if tried else {}
+    return {name: pooled_number([item.numbers[name] for item in tried if name in item.numbers]) for name in names}
+
+
+def estimates(effect: str, outcomes: Sequence[RobotOutcome]) -> dict[str, Tried]:
+    """What each robot says of an effect, found or not, by the robot's name; robots that did not try it are missing."""
+    said = {}
+    for outcome in outcomes:
+        own = {item.effect: item for item in outcome.found}
+        item = own.get(effect) or (outcome.last or {}).get(effect)
+        if item is not None:
+            said[outcome.name] = item
+    return said
+
+
+def evidence_over(outcomes: Sequence[RobotOutcome]) -> list[PooledEvidence]:
+    """Every effect over the robots in which it was tried last and not found, the strongest first."""
+    scores: dict[str, dict[str, float]] = {}
+    for outcome in outcomes:
+        for name, item in (outcome.last or {}).items():
+            if math.isfinite(item.score):
+                scores.setdefault(name, {})[outcome.name] = item.score if _free(item) else min(item.score, 0.0)
+    every = [_evidence(name, own) for name, own in scores.items()]
+    every.sort(key=lambda item: -item.score)
+    if not every:
+        return []
+    best = every[0]
+    rivals = tuple(item.effect for item in every[1:] if _close(scores[best.effect], scores[item.effect]))
+    return [PooledEvidence(best.effect, best.score, best.robots, best.favourable, rivals), *every[1:]]
+
+
+def _free(item: Tried) -> bool:
+    """Whether any number was not pushed to a bound; there it speaks against the effect, whatever else was refitted."""
+    return any(math.isfinite(number.std) for number in item.numbers.values())
+
+
+def _evidence(effect: str, scores: Mapping[str, float]) -> PooledEvidence:
+    values = np.array(list(scores.values()))
+    return PooledEvidence(effect, float(values.sum() / math.sqrt(len(values))), len(values), int((values > 0).sum()))
+
+
+def _close(best: Mapping[str, float], other: Mapping[str, float]) -> bool:
+    """Whether the robots' scores differ by less than two standard errors in the mean, and the other has evidence."""
+    both = [best[name] - other[name] for name in best if name in other]
+    if len(both) < 2 or sum(other.values()) <= 0:
+        return False
+    difference = np.array(both)
+    return bool(difference.mean() < 2.0 * difference.std(ddof=1) / math.sqrt(len(both)))

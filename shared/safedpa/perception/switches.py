@@ -1,0 +1,114 @@
+"""What of each robot's sources and zones counts: as its file says, and as a person ordered since."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import final
+
+from safedpa.bus.wire.requests import Answer, Request
+from safedpa.errors import InputError, did_you_mean
+from safedpa.perception.settings import PerceptionSettings
+from safedpa.perception.zones import InForce
+
+__all__ = ["Switches"]
+
+_WHAT = ("source", "zone")
+_SETS = {"on": True, "off": False}
+_Switched = Mapping[tuple[str, str], bool]
+"""By ``source`` or ``zone`` and its name: whether it counts."""
+_MOST_SWITCHES = 64
+"""Of one order."""
+
+
+@final
+class Switches:
+    """Asked in every tick by perception, changed on any thread by ``answer``.
+
+    An order holds until another one, or this process's end; a robot that was silent finds it in force.
+    """
+
+    def __init__(self, settings: PerceptionSettings) -> None:
+        self._settings = settings
+        self._lock = threading.Lock()
+        self._ordered: dict[str, _Switched] = {}
+        """By robot; each replaced as a whole, so that a tick reads it without waiting."""
+        self._met: dict[str, tuple[tuple[str, ...], int]] = {}
+        """By robot: its sources, and its newest tick."""
+
+    def in_force(self, robot: str, sources: tuple[str, ...], tick: int) -> InForce:
+        """What counts for ``robot`` in this tick, whose state names ``sources``."""
+        self._met[robot] = sources, tick
+        told = self._counts(robot)
+        return InForce(
+            frozenset(name for name in sources if not told["source", name]),
+            tuple(zone for zone in self._settings.zones if told.get(("zone", zone.name))),
+        )
+
+    def forget(self, robot: str) -> None:
+        """That it was met; what was ordered for it stays."""
+        self._met.pop(robot, None)
+
+    def _counts(self, robot: str) -> dict[tuple[str, str], bool]:
+        """Of all that can be switched for a robot that was met: whether it counts."""
+        own, (sources, _) = self._settings, self._met[robot]
+        told = {("source", name): name not in own.sources or own.sources[name].use for name in sources}
+        told |= {("zone", zone.name): zone.use for zone in own.zones if zone.counts_for(robot)}
+        ordered = self._ordered.get(robot, MappingProxyType({}))
+        return {key: ordered.get(key, counts) for key, counts in told.items()}
+
+    def answer(self, robot: str, request: Request) -> Answer:
+        """``switch`` or ``status`` about one robot. Raises InputError for anything else, and what it does not have."""
+        if request.do not in ("switch", "status"):
+            raise InputError(f"'{request.do}': wanted switch or status")
+        with self._lock:
+            if robot not in self._met:
+                raise InputError(
+                    f"robot '{robot}' was not heard with sources of its own; {did_you_mean(robot, list(self._met))}"
+                )
+            before, tick = self._counts(robot), self._met[robot][1]
+            if request.do == "status":
+                return Answer(ok=True, sentence=f"robot '{robot}': {_listed(before)}{_blind(before)}")
+            wanted = _wanted(request.switches, before)
+            self._ordered[robot] = MappingProxyType({**self._ordered.get(robot, {}), **wanted})
+            changes = ", ".join(
+                f"{what} {name} {_word(counts)} (was {_word(before[what, name])})"
+                for (what, name), counts in wanted.items()
+            )
+            return Answer(
+                ok=True,
+                sentence=f"robot '{robot}': {changes}, from its next tick after {tick} on, until another order or "
+                f"perception's end{_blind({**before, **wanted})}",
+            )
+
+
+def _wanted(switches: tuple[str, ...], known: Mapping[tuple[str, str], bool]) -> dict[tuple[str, str], bool]:
+    """What an order asks for, all of it or nothing."""
+    if not 1 <= len(switches) <= _MOST_SWITCHES:
+        raise InputError(f"got {len(switches)} switches, wanted 1 to {_MOST_SWITCHES}, such as 'source laser=off'")
+    wanted: dict[tuple[str, str], bool] = {}
+    for text in switches:
+        what, _, rest = text.partition(" ")
+        name, _, word = rest.rpartition("=")
+        if what not in _WHAT or not name or word not in _SETS:
+            raise InputError(f"'{text}': wanted 'source NAME=on', 'zone NAME=off' or the like")
+        names = [own for kind, own in known if kind == what]
+        if name not in names:
+            raise InputError(f"{what} '{name}': the robot has none of that name; {did_you_mean(name, names)}")
+        if wanted.setdefault((what, name), _SETS[word]) != _SETS[word]:
+            raise InputError(f"{what} '{name}': got on and off in one order, wanted one of them")
+    return wanted
+
+
+def _word(counts: bool) -> str:
+    return "on" if counts else "off"
+
+
+def _listed(told: Mapping[tuple[str, str], bool]) -> str:
+    return ", ".join(f"{what} {name} {_word(counts)}" for (what, name), counts in told.items())
+
+
+def _blind(told: Mapping[tuple[str, str], bool]) -> str:
+    sources = [counts for (what, _), counts in told.items() if what == "source"]
+    return "" if any(sources) else "; no source is left, so the filter brakes"

@@ -1,0 +1,65 @@
+"""What continuous integration could not test is said by it, in its last lines."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+SCRIPT = Path(__file__).parents[2] / ".ci" / "run"
+LOG = """\
+..s.s                                                                    [100%]
+=========================== short test summary info ============================
+SKIPPED [3] tests/operations/test_metrics.py:167: promtool is not installed; Debian's package 'prometheus' has it
+SKIPPED [1] tests/dashboard/test_browser.py:57: no Chromium; install it (Debian: apt-get install chromium)
+SKIPPED [2] tests/workbench/test_screens.py:7: no Chromium; install it (Debian: apt-get install chromium)
+== 8000 passed, 6 skipped in 600.00s ==
+"""
+
+
+def test_every_reason_to_skip_is_told_once_with_how_many_tests_it_left_out(tmp_path: Path) -> None:
+    (tmp_path / "tests.log").write_text(LOG, encoding="utf-8")
+    (tmp_path / "fleet.log").write_text(
+        "SKIPPED [7] tests/fleet/test_fleet.py:9: no containers here\n", encoding="utf-8"
+    )
+    assert not_tested(tmp_path / "tests.log", tmp_path / "fleet.log", tmp_path / "is not there") == [
+        "NOT TESTED: 3: no Chromium; install it (Debian: apt-get install chromium)",
+        "NOT TESTED: 3: promtool is not installed; Debian's package 'prometheus' has it",
+        "NOT TESTED: 7: no containers here",
+    ]
+
+
+def test_where_all_is_tested_nothing_is_said(tmp_path: Path) -> None:
+    (tmp_path / "tests.log").write_text("== 8000 passed in 600.00s ==\n", encoding="utf-8")
+    assert not_tested(tmp_path / "tests.log") == []
+
+
+def test_it_is_told_after_all_parts_and_before_failures_and_summary() -> None:
+    text = SCRIPT.read_text(encoding="utf-8")
+    order = (
+        "make --no-print-directory test ",
+        'not_tested "$log"',
+        'echo "TIME: ',
+        'echo "FAILED: $name"',
+        "| tail -n 1",
+    )
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+
+
+def test_a_part_that_fails_fails_and_its_time_is_told() -> None:
+    text = SCRIPT.read_text(encoding="utf-8")
+    begin = text.index("failed=()")
+    function = text[begin : text.index("\n}\n", begin) + 3]
+    told = f'{function}\npart first true; part second false; echo "${{spent[*]}} | ${{failed[*]}}"'
+    done = subprocess.run(["bash", "-c", told], capture_output=True, text=True, check=True)
+    assert re.fullmatch(r"first \d+ s second \d+ s \| second", done.stdout.splitlines()[-1])
+
+
+def not_tested(*logs: Path) -> list[str]:
+    """What the function of that name in the script prints."""
+    text = SCRIPT.read_text(encoding="utf-8")
+    begin = text.index("not_tested() {")
+    function = text[begin : text.index("\n}\n", begin) + 3]
+    words = ["bash", "-c", f'{function}\nnot_tested "$@"', "bash", *map(str, logs)]
+    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()

@@ -1,0 +1,140 @@
+"""The controller that looks where it goes: around what is seen, slower past what nobody sees, and the same again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, hypot, pi, sin, tan
+
+import numpy as np
+import pytest
+
+from safedpa.bus import SURROUNDINGS, StateMessage, SurroundingsMessage
+from safedpa.dynamics import load_model
+from safedpa.errors import MessageError
+from safedpa.policy import PolicyNode
+from safedpa.policy.controller import LooksAround, controller_for
+from safedpa.robots.car.seen_room import Room, SeenRoom, SeenSettings, seen_room
+from safedpa.robots.car.way_seeker import WaySeeker
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.loads import load_named
+from safedpa_sim.robots.scene import Scene
+from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.senses import Senses
+
+MODEL = load_model("car")
+GOAL = (3.0, 0.0)
+
+
+def state_at(pose: tuple[float, float, float], speed: float = 0.0, tick: int = 0, load: str = "none") -> StateMessage:
+    scene = Scene(0, load_named(load), (-6.0, 6.0, -6.0, 6.0), (), (0.0, 0.0, 0.0), (GOAL,))
+    told = CarRobot(scene, senses=Senses((Laser(LaserSettings()),))).state_message()
+    return replace(told, values=(*pose, speed), tick=tick, robot_time=0.05 * tick, goal=GOAL)
+
+
+def around(state: StateMessage, **seen: object) -> SurroundingsMessage:
+    told: dict[str, object] = {"points": (), "movers": (), "hidden": (), "ages": (0.05,), **seen}
+    stamp = {"epoch": state.epoch, "tick": state.tick, "robot_time": state.robot_time, "publish_time": 0.0}
+    return SurroundingsMessage(**stamp, **told)  # type: ignore[arg-type]
+
+
+def driven(seconds: float, **seen: object) -> list[tuple[float, float, float, float]]:
+    """x, y, yaw, wished speed of a car that drives as it is wished, kinematically."""
+    seeker, x, y, yaw, found = WaySeeker(MODEL), 0.0, 0.0, 0.0, []
+    for tick in range(round(seconds / 0.05)):
+        state = state_at((x, y, yaw), tick=tick)
+        seeker.look(around(state, **seen))
+        (speed, steer), _ = seeker.wish(state, None)
+        x, y = x + 0.05 * speed * cos(yaw), y + 0.05 * speed * sin(yaw)
+        yaw += 0.05 * speed * tan(steer) / 0.32
+        found.append((x, y, yaw, speed))
+        if hypot(x - GOAL[0], y - GOAL[1]) < 0.3:
+            break
+    return found
+
+
+def wall(x: float, low: float, high: float) -> tuple[tuple[float, float, float], ...]:
+    return tuple((x, float(y), 0.05) for y in np.arange(low, high, 0.1))
+
+
+def test_nothing_in_the_way_it_drives_straight_at_full_speed() -> None:
+    way = driven(4.0)
+    assert hypot(way[-1][0] - GOAL[0], way[-1][1] - GOAL[1]) < 0.3
+    assert max(abs(y) for _, y, _, _ in way) < 0.1
+    assert way[5][3] == pytest.approx(SeenSettings().cruise)
+
+
+def test_it_goes_around_a_wall_and_keeps_room_to_it() -> None:
+    points = wall(1.5, -0.8, 0.8)
+    way = driven(8.0, points=points)
+    assert hypot(way[-1][0] - GOAL[0], way[-1][1] - GOAL[1]) < 0.3
+    for x, y, yaw, _ in way:
+        for ahead in (-0.08, 0.16, 0.4):
+            apart = np.array(points)[:, :2] - (x + ahead * cos(yaw), y + ahead * sin(yaw))
+            assert np.hypot(*apart.T).min() > 0.12 + 0.05
+
+
+def test_it_slows_down_for_who_may_hide_and_keeps_farther_away() -> None:
+    corner = tuple((1.5, float(y), 0.3, 1.5) for y in np.arange(0.9, 2.0, 0.1))
+    free, careful = driven(6.0), driven(6.0, hidden=corner)
+    assert min(y for _, y, _, _ in careful) < min(y for _, y, _, _ in free) - 0.1
+    passing = [speed for x, _, _, speed in careful if 1.0 < x < 1.6]
+    assert min(passing) <= SeenSettings().cruise
+
+
+def test_the_same_drive_wishes_the_same() -> None:
+    points = wall(1.5, -0.8, 0.8)
+    assert driven(2.0, points=points) == driven(2.0, points=points)
+
+
+def test_without_surroundings_it_drives_to_its_goal() -> None:
+    (speed, steer), said = WaySeeker(MODEL).wish(state_at((0.0, 0.0, 0.0)), None)
+    assert speed == pytest.approx(SeenSettings().cruise)
+    assert steer == pytest.approx(0.0, abs=0.08)
+    assert said == "way_seeker:ahead"
+
+
+@pytest.mark.parametrize(
+    "odd", [{"values": (0.0, 0.0, 0.0)}, {"goal": ()}, {"footprint": ()}, {"values": (float("nan"), 0.0, 0.0, 0.0)}]
+)
+def test_a_state_that_does_not_fit_is_refused(odd: dict[str, object]) -> None:
+    with pytest.raises(MessageError, match="wanted"):
+        WaySeeker(MODEL).wish(replace(state_at((0.0, 0.0, 0.0)), **odd), None)  # type: ignore[arg-type]
+
+
+def test_where_it_makes_no_headway_the_way_is_closed_for_a_while_and_it_tries_another() -> None:
+    seeker, wishes = WaySeeker(MODEL), []
+    for tick in range(120):
+        state = state_at((0.0, 0.0, 0.0), tick=tick)
+        seeker.look(around(state))
+        wishes.append(seeker.wish(state, None)[0])
+    assert wishes[10][0] > 0.0
+    assert abs(wishes[10][1]) < 0.1
+    assert any(speed < 0.0 or abs(steer) > 0.2 for speed, steer in wishes[50:])
+
+
+def test_what_hides_in_the_shadow_of_a_load_stands_in_no_way_but_nobody_sees_what_is_behind() -> None:
+    state = state_at((0.0, 0.0, pi / 2), load="chair")
+    room, sees_behind = seen_room(state, around(state, hidden=((0.0, -1.0, 0.27, 1.5),)), SeenSettings())
+    assert not sees_behind
+    assert not len(room.moves)
+    room, sees_behind = seen_room(state, around(state, hidden=((0.0, 1.5, 0.27, 1.5),)), SeenSettings())
+    assert sees_behind
+    assert len(room.moves) == 1
+
+
+def test_a_metre_costs_more_the_less_room_there_is() -> None:
+    room = SeenRoom(np.empty((0, 3)), np.empty((0, 3)), 1.5, 0.12, SeenSettings())
+    free = np.full(40, 100.0)
+    for told in (Room(np.linspace(-0.5, 2.5, 40), free), Room(free, np.linspace(-0.5, 2.5, 40))):
+        assert (np.diff(room.price(told)) <= 1e-12).all()
+        assert (np.diff(room.seconds_each_metre(told, 1.6)) <= 1e-12).all()
+        assert room.price(told)[-1] == pytest.approx(1.0)
+
+
+def test_the_service_hands_the_surroundings_to_a_controller_that_looks_around_and_to_no_other() -> None:
+    state = state_at((0.0, 0.0, 0.0))
+    looking, other = PolicyNode(MODEL, "way_seeker"), PolicyNode(MODEL, "goal_seeker")
+    assert isinstance(controller_for(MODEL, "way_seeker")(), LooksAround)
+    assert SURROUNDINGS in looking.needs(state)
+    assert SURROUNDINGS not in looking.needs(replace(state, sources=()))
+    assert SURROUNDINGS not in other.needs(state)

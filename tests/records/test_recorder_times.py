@@ -1,0 +1,38 @@
+"""When a message was said and when it came, as the recording has it: nanoseconds, by this machine's clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, StateMessage
+from safedpa.bus.wire.setup import setup_message
+from safedpa_services.recorder.recorder import Recorder
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.scene import Scene
+
+
+@pytest.mark.parametrize("published", [0.0, 1.25, 1_764_108_000.123456])
+def test_both_times_of_a_message_are_nanoseconds_of_this_machine(tmp_path: Path, published: float) -> None:
+    """Read by a reader that is not ours. It came when it was heard, however late it is written."""
+    broker = MemoryBroker()
+    ears, robot = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
+    recorder = Recorder(ears, tmp_path / "r.mcap", setup_message("recorder", {}))
+    state = CarRobot(Scene.random(1, "none"), wall_clock=lambda: published).state_message()
+    before = time.time_ns()
+    robot.publish(STATE, "r1", dataclasses.replace(state, publish_time=published))
+    after = time.time_ns()
+    time.sleep(0.05)
+    recorder.turn(0.0)
+    recorder.run(lambda: True)
+    with (tmp_path / "r.mcap").open("rb") as file:
+        rows = [message for _, channel, message in make_reader(file).iter_messages() if "/state" in channel.topic]
+    (row,) = rows
+    assert isinstance(state, StateMessage)
+    assert row.publish_time == pytest.approx(1e9 * published, rel=1e-15, abs=1.0)
+    slack = 2_000_000  # two clocks are read one after the other
+    assert before - slack <= row.log_time <= after + slack

@@ -1,0 +1,188 @@
+"""Several cars on one field: each sees and touches the others where they are, and nobody shoves anybody."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, hypot, pi, sin
+
+import numpy as np
+import pytest
+
+from safedpa.bus.wire.messages import ActionMessage
+from safedpa.errors import InputError
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.loads import LOADS, load_named
+from safedpa_sim.robots.scene import Scene
+from safedpa_sim.robots.shared_field import SharedField
+from safedpa_sim.sensing import Laser, LaserSettings, Walks
+from safedpa_sim.sensing.senses import Senses
+from safedpa_sim.sensing.shapes import Outline, box, cast
+
+FIELD = (-4.0, 4.0, -4.0, 4.0)
+PILLARS = ((0.0, 3.0, 0.4),)
+EXACT = LaserSettings(noise=0.0, drop_outs=0.0)
+Pose = tuple[float, float, float]
+
+
+def car(pose: Pose, load: str = "none", laser: LaserSettings | None = None, seed: int = 1) -> CarRobot:
+    senses = None if laser is None else Senses((Laser(laser, seed),))
+    return CarRobot(Scene(0, load_named(load), FIELD, PILLARS, pose), senses=senses)
+
+
+def live(field: SharedField, ticks: int, actions: Sequence[tuple[float, float]]) -> None:
+    for _ in range(ticks):
+        for robot, values in zip(field.robots, actions, strict=True):
+            told = ActionMessage(epoch=1, tick=robot.tick, robot_time=0.0, publish_time=0.0, values=values)
+            assert robot.receive(told) is None
+        field.advance()
+
+
+def outline_of(robot: CarRobot) -> tuple[tuple[float, float], ...]:
+    """By the car's own numbers, not by the physics' shapes."""
+    x, y, yaw, _ = robot.values
+    own = robot.world.parameters
+    middle = (own.front - own.rear) / 2
+    return box(x + middle * cos(yaw), y + middle * sin(yaw), own.rear + own.front, own.width, yaw)
+
+
+def test_two_that_drive_at_each_other_touch_once_and_both_moved() -> None:
+    field = SharedField([car((-2.0, 0.0, 0.0)), car((2.0, 0.05, pi))])
+    live(field, 60, [(1.5, 0.0), (1.0, 0.0)])
+    (touch,) = field.touches
+    assert touch.parts == ("car", "car")
+    speeds = dict(zip(touch.robots, touch.speeds, strict=True))
+    assert speeds[0] == pytest.approx(1.5, abs=0.1)
+    assert speeds[1] == pytest.approx(1.0, abs=0.1)
+    (noses,) = (one.values[0] + 0.4 for one in field.robots[:1])
+    assert noses == pytest.approx(field.robots[1].values[0] - 0.4, abs=0.01)
+    assert field.collisions(0) == field.collisions(1) == []
+    assert [hit.what for hit in field.robots[0].collisions] == ["robot 1"]
+    assert [hit.what for hit in field.robots[1].collisions] == ["robot 0"]
+    assert "car of robot" in str(touch)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_whoever_is_counted_first_the_touch_is_the_same(first: int) -> None:
+    cars = [car((-2.0, 0.0, 0.0)), car((2.0, 0.05, pi))]
+    field = SharedField([cars[first], cars[1 - first]])
+    live(field, 60, [(1.5, 0.0)] * 2)
+    (touch,) = field.touches
+    assert touch.time == pytest.approx(1.325, abs=0.01)
+    assert touch.speeds == pytest.approx((1.46, 1.46), abs=0.02)
+
+
+def test_one_that_stands_is_not_shoved_and_counts_as_standing() -> None:
+    field = SharedField([car((-2.0, 0.0, 0.0)), car((2.0, 0.05, pi))])
+    live(field, 80, [(2.0, 0.0), (0.0, 0.0)])
+    (touch,) = field.touches
+    speeds = dict(zip(touch.robots, touch.speeds, strict=True))
+    assert speeds[0] > 1.8
+    assert speeds[1] < 0.01
+    x, y, yaw, speed = field.robots[1].values
+    assert hypot(x - 2.0, y - 0.05) < 0.005
+    assert abs(yaw - pi) < 0.005
+    assert abs(speed) < 0.01
+
+
+@pytest.mark.parametrize("load", list(LOADS))
+def test_a_load_is_driven_into_where_it_hangs(load: str) -> None:
+    towing = car((0.0, 0.0, pi / 2), load)
+    own = LOADS[load]
+    y = -0.08 - own.length
+    field = SharedField([towing, car((-2.0, y, 0.0))])
+    live(field, 80, [(0.0, 0.0), (1.0, 0.0)])
+    (touch,) = field.touches
+    assert dict(zip(touch.robots, touch.parts, strict=True)) == {0: "load", 1: "car"}
+    assert dict(zip(touch.robots, touch.speeds, strict=True))[0] < 0.02
+    assert field.robots[1].values[0] + 0.4 == pytest.approx(-own.side / 2, abs=0.01)
+
+
+def test_a_load_that_is_hitched_on_the_way_is_there_for_the_others_from_the_next_period_on() -> None:
+    towing, other = car((0.0, 0.0, pi / 2)), car((-2.0, -0.3, 0.0))
+    field = SharedField([towing, other])
+    live(field, 2, [(0.0, 0.0), (0.0, 0.0)])
+    towing.hitch(LOADS["box"])
+    live(field, 80, [(0.0, 0.0), (1.0, 0.0)])
+    (touch,) = field.touches
+    assert sorted(touch.parts) == ["car", "load"]
+
+
+def test_a_laser_sees_the_other_where_it_is_while_both_move() -> None:
+    field = SharedField([car((-2.0, 0.0, 0.0), laser=EXACT), car((1.0, 0.3, 2.0), "chair", EXACT)])
+    for robot in field.robots:
+        robot.scans()
+    live(field, 20, [(1.0, 0.1), (1.5, 0.3)])
+    poses, outlines = [one.values for one in field.robots], [outline_of(one) for one in field.robots]
+    towed = field.robots[1].world.towed
+    assert towed is not None
+    x, y, yaw, length, width = towed.pose
+    load = box(x, y, length, width, yaw)
+    for robot in field.robots:
+        robot.scans()
+    live(field, 1, [(1.0, 0.1), (1.5, 0.3)])
+    for index, robot in enumerate(field.robots):
+        (scan,) = robot.scans()
+        assert scan.robot_time == pytest.approx(1.0)
+        around = Outline(PILLARS, (outlines[1 - index], load), (FIELD,))
+        x, y, yaw, _ = poses[index]
+        ahead, aside, turned = scan.mount
+        angles = yaw + turned + scan.first_angle + scan.angle_step * np.arange(len(scan.ranges))
+        place = x + ahead * cos(yaw) - aside * sin(yaw), y + ahead * sin(yaw) + aside * cos(yaw)
+        true = cast(around, *place, angles)
+        without = cast(Outline(PILLARS, (load,) if index else (), (FIELD,)), *place, angles)
+        on_the_other = true < without - 0.1
+        assert on_the_other.sum() > 3
+        seen = np.array(scan.ranges)
+        # a ray that just misses a corner may just hit it a few micrometres on
+        assert (np.abs(seen - true)[on_the_other] < 1e-3).mean() > 0.9
+        assert (np.abs(seen - true) < 1e-3).mean() > 0.98
+
+
+def test_the_very_first_scan_sees_the_others() -> None:
+    field = SharedField([car((-2.0, 0.0, 0.0), laser=EXACT), car((1.0, 0.0, pi), laser=EXACT)])
+    for robot in field.robots:
+        robot.scans()
+    live(field, 1, [(0.0, 0.0)] * 2)
+    (scan,) = field.robots[0].scans()
+    assert min(scan.ranges[175:185]) == pytest.approx(1.0 - 0.4 - (-2.0 + 0.12))
+
+
+def wavy(field: SharedField, ticks: int) -> list[str]:
+    for tick in range(ticks):
+        live(field, 1, [(1.2 + 0.1 * k, 0.3 * sin(0.3 * tick + k)) for k in range(len(field.robots))])
+    return [robot.trajectory_hash for robot in field.robots]
+
+
+def test_it_repeats_bit_for_bit_with_touches() -> None:
+    starts = [(-2.0, 0.0, 0.0), (2.0, 0.05, pi), (0.0, -2.0, pi / 2)]
+    fields = [SharedField([car(pose, "box", LaserSettings(), 5 + k) for k, pose in enumerate(starts)]) for _ in "12"]
+    assert wavy(fields[0], 60) == wavy(fields[1], 60)
+    assert fields[0].touches == fields[1].touches != []
+
+
+def test_who_touches_nobody_drives_as_alone() -> None:
+    field, alone = SharedField([car((-2.0, 0.0, 0.0)), car((2.0, 2.0, 0.0))]), car((-2.0, 0.0, 0.0))
+    for tick in range(40):
+        action = (1.0, 0.3 * sin(0.3 * tick))
+        live(field, 1, [action, (0.0, 0.0)])
+        alone.receive(ActionMessage(epoch=1, tick=tick, robot_time=0.0, publish_time=0.0, values=action))
+        alone.advance()
+    np.testing.assert_allclose(field.robots[0].values, alone.values, atol=1e-9)
+
+
+def test_what_cannot_share_a_field_is_refused() -> None:
+    with pytest.raises(InputError, match="got 1, wanted two or more"):
+        SharedField([car((0.0, 0.0, 0.0))])
+    elsewhere = CarRobot(Scene(0, None, FIELD, (), (2.0, 0.0, 0.0)))
+    with pytest.raises(InputError, match="scenes: got different ones"):
+        SharedField([car((0.0, 0.0, 0.0)), elsewhere])
+    slower = CarRobot(Scene(0, None, FIELD, PILLARS, (2.0, 0.0, 0.0)), period=0.1)
+    with pytest.raises(InputError, match=r"period: got 0.05 and 0.1 s"):
+        SharedField([car((0.0, 0.0, 0.0)), slower])
+    among = Senses((Laser(EXACT),), (Walks((0.0, 2.0), 1.0, 1),))
+    alone = CarRobot(Scene(0, None, FIELD, PILLARS, (2.0, 0.0, 0.0)), senses=among)
+    with pytest.raises(InputError, match="people: got 1 around one car, wanted none"):
+        SharedField([car((0.0, 0.0, 0.0)), alone])
+    field = SharedField([car((0.0, 0.0, 0.0)), car((2.0, 0.0, 0.0))])
+    with pytest.raises(InputError, match="shares a field already"):
+        SharedField([*field.robots, car((-2.0, 0.0, 0.0))])

@@ -1,0 +1,307 @@
+"""What the filter's service keeps of one robot between two ticks, and what it takes for known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.safety.node_steps import (
+    ABSENT,
+    CAR,
+    LATE,
+    SETTINGS,
+    asked,
+    driven,
+    latent_at,
+    stamp,
+    state_at,
+    told,
+    verdict_of,
+)
+
+from safedpa.bus import LATENT, StateMessage, SurroundingsMessage
+from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.errors import InputError
+from safedpa.safety.filtered_robot import FilteredRobot, _walked
+from safedpa.safety.found_delay import FoundDelay
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.prediction import Prediction
+from safedpa.safety.trail import Trail
+from safedpa.safety.watched_margin import WatchedMargin
+
+
+def seen(state: StateMessage, **known: Any) -> SurroundingsMessage:
+    return SurroundingsMessage(**stamp(state), **{"points": (), "movers": (), "hidden": (), "ages": (0.05,), **known})
+
+
+def kept_calls(monkeypatch: pytest.MonkeyPatch, where: type, name: str, answer: Any = None) -> list[Any]:
+    """What a method is called with from now on: its first argument behind self, and all by name."""
+    calls: list[Any] = []
+
+    def noted(self: Any, *arguments: Any, **named: Any) -> Any:
+        del self
+        calls.append(named or (arguments[0] if arguments else None))
+        return answer
+
+    monkeypatch.setattr(where, name, noted)
+    return calls
+
+
+# the latent
+
+
+def test_a_latent_that_is_a_tick_old_is_used_however_long_the_tick() -> None:
+    memory = driven()
+    memory.latent = latent_at(state_at(0))
+    assert memory.usable_latent(state_at(1, period=2.0), {LATENT: ABSENT})[0] is not None, "1 s and half a tick"
+    assert memory.usable_latent(state_at(1, period=2.1), {LATENT: ABSENT})[0] is None
+
+
+@pytest.mark.parametrize(
+    ("since", "tick", "waits"), [(-1, 0, False), (0, 0, True), (0, 20, True), (0, 21, False), (3, 2, False)]
+)
+def test_a_model_may_decide_for_a_second_after_another_is_in_force(since: int, tick: int, waits: bool) -> None:
+    memory = driven()
+    memory.changed_at = since
+    assert memory.may_wait(state_at(tick)) is waits
+
+
+# the margin's watch
+
+
+@pytest.mark.parametrize(
+    ("tick", "applied_by", "forgotten"), [(1, "filter", False), (2, "filter", True), (1, "watchdog", True)]
+)
+def test_what_was_not_done_or_not_seen_is_not_held_against_the_prediction(
+    monkeypatch: pytest.MonkeyPatch, tick: int, applied_by: str, forgotten: bool
+) -> None:
+    memory = driven()
+    calls = kept_calls(monkeypatch, WatchedMargin, "expect")
+    memory.watch_margin(state_at(tick, applied=told(memory), applied_by=applied_by))
+    assert calls == ([None] if forgotten else [])
+
+
+@pytest.mark.parametrize(("before", "now"), [((), ("laser",)), (("laser",), ()), (("laser",), ("laser",)), ((), ())])
+def test_a_scene_that_sensors_see_is_another_one_with_each_tick(
+    monkeypatch: pytest.MonkeyPatch, before: tuple[str, ...], now: tuple[str, ...]
+) -> None:
+    memory = driven()
+    assert memory.decision is not None
+    memory.decision = memory.decision._replace(state=replace(memory.decision.state, sources=before))
+    calls = kept_calls(monkeypatch, WatchedMargin, "observe")
+    memory.watch_margin(state_at(1, applied=told(memory), sources=now))
+    assert [call["same_scene"] for call in calls] == [not before and not now]
+
+
+@pytest.mark.parametrize(
+    ("pending", "applied_by", "late"), [(True, "filter", True), (True, "watchdog", False), (False, "filter", False)]
+)
+def test_where_the_action_acts_late_the_prediction_is_of_that_moment(
+    monkeypatch: pytest.MonkeyPatch, pending: bool, applied_by: str, late: bool
+) -> None:
+    memory = driven(LATE if pending else CAR)
+    assert bool(memory.pending) is pending
+    foretold = object()
+    monkeypatch.setattr(Trail, "foretold", lambda *_: foretold)
+    calls = kept_calls(monkeypatch, WatchedMargin, "observe")
+    memory.watch_margin(state_at(1, applied=told(memory), applied_by=applied_by))
+    assert [call["late"] for call in calls] == [foretold if late else None]
+
+
+@pytest.mark.parametrize("model", [CAR, LATE])
+def test_only_what_is_on_its_way_is_noted_as_decided(monkeypatch: pytest.MonkeyPatch, model: PhysicsModel) -> None:
+    calls = kept_calls(monkeypatch, Trail, "decided")
+    memory = driven(model)
+    assert calls == ([tuple(model.latent.tolist())] if memory.pending else [])
+    assert bool(memory.pending) is (model is LATE)
+
+
+# what is around it
+
+
+@pytest.mark.parametrize(("age", "old"), [(-1e-6, False), (1.0, False), (-2e-6, True), (1.0 + 1e-9, True)])
+def test_how_old_a_source_may_be(age: float, old: bool) -> None:
+    memory, state = driven(), state_at(1, sources=("laser",), obstacles=())
+    memory.see(state, seen(state, ages=(age,)))
+    assert isinstance(memory.barriers, str) is old
+    assert not old or "a source is" in str(memory.barriers)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "again"),
+    [
+        ({"car": 0.01, "speed": 0.1}, {"car": 0.01, "speed": 0.1}, False),
+        ({"car": 0.01, "speed": 0.1}, {"car": 0.02, "speed": 0.1}, True),
+        ({"car": 0.01, "speed": 0.1}, {"car": 0.02, "speed": 0.05}, True),
+        ({"car": 0.02, "speed": 0.1}, {"car": 0.01, "speed": 0.05}, False),
+        ({"speed": 0.1}, {"car": 0.5, "speed": 0.1}, True),
+    ],
+)
+def test_where_any_margin_widens_by_this_state_it_looks_around_once_more(
+    monkeypatch: pytest.MonkeyPatch, before: dict[str, float], now: dict[str, float], again: bool
+) -> None:
+    memory, state, asked_for = driven(), state_at(1, sources=("laser",), obstacles=()), list[dict[str, float]]()
+
+    def around(_state: Any, _ahead: Any, epsilon: dict[str, float], _late: float) -> str:
+        asked_for.append(epsilon)
+        return f"scene {len(asked_for)}"
+
+    def widened(self: FilteredRobot, _state: StateMessage) -> None:
+        self.margin = SimpleNamespace(epsilon=now)  # type: ignore[assignment]
+
+    memory.margin, memory.scene.around = SimpleNamespace(epsilon=before), around  # type: ignore[assignment,method-assign]
+    monkeypatch.setattr(FilteredRobot, "watch_margin", widened)
+    memory.see(state, seen(state))
+    assert asked_for == ([before, now] if again else [before])
+    assert memory.barriers == f"scene {len(asked_for)}"
+
+
+def test_a_model_that_refuses_its_dead_time_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: Any) -> float:
+        raise InputError("no such latent")
+
+    monkeypatch.setattr(Prediction, "dead_time", refused)
+    assert driven()._dead_time() == 0.0
+
+
+# the actuators
+
+
+def test_who_did_what_it_was_told_remembers_what_was_expected() -> None:
+    memory = driven(LATE)
+    expected = memory.expected_memory
+    memory.remember_actuators(state_at(1, applied=told(memory)))
+    assert memory.memory is expected
+
+
+def test_where_nothing_was_expected_the_command_is_felt_all_the_same() -> None:
+    memory = driven(LATE)
+    before, memory.expected_memory = memory.memory, None
+    memory.remember_actuators(state_at(1, applied=told(memory)))
+    assert memory.memory == LATE.felt(told(memory), before, period=0.05)[1]
+
+
+def test_the_watchdogs_command_comes_behind_what_is_on_its_way() -> None:
+    memory = driven(LATE, ticks=3)
+    before = memory.memory
+    memory.remember_actuators(state_at(3, applied=(0.0, 0.0), applied_by="watchdog"))
+    assert memory.memory == LATE.felt((0.0, 0.0), before, period=0.05)[1]
+
+
+def test_after_ticks_that_were_lost_it_begins_as_if_it_had_rested_at_what_was_applied() -> None:
+    memory = driven(LATE, ticks=3)
+    memory.remember_actuators(state_at(9, applied=(0.7, 0.2)))
+    assert memory.memory == LATE.initial_memory(np.array((0.7, 0.2)))
+
+
+def test_another_models_memory_begins_with_what_was_sent_while_the_first_was_in_force() -> None:
+    former = driven(LATE, ticks=4)
+    state = state_at(4, applied=told(former))
+    oldest, *sent = former.trail.commands(4, state.applied) or ()
+    assert sent, "several commands are on their way"
+    wanted = LATE.initial_memory(np.array(oldest))
+    for command in sent:
+        wanted = LATE.felt(command, wanted, period=0.05)[1]
+    begun = FilteredRobot.begun(former.held, SETTINGS)
+    begun.remember_way(former)
+    begun.remember_actuators(state)
+    assert begun.memory == wanted
+    assert begun.memory != LATE.initial_memory(np.array(oldest))
+
+
+# how late it acts
+
+
+@pytest.mark.parametrize(
+    ("applied_by", "sources", "stood", "learns"),
+    [
+        ("filter", (), False, True),
+        ("filter", (), True, True),
+        ("filter", ("laser",), False, True),
+        ("filter", ("laser",), True, False),
+        ("watchdog", (), False, False),
+    ],
+)
+def test_a_delay_is_looked_for_where_the_robot_did_what_it_was_told(
+    monkeypatch: pytest.MonkeyPatch, applied_by: str, sources: tuple[str, ...], stood: bool, learns: bool
+) -> None:
+    memory = driven()
+    passed = SimpleNamespace(stood=lambda speeds: stood and speeds == (3,))
+    monkeypatch.setattr(Trail, "passed", lambda *_: passed)
+    calls = kept_calls(monkeypatch, FoundDelay, "observe")
+    memory._watch_delay(state_at(1, applied=told(memory), applied_by=applied_by, sources=sources), CAR.latent)
+    assert calls == ([passed] if learns else [])
+
+
+def test_a_delay_is_weighed_by_the_ranges_of_the_actions() -> None:
+    assert driven().delay._ranges == pytest.approx((SETTINGS.high - SETTINGS.low).tolist())
+
+
+# what is foreseen
+
+
+def test_a_step_on_the_straight_line_is_taken_at_its_own_time() -> None:
+    times = []
+
+    def step(entries: Sequence[float], action: Any, free: Any, seconds: float) -> list[float]:
+        times.append(seconds)
+        return [entry + 1.0 for entry in entries]
+
+    state = state_at(4)
+    rows = _walked(step, state, np.zeros(2), np.zeros(1), 3)
+    assert times == pytest.approx([0.2, 0.25, 0.3])
+    assert rows == tuple(tuple(value + count for value in state.values) for count in (1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_path_with_a_number_that_is_none_is_no_path(monkeypatch: pytest.MonkeyPatch, bad: float) -> None:
+    def broken(*_: Any, **__: Any) -> Any:
+        return np.array(((0.0, 0.0, 0.0, bad),)), ("memory",)
+
+    memory = driven()
+    assert _walked(lambda entries, *_: [*entries[:3], bad], state_at(1), np.zeros(2), np.zeros(1), 2) == ()
+    monkeypatch.setattr(PhysicsModel, "straight", lambda *_: None)
+    monkeypatch.setattr(PhysicsModel, "held", broken)
+    assert memory.predicted(state_at(1), verdict_of(memory), CAR.latent) == ((), None)
+    late = driven(CAR)
+    late.pending = SimpleNamespace(sent=(1,))
+    monkeypatch.setattr(Trail, "expected", lambda *_: broken()[0])
+    assert late.predicted(state_at(1), verdict_of(late), CAR.latent) == ((), None)
+
+
+@pytest.mark.parametrize("latent", [None, LATE.latent])
+def test_behind_what_is_on_its_way_the_path_and_the_memory_are_those_of_this_action(
+    monkeypatch: pytest.MonkeyPatch, latent: Any
+) -> None:
+    memory, asked_with = driven(LATE, ticks=2), list[Any]()
+    memory.pending = memory.pending._replace(sent=((0.5, 0.0),))
+
+    def expected(_: Trail, action: Any, known: Any, pending: Any, steps: int) -> Any:
+        asked_with.append((action, known, steps))
+        return np.ones((steps, 4))
+
+    monkeypatch.setattr(Trail, "expected", expected)
+    verdict, known = verdict_of(memory), None if latent is None else tuple(latent.tolist())
+    rows, after = memory.predicted(state_at(2, applied=told(memory)), verdict, latent)
+    action = tuple(verdict.action.tolist())
+    assert asked_with == [(action, known, 1)]
+    assert rows == ((1.0, 1.0, 1.0, 1.0),)
+    assert after == LATE.felt(action, memory.memory, known, period=0.05)[1]
+
+
+def test_without_a_memory_of_the_actuators_none_comes_of_what_is_on_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = driven(CAR)
+    memory.pending = SimpleNamespace(sent=((0.0, 0.0),))
+    monkeypatch.setattr(Trail, "expected", lambda *_: np.ones((1, 4)))
+    assert memory.predicted(state_at(1), verdict_of(memory), CAR.latent)[1] == memory.memory
+
+
+def test_names_that_this_file_leans_on() -> None:
+    """A delayed model remembers what was sent, the shipped car nothing; and the helpers decide as the service does."""
+    assert load_model("car").initial_memory(np.zeros(2)) == ()
+    assert LATE.initial_memory(np.zeros(2)) != ()
+    assert asked(SafetyFilterNode(CAR, SETTINGS), state_at(0), latent_at(state_at(0))).status == "passed"

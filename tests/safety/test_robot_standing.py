@@ -1,0 +1,228 @@
+"""What the filter's service keeps of a robot that stands, of its way out, and of another model that is tried at it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.safety.node_steps import CAR, SETTINGS, driven, state_at, told, verdict_of
+
+from safedpa.dynamics import PhysicsModel
+from safedpa.safety import Status, Verdict
+from safedpa.safety.way_out import Here
+
+# whether it stands
+
+
+@pytest.mark.parametrize("status", [Status.passed, Status.disabled, Status.corrected, Status.relaxed])
+def test_what_is_promised_under_the_wish_is_asked_of_the_model_where_the_wish_did_not_go_out(
+    monkeypatch: pytest.MonkeyPatch, status: Status
+) -> None:
+    memory, state = driven(), state_at(0)
+    assert memory.decision is not None
+    verdict = verdict_of(memory, status=status, wish=np.array((9.0, 0.1)), action=np.array((0.2, 0.0)))
+    memory.decision = memory.decision._replace(verdict=verdict)
+    clipped = np.clip((9.0, 0.1), SETTINGS.low, SETTINGS.high)
+    promises = list[Any]()
+    memory.standing.promise = lambda *rows: promises.append(rows)  # type: ignore[method-assign]
+    path = ((0.3, 0.0, 0.0, 0.5), (0.6, 0.0, 0.0, 0.5))
+    memory.watch_standing(state, path)
+    ((here, wished, expected),) = promises
+    assert here == state.values
+    assert expected == path[0]
+    if status in (Status.passed, Status.disabled):
+        assert wished == path[0]
+    else:
+        assert wished == pytest.approx(CAR.held(np.array(here), clipped, (), CAR.latent, 1, period=0.05)[0][0])
+
+
+@pytest.mark.parametrize(
+    ("wish", "known", "interrupted"), [((1.0, 0.0), True, False), ((1.0, 0.0), False, True), ((0.0, 0.0), True, True)]
+)
+def test_who_wishes_nothing_or_of_whom_nothing_is_known_does_not_stand_in_vain(
+    wish: tuple[float, float], known: bool, interrupted: bool
+) -> None:
+    memory = driven()
+    assert memory.decision is not None
+    verdict = verdict_of(memory, status=Status.corrected, wish=np.array(wish))
+    memory.decision = memory.decision._replace(verdict=verdict)
+    said = list[str]()
+    memory.standing.promise = lambda *_: said.append("promise")  # type: ignore[method-assign]
+    memory.standing.interrupted = lambda: said.append("interrupted")  # type: ignore[method-assign]
+    memory._next = lambda *_: ((0.1, 0.0, 0.0, 0.5),) if known else ()  # type: ignore[method-assign]
+    memory.watch_standing(state_at(0), ((0.3, 0.0, 0.0, 0.5),))
+    assert said == ["interrupted" if interrupted else "promise"]
+
+
+@pytest.mark.parametrize(("failed", "rests"), [(0.0, False), (1.0, True)])
+def test_a_correction_is_given_up_only_after_one_like_it_failed(failed: float, rests: bool) -> None:
+    memory = driven()
+    memory.standing.failed = failed
+    correction = verdict_of(memory, status=Status.corrected)
+    resting = verdict_of(memory, status=Status.passed, action=np.zeros(2))
+    asked_for = list[int]()
+
+    def rest() -> Verdict:
+        asked_for.append(1)
+        return resting
+
+    found = memory.out_of_dead_band(state_at(1), correction, CAR.latent, rest)
+    assert (found is not correction) is rests
+    assert len(asked_for) == (1 if rests else 0)
+
+
+@pytest.mark.parametrize(("failed", "known", "rests"), [(0.024, True, False), (0.026, True, True), (1.0, False, False)])
+def test_a_correction_that_leads_further_than_what_failed_is_tried(failed: float, known: bool, rests: bool) -> None:
+    """At 0.5 m/s a tick of 0.05 s leads 0.025 m further; and of what nothing is foreseen nothing is given up."""
+    robot = driven()
+    assert robot.decision is not None
+    if not known:
+        robot._next = lambda *_: ()  # type: ignore[method-assign]
+    robot.standing.failed = failed
+    state, verdict = robot.decision.state, robot.decision.verdict
+    correction = replace(verdict, status=Status.corrected, action=np.array((0.5, 0.0)))
+    resting = replace(verdict, status=Status.passed, action=np.zeros(2))
+    found = robot.out_of_dead_band(state, correction, CAR.latent, lambda: resting)
+    assert tuple(found.action.tolist()) == ((0.0, 0.0) if rests else (0.5, 0.0))
+
+
+@pytest.mark.parametrize(("h_now", "binds"), [(1.0, False), (0.999, True), (1.001, False)])
+def test_a_margin_binds_where_less_is_left_than_it_asks_for(h_now: float, binds: bool) -> None:
+    memory, said = driven(), list[Any]()
+    memory.standing.reason = lambda *known: said.append(known) or "why"  # type: ignore[method-assign,func-returns-value]
+    assert memory.standstill(verdict_of(memory, h_now=h_now, margin=SETTINGS.eta)) == "why"
+    assert [known[2] for known in said] == [binds]
+
+
+@pytest.mark.parametrize("straight", [True, False])
+def test_the_next_state_is_one(monkeypatch: pytest.MonkeyPatch, straight: bool) -> None:
+    memory, state, action = driven(), state_at(1), np.array((0.5, 0.1))
+    wanted = CAR.held(np.array(state.values), action, (), CAR.latent, 1, period=0.05)[0]
+    for _ in range(1000):  # a model that is asked often is recorded
+        found = memory.model.straight(0.05)
+    assert found is not None
+    if not straight:
+        monkeypatch.setattr(PhysicsModel, "straight", lambda *_: None)
+    rows = memory._next(state, action, CAR.latent)
+    assert len(rows) == 1
+    np.testing.assert_allclose(rows, wanted, atol=1e-12)
+
+
+def test_a_next_state_with_a_number_that_is_none_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PhysicsModel, "straight", lambda *_: None)
+    monkeypatch.setattr(PhysicsModel, "held", lambda *_, **__: (np.array(((0.0, 0.0, 0.0, np.nan),)), ()))
+    assert driven()._next(state_at(1), np.zeros(2), CAR.latent) == ()
+
+
+# the way out, and the trial of another model
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_for_how_long_it_stood_counts_where_a_robot_is_quick(monkeypatch: pytest.MonkeyPatch, quick: bool) -> None:
+    memory, given = driven(), list[float]()
+    memory.standing.seconds, memory.scene.quick = 7.0, quick
+    monkeypatch.setattr(type(memory.way_out), "wanted", lambda *_: True)
+
+    def instead_of(_self: Any, verdict: Verdict, _here: Any, seconds: float) -> Verdict:
+        given.append(seconds)
+        return verdict
+
+    monkeypatch.setattr(type(memory.way_out), "instead_of", instead_of)
+    memory.out_of_the_layer(state_at(1), verdict_of(memory, status=Status.relaxed), CAR.latent)
+    assert given == [7.0 if quick else 0.0]
+
+
+@pytest.mark.parametrize("taken", [True, False])
+def test_a_way_out_promises_no_more_than_what_is_on_its_way_leaves(
+    monkeypatch: pytest.MonkeyPatch, taken: bool
+) -> None:
+    """Nobody can change what happens before the action acts: the car drives at the obstacle until then."""
+    memory = driven(CAR, ticks=3)
+    state = state_at(3, (4.0, 0.0, 0.0, 1.0), applied=told(memory), until_action=0.12)
+    memory.take_up(state)
+    begin = memory.filter.tools.prediction.begin(state.values, tuple(CAR.latent.tolist()), memory.pending)
+    assert begin is not None
+    assert begin.at_once
+    assert not isinstance(memory.barriers, str)
+    heights = [h for passed in begin.path for h in memory.barriers.heights(passed)]
+    assert len(begin.path) > 1
+    monkeypatch.setattr(type(memory.way_out), "wanted", lambda *_: True)
+    verdict = verdict_of(memory, status=Status.relaxed, h_next=50.0)
+    found = replace(verdict, reason="out") if taken else verdict
+    monkeypatch.setattr(type(memory.way_out), "instead_of", lambda *_: found)
+    assert min(heights) < max(memory.barriers.heights(begin.path[0]))
+    result = memory.out_of_the_layer(state, verdict, CAR.latent)
+    assert result.h_next == (pytest.approx(min(heights)) if taken else 50.0)
+    low = replace(found, h_next=min(heights) - 1.0)
+    monkeypatch.setattr(type(memory.way_out), "instead_of", lambda *_: low)
+    assert memory.out_of_the_layer(state, verdict, CAR.latent).h_next == pytest.approx(min(heights) - 1.0)
+
+
+def told_to_the_way_out(robot: FilteredRobot, monkeypatch: pytest.MonkeyPatch) -> Here:
+    given = list[Here]()
+
+    def instead_of(_: Any, verdict: Verdict, here: Here, __: float) -> Verdict:
+        given.append(here)
+        return verdict
+
+    monkeypatch.setattr(type(robot.way_out), "instead_of", instead_of)
+    assert robot.decision is not None
+    state, _, verdict = robot.decision
+    robot.out_of_the_layer(state, replace(verdict, status=Status.relaxed), CAR.latent)
+    (here,) = given
+    return here
+
+
+def test_out_of_the_layer_leads_no_action_that_failed_to_move_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 0.5 m/s a tick of 0.05 s leads 0.025 m further; what leads nowhere that is known does not move it either."""
+    robot = driven()
+    here = told_to_the_way_out(robot, monkeypatch)
+    for failed, fails in ((0.0, False), (0.024, False), (0.026, True)):
+        robot.standing.failed = failed
+        assert here.fails((0.5, 0.0)) is fails
+    robot._next = lambda *_: ()  # type: ignore[method-assign]
+    for failed in (0.0, 0.026):
+        robot.standing.failed = failed
+        assert here.fails((0.5, 0.0)) is True
+
+
+def test_a_kind_of_barrier_without_a_margin_has_no_layer(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = driven()
+    kinds = {kind: list(rows) for kind, rows in robot.barriers.rows.items()}  # type: ignore[union-attr]
+    first, *others = kinds
+    assert others
+    robot.margin = SimpleNamespace(epsilon={first: 0.25})  # type: ignore[assignment]
+    margins = told_to_the_way_out(robot, monkeypatch).margins
+    assert {margins[row] for row in kinds[first]} == {0.25}
+    assert {margins[row] for kind in others for row in kinds[kind]} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("status", "barriers", "decided"),
+    [
+        (Status.passed, True, "wish"),
+        (Status.corrected, True, "wish"),
+        (Status.stopped, True, "action"),
+        (Status.fallback, True, ""),
+        (Status.passed, False, ""),
+    ],
+)
+def test_another_model_is_tried_with_what_was_wished_or_had_to_be_done(
+    monkeypatch: pytest.MonkeyPatch, status: Status, barriers: bool, decided: str
+) -> None:
+    memory, asked_with = driven(), list[Any]()
+    assert memory.decision is not None
+    verdict = verdict_of(memory, status=status, wish=np.array((1.0, 0.1)), action=np.array((0.2, 0.0)))
+
+    def decide(_self: Any, _state: Any, wish: Any, *_: Any, **__: Any) -> Verdict:
+        asked_with.append(wish)
+        return verdict_of(memory, status=Status.passed)
+
+    monkeypatch.setattr(type(memory.filter), "decide", decide)
+    around = memory.barriers if barriers else "surroundings (none has arrived)"
+    memory.try_out(memory.decision._replace(verdict=verdict), around)
+    wanted = {"wish": [(1.0, 0.1)], "action": [(0.2, 0.0)], "": []}[decided]
+    assert [tuple(wish.tolist()) for wish in asked_with] == wanted

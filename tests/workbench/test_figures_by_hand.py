@@ -1,0 +1,150 @@
+"""What the workbench's figures and bars show, counted by hand: spans, marks, ticks, words that go by themselves."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from safedpa.bus import Answer
+from safedpa_services.workbench import live_page, panel_fall, panel_path
+from safedpa_services.workbench.live_book import Mark, RobotBook
+from safedpa_services.workbench.live_link import Told
+from safedpa_services.workbench.live_page import LivePage
+from safedpa_services.workbench.live_panels import error_figure, evidence_figure, field_figure
+from safedpa_services.workbench.look import LIGHT
+
+NOW = 300.0
+WHEN = (0.0, 100.0, 179.0, 181.0, 240.0, 299.0)
+"""s; of a robot that drives for 300 s, of which the figures show the last 120."""
+
+
+@pytest.fixture
+def book():
+    made = RobotBook("r1")
+    made.path.extend((t, (t, 0.0, 0.0, 1.0)) for t in (*np.arange(0.0, NOW, 5.0), NOW))
+    for t in WHEN:
+        made.errors.append((t, 0.01 * t, 0.02 * t, 1.0 + t, 13.8))
+        made.marks.append(Mark(t, "finding" if t == 240.0 else "model", f"at {t:.0f} s"))
+    return made
+
+
+def test_the_error_and_its_marks_are_those_of_the_last_two_minutes(book):
+    figure = error_figure(book, LIGHT)
+    band, error = figure["data"]
+    assert error["x"] == band["x"] == [181.0, 240.0, 299.0]
+    assert error["y"] == pytest.approx([1.81, 2.40, 2.99])
+    assert band["y"] == pytest.approx([3.62, 4.80, 5.98])
+    shapes = figure["layout"]["shapes"]
+    assert [shape["x0"] for shape in shapes] == [shape["x1"] for shape in shapes] == [181.0, 240.0, 299.0]
+    assert [shape["line"]["dash"] for shape in shapes] == ["solid", "dot", "solid"]
+    assert figure["layout"]["xaxis"]["range"] == [180.0, 300.0]
+    assert figure["layout"]["yaxis"]["range"] == pytest.approx([0.0, 1.15 * 5.98])
+
+
+def test_before_two_minutes_all_is_shown(book):
+    while book.path[-1][0] > 110.0:
+        book.path.pop()
+    for kept in (book.errors, book.marks):
+        while len(kept) > 2:
+            kept.pop()
+    figure = error_figure(book, LIGHT)
+    assert [shape["x0"] for shape in figure["layout"]["shapes"]] == [0.0, 100.0]
+    assert figure["layout"]["xaxis"]["range"] == [0.0, 110.0]
+
+
+def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in_sight(book):
+    figure = evidence_figure(book, LIGHT)
+    threshold, evidence = figure["data"]
+    assert evidence["x"] == threshold["x"] == [181.0, 240.0, 299.0]
+    assert threshold["y"] == [13.8] * 3
+    assert evidence["y"] == pytest.approx([1.6 * 13.8] * 3), "what is far above is cut, or the threshold is lost"
+    low, high = figure["layout"]["yaxis"]["range"]
+    assert low < 0.0
+    assert high > 1.6 * 13.8
+
+
+def test_the_path_is_that_of_the_last_twenty_seconds(book):
+    (trail,) = field_figure(book, LIGHT)["data"]
+    assert trail["x"] == [285.0, 290.0, 295.0, 300.0]
+
+
+def test_no_axis_of_a_small_figure_bears_more_numbers_than_can_be_read(book):
+    """At 11 letters a line and 4 pixels between lines: 20 pixels each; the figures are 110 to 190 pixels high."""
+    states = [SimpleNamespace(name=name, unit="m") for name in ("x", "y", "yaw", "speed")]
+    windows = SimpleNamespace(system=SimpleNamespace(state=states))
+    session = SimpleNamespace(comparison=SimpleNamespace(windows=windows), number=0, shown=None)
+    t = np.linspace(0.0, 1.0, 5)
+    rows = np.column_stack([t, 2.0 * t, 3.0 * t, 4.0 * t])
+    found = SimpleNamespace(t=t, measured=rows, whole=np.zeros((5, 2)), predicted=[("given model", t, rows + 0.5)])
+    layout = panel_path.curves_figure(session, found, LIGHT)["layout"]
+    heights = [value for name, value in layout.items() if name.startswith("yaxis")]
+    assert [axis["title"]["text"] for axis in heights] == ["yaw [m]", "speed [m]"], "the place has a figure of its own"
+    for figure in ({"layout": layout}, error_figure(book, LIGHT), evidence_figure(book, LIGHT)):
+        for name, value in figure["layout"].items():
+            if name.startswith("yaxis"):
+                assert 2 <= value["nticks"] <= 6, name
+    low, high = heights[1]["range"]
+    assert low < 0.0
+    assert high > 4.5
+
+
+@pytest.mark.parametrize(
+    ("errors", "widths"), [((0.4, 0.1, 0.3), [100.0, 25.0, 75.0]), ((0.1, 0.2), [50.0, 100.0]), ((0.0, 0.0), [0.0] * 2)]
+)
+def test_the_bars_stand_to_each_other_as_the_errors_do(errors, widths, monkeypatch):
+    """A model without any error, as of a recording that it made itself, has a bar without a length."""
+    drawn = []
+    monkeypatch.setattr(panel_fall, "_stage", lambda _label, _error, width, _number: drawn.append(width) or "")
+    monkeypatch.setattr(panel_fall, "_states", lambda _session: "")
+    monkeypatch.setattr(panel_fall, "numbers_of", lambda _values: [])
+    monkeypatch.setattr(panel_fall, "ui", _Anything())
+    panel = object.__new__(panel_fall.FallPanel)
+    for name in ("_stages", "_undo", "_numbers", "_states", "_said"):
+        setattr(panel, name, _Anything())
+    versions = [SimpleNamespace(label=f"version {at}", error=error) for at, error in enumerate(errors)]
+    looked_at = SimpleNamespace(values={}, improved="")
+    panel.show(SimpleNamespace(versions=versions, number=0, shown=None, decided=[], looked_at=looked_at))
+    assert drawn == pytest.approx(widths)
+
+
+@pytest.mark.parametrize("ok", [True, False])
+def test_words_that_pop_up_stay_long_enough_to_be_read_and_go_by_themselves(ok, monkeypatch, finished):
+    """15 letters a second are read; nothing covers the page for longer than ten seconds."""
+    said, asked = [], []
+    monkeypatch.setattr(live_page, "ui", SimpleNamespace(notify=lambda text, **how: said.append((text, how))))
+
+    async def ask(robot, request):
+        asked.append((robot, request.do, request.effect))
+        return Told(Answer(ok=ok, sentence="change 1 begins" if ok else "refused: nobody is there"), "")
+
+    async def status():
+        return None
+
+    page = object.__new__(LivePage)
+    page.__dict__ |= {
+        "_who": SimpleNamespace(value="ann"), "_robot": "r1", "_told": "", "ask_status": status,
+        "_link": SimpleNamespace(ask=ask, book=SimpleNamespace(robots={"r1": RobotBook("r1")})),
+    }  # fmt: skip
+    finished(page._ask("accept", "drag"))
+    assert asked == [("r1", "accept", "drag")]
+    ((text, how),) = said
+    assert how["type"] == ("positive" if ok else "negative")
+    assert 1000.0 * len(text) / 15.0 <= how["timeout"] <= 10_000
+
+
+class _Anything:
+    """Stands for elements of a page: whatever is asked of it, it does nothing, and is entered and called."""
+
+    def __getattr__(self, name):
+        return _Anything()
+
+    def __call__(self, *_args, **_more):
+        return _Anything()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_raised):
+        return None
