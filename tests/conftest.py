@@ -23,7 +23,7 @@ from hypothesis import HealthCheck, settings
 
 from safedpa import robot as declared
 from safedpa.bus.transport import ports
-from safedpa.dynamics import bases
+from safedpa.dynamics import bases, own
 from safedpa.effects import library
 from safedpa.networks import Description, EnvironmentEntry, Weights
 from safedpa.systems import registry
@@ -178,7 +178,9 @@ def _memories_of_one_file_alone(request: pytest.FixtureRequest) -> Iterator[None
 def _nothing_left() -> Iterator[None]:
     tables: tuple[dict[Any, Any], ...] = (library._own, registry._own, bases._own, declared._own)
     before = [dict(table) for table in tables]
-    yield
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(own.EFFECTS_VARIABLE, os.environ.get(own.EFFECTS_VARIABLE, ""))  # and puts back what was there
+        yield
     for table, kept in zip(tables, before, strict=True):
         table.clear()
         table.update(kept)

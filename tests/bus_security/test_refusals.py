@@ -107,7 +107,7 @@ def test_a_certificate_shown_by_two_is_told_once_it_lasts(capsys: pytest.Capture
     members: list[tuple[str, str]] = [("a", "policy"), ("b", "robot.r1")]
     cut: list[set[str]] = []
     twins = Twins(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
-    assert twins.look() == []
+    assert not any(twins.look() for _ in range(9))
     members.append(("c", "robot.r1"))
     assert not any(twins.look() for _ in range(3)), "a process that was just started anew"
     assert cut == []
@@ -123,6 +123,53 @@ def test_of_two_that_were_there_together_nobody_is_cut_off() -> None:
     """The router began anew: nobody knows which is the copy."""
     twins = Twins(lambda: [("a", "policy"), ("b", "policy")], lambda sessions: pytest.fail("one of them was cut off"))
     assert [twins.look() for _ in range(5)][-1] == ["policy"]
+
+
+def test_of_two_that_come_while_the_router_begins_nobody_is_cut_off() -> None:
+    """Both knock again and again while there is no router; which of them is heard first says nothing."""
+    members: list[tuple[str, str]] = []
+    twins = Twins(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
+    twins.look()
+    members.append(("a", "policy"))
+    twins.look()
+    members.append(("b", "policy"))
+    assert [twins.look() for _ in range(6)][-1] == ["policy"]
+
+
+def test_whose_link_was_lost_is_no_newcomer() -> None:
+    """A router that stood still loses all links at once; they come back in any order, and the copy may be quicker."""
+    members = [("a", "policy")]
+    cut: list[set[str]] = []
+    twins = Twins(lambda: members, lambda sessions: cut.append(sessions) or len(sessions))
+    for _ in range(10):
+        twins.look()
+    members[:] = [("copy", "policy")]
+    twins.look()
+    members[:] = [("copy", "policy"), ("a", "policy")]
+    assert [twins.look() for _ in range(4)][-1] == ["policy"]
+    assert cut == [{"copy"}]
+
+
+def test_of_two_that_were_there_together_nobody_is_cut_off_after_the_router_stood_still() -> None:
+    members = [("a", "policy"), ("b", "policy")]
+    twins = Twins(lambda: members, lambda sessions: pytest.fail("one of them was cut off"))
+    for _ in range(10):
+        twins.look()
+    for there in ([], [("a", "policy")], [("a", "policy"), ("b", "policy")]):
+        members[:] = there
+        twins.look()
+    assert [twins.look() for _ in range(4)][-1] == ["policy"]
+
+
+def test_sessions_that_come_and_go_without_end_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("safedpa_services.router.router._MOST_SESSIONS", 3)
+    members: list[tuple[str, str]] = [("a", "policy")]
+    twins = Twins(lambda: members)
+    for number in range(20):
+        members[1:] = [(f"s{number}", "recorder")]
+        twins.look()
+    assert len(twins._since) <= 4
+    assert "a" in twins._since, "who is there is not forgotten"
 
 
 @pytest.mark.parametrize("name", ["operator", "healthcheck", "router", "", "stranger"])

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safedpa.dynamics import load_model, parse_model
+from safedpa.dynamics import load_model, load_own_everywhere, parse_model
+from safedpa.dynamics.own import EFFECTS_VARIABLE
 from safedpa.effects import effect, effects_of, library, load_effects, robots
 from safedpa.errors import InputError
 from safedpa_services.command_line.group import safedpa
@@ -165,3 +166,14 @@ def test_documentation_holds_the_library_as_it_is(capsys: pytest.CaptureFixture[
     page = (DOCS / "effects.md").read_text(encoding="utf-8")
     between = page.split("<!-- library -->")[1].split("<!-- end of library -->")[0]
     assert between.strip() == listed(capsys, "--markdown").strip()
+
+
+def test_a_file_for_every_process_is_named_to_them(tmp_path: Path) -> None:
+    path = tmp_path / "for_every_process.py"
+    path.write_text(GRASS)
+    load_own_everywhere(path)
+    assert str(path) in os.environ[EFFECTS_VARIABLE]
+
+
+def test_what_a_test_names_to_every_process_stays_in_it() -> None:
+    assert "for_every_process.py" not in os.environ[EFFECTS_VARIABLE]

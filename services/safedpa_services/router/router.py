@@ -23,7 +23,11 @@ _HEARTBEAT_SECONDS = 0.25
 _LOOKS = 4
 """After so many in a row a second process is none that was lost: that one is gone within the lease of half a second."""
 
-_MOST_COPIES = 1000
+_OPENING_LOOKS = 8
+"""In which those come who knocked while there was no router: each again after 0.4 s at most."""
+
+_MOST_SESSIONS = 4096
+"""That are remembered."""
 Members = Callable[[], Iterable[tuple[str, str]]]
 """(Zenoh id, common name) of every session that is linked."""
 CutOff = Callable[[set[str]], int]
@@ -33,8 +37,9 @@ CutOff = Callable[[set[str]], int]
 class Twins:
     """Finds certificates that two processes show at once: a copy in wrong hands, or a service that was started twice.
 
-    The one that was there first stays; ``cut_off`` ends the links of the others. Of those that were there together
-    when the router began nobody knows which is the copy: both stay, and it is told.
+    The one that was there first stays; ``cut_off`` ends the links of the others. Of those that came together when the
+    router began nobody knows which is the copy: both stay, and it is told. A session whose link is lost and comes back
+    is no newcomer: a router that stood still loses all of them at once, and they come back in any order.
 
     Only roles that announce themselves are one process each: people and health checks come and go in any number.
     """
@@ -44,7 +49,7 @@ class Twins:
         self._looks: dict[str, int] = {}
         """By name, in how many looks in a row it was there twice."""
         self._since: dict[str, int] = {}
-        """By session, the number of the look that saw it first."""
+        """By session, the number of the look that saw it first; who was seen last stands last."""
         self._number = 0
         self._copies: set[str] = set()
         """Sessions that were cut off, and come back by themselves."""
@@ -57,16 +62,20 @@ class Twins:
             role = ROLES.get(name.partition(".")[0])
             if role is not None and role.lives:
                 sessions.setdefault(name, set()).add(session)
-        alive = {session for found in sessions.values() for session in found}
-        self._since = {session: self._since.get(session, self._number) for session in alive}
+        self._remember({session for found in sessions.values() for session in found})
         self._looks = {name: self._looks.get(name, 0) + 1 for name, found in sessions.items() if len(found) > 1}
-        if len(self._copies) > _MOST_COPIES:
-            self._copies &= alive
         known = {name for name in self._looks if sessions[name] & self._copies}
         lasting = sorted(known | {name for name, looks in self._looks.items() if looks >= _LOOKS})
         for name in lasting:
             self._tell(name, sessions[name])
         return lasting
+
+    def _remember(self, alive: set[str]) -> None:
+        began = 0 if self._number <= _OPENING_LOOKS else self._number
+        self._since |= {session: self._since.pop(session, began) for session in alive}
+        while len(self._since) > max(_MOST_SESSIONS, len(alive)):
+            self._copies.discard(oldest := next(iter(self._since)))
+            del self._since[oldest]
 
     def _tell(self, name: str, sessions: set[str]) -> None:
         first = min(self._since[session] for session in sessions)
