@@ -6,16 +6,20 @@ A folder holds the package ``safedpa``: ``shared`` of a tree, or what ``pip inst
 drawn by the seed: rooms with 6 to 8 obstacles, states anywhere, half of them where the least h is 0 to 0.05, wishes
 within and beyond the actuators. A process for each folder decides them all, one process at a time and the order turned
 round each time; of each problem the best time counts. Prints p50 and p99 in microseconds, their share of the first
-folder's, and by how much statuses and actions differ from the first folder's. Statuses are the first folder's.
+folder's, of source that is not compiled how many actions a decision looks at (whose outcome is predicted), and by how
+much statuses and actions differ from the first folder's. Times are those of problems with one status in all folders.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from time import perf_counter
 from typing import IO, Any
 
@@ -32,7 +36,10 @@ EDGE = 0.05
 
 def problems(safe: Any, latent: Values, seed: int, scenes: int) -> list[tuple[Values, Values, Values, Any]]:
     """State, wish, latent and barriers of each decision."""
-    from safedpa.robots.car.barriers import car_barriers
+    try:
+        from safedpa.robots.car.barriers import car_barriers
+    except ImportError:  # a tree of before robots had folders of their own
+        car_barriers = importlib.import_module("safedpa.safety.car_barriers").car_barriers
 
     random, drawn = np.random.default_rng(seed), list[tuple[Values, Values, Values, Any]]()
     for _ in range(scenes):
@@ -58,9 +65,13 @@ def decide(model_name: str, seed: int, scenes: int) -> None:
     model: Any = load_model(model_name)
     safe = SafetyFilter.for_model(model, FilterSettings())
     drawn = problems(safe, model.latent, seed, scenes)
-    verdicts = [safe.decide(state, wish, latent, barriers=barriers) for state, wish, latent, barriers in drawn]
-    told = [(verdict.status.value, verdict.action.tolist()) for verdict in verdicts]
-    sys.stdout.write(json.dumps([len(compiled_modules()), told]) + "\n")
+    compiled, told = len(compiled_modules()), list[tuple[str, list[float], float]]()
+    with looked_at(counts := not compiled) as looks:
+        for state, wish, latent, barriers in drawn:
+            before = len(looks)
+            verdict = safe.decide(state, wish, latent, barriers=barriers)
+            told.append((verdict.status.value, verdict.action.tolist(), len(looks) - before if counts else -1))
+    sys.stdout.write(json.dumps([compiled, told]) + "\n")
     sys.stdout.flush()
     for _ in sys.stdin:
         times = []
@@ -70,6 +81,25 @@ def decide(model_name: str, seed: int, scenes: int) -> None:
             times.append(1e6 * (perf_counter() - begun))
         sys.stdout.write(json.dumps(times) + "\n")
         sys.stdout.flush()
+
+
+@contextmanager
+def looked_at(counts: bool) -> Iterator[list[None]]:
+    """Grows by one with each action whose outcome is predicted; a compiled class lets nobody count."""
+    from safedpa.safety.conditions import Conditions
+
+    outcome: Any = Conditions.outcome
+    looks: list[None] = []
+
+    def counted(*arguments: Any) -> Any:
+        looks.append(None)
+        return outcome(*arguments)
+
+    if counts:
+        setattr(Conditions, "outcome", counted)  # noqa: B010 - assigned by name it is a change of type
+    yield looks
+    if counts:
+        setattr(Conditions, "outcome", outcome)  # noqa: B010
 
 
 class Tree:
@@ -82,8 +112,9 @@ class Tree:
         self._process = subprocess.Popen(command, env=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         compiled, told = self._answer()
         self.words = f"{name} ({compiled} modules compiled)"
-        self.statuses = np.array([status for status, _ in told])
-        self.actions = np.array([action for _, action in told])
+        self.statuses = np.array([status for status, _, _ in told])
+        self.actions = np.array([action for _, action, _ in told])
+        self.looks = np.array([looks for _, _, looks in told], dtype=float)
         self.best = np.full(len(told), np.inf)
 
     def round(self) -> None:
@@ -117,12 +148,14 @@ def report(trees: list[Tree]) -> list[str]:
             f"{tree.words}: {other} of {len(apart)} statuses differ, actions by {apart.max():.1e} at most, "
             f"{int((apart > 1e-6).sum())} by more than 1e-6"
         )
-    for status in sorted(set(first.statuses.tolist())):
-        which, shown = first.statuses == status, list[str]()
+    alike = np.all([tree.statuses == first.statuses for tree in trees], axis=0)
+    for status in sorted(set(first.statuses[alike].tolist())):
+        which, shown = alike & (first.statuses == status), list[str]()
         base = np.percentile(first.best[which], [50, 99])
         for tree in trees:
             half, most = np.percentile(tree.best[which], [50, 99])
-            shown.append(f"{tree.name} {half:.0f} ({half / base[0]:.2f}), {most:.0f} ({most / base[1]:.2f})")
+            looks = f", {tree.looks[which].mean():.1f} actions looked at" if tree.looks.min() >= 0.0 else ""
+            shown.append(f"{tree.name} {half:.0f} ({half / base[0]:.2f}), {most:.0f} ({most / base[1]:.2f}){looks}")
         lines.append(f"{status}, {int(which.sum())}: " + "; ".join(shown))
     return lines
 

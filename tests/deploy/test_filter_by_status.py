@@ -25,7 +25,14 @@ def test_a_tree_beside_itself_decides_alike_and_every_status_is_counted() -> Non
     counted = {line.split(",")[0]: int(line.split(",")[1].partition(":")[0]) for line in lines[2:]}
     assert sum(counted.values()) == 32
     assert {"passed", "corrected", "violated"} <= set(counted)
-    assert all(re.search(r"before \d+ \(1\.00\), \d+ \(1\.00\); after", line) for line in lines[2:])
+    looks = r"(\d+\.\d) actions looked at"
+    found_of = {
+        line.split(",")[0]: re.search(rf"before \d+ \(1\.00\), \d+ \(1\.00\), {looks}; after", line)
+        for line in lines[2:]
+    }
+    actions = {status: float(match[1]) for status, match in found_of.items() if match}
+    assert set(actions) == set(counted)
+    assert actions["passed"] < actions["corrected"] < actions["violated"]
 
 
 def test_a_tree_without_a_name_is_refused() -> None:
