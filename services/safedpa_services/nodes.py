@@ -22,6 +22,7 @@ from safedpa.bus.wire.setup import setup_message
 from safedpa.robot import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
+    from safedpa.perception.switches import Switches
     from safedpa.safety.orders import Orders
 
 __all__ = [
@@ -64,6 +65,7 @@ def adaptation(options: argparse.Namespace) -> Made:
 def add_perception_options(parser: argparse.ArgumentParser) -> None:
     """What perception alone takes."""
     parser.add_argument("--perception", default="", metavar="FILE.toml", help="its settings, sources and zones")
+    parser.add_argument("--orders", default="", metavar="FILE", help="keeps what was switched over a restart")
 
 
 def perception(options: argparse.Namespace) -> Made:
@@ -71,10 +73,17 @@ def perception(options: argparse.Namespace) -> Made:
     from safedpa.perception import PerceptionNode, PerceptionSettings, load_perception
 
     settings, text = load_perception(Path(options.perception)) if options.perception else (PerceptionSettings(), "")
-    node = PerceptionNode(settings)
+    node = PerceptionNode(settings, Path(options.orders) if options.orders else None)
     setup = dataclasses.replace(setup_message(node.name, vars(options)), settings=text)
-    switches, tell = node.switches, partial(_log_order, node.name)
-    return Made(node, setup, lambda bus: bus.answer_requests(switches.answer, options.robot, tell, (SENSE,)))
+    return Made(node, setup, lambda bus: _take_switches(bus, options.robot, node.switches))
+
+
+def _take_switches(bus: Bus, robot: str, switches: Switches) -> None:
+    bus.answer_requests(switches.answer, robot, partial(_log_order, "perception"), (SENSE,))
+    if switches.lost:
+        log_event("order.lost", f"{switches.lost}: no source counts until 'sense' says so", level="error")
+    for name, told in switches.kept.items():
+        log_event("order.kept", f"switched by orders that were kept: {told}", level="warning", robot=name)
 
 
 def add_policy_options(parser: argparse.ArgumentParser) -> None:

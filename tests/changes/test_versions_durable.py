@@ -10,14 +10,15 @@ import pytest
 from safedpa.live.versions import Kept, Version, VersionFolder
 
 
-def test_each_file_is_whole_on_the_disk_before_it_takes_its_name(
+def test_each_file_is_whole_on_the_disk_before_it_takes_its_name_and_then_its_name_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order = list[tuple[str, str, int]]()
     sync, put = os.fsync, os.replace
 
     def synced(descriptor: int) -> None:
-        order.append(("synced", Path(os.readlink(f"/proc/self/fd/{descriptor}")).name, os.fstat(descriptor).st_size))
+        path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+        order.append(("synced", path.name, 0 if path.is_dir() else os.fstat(descriptor).st_size))
         sync(descriptor)
 
     def placed(source: Path, target: Path) -> None:
@@ -33,5 +34,5 @@ def test_each_file_is_whole_on_the_disk_before_it_takes_its_name(
     assert order == [
         step
         for name, size in zip(names, sizes, strict=True)
-        for step in (("synced", f"{name}.new", size), ("placed", name, size))
+        for step in (("synced", f"{name}.new", size), ("placed", name, size), ("synced", tmp_path.name, 0))
     ]

@@ -166,6 +166,32 @@ def test_up_tells_warnings_once_and_nothing_else(tmp_path: Path, monkeypatch: py
     assert len(warnings.newest) <= 4
 
 
+def started_and_ended(one: Child) -> None:
+    one.start()
+    assert one.pid
+    one.kill()
+    with one._process as process:
+        process.wait(10)
+
+
+def test_whoever_removes_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> None:
+    told: list[str] = []
+    policy = child(tmp_path / "run", "policy")
+    policy.restarts = 1
+    warnings = Warnings((policy,), tmp_path / "run", told.append)
+    policy.restarts = 2
+    warnings.look()
+    assert "policy died or hung and was started again" in told[0]
+    assert policy.last_words() == "it said nothing"
+    started_and_ended(policy)
+    assert policy.log.exists(), "the folder is there again, for what is said from now on"
+
+
+def test_a_log_that_cannot_be_written_ends_no_loop(tmp_path: Path) -> None:
+    (tmp_path / "run").write_text("a file where the folder was")
+    started_and_ended(child(tmp_path / "run", "policy"))
+
+
 def test_a_readable_line_is_one_line() -> None:
     assert "\n" not in readable({"time": 0.0, "sentence": "a\nb", "service": "x"})
     assert readable({"sentence": "a\nb"}).endswith(" a b")

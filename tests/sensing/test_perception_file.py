@@ -224,7 +224,7 @@ def test_an_order_takes_effect_at_the_next_tick_and_says_what_was_before(capfd: 
     node.forget(name)
     assert "switched off" in stepped(node, robot, name).amiss[0], "neither a fault nor silence brings it back"
     again = node.switches.answer(name, switch("source laser=on"))
-    assert again.sentence.endswith("on, until another order or perception's end")
+    assert again.sentence.endswith("on, until another order or perception's end, since it keeps no file of orders")
     assert "was off" in again.sentence
     assert [stepped(node, robot, name).amiss for _ in range(6)][-1] == ()
     events = [json.loads(line) for line in capfd.readouterr().err.splitlines() if line.startswith("{")]

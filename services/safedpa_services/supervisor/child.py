@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 from safedpa.bus.security.certificates import Card
 
@@ -82,7 +83,7 @@ class Child:
         cards = {**({} if self.card is None else {"--card": self.card}), **self.further}
         if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()  # of the one that died
-        with self.log.open("ab") as log, _handed(cards) as descriptors:
+        with self._opened_log() as log, _handed(cards) as descriptors:
             command += [word for option, descriptor in descriptors.items() for word in (option, str(descriptor))]
             self._process = subprocess.Popen(
                 command,
@@ -105,6 +106,13 @@ class Child:
                 os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(_STARTING_PRIORITY))
         self._started = time.monotonic()
         self._died, self._asked = 0.0, False
+
+    def _opened_log(self) -> BinaryIO:
+        """To write to; what takes nothing where the log cannot be had: a loop without logs is better than none."""
+        with contextlib.suppress(OSError):  # somebody may have removed the folder of the run
+            self.log.parent.mkdir(parents=True, exist_ok=True)
+            return self.log.open("ab")
+        return Path(os.devnull).open("ab")
 
     def begin(self) -> None:
         """Starts its work: by a word to the process that waits for it, else by starting the process."""
@@ -134,7 +142,9 @@ class Child:
 
     def last_words(self) -> str:
         """The last line that it wrote, events and accounts, which are JSON, left out."""
-        lines = self.log.read_text(errors="replace").splitlines()
+        lines: list[str] = []
+        with contextlib.suppress(OSError):
+            lines = self.log.read_text(errors="replace").splitlines()
         lines = [line for line in lines if line.strip() and not line.startswith("{")]
         return lines[-1] if lines else "it said nothing"
 

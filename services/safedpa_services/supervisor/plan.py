@@ -116,7 +116,10 @@ class Plan:
         ]
         if self.senses:
             file = ("--perception", self.perception) if self.perception else ()
-            children.insert(1, self._child("perception", "safedpa_services.perception", *file, *self._scheduling))
+            kept = ("--orders", str(self.folder / "senses.json"))
+            children.insert(
+                1, self._child("perception", "safedpa_services.perception", *file, *kept, *self._scheduling)
+            )
         if self.diagnosis:
             kept = ("--versions", str(self.folder / "models"))
             children.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections import deque
@@ -64,7 +65,7 @@ class Warnings:
             "service": child.name,
             "pid": child.pid,
         }
-        with self._own_log.open("a", encoding="utf-8") as log:
+        with contextlib.suppress(OSError), self._own_log.open("a", encoding="utf-8") as log:  # no log ends a loop
             log.write(json.dumps(event) + "\n")
         return event
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, final
 
+from safedpa.disk import write_through
 from safedpa.errors import InputError, RecordingError
 from safedpa.limits import parse_json, text_of_file
 
@@ -86,25 +85,10 @@ class VersionFolder:
             self.folder.mkdir(parents=True, exist_ok=True)
             newest = kept.versions[-1]
             stem = f"model-{newest.change:03d}-{newest.fingerprint}"
-            _write(self.folder / f"{stem}.toml", newest.document)
+            write_through(self.folder / f"{stem}.toml", newest.document)
             if newest.margin:
-                _write(self.folder / f"{stem}.margin.json", newest.margin)
+                write_through(self.folder / f"{stem}.margin.json", newest.margin)
             table: dict[str, Any] = asdict(kept)
-            _write(self.folder / _STATE, json.dumps(table, indent=1))
+            write_through(self.folder / _STATE, json.dumps(table, indent=1))
         except OSError as error:
             raise RecordingError(f"{self.folder}: cannot be written ({error.strerror}); free space there") from error
-
-
-def _write(path: Path, text: str) -> None:
-    """All of it or nothing, whenever the process or the machine ends."""
-    beside = path.with_name(path.name + ".new")
-    try:
-        with beside.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            beside.unlink()
-        raise

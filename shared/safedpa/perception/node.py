@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from pathlib import Path
 from typing import final
 
 from safedpa.bus import (
@@ -37,9 +38,9 @@ class PerceptionNode(AbstractNode):
     share = 0.0
     lingers = False
 
-    def __init__(self, settings: PerceptionSettings | None = None) -> None:
+    def __init__(self, settings: PerceptionSettings | None = None, orders: Path | None = None) -> None:
         self._settings = settings or PerceptionSettings()
-        self.switches = Switches(self._settings)
+        self.switches = Switches(self._settings, orders)
         """What a person may switch while it runs."""
         self._robots: dict[str, Surroundings] = {}
         self._in_force: dict[str, InForce] = {}

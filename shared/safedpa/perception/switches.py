@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import final
 
 from safedpa.bus.wire.requests import Answer, Request
 from safedpa.errors import InputError, did_you_mean
+from safedpa.perception.kept_switches import EVERY_SOURCE, keep_in, kept_in
 from safedpa.perception.settings import PerceptionSettings
 from safedpa.perception.zones import InForce
 
@@ -26,13 +28,19 @@ _MOST_SWITCHES = 64
 class Switches:
     """Asked in every tick by perception, changed on any thread by ``answer``.
 
-    An order holds until another one, or this process's end; a robot that was silent finds it in force.
+    An order holds until another one; a robot that was silent finds it in force. ``path`` is where orders are kept for
+    the next process, without it they end with this one. What opens a zone is never kept: closed zones do not open, and
+    ignored ones do not begin to be, by what somebody ordered before a crash.
     """
 
-    def __init__(self, settings: PerceptionSettings) -> None:
-        self._settings = settings
+    def __init__(self, settings: PerceptionSettings, path: Path | None = None) -> None:
+        self._settings, self._path = settings, path
         self._lock = threading.Lock()
-        self._ordered: dict[str, _Switched] = {}
+        kept, self.lost = ({}, "") if path is None else kept_in(path)
+        """Why kept orders cannot be read; empty: they can, or there are none."""
+        self._ordered: dict[str, _Switched] = {
+            robot: MappingProxyType(self._lasting(own)) for robot, own in kept.items()
+        }
         """By robot; each replaced as a whole, so that a tick reads it without waiting."""
         self._met: dict[str, tuple[tuple[str, ...], int]] = {}
         """By robot: its sources, and its newest tick."""
@@ -55,8 +63,15 @@ class Switches:
         own, (sources, _) = self._settings, self._met[robot]
         told = {("source", name): name not in own.sources or own.sources[name].use for name in sources}
         told |= {("zone", zone.name): zone.use for zone in own.zones if zone.counts_for(robot)}
+        if not self._ordered.get("-", {}).get(EVERY_SOURCE, True):
+            told |= {("source", name): False for name in sources}
         ordered = self._ordered.get(robot, MappingProxyType({}))
         return {key: ordered.get(key, counts) for key, counts in told.items()}
+
+    @property
+    def kept(self) -> dict[str, str]:
+        """What was ordered, in words, by robot; ``-`` is each of them."""
+        return {robot: _listed(own) for robot, own in self._ordered.items()}
 
     def answer(self, robot: str, request: Request) -> Answer:
         """``switch`` or ``status`` about one robot. Raises InputError for anything else, and what it does not have."""
@@ -78,9 +93,25 @@ class Switches:
             )
             return Answer(
                 ok=True,
-                sentence=f"robot '{robot}': {changes}, from its next tick after {tick} on, until another order or "
-                f"perception's end{_blind({**before, **wanted})}",
+                sentence=f"robot '{robot}': {changes}, from its next tick after {tick} on, "
+                f"{self._how_long(wanted)}{_blind({**before, **wanted})}",
             )
+
+    def _how_long(self, wanted: _Switched) -> str:
+        """Keeps what is kept; says until when what was ordered now holds."""
+        if self._path is None:
+            return "until another order or perception's end, since it keeps no file of orders"
+        lasting = {robot: self._lasting(own) for robot, own in self._ordered.items()}
+        problem = keep_in(self._path, lasting)
+        if problem:
+            return f"until another order or perception's end: {problem}"
+        opened = ", ".join(" ".join(key) for key in wanted if key not in self._lasting(wanted))
+        return f"until another order{f', {opened} only until perception ends' if opened else ''}"
+
+    def _lasting(self, ordered: _Switched) -> dict[tuple[str, str], bool]:
+        """Without what opens a zone; of a zone that the file does not have nobody knows what it does."""
+        closed = {("zone", zone.name): zone.kind == "closed" for zone in self._settings.zones}
+        return {key: counts for key, counts in ordered.items() if counts == closed.get(key, counts)}
 
 
 def _wanted(switches: tuple[str, ...], known: Mapping[tuple[str, str], bool]) -> dict[tuple[str, str], bool]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import threading
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 from safedpa.bus import Answer, Request
+from safedpa.disk import write_through
 from safedpa.errors import InputError
 from safedpa.limits import parse_json, text_of_file
 
@@ -97,7 +97,7 @@ class Orders:
         if self._path is None:
             return ""
         try:
-            _write(self._path, kept)
+            write_through(self._path, json.dumps({"format": _FORMAT, "orders": kept}))
         except OSError as error:
             return f"{self._path} cannot be written ({error.strerror})"
         return ""
@@ -121,18 +121,3 @@ def _read(path: Path) -> dict[str, str]:
         if table.get("format") == _FORMAT and isinstance(orders, dict):
             return {str(robot): str(why) for robot, why in orders.items()}
     return {EVERYBODY: f"since {path} holds no orders of format {_FORMAT}"}
-
-
-def _write(path: Path, orders: dict[str, str]) -> None:
-    """All or nothing, and on the disk before it returns. Raises OSError."""
-    beside = path.with_name(path.name + ".new")
-    with beside.open("w", encoding="utf-8") as file:
-        json.dump({"format": _FORMAT, "orders": orders}, file)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
