@@ -187,6 +187,12 @@ def test_whoever_removes_the_folder_of_a_run_ends_no_loop(tmp_path: Path) -> Non
     assert policy.log.exists(), "the folder is there again, for what is said from now on"
 
 
+def test_last_words_are_told_by_one_program_alone(tmp_path: Path) -> None:
+    robot = child(tmp_path, "robot")
+    robot.log.write_text("safedpa-robot: --start: got far, wanted two numbers\n" + line())
+    assert robot.last_words() == "--start: got far, wanted two numbers"
+
+
 def test_a_log_that_cannot_be_written_ends_no_loop(tmp_path: Path) -> None:
     (tmp_path / "run").write_text("a file where the folder was")
     started_and_ended(child(tmp_path / "run", "policy"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -24,6 +25,7 @@ _STARTING_PRIORITY = 1
 busy machine does not keep the robot braking while a service comes back."""
 _HEALTHY_SECONDS = 10.0
 """After living for so long a process is started again without a pause."""
+_PROGRAM = re.compile(r"^safedpa-[a-z_-]+: ")
 
 
 @dataclass
@@ -141,12 +143,12 @@ class Child:
         return True
 
     def last_words(self) -> str:
-        """The last line that it wrote, events and accounts, which are JSON, left out."""
+        """The last line that it wrote, without its program's name; events and accounts, which are JSON, left out."""
         lines: list[str] = []
         with contextlib.suppress(OSError):
             lines = self.log.read_text(errors="replace").splitlines()
         lines = [line for line in lines if line.strip() and not line.startswith("{")]
-        return lines[-1] if lines else "it said nothing"
+        return _PROGRAM.sub("", lines[-1]) if lines else "it said nothing"
 
     def terminate(self) -> None:
         """Asks it to end, once: a second signal would end it at once."""
