@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -23,7 +24,7 @@ from hypothesis import HealthCheck, settings
 
 from safedpa import robot as declared
 from safedpa.bus.transport import ports
-from safedpa.dynamics import bases, own
+from safedpa.dynamics import bases
 from safedpa.effects import library
 from safedpa.networks import Description, EnvironmentEntry, Weights
 from safedpa.systems import registry
@@ -152,7 +153,24 @@ def free_port() -> int:
 
 
 @pytest.fixture(autouse=True)
-def _effects_of_one_test_alone() -> Iterator[None]:
+def _process_as_it_was_found() -> Iterator[None]:
+    """What a test, or a command that it runs, changes of the process is gone after it, in whatever order tests run.
+
+    Higher fixtures were set up before, and keep what they changed until they end.
+    """
+    environment, folder = dict(os.environ), Path.cwd()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    if os.environ != environment:
+        os.environ.clear()
+        os.environ.update(environment)
+    os.chdir(folder)
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True)
+def _effects_of_one_test_alone(_process_as_it_was_found: None) -> Iterator[None]:
     """Robots, bases and effects that a test loads from a file of its own are gone after it."""
     with _nothing_left():
         yield
@@ -178,9 +196,7 @@ def _memories_of_one_file_alone(request: pytest.FixtureRequest) -> Iterator[None
 def _nothing_left() -> Iterator[None]:
     tables: tuple[dict[Any, Any], ...] = (library._own, registry._own, bases._own, declared._own)
     before = [dict(table) for table in tables]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(own.EFFECTS_VARIABLE, os.environ.get(own.EFFECTS_VARIABLE, ""))  # and puts back what was there
-        yield
+    yield
     for table, kept in zip(tables, before, strict=True):
         table.clear()
         table.update(kept)

@@ -176,4 +176,4 @@ def test_a_file_for_every_process_is_named_to_them(tmp_path: Path) -> None:
 
 
 def test_what_a_test_names_to_every_process_stays_in_it() -> None:
-    assert "for_every_process.py" not in os.environ[EFFECTS_VARIABLE]
+    assert "for_every_process.py" not in os.environ.get(EFFECTS_VARIABLE, "")
