@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from safedpa.diagnosis import diagnose as diagnosis
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.records.run import Run, Stretch
@@ -86,3 +89,31 @@ def data() -> Path:
     if not root.is_dir():
         pytest.skip(f"no real logs in {root}; set SAFEDPA_DATA to the folder that holds them")
     return root
+
+
+@pytest.fixture
+def searched_once(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The search runs once; who searches again is given the same answer, if the question is the same.
+
+    What is returned holds the question and the answer, once something was asked.
+    """
+    asked: list[Any] = []
+    search = diagnosis.searched
+
+    def once(model: Any, library: Any, shooting: Any, heldout: Any, *others: Any) -> Any:
+        if not asked:
+            asked.append((model, library, shooting, heldout))
+            asked.append(search(model, library, shooting, heldout, *others))
+            return deepcopy(asked[1])
+        before = asked[0]
+        assert (model, library) == before[:2]
+        for own, other in ((shooting, before[2]), (heldout, before[3])):
+            np.testing.assert_array_equal(own.fold, other.fold)
+            for name in ("start", "steps", "states", "actions", "period"):
+                np.testing.assert_array_equal(getattr(own.windows, name), getattr(other.windows, name))
+        np.testing.assert_array_equal(shooting.rows, before[2].rows)
+        np.testing.assert_array_equal(shooting.counts, before[2].counts)
+        return deepcopy(asked[1])
+
+    monkeypatch.setattr(diagnosis, "searched", once)
+    return asked

@@ -9,6 +9,7 @@ import pytest
 
 from safedpa.diagnosis.diagnose import diagnose
 from safedpa.dynamics import load_model
+from safedpa.effects import effect
 from safedpa.errors import InputError
 from safedpa.records import load_run
 from safedpa.records.run import Run, Stretch
@@ -37,7 +38,8 @@ def test_diagnose_tells_and_writes(log, tmp_path, capsys):
     assert abs(model.settings["quadratic_drag.coefficient"].value - 0.12) < 0.005
 
 
-def test_json_is_the_report_and_nothing_else(log, tmp_path, capsys):
+def test_json_is_the_report_and_nothing_else(log, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("car", "quadratic_drag")])
     assert safedpa.run(["diagnose", str(log.model), str(log.runs[0]), "--json", "--out", str(tmp_path)]) == 0
     assert json.loads(capsys.readouterr().out)["robot"] == "car"
 

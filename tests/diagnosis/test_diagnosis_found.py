@@ -18,12 +18,13 @@ pytestmark = pytest.mark.slow
 Diagnose = tuple[Report, Path]
 
 
-@pytest.fixture
-def hidden(tmp_path):
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory):
     """hidden(effects, ...) -> report on logs in which the effects are hidden."""
 
     def made(effects, runs=4, seconds=25.0, seed=7, horizon=1.0, **options):
-        log = write_case(Case("test", seed, effects, runs=runs, seconds=seconds, **options), tmp_path / str(seed))
+        case = Case("test", seed, effects, runs=runs, seconds=seconds, **options)
+        log = write_case(case, tmp_path_factory.mktemp("log"))
         model = load_model(str(log.model))
         return diagnose(model, [load_run(str(path), model.system) for path in log.runs], horizon)
 
@@ -34,12 +35,18 @@ def accepted(report, name):
     return next(item for item in report.candidates if item.decision == "accepted" and name in item.effect)
 
 
-@pytest.mark.parametrize(
-    ("name", "parameters"),
-    [("quadratic_drag", {"coefficient": 0.12}), ("steering_lag", {"time_constant": 0.15})],
-)
-def test_one_effect_is_named_with_its_number(hidden, name, parameters):
-    report = hidden({name: parameters})
+ONE = [("quadratic_drag", {"coefficient": 0.12}), ("steering_lag", {"time_constant": 0.15})]
+
+
+@pytest.fixture(scope="module", params=ONE, ids=[name for name, _ in ONE])
+def one(request, hidden):
+    """(name, parameters, report) of logs in which one effect is hidden."""
+    name, parameters = request.param
+    return name, parameters, hidden({name: parameters})
+
+
+def test_one_effect_is_named_with_its_number(one):
+    name, parameters, report = one
     assert report.verdict == "effect_missing"
     assert report.added == (name,)
     first, last = report.stages
@@ -54,55 +61,8 @@ def test_one_effect_is_named_with_its_number(hidden, name, parameters):
     assert parse_model(write_model(model)).settings == model.settings
 
 
-def test_two_effects_are_both_found(hidden):
-    report = hidden({"rolling_resistance": {"deceleration": 0.45}, "steering_offset": {"angle": 0.04}})
-    assert set(report.added) == {"rolling_resistance", "steering_offset"}
-    errors = [stage.heldout_error for stage in report.stages]
-    assert errors[0] > errors[1] > errors[2]
-
-
-def test_nothing_is_missing_where_nothing_is_hidden(hidden):
-    report = hidden({})
-    assert report.verdict == "nothing_missing"
-    assert report.added == ()
-    assert report.unexplained is None
-    assert all(item.decision != "accepted" for item in report.candidates)
-
-
-def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden):
-    report = hidden({"viscous_drag": {"coefficient": 0.3}}, hard=True, runs=6, seconds=30.0)
-    assert report.added[0] in ("viscous_drag", "speed_command_gain")
-    group = {report.added[0], *accepted(report, report.added[0]).indistinguishable_from}
-    assert {"viscous_drag", "speed_command_gain"} <= group
-
-
-def test_a_payload_is_taken_up_by_a_free_servo_gain_and_it_says_so(hidden):
-    report = hidden({"payload": {"mass_ratio": 0.3}}, hard=True, runs=6, seconds=30.0)
-    assert "payload" not in report.added
-    payload = next(item for item in report.candidates if item.effect == "payload")
-    assert payload.indistinguishable_from == ("base.speed_gain",)
-    assert "speed_gain" in payload.reason
-
-
-CARPET = {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}
-
-
-def test_a_carpet_is_told_with_its_place(hidden):
-    laws = {"rolling_resistance": "where circle"}
-    report = hidden({"rolling_resistance": CARPET}, laws=laws, runs=6, seconds=40.0, seed=194365079)
-    assert report.verdict == "effect_missing"
-    assert report.added == ("rolling_resistance",)
-    (told,) = report.conditions
-    assert (told.kind, told.words) == ("where", "circle")
-    assert "inside the circle of 1.5" in told.sentence
-    for name, value in CARPET.items():
-        assert report.parameters[f"rolling_resistance.{name}"].value == pytest.approx(value, abs=0.1)
-    model = report.models[-1]
-    assert parse_model(write_model(model)).effects == model.effects
-
-
-def test_the_document_is_the_contract(hidden):
-    report = hidden({"viscous_drag": {"coefficient": 0.3}}, runs=3, seconds=20.0)
+def test_the_document_is_the_contract(one):
+    name, parameters, report = one
     document = json.loads(json.dumps(as_document(report), allow_nan=False))
     assert {
         "format", "robot", "verdict", "added", "stages", "candidates", "where", "unexplained", "next_experiment",
@@ -114,6 +74,45 @@ def test_the_document_is_the_contract(hidden):
     assert set(document["candidates"][0]) == {
         "stage", "effect", "parameters", "heldout_error", "score", "indistinguishable_from", "decision", "reason",
     }  # fmt: skip
-    value = accepted(report, "viscous_drag").parameters["coefficient"]
-    assert value.unit == "1/s"
+    for key in parameters:
+        assert accepted(report, name).parameters[key].unit == {"coefficient": "1/m", "time_constant": "s"}[key]
     assert {"variable", "low", "high", "error", "share", "samples"} <= set(document["where"][0])
+
+
+def test_two_effects_are_both_found(hidden):
+    report = hidden({"rolling_resistance": {"deceleration": 0.45}, "steering_offset": {"angle": 0.04}})
+    assert set(report.added) == {"rolling_resistance", "steering_offset"}
+    errors = [stage.heldout_error for stage in report.stages]
+    assert errors[0] > errors[1] > errors[2]
+
+
+def test_viscous_drag_and_a_command_gain_are_one_where_the_servo_is_free(hidden):
+    report = hidden({"viscous_drag": {"coefficient": 0.3}}, hard=True)
+    assert report.added[0] in ("viscous_drag", "speed_command_gain")
+    group = {report.added[0], *accepted(report, report.added[0]).indistinguishable_from}
+    assert {"viscous_drag", "speed_command_gain"} <= group
+
+
+def test_a_payload_is_taken_up_by_a_free_servo_gain_and_it_says_so(hidden):
+    report = hidden({"payload": {"mass_ratio": 0.3}}, hard=True)
+    assert "payload" not in report.added
+    payload = next(item for item in report.candidates if item.effect == "payload")
+    assert payload.indistinguishable_from == ("base.speed_gain",)
+    assert "speed_gain" in payload.reason
+
+
+CARPET = {"deceleration": 1.2, "at_x": 1.8, "at_y": 0.8, "radius": 1.5}
+
+
+def test_a_carpet_is_told_with_its_place(hidden):
+    laws = {"rolling_resistance": "where circle"}
+    report = hidden({"rolling_resistance": CARPET}, laws=laws, seconds=40.0, seed=194365079)
+    assert report.verdict == "effect_missing"
+    assert report.added == ("rolling_resistance",)
+    (told,) = report.conditions
+    assert (told.kind, told.words) == ("where", "circle")
+    assert "inside the circle of 1.5" in told.sentence
+    for name, value in CARPET.items():
+        assert report.parameters[f"rolling_resistance.{name}"].value == pytest.approx(value, abs=0.1)
+    model = report.models[-1]
+    assert parse_model(write_model(model)).effects == model.effects

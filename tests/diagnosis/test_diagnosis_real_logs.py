@@ -2,49 +2,20 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-
-import numpy as np
-
 from safedpa.compare.comparison import with_distinct_names
-from safedpa.diagnosis import diagnose as diagnosis
 from safedpa.diagnosis.diagnose import add_effect, diagnose
 from safedpa.dynamics import load_model
 from safedpa.records import load_column_map, load_run
 
 
-def searched_once(monkeypatch):
-    """The search runs once; who searches again is given the same answer, if the question is the same."""
-    asked, search = [], diagnosis.searched
-
-    def once(model, library, shooting, heldout, *others):
-        if not asked:
-            asked.append((model, library, shooting, heldout))
-            asked.append(search(model, library, shooting, heldout, *others))
-            return deepcopy(asked[1])
-        before = asked[0]
-        assert (model, library) == before[:2]
-        for own, other in ((shooting, before[2]), (heldout, before[3])):
-            np.testing.assert_array_equal(own.fold, other.fold)
-            for name in ("start", "steps", "states", "actions", "period"):
-                np.testing.assert_array_equal(getattr(own.windows, name), getattr(other.windows, name))
-        np.testing.assert_array_equal(shooting.rows, before[2].rows)
-        np.testing.assert_array_equal(shooting.counts, before[2].counts)
-        return deepcopy(asked[1])
-
-    monkeypatch.setattr(diagnosis, "searched", once)
-    return asked
-
-
-def test_the_search_finds_coulomb_friction_in_the_pendulum_whatever_horizon_is_asked_for(data, monkeypatch):
+def test_the_search_finds_coulomb_friction_in_the_pendulum_whatever_horizon_is_asked_for(data, searched_once):
     """Of all effects of the library; the horizon that is shown changes neither verdict nor names nor numbers."""
-    asked = searched_once(monkeypatch)
     model = load_model("dfki_pendulum")
     paths = sorted((data / "dfki_pendulum").rglob("data_measured.csv"))
     columns = load_column_map("dfki_pendulum_columns")
     runs = with_distinct_names([load_run(str(path), model.system, columns) for path in paths], paths)
     reports = [diagnose(model, runs, horizon) for horizon in (0.2, 1.0)]
-    assert len(asked) == 2
+    assert len(searched_once) == 2
     first = reports[0]
     assert first.verdict == "effect_missing"
     assert first.added == ("coulomb_friction",)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from safedpa.dynamics import load_model, save_model
+from safedpa.effects import effect
 from safedpa_services.command_line.group import safedpa
 
 pytestmark = [pytest.mark.slow, pytest.mark.processes]
@@ -35,7 +36,7 @@ def inputs(tmp_path_factory):
     """A model, a drive as a recording and as a table, and a column map."""
     folder = tmp_path_factory.mktemp("inputs")
     up = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--lockstep", "--seconds", "12", "--json"]
-    subprocess.run([*up, "--out", str(folder / "runs")], check=True, capture_output=True, timeout=170)
+    subprocess.run([*up, "--out", str(folder / "runs")], check=True, capture_output=True, timeout=600)
     (folder / "recording.mcap").write_bytes(next((folder / "runs").glob("*/recording.mcap")).read_bytes())
     assert (
         safedpa.run(["export", str(folder / "recording.mcap"), "--format", "csv", "--out", str(folder / "drive.csv")])
@@ -46,6 +47,15 @@ def inputs(tmp_path_factory):
     mapped = "".join(f'{name} = "{name}"\n' for name in names)
     (folder / "map.toml").write_text(f'format = 1\nrobot = "car"\n[columns]\n{mapped}', encoding="utf-8")
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Which files are read and written depends on no effect of the library; many take time."""
+    names = ("quadratic_drag", "rolling_resistance")
+    for place in ("diagnose", "check", "rehearsal"):
+        found = f"safedpa.diagnosis.{place}.library_for"
+        monkeypatch.setattr(found, lambda _: [effect("car", name) for name in names])
 
 
 def sums(folder, names):

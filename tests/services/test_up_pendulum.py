@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,27 +13,47 @@ import pytest
 from click.testing import CliRunner
 
 from safedpa.dynamics import Setting, load_model, save_model
+from safedpa.effects import effect
 from safedpa.errors import InputError
-from safedpa_services.command_line import up
+from safedpa_services.command_line import safedpa, up
 from safedpa_services.supervisor.plan import Plan
 from safedpa_sim.robots import TASKS
 
 SWING = ("--robot", "pendulum", "--wind", "4", "--wind-direction", "135", "--seed", "1")
 
 
-def run(*arguments: str) -> dict[str, Any]:
-    command = [sys.executable, "-m", "safedpa_services", *arguments, "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
+def loop(*arguments: str) -> dict[str, Any]:
+    """The summary of a loop of real processes."""
+    command = [sys.executable, "-m", "safedpa_services", "up", *arguments, "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") == 1
     document: dict[str, Any] = json.loads(done.stdout)
     return document
 
 
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., dict[str, Any]]:
+    """run(command, ...) -> the document that it prints, of a library of two: the rest takes time."""
+    names = ("coulomb_friction", "viscous_friction")
+    monkeypatch.setattr("safedpa.diagnosis.diagnose.library_for", lambda _: [effect("pendulum", n) for n in names])
+
+    def printed(*arguments: str) -> dict[str, Any]:
+        assert safedpa.run([*arguments, "--json"]) == 0, capfd.readouterr().err
+        shown = capfd.readouterr().out
+        assert shown.count("\n") == 1
+        document: dict[str, Any] = json.loads(shown)
+        return document
+
+    return printed
+
+
 @pytest.mark.processes
-def test_it_is_safe_and_its_recording_compares_and_is_diagnosed(tmp_path: Path) -> None:
-    loop = ("up", *SWING, "--lockstep", "--headless", "--seconds", "6", "--out", str(tmp_path))
-    summary = run(*loop)
+def test_it_is_safe_and_its_recording_compares_and_is_diagnosed(
+    tmp_path: Path, run: Callable[..., dict[str, Any]]
+) -> None:
+    words = (*SWING, "--lockstep", "--headless", "--seconds", "6", "--out", str(tmp_path))
+    summary = loop(*words)
     assert summary["ticks"] == 600
     assert summary["collisions"] == 0
     assert summary["task"] == "balance"
@@ -47,7 +68,7 @@ def test_it_is_safe_and_its_recording_compares_and_is_diagnosed(tmp_path: Path) 
     diagnosed = run("diagnose", "pendulum", recording, "--horizon", "0.2", "--out", str(report))
     assert diagnosed["robot"] == "pendulum"
     assert (report / "report.html").stat().st_size > 1000
-    unfiltered = run(*loop, "--no-filter")
+    unfiltered = loop(*words, "--no-filter")
     assert unfiltered["collisions"] > 0
     assert unfiltered["collision_list"][0]["what"] in ("lower edge", "upper edge")
 
