@@ -80,6 +80,8 @@ WRONG = (  # a command line, and what of the cure the line must hold
     ("stop --connect nonsense", "wanted endpoints such as tcp/robot:7447"),
     ("workbench --connect nonsense", "wanted endpoints such as tcp/robot:7447"),
     ("workbench car drive.csv --horizon nan", "choose 1, say"),
+    ("workbench car nosuch.csv", "nosuch.csv: no such file; "),
+    ("workbench cra drive.csv", "did you mean 'car'"),
     ("certificates keys --days nan", "wanted more than 0"),
     ("compare car run", "name the recording in it: run/recording.mcap"),
     ("up --name a/b", "wanted letters, digits"),

@@ -17,6 +17,7 @@ from safedpa_services.command_line.options import columns_option, effects_option
 
 if TYPE_CHECKING:
     from safedpa_services.workbench.bench import Bench
+    from safedpa_services.workbench.recordings import Choice
 
 __all__ = ["command"]
 
@@ -139,6 +140,7 @@ def _bench(options: dict[str, Any]) -> Bench:
     out, named = options["out"], Choice(options["model"], options["runs"], options["columns"], options["horizon"])
     if options["session"] is not None and named.model:
         raise InputError(f"MODEL {named.model}: got it with --session, which names its own; leave one of them out")
+    _look_at(named)
     live = options["fleet"] or options["connect"] or options["replay"]
     file = options["session"] or (None if named.model or live else newest_in(out))
     if file is None:
@@ -146,6 +148,17 @@ def _bench(options: dict[str, Any]) -> Bench:
     kept = read_session(file)
     tell(f"Workbench: goes on with {file} ({len(kept.decisions)} decisions)", err=True, facts={"session": str(file)})
     return Bench(kept.choice, out, kept.decisions, file.parent)
+
+
+def _look_at(named: Choice) -> None:
+    """Raises InputError for a model or a file that is none; what is in the files, the page can help with."""
+    from safedpa.dynamics import load_model
+    from safedpa.records.bags.kinds import kind_of
+
+    if named.model:
+        load_model(named.model)
+    for run in named.runs:
+        kind_of(Path(run))
 
 
 def _take_pictures(options: dict[str, Any]) -> None:
