@@ -88,9 +88,8 @@ def test_the_five_steps_on_a_drive_with_hidden_drag(browser, serve, drives):
 
 @pytest.mark.browser
 @pytest.mark.processes
-def test_everything_by_keyboard_and_saved(browser, serve, drives, tmp_path):
-    model, runs = drives
-    watched = Watched(browser, serve(model, runs[0]))
+def test_everything_by_keyboard_and_saved(browser, serve, drives, short_drive, tmp_path):
+    watched = Watched(browser, serve(drives[0], short_drive))
     page = watched.page
     page.wait_for_selector(".candidate", timeout=PATIENCE)
     first = page.locator(".candidate .name").first.inner_text()
