@@ -11,12 +11,14 @@ import subprocess
 import sys
 from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from safedpa.bus.transport import ports
 from safedpa.dynamics import PhysicsModel, Setting, save_model
 from safedpa.effects import effect
 from safedpa.records import load_run
@@ -78,6 +80,13 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
 
 
 @pytest.fixture(scope="session")
+def short_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """12 s with the same hidden drag: a third of the search, for tests of what a page does with what was found."""
+    truth = _plain().with_effect(effect("car", "quadratic_drag"), {"coefficient": Setting(0.3)})
+    return _written(tmp_path_factory.mktemp("short") / "short.csv", _rows(truth, 12.0, 1))
+
+
+@pytest.fixture(scope="session")
 def complete_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording that the model without any effect explains."""
     return _written(tmp_path_factory.mktemp("complete") / "complete.csv", _rows(_plain(), 60.0, 3))
@@ -112,11 +121,25 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def serve(free_port: int, tmp_path: Path) -> Iterator[Callable[..., str]]:
     """Starts ``safedpa workbench`` with arguments; returns its address."""
+    with _workbenches(free_port, tmp_path) as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def shown_workbench(drives: tuple[Path, list[Path]], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a workbench with both recordings, for tests that look at it and decide nothing."""
+    model, recordings = drives
+    with _workbenches(ports.free_port(), tmp_path_factory.mktemp("shown")) as start:
+        yield start(model, *recordings)
+
+
+@contextmanager
+def _workbenches(free_port: int, folder: Path) -> Iterator[Callable[..., str]]:
     started = []
 
     def start(*arguments: object) -> str:
         program = [sys.executable, "-m", "safedpa_services", "workbench", *map(str, arguments)]
-        options = ["--no-browser", "--port", str(free_port), "--out", str(tmp_path / "out")]
+        options = ["--no-browser", "--port", str(free_port), "--out", str(folder / "out")]
         # the framework behaves differently where it takes itself to be under test
         environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
         environment["OMP_NUM_THREADS"] = "1"
@@ -130,12 +153,15 @@ def serve(free_port: int, tmp_path: Path) -> Iterator[Callable[..., str]]:
     for server in started:
         server.send_signal(signal.SIGINT)
         try:
-            assert server.wait(60) == 0
+            assert server.wait(_END_SECONDS) == 0
         finally:
             server.kill()
             server.wait()
             server.stdout.close()
 
+
+_END_SECONDS = 240.0
+"""Patience with a server that ends: on a busy machine it takes its time."""
 
 SERVER = """
 import json, sys, threading, time
@@ -185,12 +211,25 @@ serve(Bench(Choice(), Path(sys.argv[1])), Serving("127.0.0.1", int(sys.argv[2]))
 @pytest.fixture
 def live(free_port: int, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A live page beside a drive that is played: the server's process and its address."""
+    with _live_server(free_port, tmp_path) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def shown_live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of such a page, for tests that look at it and decide nothing."""
+    with _live_server(ports.free_port(), tmp_path_factory.mktemp("live")) as (_, address):
+        yield address
+
+
+@contextmanager
+def _live_server(free_port: int, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     source = (Path(__file__).parent / "test_live.py").read_text(encoding="utf-8")
     start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
     header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
-    (tmp_path / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
+    (folder / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
-    command = [sys.executable, "-c", SERVER, str(tmp_path), str(free_port)]
+    command = [sys.executable, "-c", SERVER, str(folder), str(free_port)]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     try:
         line = server.stdout.readline()
@@ -199,7 +238,7 @@ def live(free_port: int, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str]
     finally:
         server.send_signal(signal.SIGINT)
         try:
-            server.wait(60)
+            server.wait(_END_SECONDS)
         finally:
             server.kill()
             server.wait()

@@ -71,11 +71,13 @@
   for (let one = 0; one < texts.length; one++)
     for (let other = one + 1; other < texts.length; other++) {
       const a = texts[one], b = texts[other];
-      if (a.parent === b.parent || a.parent.contains(b.parent) || b.parent.contains(a.parent)) continue;
       const across = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+      if (across <= 3) continue;
       const down = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+      if (down <= 0) continue;
+      if (a.parent === b.parent || a.parent.contains(b.parent) || b.parent.contains(a.parent)) continue;
       const least = Math.min(a.bottom - a.top, b.bottom - b.top);
-      if (across > 3 && down > 0.35 * least) found.push(['one text over another', a.text.slice(0, 40), b.text.slice(0, 40)]);
+      if (down > 0.35 * least) found.push(['one text over another', a.text.slice(0, 40), b.text.slice(0, 40)]);
     }
   return [...new Set(found.map((line) => line.join(': ')))];
 }

@@ -102,9 +102,8 @@ def test_a_model_that_up_drives_is_not_warned_of_and_another_is(plain, tmp_path)
 
 
 @pytest.mark.processes
-def test_decisions_are_done_again_after_the_server_died(tmp_path, drives, finished):
-    model, runs = drives
-    choice = Choice(str(model), (str(runs[0]),))
+def test_decisions_are_done_again_after_the_server_died(tmp_path, drives, short_drive, finished):
+    choice = Choice(str(drives[0]), (str(short_drive),))
     news = []
 
     async def worked(bench, until):

@@ -17,20 +17,32 @@ def first(plain, runs):
 
 
 @pytest.fixture(scope="module")
-def proposed(first):
-    return proposal(first)
+def told():
+    """What the one search of this file tells of its progress."""
+    return []
 
 
-def test_the_hidden_effect_is_the_choice_and_its_number_is_right(first, proposed):
+@pytest.fixture(scope="module")
+def proposed(first, told):
+    return proposal(first, lambda done, every: told.append(done / every))
+
+
+@pytest.fixture(scope="module")
+def dragged(first, proposed):
+    """The model with the hidden effect; a step is never changed, so all tests look at the same one."""
+    return with_candidate(first, proposed, "quadratic_drag")
+
+
+def test_the_hidden_effect_is_the_choice_and_its_number_is_right(first, proposed, dragged):
     assert proposed.choice == "quadratic_drag"
-    step = with_candidate(first, proposed, "quadratic_drag")
-    assert step.error.value < 0.4 * first.error.value
-    value = step.values["quadratic_drag.coefficient"]
+    assert dragged.error.value < 0.4 * first.error.value
+    value = dragged.values["quadratic_drag.coefficient"]
     assert abs(value.value - 0.3) < 0.005
-    assert step.improved == "2/2"
+    assert dragged.improved == "2/2"
 
 
 def test_a_person_may_take_another_one_and_go_back(first, proposed):
+    """Back is the very same proposal once more, after the other one was taken from it."""
     other = with_candidate(first, proposed, "viscous_drag")
     assert [item.name for item in other.model.effects] == ["viscous_drag"]
     assert first.model.effects == ()
@@ -39,9 +51,8 @@ def test_a_person_may_take_another_one_and_go_back(first, proposed):
     assert best.error.value < other.error.value < first.error.value
 
 
-def test_after_the_hidden_effect_nothing_more_is_chosen(first, proposed):
-    step = with_candidate(first, proposed, "quadratic_drag")
-    again = proposal(step)
+def test_after_the_hidden_effect_nothing_more_is_chosen(dragged):
+    again = proposal(dragged)
     assert again.choice is None
     assert "quadratic_drag" not in {item.effect for item in again.candidates}
 
@@ -68,18 +79,16 @@ def test_unknown_candidates_are_refused(first, proposed):
         with_candidate(first, proposed, "phlogiston")
 
 
-def test_progress_grows_and_steps_travel_to_another_process(first, proposed):
-    told = []
-    proposal(first, lambda done, every: told.append(done / every))
+@pytest.mark.usefixtures("proposed")
+def test_progress_grows_and_steps_travel_to_another_process(first, told):
     assert told == sorted(told)
     assert 0.0 <= told[0] < told[-1] < 1.0
     again = pickle.loads(pickle.dumps(first))
     assert again.error.value == first.error.value
 
 
-def test_the_given_model_and_the_final_numbers(plain, first, proposed):
+def test_the_given_model_and_the_final_numbers(plain, first, dragged):
     assert given_error(plain, first) == pytest.approx(first.error.value, rel=0.2)
-    step = with_candidate(first, proposed, "quadratic_drag")
-    final = with_final(step)
-    assert final.error.value <= 1.03 * step.error.value
+    final = with_final(dragged)
+    assert final.error.value <= 1.03 * dragged.error.value
     assert abs(final.values["quadratic_drag.coefficient"].value - 0.3) < 0.02

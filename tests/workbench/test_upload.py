@@ -8,6 +8,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
 
 PATIENCE = 240_000
 """ms."""
+POLLING = 100
+"""ms; a page that is asked at every picture that it draws computes nothing else."""
 FILES = """(named) => { const drag = new DataTransfer();
   for (const [name, text] of named) drag.items.add(new File([text], name, {type: 'text/csv'}));
   return drag; }"""
@@ -43,7 +45,9 @@ def test_files_dragged_onto_the_box_are_opened(browser, serve, drives, tmp_path)
     kept = sorted((tmp_path / "out" / "uploads").iterdir())
     assert [path.read_text(encoding="utf-8") for path in kept] == [path.read_text(encoding="utf-8") for path in runs]
     page.locator(".q-dialog").get_by_role("button", name="Open", exact=True).click()  # a path may say 'open' too
-    page.wait_for_function("document.querySelectorAll('.stages .value').length === 1", timeout=PATIENCE)
+    page.wait_for_function(
+        "document.querySelectorAll('.stages .value').length === 1", polling=POLLING, timeout=PATIENCE
+    )
     assert "2 recordings, 80 s" in page.locator(".what").inner_text()
     assert page.complaints == []
     page.close()
@@ -52,7 +56,9 @@ def test_files_dragged_onto_the_box_are_opened(browser, serve, drives, tmp_path)
 def test_files_dropped_beside_the_box_do_not_take_the_page_away(browser, serve, drives, tmp_path):
     model, runs = drives
     page = opened(browser, serve(model, runs[0]))
-    page.wait_for_function("document.querySelectorAll('.stages .value').length === 1", timeout=PATIENCE)
+    page.wait_for_function(
+        "document.querySelectorAll('.stages .value').length === 1", polling=POLLING, timeout=PATIENCE
+    )
     dragged(page, "main", (runs[1].name, runs[1].read_text(encoding="utf-8")))
     page.wait_for_selector("text=/Uploaded: drive_2.csv/", timeout=PATIENCE)
     assert str(tmp_path / "out" / "uploads" / "001_drive_2.csv") in page.input_value(".q-dialog textarea")

@@ -11,6 +11,8 @@ pytestmark = pytest.mark.slow
 
 PATIENCE = 240_000
 """ms; a search takes seconds, on a busy machine more."""
+POLLING = 100
+"""ms; a page that is asked at every picture that it draws computes nothing else."""
 MAP = ".panel:nth-of-type(2) .js-plotly-plot >> nth=0"
 
 
@@ -30,7 +32,9 @@ class Watched:
         return [float(text) for text in self.page.locator(".stages .value").all_inner_texts()]
 
     def wait_for_bars(self, count):
-        self.page.wait_for_function(f"document.querySelectorAll('.stages .value').length === {count}", timeout=PATIENCE)
+        self.page.wait_for_function(
+            f"document.querySelectorAll('.stages .value').length === {count}", polling=POLLING, timeout=PATIENCE
+        )
         return self.errors_of_bars()
 
     def mean_of_map(self):
@@ -57,7 +61,7 @@ def brushed(watched):
     page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
     said = page.locator(".panel:nth-of-type(2) [aria-live]").inner_text()
     last = "document.querySelectorAll('.panel')[1].querySelectorAll('.js-plotly-plot')[1].data.at(-1)"
-    page.wait_for_function(f"{last}.mode === 'markers'", timeout=PATIENCE)
+    page.wait_for_function(f"{last}.mode === 'markers'", polling=POLLING, timeout=PATIENCE)
     return said, page.evaluate(f"{last}.x.length")
 
 
@@ -88,16 +92,19 @@ def test_the_five_steps_on_a_drive_with_hidden_drag(browser, serve, drives):
 
 @pytest.mark.browser
 @pytest.mark.processes
-def test_everything_by_keyboard_and_saved(browser, serve, drives, tmp_path):
-    model, runs = drives
-    watched = Watched(browser, serve(model, runs[0]))
+def test_everything_by_keyboard_and_saved(browser, serve, drives, short_drive, tmp_path):
+    watched = Watched(browser, serve(drives[0], short_drive))
     page = watched.page
     page.wait_for_selector(".candidate", timeout=PATIENCE)
     first = page.locator(".candidate .name").first.inner_text()
     page.keyboard.press("x")
-    page.wait_for_function(f"document.querySelector('.candidate .name').innerText !== '{first}'", timeout=PATIENCE)
+    page.wait_for_function(
+        f"document.querySelector('.candidate .name').innerText !== '{first}'", polling=POLLING, timeout=PATIENCE
+    )
     page.keyboard.press("u")
-    page.wait_for_function(f"document.querySelector('.candidate .name').innerText === '{first}'", timeout=PATIENCE)
+    page.wait_for_function(
+        f"document.querySelector('.candidate .name').innerText === '{first}'", polling=POLLING, timeout=PATIENCE
+    )
     page.keyboard.press("m")
     page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
     page.keyboard.press("a")

@@ -15,6 +15,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
 
 PATIENCE = 240_000
 """ms; a search takes seconds, on a busy machine more."""
+POLLING = 100
+"""ms; a page that is asked at every picture that it draws computes nothing else."""
 BARS = "document.querySelectorAll('.stages .value').length === {}"
 
 
@@ -73,7 +75,7 @@ NOTE_SAVING = """() => {
 def opened(browser, address, bars):
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     page.goto(address)
-    page.wait_for_function(BARS.format(bars), timeout=PATIENCE)
+    page.wait_for_function(BARS.format(bars), polling=POLLING, timeout=PATIENCE)
     return page
 
 
@@ -91,11 +93,11 @@ def test_nothing_is_lost(browser, bench, drives):
     page = opened(browser, address, 1)
     page.keyboard.press("r")  # the viewer's recording is written while the tab is loaded anew
     page.reload(wait_until="commit")
-    page.wait_for_function(BARS.format(1), timeout=PATIENCE)
+    page.wait_for_function(BARS.format(1), polling=POLLING, timeout=PATIENCE)
     assert "will refuse it" not in page.content()
     page.wait_for_selector(".candidate", timeout=PATIENCE)
     page.click(".candidate.open >> text=Add")
-    page.wait_for_function(BARS.format(2), timeout=PATIENCE)
+    page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
     kept = errors(page)
     assert bench.decisions == [("added", "quadratic_drag")]
 
@@ -104,16 +106,16 @@ def test_nothing_is_lost(browser, bench, drives):
     page.wait_for_selector("text=/Written: .*model.toml.*: safedpa up --model .*--margin/", timeout=PATIENCE)
     assert page.evaluate("window.saving"), "while it saves, the page says so"
     page.reload()  # F5
-    page.wait_for_function(BARS.format(2), timeout=PATIENCE)
+    page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
     assert errors(page) == kept
     assert page.locator("text=/Written: .*model.toml/").is_visible()
 
     other = opened(browser, address.replace("127.0.0.1", "localhost"), 2)  # a second tab
     page.click("text=Undo")
-    other.wait_for_function(BARS.format(1), timeout=PATIENCE)
+    other.wait_for_function(BARS.format(1), polling=POLLING, timeout=PATIENCE)
     other.wait_for_selector(".candidate", timeout=PATIENCE)
     other.click(".candidate.open >> text=Add")
-    page.wait_for_function(BARS.format(2), timeout=PATIENCE)
+    page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
     page.close()
     other.close()  # both tabs are gone
     bench.end(signal.SIGKILL)
