@@ -22,14 +22,14 @@ STRANGERS = ("intruder", "robot.r3", "robot", "safety_filter.f")
 PATIENCE = 30.0
 
 
-def until(condition: Callable[[], bool]) -> bool:
-    """Whether the condition comes true in time."""
+def until(condition: Callable[[], bool], every: float = 0.005) -> bool:
+    """Whether the condition comes true in time; it is asked every so many s."""
     end = time.monotonic() + PATIENCE
     pause = threading.Event()
     while not condition():
         if time.monotonic() > end:
             return False
-        pause.wait(0.005)
+        pause.wait(every)
     return True
 
 
