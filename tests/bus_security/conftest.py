@@ -19,7 +19,7 @@ FLEET = "f"
 ROBOTS = ("r1", "r2")
 STRANGERS = ("intruder", "robot.r3", "robot", "safety_filter.f")
 """To whom the authority gave certificates, but who are none of the router's roles."""
-PATIENCE = 30.0
+PATIENCE = 90.0
 
 
 def until(condition: Callable[[], bool], every: float = 0.005) -> bool:
