@@ -14,6 +14,7 @@ from safedpa.bus import ZenohSettings, ZenohTransport
 from safedpa.bus.security.access import ROUTER, access_control, roles_of, size_limits
 from safedpa.bus.security.authority import HOSTS, Authority
 from safedpa.bus.security.certificates import Certificates
+from safedpa.bus.transport import zenoh_transport
 
 FLEET = "f"
 ROBOTS = ("r1", "r2")
@@ -127,8 +128,13 @@ class Network:
 
 
 @pytest.fixture
-def network(certificates: Path, free_port: int) -> Iterator[Network]:
-    """A router that is not started yet."""
+def network(certificates: Path, free_port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Network]:
+    """A router that is not started yet.
+
+    Signs of life may wait for longer than between the robots: these tests ask who may say what, once, and on a machine
+    with too much to do a link that is lost takes with it what was said.
+    """
+    monkeypatch.setattr(zenoh_transport, "_LEASE_MILLISECONDS", 30_000)
     made = Network(certificates, free_port)
     yield made
     made.close()
