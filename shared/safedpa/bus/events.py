@@ -44,6 +44,7 @@ KINDS = MappingProxyType(
         "bus.plain_text": "The bus can be reached from other machines without certificates.",
         "bus.unclosed": "A process ends, and its session with the bus did not close in time; its links end with it.",
         "bus.key_exposed": "A private key can be read by every user of the machine.",
+        "bus.astray": "What came under another key than it was sent under, after a lost link, was passed over.",
         "bus.twice": "Two connect with one certificate; one of them may not be who it says.",
         "bus.joined": "Somebody connects to the router with a certificate.",
         "bus.handshake_refused": "Somebody was refused at the router's door.",

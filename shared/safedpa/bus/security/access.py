@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from safedpa.bus.wire.requests import AGREED, ORDER, REQUEST, SENSE, STATUS, request_key
+from safedpa.bus.wire.stamp import STAMP_BYTES
 from safedpa.bus.wire.topics import (
     ACTION,
     BUNDLE,
@@ -281,7 +282,10 @@ def rate_limits(fleet: str, robots: Iterable[str]) -> list[dict[str, Any]]:
 
 
 def size_limits(fleet: str) -> list[dict[str, Any]]:
-    """Zenoh's ``low_pass_filter``: what is larger than its topic allows goes no further than the router."""
+    """Zenoh's ``low_pass_filter``: what is larger than its topic allows goes no further than the router.
+
+    Zenoh counts what goes beside a message, too.
+    """
     by_size: dict[int, list[str]] = {}
     for topic in TOPICS.values():
         by_size.setdefault(topic.largest_bytes, []).append(key_of(fleet, "*", topic, "*"))
@@ -291,7 +295,7 @@ def size_limits(fleet: str) -> list[dict[str, Any]]:
             "flows": [_IN],
             "messages": ["put"],
             "key_exprs": keys,
-            "size_limit": size,
+            "size_limit": size + STAMP_BYTES,
         }
         for size, keys in by_size.items()
     ]

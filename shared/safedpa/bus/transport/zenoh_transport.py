@@ -22,7 +22,9 @@ from safedpa.bus.security.certificates import Card, Certificates
 from safedpa.bus.security.doorkeeper import Doorkeeper, cut_off, defer_accept, listening_ports
 from safedpa.bus.transport.session import close_in_peace, configuration_of, first_clause, open_session
 from safedpa.bus.transport.transport import AbstractTransport, OnAnswer, OnQuestion, OnSample, Subscription
+from safedpa.bus.wire.stamp import astray, stamp_of
 from safedpa.errors import BusError, InputError, JoinError
+from safedpa.limits import readable
 
 if TYPE_CHECKING:
     import zenoh
@@ -207,7 +209,7 @@ class ZenohTransport(AbstractTransport):
             publisher = self._publishers.get((key, never_drop))
             if publisher is None:
                 publisher = self._publishers[key, never_drop] = self._publisher(key, never_drop)
-            publisher.put(payload)
+            publisher.put(payload, attachment=stamp_of(key))
         except zenoh.ZError as error:
             raise BusError(f"{key}: could not be sent ({first_clause(error)}); was the bus closed?") from error
 
@@ -246,10 +248,12 @@ class ZenohTransport(AbstractTransport):
         def asked(query: zenoh.Query) -> None:
             with query:  # ends the answer, whatever happens
                 try:
-                    payload = b"" if query.payload is None else query.payload.to_bytes()
-                    answer = on_question(str(query.key_expr), payload)
+                    key, payload = str(query.key_expr), b"" if query.payload is None else query.payload.to_bytes()
+                    if _astray(key, query.attachment):
+                        return
+                    answer = on_question(key, payload)
                     if answer is not None:
-                        query.reply(query.key_expr, answer)
+                        query.reply(query.key_expr, answer, attachment=stamp_of(key))
                 except zenoh.ZError:
                     return  # the asker is gone, or this session is being closed
                 except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, mute
@@ -264,11 +268,14 @@ class ZenohTransport(AbstractTransport):
             replies = self._session.get(
                 key,
                 payload=payload,
+                attachment=stamp_of(key),
                 timeout=timeout,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,  # the first answer at once, not when all have answered
             )
-            return next((reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None), None)
+            answers = (reply.ok for reply in replies if reply.ok is not None)
+            own = (answer for answer in answers if not _astray(str(answer.key_expr), answer.attachment))
+            return next((answer.payload.to_bytes() for answer in own), None)
         except zenoh.ZError as error:
             raise BusError(f"{key}: could not be asked ({first_clause(error)}); was the bus closed?") from error
 
@@ -359,9 +366,23 @@ class _ZenohSubscription(Subscription):
         if sample.kind != zenoh.SampleKind.PUT:
             return
         try:
-            self._on_sample(str(sample.key_expr), sample.payload.to_bytes())
+            key = str(sample.key_expr)
+            if not _astray(key, sample.attachment):
+                self._on_sample(key, sample.payload.to_bytes())
         except Exception as error:  # noqa: BLE001  Zenoh would print it, and the process would go on, deaf
             sys.excepthook(type(error), error, error.__traceback__)
+
+
+def _astray(key: str, beside: zenoh.ZBytes | None) -> bool:
+    """Whether what came was sent under another key; that it was is told."""
+    if not astray(key, None if beside is None else beside.to_bytes()):
+        return False
+    log_event(
+        "bus.astray",
+        f"passed over what came under {readable(key)} and was sent under another key, as it happens after a lost link",
+        level="warning",
+    )
+    return True
 
 
 def _warn_of_plain_text(endpoints: tuple[str, ...]) -> None:
