@@ -38,7 +38,10 @@ def with_effect() -> Callable[..., PhysicsModel]:
 
 @pytest.fixture
 def drive() -> Drive:
-    """drive(model, seconds, seed, ...): what the model does under a random drive, without noise, as a run."""
+    """drive(model, seconds, seed, ...): what the model does under a random drive, without noise, as a run.
+
+    ``faster`` is added to the first action: of a car with a speed servo a target [m/s].
+    """
 
     def simulate(
         model: PhysicsModel,
@@ -50,11 +53,13 @@ def drive() -> Drive:
         name: str = "simulated",
         stretches: Sequence[tuple[int, int]] | None = None,
         start: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        faster: float = 0.0,
     ) -> Run:
         random = np.random.default_rng(seed)
         rows = round(seconds / period)
         t = np.concatenate([[0.0], np.cumsum(period * (1.0 + jitter * random.uniform(-1, 1, rows - 1)))])
         actions = _held(random, rows, round(0.4 / period))
+        actions[:, 0] += faster
         states = np.zeros((rows, 4))
         states[0] = start
         memory = model.initial_memory(actions[0])

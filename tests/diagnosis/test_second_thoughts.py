@@ -1,4 +1,4 @@
-"""Which of two sure effects comes first while much is missing, and two effects that are together a third."""
+"""Which of two sure effects comes first while much is missing, and whole groups of effects that give way to others."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from safedpa.diagnosis.fit.heldout import error_with, heldout_of
 from safedpa.diagnosis.fit.shooting import shooting_of
 from safedpa.diagnosis.fit.trial import tried
 from safedpa.diagnosis.search.beginning import begun
+from safedpa.diagnosis.search.groups import fewer_numbers, split
 from safedpa.diagnosis.search.judgement import Stage, farthest
 from safedpa.diagnosis.search.progress import Judged
 from safedpa.diagnosis.search.revision import united
 from safedpa.diagnosis.search.search import accept
+from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
 from safedpa.records.run import Run
+from safedpa.robots.car.kinematic_bicycle import KinematicBicycle
 
 
 def ordered(before, **after):
@@ -44,25 +47,36 @@ def test_where_little_is_missing_the_windows_decide():
 
 @pytest.fixture
 def searching(plain, with_effect, drive):
-    """searching(hidden effect, its numbers, accepted names) -> (search, held-out windows) on a car's noisy runs."""
+    """searching(hidden effects with their numbers, accepted names, their rivals) -> (search, held-out windows) on a
+    car's noisy runs."""
 
-    def made(name, numbers, names):
-        truth = with_effect(plain, name, **numbers)
-        runs = [noisy(drive(truth, 20.0, seed, name=str(seed)), seed) for seed in range(4)]
+    def made(hidden, names, rivals, base=plain, faster=0.0):
+        truth = base
+        for name, numbers in hidden.items():
+            truth = with_effect(truth, name, **numbers)
+        runs = [noisy(drive(truth, 20.0, seed, name=str(seed), faster=faster), seed) for seed in range(4)]
         shooting, heldout = shooting_of(runs, 1.0), heldout_of(runs, 1.0)
-        search = begun(plain, shooting, heldout)
-        pair = tried(search.current, [effect("car", item) for item in names], search.shooting)
-        alone = tried(search.current, [effect("car", "towed_load")], search.shooting)
-        gained = error_with(pair.fit, shooting, heldout)
+        search = begun(base, shooting, heldout)
+        trial = tried(search.current, of_car(names), search.shooting)
+        alone = tried(search.current, of_car(rivals[:1]), search.shooting)
+        gained = error_with(trial.fit, shooting, heldout)
         search.candidates = [
-            Judged(0, pair, 9.0, gained, "accepted", "gain", ()),
+            Judged(0, trial, 9.0, gained, "accepted", "gain", ()),
             Judged(0, alone, 9.0, None, "rejected", "gain", ()),
         ]
-        search.rivals = {names[0]: ["towed_load"]}
-        accept(search, pair, heldout)
+        search.rivals = {names[0]: rivals}
+        accept(search, trial, heldout)
         return search, heldout
 
     return made
+
+
+def of_car(names):
+    return [effect("car", name) for name in names]
+
+
+def accepted(search):
+    return [item.trial.name for item in search.candidates if item.decision == "accepted"]
 
 
 def noisy(run, seed):
@@ -71,21 +85,72 @@ def noisy(run, seed):
     return Run(run.name, run.system, run.t, states, run.actions, run.stretches)
 
 
+TOWED = {"mass_ratio": 0.5, "deceleration": 0.6}
+
+
 def test_a_payload_and_a_rolling_resistance_are_a_towed_load(searching):
-    search, heldout = searching(
-        "towed_load", {"mass_ratio": 0.5, "deceleration": 0.6}, ["rolling_resistance", "payload"]
-    )
+    search, heldout = searching({"towed_load": TOWED}, ["rolling_resistance", "payload"], ["towed_load"])
     before = search.error.value
-    assert united(search, [effect("car", n) for n in ("rolling_resistance", "payload", "towed_load")], heldout)
+    assert united(search, of_car(["rolling_resistance", "payload", "towed_load"]), heldout)
     assert search.added == ["towed_load"]
     assert search.error.value <= 1.002 * before
     ratio = search.current.fit.model.settings["towed_load.mass_ratio"].value
     assert ratio == pytest.approx(0.5, rel=0.1)
-    accepted = [item.trial.name for item in search.candidates if item.decision == "accepted"]
-    assert accepted == ["towed_load"]
+    assert accepted(search) == ["towed_load"]
 
 
 def test_two_effects_that_no_third_equals_stay(searching):
-    search, heldout = searching("turning_drag", {"coefficient": 2.0}, ["turning_drag", "steering_lag"])
-    assert not united(search, [effect("car", n) for n in ("turning_drag", "steering_lag", "towed_load")], heldout)
+    search, heldout = searching(
+        {"turning_drag": {"coefficient": 2.0}}, ["turning_drag", "steering_lag"], ["towed_load"]
+    )
+    assert not united(search, of_car(["turning_drag", "steering_lag", "towed_load"]), heldout)
     assert search.added == ["turning_drag", "steering_lag"]
+
+
+def test_a_towed_load_that_does_not_resist_is_a_payload(searching):
+    hidden = {"payload": {"mass_ratio": 0.5}, "steering_lag": {"time_constant": 0.15}}
+    search, heldout = searching(hidden, ["towed_load", "steering_lag"], ["viscous_drag", "payload"])
+    before = search.error.value
+    fewer_numbers(search, of_car(["towed_load", "steering_lag", "viscous_drag", "payload"]), heldout)
+    assert search.added == ["payload", "steering_lag"]
+    assert search.error.value <= 1.002 * before
+    assert accepted(search) == ["steering_lag + payload"]
+
+
+def test_a_towed_load_that_resists_stays(searching):
+    hidden = {"towed_load": TOWED, "steering_lag": {"time_constant": 0.15}}
+    search, heldout = searching(hidden, ["towed_load", "steering_lag"], ["payload", "rolling_resistance"])
+    fewer_numbers(search, of_car(["towed_load", "steering_lag", "rolling_resistance", "payload"]), heldout)
+    assert search.added == ["towed_load", "steering_lag"]
+
+
+def test_two_effects_give_way_to_two_with_fewer_numbers(searching):
+    """A towed load and a drag stood for a resistance and a servo that stays below what it is told."""
+    values = {"wheelbase": 0.32, "speed_gain": 4.0, "acceleration_limit": 5.0}
+    servo = PhysicsModel(KinematicBicycle(), (), {f"base.{name}": Setting(value) for name, value in values.items()})
+    hidden = {"rolling_resistance": {"deceleration": 0.5}, "speed_command_gain": {"gain": 0.8}}
+    names, true = ["towed_load", "viscous_drag"], ["speed_command_gain", "rolling_resistance"]
+    search, heldout = searching(hidden, names, true, servo, 2.5)
+    before = search.error.value
+    fewer_numbers(search, of_car([*names, *true]), heldout)
+    assert search.added == true
+    assert search.error.value <= 1.002 * before
+    assert accepted(search) == [" + ".join(true)]
+
+
+def test_a_delay_of_all_actuators_that_stood_for_a_lag_of_each_gives_way_to_both(searching):
+    hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
+    search, heldout = searching(hidden, ["actuator_delay"], ["steering_lag", "drive_lag", "payload"])
+    before = search.error.value
+    split(search, of_car(["actuator_delay", "steering_lag", "drive_lag", "payload"]), heldout)
+    assert search.added == ["steering_lag", "drive_lag"]
+    assert search.error.value < 0.9 * before
+    assert accepted(search) == ["steering_lag + drive_lag"]
+
+
+def test_a_delay_of_all_actuators_stays_one(searching):
+    search, heldout = searching(
+        {"actuator_delay": {"seconds": 0.12}}, ["actuator_delay"], ["steering_lag", "drive_lag"]
+    )
+    split(search, of_car(["actuator_delay", "steering_lag", "drive_lag"]), heldout)
+    assert search.added == ["actuator_delay"]

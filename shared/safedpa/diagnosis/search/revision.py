@@ -19,7 +19,9 @@ from safedpa.diagnosis.search.progress import Judged, Search, given_names, known
 from safedpa.diagnosis.search.second_opinion import CLEAR_FALL
 from safedpa.effects import AbstractEffect
 
-__all__ = ["bounded", "exchange", "refit", "removals", "smallest", "take_back", "united"]
+__all__ = [
+    "HOPELESS", "as_good", "bounded", "exchange", "refit", "removals", "replaced", "smallest", "take_back", "united",
+]  # fmt: skip
 
 _EXCHANGED = 4
 """Rivals that each accepted effect is exchanged for."""
@@ -30,7 +32,7 @@ _ONE = 1.0
 
 Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3.
 """
-_HOPELESS = 0.01
+HOPELESS = 0.01
 """Of the objective by which a rival may be behind when its fit has begun: one in 50 of an error."""
 _NEEDED, _FAR_WORSE = 4.0, 1.5
 """Standard errors, and times the error, from which what is left without an effect is not fitted to the end."""
@@ -91,7 +93,7 @@ def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     for name in list(search.added):
         others = [by_name[other] for other in search.added if other != name]
         rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_EXCHANGED]
-        enough = search.current.fit.value + _HOPELESS
+        enough = search.current.fit.value + HOPELESS
         tried = [refit(search, [*others, rival], enough) for rival in rivals]
         able = [t for t in tried if t.fit.value <= enough and _uses_its_numbers(t, search)]
         best = min(able, key=lambda t: t.loss, default=None)
@@ -100,7 +102,7 @@ def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
         late = feigned_lateness(replace(best, effects=(new,)), None, search.error, 0.0)
         if block_gain(search.current, best, search.shooting) > SIMPLER and not late:
-            _replace(search, name, new, best, heldout)
+            replaced(search, (name,), (new,), best, heldout)
 
 
 def _uses_its_numbers(trial: Trial, search: Search) -> bool:
@@ -116,18 +118,26 @@ def _uses_its_numbers(trial: Trial, search: Search) -> bool:
     return more <= 0 or better > more
 
 
-def _replace(search: Search, name: str, new: str, best: Trial, heldout: Heldout) -> None:
-    search.added[search.added.index(name)] = new
+def replaced(search: Search, group: Sequence[str], new: Sequence[str], best: Trial, heldout: Heldout) -> None:
+    """Accepted effects give way to others, with which the model is ``best``; the candidates say so."""
+    place = search.added.index(group[0])
+    search.added[place : place + 1] = new
+    search.added = [name for name in search.added if name not in group]
     search.current = best
     search.error = error_with(best.fit, search.shooting, heldout)
-    gone = [item for item in search.candidates if item.decision == "accepted" and name in item.trial.effects]
-    for item in gone:
+    come, gone = " and ".join(new), " and ".join(group)
+    comers = tuple(new)
+    for item in [item for item in search.candidates if item.decision == "accepted"]:
+        if not set(group) & set(item.trial.effects):
+            continue
         index = search.candidates.index(item)
-        search.candidates[index] = with_reason(item, "rejected", f"gave way to {new} once the others were known")
-        again = Trial((new,), best.fit, best.heldout, best.explained, best.loss)
-        search.candidates.insert(
-            index, Judged(item.stage, again, item.gain, search.error, "accepted", f"took the place of {name}", ())
-        )
+        search.candidates[index] = with_reason(item, "rejected", f"gave way to {come} once the others were known")
+        names = tuple(name for name in item.trial.effects if name not in group) + comers
+        if names:
+            again = Trial(names, best.fit, best.heldout, best.explained, best.loss)
+            reason = f"took the place of {gone}"
+            search.candidates.insert(index, Judged(item.stage, again, item.gain, search.error, "accepted", reason, ()))
+        comers = ()
 
 
 def removals(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
@@ -217,10 +227,8 @@ def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) 
         rest = [by_name[name] for name in search.added if name not in pair]
         for whole in _wholes(search, pair, by_name):
             best = refit(search, [*rest, whole])
-            if _as_good(best, search, heldout):
-                _replace(search, pair[0], whole.name, best, heldout)
-                search.added.remove(pair[1])
-                take_back(search, pair[1:], f"and {pair[0]} are together {whole.name}")
+            if as_good(best, search, heldout):
+                replaced(search, pair, (whole.name,), best, heldout)
                 return True
     return False
 
@@ -236,7 +244,7 @@ def _wholes(search: Search, pair: Sequence[str], by_name: Mapping[str, AbstractE
     return [item for item in found if len(item.parameters) == numbers]
 
 
-def _as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
+def as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
     """Whether a trial within its bounds predicts unseen blocks and held-out rollouts no worse than the model does."""
     if not trial.fit.free.all() or block_gain(trial, search.current, search.shooting) >= SAME:
         return False

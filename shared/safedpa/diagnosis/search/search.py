@@ -19,6 +19,7 @@ from safedpa.diagnosis.search.acceptance import accept, settled
 from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.conditions import conditional, of_patch, placed
 from safedpa.diagnosis.search.final_numbers import with_final_numbers, with_form_in_doubt
+from safedpa.diagnosis.search.groups import fewer_numbers, split
 from safedpa.diagnosis.search.judgement import (
     MOST_MISSING,
     Stage,
@@ -110,7 +111,9 @@ def _added_in_turn(
 def _second_thoughts(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """Exchanges, and what the others do without."""
     exchange(search, library, heldout)
+    split(search, library, heldout)
     removals(search, library, heldout)
+    fewer_numbers(search, library, heldout)
     if united(search, library, heldout):
         removals(search, library, heldout)  # what took the place of two may do what a third did
     smallest(search, library, heldout)
