@@ -75,3 +75,37 @@ def test_the_page_tells_the_age_of_each_source_and_what_is_wrong_with_one() -> N
     assert "laser never heard" in page.page(0.5).text
     assert "**Waiting for** the robot's states: silent for 9 s" in page.page(9.0).text
     assert "laser never heard" in page.page(9.0).text
+
+
+MARKED = replace(
+    SEEN,
+    zones=("closed wet_floor", "ignored arm", "closed far"),
+    borders=((0.0, 1.0, 1.0), (0.0, 2.0, 1.0), (0.0, 2.0, 2.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (1.0, 0.0, 1.0)),
+    ordered="zone wet_floor on, by Ada",
+)
+
+
+def test_zones_are_drawn_as_they_count_and_told_with_who_switched() -> None:
+    drawn = {entry.path[-1]: entry.shape for entry in seen_entries(MARKED)}["zones"]
+    assert isinstance(drawn, Lines)
+    assert drawn.strips == (
+        ((1.0, 1.0), (2.0, 1.0), (2.0, 2.0), (1.0, 1.0)),
+        ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)),
+    )
+    assert len(set(drawn.colours)) == 2
+    page = NowPage(look_of(load_model("car"), settings_named("car")))
+    page.take(state(), 0.0)
+    page.take(MARKED, 0.0)
+    said = page.page(0.1).text
+    assert "zones: closed wet\\_floor, ignored arm, closed far" in said
+    assert "switched: zone wet\\_floor on, by Ada" in said
+    page.take(SEEN, 0.2)
+    assert "switched" not in page.page(0.3).text
+
+
+@pytest.mark.parametrize("row", [(0.0,), (0.0, float("nan"), 1.0), (0.0, 1e30, 1.0), (7.0, 1.0, 1.0)])
+def test_a_border_that_cannot_be_drawn_is_left_out(row: tuple[float, ...]) -> None:
+    odd = replace(MARKED, borders=(row, row, row, *MARKED.borders[3:]))
+    shape = {entry.path[-1]: entry.shape for entry in seen_entries(odd)}["zones"]
+    assert isinstance(shape, Lines)
+    assert len(shape.strips) == 1

@@ -66,6 +66,9 @@ def test_the_age_of_each_source_is_told_and_what_is_wrong_with_one(fleet: Any) -
     assert document_of(fleet.overview)["robots"][0]["sources"] == {"front": 0.05, "rear": None}
     assert "nothing was heard of the source rear" in sentences(fleet, "trouble")
     assert any("front 0.05 rear -" in line for line in drawn(fleet, 240))
+    assert not any("switched" in said for said in sentences(fleet, "attention"))
+    robot.hear(dataclasses.replace(seen, ordered="source rear off, by Ada"), fleet.overview.clock())
+    assert "switched: source rear off, by Ada" in sentences(fleet, "attention")
 
 
 def test_without_a_verdict_nobody_filters_however_young_the_listener_is(fleet: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import final
 
@@ -30,10 +30,11 @@ from safedpa.bus import (
     SetupMessage,
     TakeoverMessage,
 )
+from safedpa.bus.wire.requests import Request
 from safedpa.bus.wire.setup import setup_message
 from safedpa.dynamics import fingerprint, load_model, parse_model, write_model
 from safedpa.dynamics.model_setup import model_setup
-from safedpa.perception import PerceptionNode
+from safedpa.perception import PerceptionNode, parse_perception
 from safedpa.policy import PolicyNode
 from safedpa.records import McapRecorder
 from safedpa.safety.margin_text import margin_text
@@ -50,11 +51,11 @@ OFFSET = '\n[[effects]]\nname = "steering_offset"\nangle = { value = 0.01, free 
 SERVICES = ("adaptation", "policy", "safety_filter")
 
 
-def built(service: str, name: str, controller: str | None) -> tuple[AbstractNode, SetupMessage]:
+def built(service: str, name: str, controller: str | None, zones: str = "") -> tuple[AbstractNode, SetupMessage]:
     """A service's node and its setup, as its process makes them."""
     model = load_model(name)
     if service == "perception":
-        return PerceptionNode(), setup_message(service, {})
+        return PerceptionNode(parse_perception(zones)), dataclasses.replace(setup_message(service, {}), settings=zones)
     setup = model_setup(setup_message(service, {"model": name}), model)
     if service == "adaptation":
         return AdaptationNode(model), setup
@@ -97,11 +98,12 @@ class Fleet:
         controller: str | None = None,
         seed: int = 3,
         senses: Callable[[], Senses] | None = None,
+        zones: str = "",
     ) -> None:
         self.now = 0.0
         self._senses = senses
         self._services = SERVICES if senses is None else ("perception", *SERVICES)
-        self._model, self._controller = model, controller
+        self._model, self._controller, self._zones = model, controller, zones
         self._broker = MemoryBroker()
         self._bus = Bus(MemoryTransport(self._broker), "test")
         self._actions = self._bus.inbox((ACTION, TAKEOVER), keep_all=True)
@@ -130,7 +132,7 @@ class Fleet:
 
     def start(self, service: str) -> None:
         """A new process of a service, which says its setup."""
-        node, setup = built(service, self._model, self._controller)
+        node, setup = built(service, self._model, self._controller, self._zones)
         bus = Bus(MemoryTransport(self._broker), "test")
         self._loops[service] = (bus, ServiceLoop(node, bus, clock=lambda: self.now))
         bus.publish(SETUP, NO_ROBOT, setup, service)
@@ -139,6 +141,12 @@ class Fleet:
         """Ends a service in the middle of whatever it did."""
         if service in self._loops:
             self._loops.pop(service)[0].close()
+
+    def order(self, *switches: str, who: str) -> None:
+        """Somebody switches sources and zones of perception."""
+        node = self._loops["perception"][1]._node
+        assert isinstance(node, PerceptionNode)
+        assert node.switches.answer(ROBOT, Request(do="switch", switches=switches, who=who)).ok
 
     def say(self, message: ModelMessage) -> None:
         """One step of a change of the model, as the diagnosis would say it."""
@@ -174,6 +182,28 @@ class Fleet:
                     at = round(1e9 * (1_700_000_000 + item.at))
                     recorder.write(item.key, item.payload, at, at)
         return path
+
+
+def driven(fleet: Fleet, ticks: int, events: Sequence[tuple[int, str, str, int]] = ()) -> Fleet:
+    """Drives through a story: (tick, what, service, for how many ticks)."""
+    stalls: dict[str, int] = {}
+    dead: dict[str, int] = {}
+    for tick in range(ticks):
+        for at, what, service, length in events:
+            if at != tick:
+                continue
+            if what == "stall":
+                stalls[service] = tick + length
+            elif what == "robot":
+                fleet.start_robot()
+            else:
+                fleet.kill(service)
+                dead[service] = tick + (length if what == "kill" else 0)
+        for service in [name for name, until in dead.items() if tick >= until]:
+            fleet.start(service)
+            del dead[service]
+        fleet.tick(frozenset(name for name, until in stalls.items() if tick < until))
+    return fleet
 
 
 @pytest.fixture(scope="session")

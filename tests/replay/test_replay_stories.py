@@ -11,15 +11,14 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.replay.conftest import driven
 
-from safedpa.bus import LATENT, STATE, SURROUNDINGS, VERDICT, WISH, ModelMessage, VerdictMessage
+from safedpa.bus import LATENT, STATE, VERDICT, WISH, ModelMessage, VerdictMessage
 from safedpa.errors import RunError
 from safedpa.records import McapRecorder
 from safedpa.replay.gaps import gaps_of
 from safedpa.replay.replay import Replay, replay
 from safedpa.replay.tape import RobotTape, read_tape
-from safedpa_sim.sensing import Laser, LaserSettings
-from safedpa_sim.sensing.senses import Senses
 
 SERVICES = ("adaptation", "policy", "safety_filter")
 EVENTS = st.lists(
@@ -31,28 +30,6 @@ EVENTS = st.lists(
     ),
     max_size=5,
 )
-
-
-def driven(fleet: Any, ticks: int, events: list[tuple[int, str, str, int]] = ()) -> Any:  # type: ignore[assignment]
-    """Drives through a story: (tick, what, service, for how many ticks)."""
-    stalls: dict[str, int] = {}
-    dead: dict[str, int] = {}
-    for tick in range(ticks):
-        for at, what, service, length in events:
-            if at != tick:
-                continue
-            if what == "stall":
-                stalls[service] = tick + length
-            elif what == "robot":
-                fleet.start_robot()
-            else:
-                fleet.kill(service)
-                dead[service] = tick + (length if what == "kill" else 0)
-        for service in [name for name, until in dead.items() if tick >= until]:
-            fleet.start(service)
-            del dead[service]
-        fleet.tick(frozenset(name for name, until in stalls.items() if tick < until))
-    return fleet
 
 
 def replayed(path: Path) -> tuple[RobotTape, Replay]:
@@ -102,24 +79,6 @@ def test_a_change_of_the_model_replays_with_all_that_follows_it(
     }
     assert len(models) == 2
     assert found.exact, [part.differing[:3] or part.spans for part in found.services]
-
-
-@pytest.mark.parametrize("events", [[], [(20, "stall", "perception", 3), (40, "kill", "perception", 12)]])
-def test_a_drive_with_a_laser_replays_from_what_was_seen(
-    fleet_of: Any, tmp_path: Path, events: list[tuple[int, str, str, int]]
-) -> None:
-    """The verdicts use the surroundings that were recorded; what perception made of the scans is believed."""
-    fleet = fleet_of(load="none", senses=lambda: Senses((Laser(LaserSettings(), 3),)))
-    path = driven(fleet, 90, events).record(tmp_path / "seen.mcap")
-    tape, found = replayed(path)
-    assert len(tape.computed["perception"]) > 70
-    by_name = {part.service: part for part in found.services}
-    assert by_name["safety_filter"].compared["verdict"] >= 85
-    assert found.exact
-    seen = next(entry for entry in tape.computed["perception"] if entry.message.tick == 60)
-    key = (SURROUNDINGS, seen.message.epoch, 60, seen.message.publish_time)
-    tape.named[key] = dataclasses.replace(seen.message, movers=((1e-3, 0.0, 9.0, 0.0, 0.0, 1.5),))
-    assert not replay(tape).agrees, "another thing that was seen makes another verdict"
 
 
 def test_a_verdict_that_was_changed_afterwards_is_found(fleet_of: Any, tmp_path: Path) -> None:

@@ -116,12 +116,14 @@ class NowPage:
 
 
 def _sources_line(names: Sequence[str], seen: SurroundingsMessage) -> list[str]:
-    """How old what each source measured is, and what is wrong with one."""
+    """How old what each source measured is, what is wrong with one, and what a person marked and switched."""
     ages = [
         f"{name} {'never heard' if age < 0.0 else f'{age:.2f} s old'}"
         for name, age in zip(names, seen.ages, strict=False)
     ]
-    return [*ages, *seen.amiss]
+    zones = [f"zones: {', '.join(seen.zones)}"] if seen.zones else []
+    ordered = [f"switched: {seen.ordered}"] if seen.ordered else []
+    return [*ages, *seen.amiss, *zones, *ordered]
 
 
 def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> Page:

@@ -169,13 +169,26 @@ _KINDS = ("points", "movers", "hidden")
 
 
 def seen_entries(seen: SurroundingsMessage) -> list[Entry]:
-    """Discs at rest, of what may move and rings where somebody may hide, each as wide as is told."""
+    """Discs at rest, of what may move and rings where somebody may hide, each as wide as is told; zones as they are."""
     points, movers, hidden = (_discs(getattr(seen, name)) for name in _KINDS)
     return [
         Entry(("world", "seen", "at_rest"), Discs(*points, GREY)),
         Entry(("world", "seen", "hidden"), Rings(*hidden, faded(PURPLE, 0.55), 0.008)),
         Entry(("world", "seen", "may_move"), Discs(*movers, faded(VERMILLION, 0.75))),
+        Entry(("world", "seen", "zones"), _zones(seen)),
     ]
+
+
+def _zones(seen: SurroundingsMessage) -> Lines:
+    """The border of each zone that counts: of a closed one as of what is in the way, of an ignored one as of nothing
+    that is believed."""
+    strips, colours = [], []
+    for number, name in enumerate(seen.zones):
+        corners = [(row[1], row[2]) for row in seen.borders if len(row) == 3 and row[0] == number]
+        if len(corners) > 2 and all(drawable(*corner) for corner in corners):
+            strips.append((*corners, corners[0]))
+            colours.append(INK if name.startswith("closed") else SKY)
+    return Lines(tuple(strips), tuple(colours), 0.02)
 
 
 def holding_entry(active: Sequence[str], seen: SurroundingsMessage | None, robot: Point | None) -> Entry:

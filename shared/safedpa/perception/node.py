@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from functools import partial
 from pathlib import Path
 from typing import final
@@ -26,6 +27,11 @@ from safedpa.perception.zones import InForce
 
 __all__ = ["PerceptionNode"]
 
+Rows = tuple[tuple[float, ...], ...]
+
+_MOST_HEARD = 256
+"""Scans whose numbers are told of one tick at most."""
+
 
 @final
 class PerceptionNode(AbstractNode):
@@ -45,10 +51,15 @@ class PerceptionNode(AbstractNode):
         self._robots: dict[str, Surroundings] = {}
         self._in_force: dict[str, InForce] = {}
         """By robot, as of its last tick."""
+        self._heard: dict[str, deque[tuple[int, str, int]]] = {}
+        """By robot: epoch, source and number of each scan that came since its last tick."""
 
     def hear(self, robot: str, message: Message) -> None:  # noqa: D102
         assert isinstance(message, ScanMessage)
         self._of(robot).hear(message)
+        self._heard.setdefault(robot, deque(maxlen=_MOST_HEARD)).append(
+            (message.epoch, message.source, message.number)
+        )
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del inputs
@@ -69,8 +80,20 @@ class PerceptionNode(AbstractNode):
             hidden=seen.hidden,
             ages=around.sources.ages(state.robot_time),
             amiss=around.sources.amiss(state.robot_time),
+            scans=self._scans(robot, state),
+            off=tuple(name for name in state.sources if name in in_force.off),
+            zones=in_force.names,
+            borders=in_force.borders((state.values[0], state.values[1], state.values[2])),
+            ordered=in_force.ordered,
         )
         return {SURROUNDINGS: message}
+
+    def _scans(self, robot: str, state: StateMessage) -> Rows:
+        return tuple(
+            (float(state.sources.index(name)), float(number))
+            for epoch, name, number in self._heard.pop(robot, ())
+            if epoch == state.epoch and name in state.sources
+        )
 
     def _tell(self, robot: str, state: StateMessage, now: InForce) -> None:
         """What takes something away from what is told: when a robot is met, and when somebody switched."""
@@ -97,9 +120,11 @@ class PerceptionNode(AbstractNode):
         """Nothing: the filter brakes. What is remembered may be broken and begins anew."""
         del state, reason
         self._robots.pop(robot, None)
+        self._heard.pop(robot, None)
         return {}
 
     def forget(self, robot: str) -> None:  # noqa: D102
         self._robots.pop(robot, None)
         self._in_force.pop(robot, None)
+        self._heard.pop(robot, None)
         self.switches.forget(robot)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import final
 
 from safedpa.bus.wire.requests import Answer, Request
 from safedpa.errors import InputError, did_you_mean
+from safedpa.limits import readable
 from safedpa.perception.kept_switches import EVERY_SOURCE, keep_in, kept_in
 from safedpa.perception.settings import PerceptionSettings
 from safedpa.perception.zones import InForce
@@ -20,6 +21,8 @@ _WHAT = ("source", "zone")
 _SETS = {"on": True, "off": False}
 _Switched = Mapping[tuple[str, str], bool]
 """By ``source`` or ``zone`` and its name: whether it counts."""
+_LONGEST_NAME = 60
+"""Letters of who ordered."""
 _MOST_SWITCHES = 64
 """Of one order."""
 
@@ -42,17 +45,37 @@ class Switches:
             robot: MappingProxyType(self._lasting(own)) for robot, own in kept.items()
         }
         """By robot; each replaced as a whole, so that a tick reads it without waiting."""
+        self._who: dict[str, str] = {}
+        """By robot: who ordered last."""
         self._met: dict[str, tuple[tuple[str, ...], int]] = {}
         """By robot: its sources, and its newest tick."""
+        self._replayed: dict[str, InForce] = {}
 
     def in_force(self, robot: str, sources: tuple[str, ...], tick: int) -> InForce:
         """What counts for ``robot`` in this tick, whose state names ``sources``."""
         self._met[robot] = sources, tick
+        if robot in self._replayed:
+            return self._replayed[robot]
         told = self._counts(robot)
         return InForce(
             frozenset(name for name in sources if not told["source", name]),
             tuple(zone for zone in self._settings.zones if told.get(("zone", zone.name))),
+            self._told_of_orders(robot),
         )
+
+    def replay(self, robot: str, off: Collection[str], zones: Collection[str], ordered: str) -> None:
+        """From now on what a recording says: sources that are off, kind and name of the zones that count."""
+        known = InForce(frozenset(off), self._settings.zones)
+        counting = (zone for zone, name in zip(known.zones, known.names, strict=True) if name in zones)
+        self._replayed[robot] = InForce(known.off, tuple(counting), ordered)
+
+    def _told_of_orders(self, robot: str) -> str:
+        """What was ordered for a robot, with who did; empty: nothing was."""
+        told = "; ".join(filter(None, (_listed(self._ordered.get(name, {})) for name in ("-", robot))))
+        if not told:
+            return ""
+        who = self._who.get(robot, "")
+        return f"{told}, {f'by {who}' if who else 'before perception was started'}"
 
     def forget(self, robot: str) -> None:
         """That it was met; what was ordered for it stays."""
@@ -86,6 +109,7 @@ class Switches:
             if request.do == "status":
                 return Answer(ok=True, sentence=f"robot '{robot}': {_listed(before)}{_blind(before)}")
             wanted = _wanted(request.switches, before)
+            self._who[robot] = readable(request.who, _LONGEST_NAME) or "somebody without a name"
             self._ordered[robot] = MappingProxyType({**self._ordered.get(robot, {}), **wanted})
             changes = ", ".join(
                 f"{what} {name} {_word(counts)} (was {_word(before[what, name])})"

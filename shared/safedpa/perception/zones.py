@@ -38,6 +38,8 @@ Corners = tuple[tuple[float, float], ...]
 KINDS, FRAMES = ("ignored", "closed"), ("map", "robot")
 _FEWEST, _MOST = 3, 64
 """Vertices of a polygon."""
+_MOST_TOLD = 512
+"""Vertices of all zones that are told for pictures: 14 KB in each message."""
 _FARTHEST = 1e5
 """m; as far from its frame's origin may a vertex be."""
 _SMALLEST = 1e-6
@@ -134,6 +136,23 @@ class InForce:
     off: frozenset[str] = frozenset()
     """Names of its sources that are not listened to."""
     zones: tuple[Zone, ...] = ()
+    ordered: str = ""
+    """What differs from the file by orders, and who gave the last one; empty: nothing does."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Kind and name of each zone."""
+        return tuple(f"{zone.kind} {zone.name}" for zone in self.zones)
+
+    def borders(self, pose: Pose) -> tuple[tuple[float, float, float], ...]:
+        """(vertices, 3): which of the zones, x and y [m], for a robot at ``pose``; of the first zones that have
+        _MOST_TOLD vertices together."""
+        rows: list[tuple[float, float, float]] = []
+        for number, zone in enumerate(self.zones):
+            if len(rows) + len(zone.polygon) > _MOST_TOLD:
+                break
+            rows += [(float(number), x, y) for x, y in zone.corners(pose).tolist()]
+        return tuple(rows)
 
     def of_kind(self, kind: str, speed: float | None) -> tuple[Zone, ...]:
         """Its zones of a kind at a speed [m/s]."""

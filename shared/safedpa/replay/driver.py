@@ -28,10 +28,12 @@ from safedpa.bus import (
     SetupMessage,
     Stale,
     StateMessage,
+    SurroundingsMessage,
     Topic,
     VerdictMessage,
 )
 from safedpa.errors import InputError
+from safedpa.perception import PerceptionNode
 from safedpa.replay.tape import Entry, RobotTape, Stamp
 from safedpa.safety.node import SafetyFilterNode
 
@@ -215,11 +217,29 @@ class Driver:
         inputs, missing = self._inputs(node, state, message)
         if isinstance(node, SafetyFilterNode) and isinstance(message, VerdictMessage):
             node.orders.end(message.ordered)  # by whom and for whom it was does not matter to the decision
+        if isinstance(node, PerceptionNode):
+            missing = missing or self._sense(node, state, message)
         outputs = self._computed(node, state, inputs)
         self._overrule.done(state, outputs)
         if message is None:
             self._made_up |= {(topic, state.epoch, state.tick): item for topic, item in outputs.items()}
         return Driven(state, message, outputs, unknown or missing)
+
+    def _sense(self, node: PerceptionNode, state: StateMessage, message: ComputedMessage | None) -> str:
+        """Lets perception hear the scans that it had heard, with what counted then; what is missing of that."""
+        if not isinstance(message, SurroundingsMessage):
+            return "which scans it had heard is not recorded"
+        node.switches.replay(self._tape.robot, message.off, message.zones, message.ordered)
+        missing = ""
+        for index, number in message.scans:
+            source = state.sources[int(index)] if 0 <= index < len(state.sources) else ""
+            scan = self._tape.scan(state.epoch, source, int(number))
+            if scan is None:
+                missing = f"scan {number:g} of {source or 'a source that the state does not name'} was not recorded"
+                continue
+            with contextlib.suppress(InputError):  # as in the loop: what is no scan is refused
+                node.hear(self._tape.robot, scan)
+        return missing
 
     def _computed(self, node: AbstractNode, state: StateMessage, inputs: Inputs) -> dict[Topic, Message]:
         """Step and what comes after it; where they fail, as the service's loop does it."""

@@ -6,7 +6,20 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from safedpa.bus import ACTION, LATENT, VERDICT, WISH, ActionMessage, Message, StateMessage, Topic, VerdictMessage
+from safedpa.bus import (
+    ACTION,
+    LATENT,
+    SURROUNDINGS,
+    VERDICT,
+    WISH,
+    ActionMessage,
+    Message,
+    StateMessage,
+    SurroundingsMessage,
+    Topic,
+    VerdictMessage,
+)
+from safedpa.perception import PerceptionNode
 from safedpa.replay.comparison import TOLERANCE, Difference, differences
 from safedpa.replay.driver import Driven, Driver
 from safedpa.replay.setups import REPLAYED, node_of
@@ -19,6 +32,8 @@ _AGREED = 20
 
 _STATISTICS = frozenset({"coverage"})
 """Shares of the last 500 steps: where some of these were unknown they tell another number, and decide nothing."""
+_TOPICS = {PerceptionNode.name: SURROUNDINGS, "adaptation": LATENT, "policy": WISH, "safety_filter": VERDICT}
+"""What each service computes."""
 
 
 @dataclass
@@ -96,11 +111,16 @@ def replay(
     """
     found = []
     made_up: dict[tuple[Topic, int, int], Message] = {}
-    for service in REPLAYED:
+    for service in (*((PerceptionNode.name,) if _told_of_scans(tape) else ()), *REPLAYED):
         if tape.computed[service] and tape.setups.get(service):
             steps = Driver(tape, service, lambda setup: node_of(setup, folders), made_up=made_up).run()
             found.append(_Judge(tape, service, window, tolerance).judged(steps, tell))
     return Replay(found)
+
+
+def _told_of_scans(tape: RobotTape) -> bool:
+    """Whether perception told which scans it had heard; what older programs made of them is believed."""
+    return "scans" in tape.fields.get(SurroundingsMessage, frozenset())
 
 
 _Judged = list[tuple[Topic, list[Difference]]]
@@ -177,7 +197,7 @@ class _Judge:
     def _pairs(self, step: Driven) -> Iterator[tuple[Topic, Message, Message | None]]:
         """Topic, recorded and replayed message of a step; the action belongs to its verdict."""
         recorded = step.recorded
-        topic = {"adaptation": LATENT, "policy": WISH, "safety_filter": VERDICT}[self._found.service]
+        topic = _TOPICS[self._found.service]
         assert recorded is not None
         yield topic, recorded, step.outputs.get(topic)
         if isinstance(recorded, VerdictMessage):

@@ -16,6 +16,7 @@ from safedpa.dynamics import PhysicsModel, fingerprint, load_model, parse_model,
 from safedpa.dynamics.model_setup import model_setup
 from safedpa.errors import InputError
 from safedpa.limits import parse_toml
+from safedpa.perception import PerceptionNode, parse_perception
 from safedpa.policy import PolicyNode
 from safedpa.replay.tape import RobotTape, options_of
 from safedpa.safety.margin_text import margin_from_text, margin_text
@@ -26,14 +27,17 @@ from safedpa.safety.shipped import margin_for, settings_named
 __all__ = ["REPLAYED", "complete_setups", "model_of_document", "node_of"]
 
 REPLAYED = ("adaptation", "policy", "safety_filter")
-"""Services whose outputs a replay computes, in the order of the data flow."""
+"""Services that know a model and whose outputs a replay computes, in the order of the data flow; before them, where a
+robot has sensors, perception."""
 
 
 def node_of(setup: SetupMessage, folders: tuple[Path, ...] = ()) -> AbstractNode:
-    """The node that runs with a setup of one of ``REPLAYED``; weights are sought in ``folders``, too.
+    """The node that runs with a setup of one of ``REPLAYED`` or of perception; weights are sought in ``folders``, too.
 
     Raises InputError when something in it is broken, or the weights are not to be found.
     """
+    if setup.service == PerceptionNode.name:
+        return PerceptionNode(parse_perception(setup.settings))
     model = model_of_document(setup.document, (*folders, *_own_folder(setup)))
     if setup.service == "adaptation":
         return AdaptationNode(model)
@@ -42,7 +46,7 @@ def node_of(setup: SetupMessage, folders: tuple[Path, ...] = ()) -> AbstractNode
     if setup.service == "safety_filter":
         margin = margin_from_text(setup.margin) if setup.margin else None
         return SafetyFilterNode(model, parse_settings(setup.settings), margin)
-    raise InputError(f"service '{setup.service}': wanted one of {', '.join(REPLAYED)}")
+    raise InputError(f"service '{setup.service}': wanted one of {', '.join(REPLAYED)} or {PerceptionNode.name}")
 
 
 def model_of_document(document: str, folders: tuple[Path, ...] = ()) -> PhysicsModel:

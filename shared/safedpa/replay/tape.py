@@ -26,6 +26,7 @@ from safedpa.bus import (
     LatentMessage,
     Message,
     ModelMessage,
+    ScanMessage,
     SetupMessage,
     StateMessage,
     SurroundingsMessage,
@@ -34,6 +35,7 @@ from safedpa.bus import (
     VerdictMessage,
     WishMessage,
     decode,
+    encode,
     topic_of,
 )
 from safedpa.errors import InputError, MessageError, RunError, did_you_mean
@@ -96,6 +98,8 @@ class RobotTape:
     setups: dict[str, list[tuple[int, SetupMessage]]] = field(default_factory=dict)
     """By service, with the time of recording, each instance once."""
     asked: list[AskedMessage] = field(default_factory=list)
+    scans: dict[tuple[int, str, int], bytes] = field(default_factory=dict)
+    """By epoch, source and number, as they were recorded: numbers take four times the room."""
     fields: dict[type[Message], frozenset[str]] = field(default_factory=dict)
     """Which fields the recorded messages have: older programs had fewer."""
     findings: list[Finding] = field(default_factory=list)
@@ -119,6 +123,13 @@ class RobotTape:
             self.takeovers.setdefault(message.service, []).append(message)
         elif isinstance(message, AskedMessage):
             self.asked.append(message)
+        elif isinstance(message, ScanMessage):
+            self.scans[message.epoch, message.source, message.number] = encode(message)
+
+    def scan(self, epoch: int, source: str, number: int) -> ScanMessage | None:
+        """One of the robot's scans; None where it was not recorded."""
+        payload = self.scans.get((epoch, source, number))
+        return None if payload is None else decode(ScanMessage, payload)
 
     def _add_computed(self, at: int, message: ComputedMessage) -> None:
         sender, topic = _SENDERS[type(message)]

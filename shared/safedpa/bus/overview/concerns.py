@@ -97,8 +97,11 @@ def _about_verdict(robot: RobotOverview, now: float) -> Iterator[Concern]:
     elif verdict.status == "violated" or verdict.h_now < 0.0:
         sentence = f"unsafe now: h {verdict.h_now:+.3f}"
         yield Concern("trouble", sentence, name, "safety_filter", "outside", -verdict.h_now)
-    for wrong in () if robot.seen is None else robot.seen.amiss:
-        yield Concern("trouble", wrong, name, "perception")
+    if robot.seen is not None:
+        for wrong in robot.seen.amiss:
+            yield Concern("trouble", wrong, name, "perception")
+        if robot.seen.ordered:
+            yield Concern("attention", f"switched: {robot.seen.ordered}", name, "perception")
     if verdict.standstill:
         sentence = f"stands for {verdict.stands:.0f} s, {verdict.standstill}"
         yield Concern("attention", sentence, name, "safety_filter", "stands", verdict.stands)

@@ -176,6 +176,17 @@ class SurroundingsMessage(ComputedMessage):
     that is switched off, the age of the oldest of the others: what is told rests on those."""
     amiss: tuple[str, ...] = ()
     """What is wrong with a source, a sentence each; while there is one, what is told here is not believed."""
+    scans: Rows = ()
+    """(scans, 2): of each scan that was heard since the step before, in the order in which they came, which of the
+    state's sources it is from and its number."""
+    off: tuple[str, ...] = ()
+    """Sources that are not listened to."""
+    zones: tuple[str, ...] = ()
+    """Kind and name of each zone that a person marked and that counts, such as ``closed dock``."""
+    borders: Rows = ()
+    """(vertices, 3): which of the zones, x and y in m; of so many zones as have 512 vertices, for pictures only."""
+    ordered: str = ""
+    """What a person switched while perception runs, and who it was last; empty: all is as its file says."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,0 +1,162 @@
+"""What perception made of the scans comes out again, by the orders that held then; what it had not heard is said."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.replay.conftest import driven
+
+from safedpa.bus import SCAN, SURROUNDINGS, Received, ScanMessage, SurroundingsMessage, decode, encode
+from safedpa.replay.replay import Replay, ServiceReplay, replay
+from safedpa.replay.tape import RobotTape, read_tape
+from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.senses import Senses
+
+ZONES = """
+[[zones]]
+name = "wet"
+kind = "closed"
+frame = "map"
+polygon = [[1.0, -0.5], [2.0, -0.5], [2.0, 0.5], [1.0, 0.5]]
+use = false
+
+[[zones]]
+name = "arm"
+kind = "ignored"
+frame = "robot"
+polygon = [[0.2, -0.2], [0.6, -0.2], [0.6, 0.2]]
+speed = [0.0, 0.4]
+"""
+EVENTS = st.lists(
+    st.tuples(
+        st.integers(2, 40),
+        st.sampled_from(["kill", "restart", "stall", "robot"]),
+        st.sampled_from(["perception", "safety_filter", "policy"]),
+        st.integers(1, 6),
+    ),
+    max_size=4,
+)
+
+
+def two_lasers() -> Senses:
+    """One that turns quickly, and one that looks ahead and is late."""
+    return Senses((Laser(LaserSettings(), 3), Laser(LaserSettings(name="front", rays=90, rate=15.0, latency=0.12), 4)))
+
+
+@pytest.fixture
+def fleet(fleet_of: Any) -> Any:
+    return fleet_of(load="none", senses=two_lasers, zones=ZONES)
+
+
+def of_perception(found: Replay) -> ServiceReplay:
+    return next(part for part in found.services if part.service == "perception")
+
+
+def replayed(fleet: Any, path: Path, keep: Any = lambda _: True) -> tuple[RobotTape, Replay]:
+    tape = read_tape([fleet.record(path, keep)])
+    return tape, replay(tape)
+
+
+def told(tape: RobotTape) -> list[SurroundingsMessage]:
+    found = [entry.message for entry in tape.computed["perception"]]
+    assert all(isinstance(message, SurroundingsMessage) for message in found)
+    return found  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("events", [[], [(20, "stall", "perception", 3), (40, "kill", "perception", 12)]])
+def test_what_is_seen_comes_out_again(fleet: Any, tmp_path: Path, events: list[tuple[int, str, str, int]]) -> None:
+    tape, found = replayed(driven(fleet, 90, events), tmp_path / "seen.mcap")
+    assert found.exact, of_perception(found).differing[:3]
+    assert of_perception(found).compared["surroundings"] == len(told(tape)) > 70
+    assert {name for message in told(tape) for name in map(int, (row[0] for row in message.scans))} == {0, 1}
+    by_name = {part.service: part for part in found.services}
+    assert by_name["safety_filter"].compared["verdict"] >= 85
+    seen = next(message for message in told(tape) if message.tick == 60)
+    key = (SURROUNDINGS, seen.epoch, 60, seen.publish_time)
+    tape.named[key] = dataclasses.replace(seen, movers=((1e-3, 0.0, 9.0, 0.0, 0.0, 1.5),))
+    assert not replay(tape).agrees, "another thing that was seen makes another verdict"
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(events=EVENTS)
+def test_whatever_befalls_the_services(fleet_of: Any, tmp_path: Path, events: list[tuple[int, str, str, int]]) -> None:
+    fleet = fleet_of(load="none", senses=two_lasers, zones=ZONES)
+    _, found = replayed(driven(fleet, 50, events), tmp_path / "seen.mcap")
+    assert not of_perception(found).differing
+    assert found.agrees or of_perception(found).spans
+
+
+def test_orders_hold_in_the_replay_from_their_tick_on_and_the_recording_says_whose(fleet: Any, tmp_path: Path) -> None:
+    driven(fleet, 20)
+    fleet.order("source front=off", "zone wet=on", who="Ada")
+    driven(fleet, 20)
+    fleet.order("source front=on", "zone arm=off", who="Grace\n")
+    driven(fleet, 20)
+    tape, found = replayed(fleet, tmp_path / "ordered.mcap")
+    assert found.exact, of_perception(found).differing[:3]
+    first, second, third = (told(tape)[tick] for tick in (10, 30, 50))
+    assert (first.off, first.zones, first.ordered) == ((), ("ignored arm",), "")
+    assert second.off == ("front",)
+    assert second.zones == ("closed wet", "ignored arm")
+    assert second.ordered == "source front off, zone wet on, by Ada"
+    assert third.zones == ("closed wet",)
+    assert third.ordered.startswith("source front on, zone wet on, zone arm off, by Grace")
+    assert third.ordered.isprintable()
+    assert [row[1:] for row in second.borders if row[0] == 0.0] == [(1.0, -0.5), (2.0, -0.5), (2.0, 0.5), (1.0, 0.5)]
+    tape.computed["perception"] = [
+        dataclasses.replace(entry, message=dataclasses.replace(entry.message, zones=("ignored arm",)))
+        for entry in tape.computed["perception"]
+    ]
+    forged = of_perception(replay(tape)).differing
+    assert {item.field for item in forged} >= {"points"}, "what is closed is told as discs"
+
+
+def test_a_scan_that_was_not_recorded_is_said_and_holds_nothing_against_perception(fleet: Any, tmp_path: Path) -> None:
+    def keep(item: Received) -> bool:
+        scan = item.topic is SCAN and decode(ScanMessage, item.payload)
+        return not (isinstance(scan, ScanMessage) and scan.source == "front" and scan.number == 12)
+
+    _, found = replayed(driven(fleet, 60), tmp_path / "lost.mcap", keep)
+    part = of_perception(found)
+    assert [span.reason for span in part.spans] == ["scan 12 of front was not recorded"]
+    assert not part.differing
+
+
+def test_what_older_programs_saw_is_believed(fleet: Any, tmp_path: Path) -> None:
+    path = driven(fleet, 30).record(tmp_path / "older.mcap")
+    tape = read_tape([path])
+    tape.fields[SurroundingsMessage] = tape.fields[SurroundingsMessage] - {
+        "scans",
+        "off",
+        "zones",
+        "borders",
+        "ordered",
+    }
+    found = replay(tape)
+    assert [part.service for part in found.services] == ["adaptation", "policy", "safety_filter"]
+    assert found.exact
+
+
+def test_as_many_borders_are_told_as_fit_into_a_message() -> None:
+    from safedpa.perception.zones import InForce, Zone
+
+    ring = tuple((0.1 * number, float(number % 2)) for number in range(0, 40))
+    wave = (*ring, (4.0, 9.0), (0.0, 9.0))
+    zones = tuple(Zone(f"z{number}", "ignored", wave) for number in range(64))
+    counting = InForce(zones=zones)
+    borders = counting.borders((0.0, 0.0, 0.0))
+    assert 400 < len(borders) <= 512
+    assert {row[0] for row in borders} == set(map(float, range(len(borders) // len(wave))))
+    assert len(counting.names) == 64
+    stamp = {"epoch": 1, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}
+    disc = tuple((1 / 3, 1 / 3, 1 / 3) for _ in range(256))
+    message = SurroundingsMessage(
+        **stamp, points=disc, movers=tuple(row * 2 for row in disc), hidden=tuple((*row, 1 / 3) for row in disc),
+        ages=(0.1,), zones=counting.names, borders=borders,
+    )  # fmt: skip
+    assert len(encode(message)) < SURROUNDINGS.largest_bytes
