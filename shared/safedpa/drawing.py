@@ -38,6 +38,8 @@ class Lines:
     """One for all, or one for each."""
     width: float
     """m."""
+    on_top: bool = False
+    """Whether they are drawn over discs."""
 
 
 Shape = Discs | Rings | Lines

@@ -151,8 +151,9 @@ def _archetype(shape: Shape, at: float, *, static: bool) -> Any:  # noqa: PLR091
             return rr.Ellipses2D(
                 centers=_points(centres), half_sizes=sizes, colors=_colours((colour,)), line_radii=[width]
             )
-        case Lines(strips, colours, width):
-            return rr.LineStrips2D([_points(strip) for strip in strips], colors=_colours(colours), radii=[width])
+        case Lines(strips, colours, width, on_top):
+            points, order = [_points(strip) for strip in strips], _OVER_DISCS if on_top else None
+            return rr.LineStrips2D(points, colors=_colours(colours), radii=[width], draw_order=order)
         case Curves(values, names, colours, widths):
             if static:
                 return rr.SeriesLines(names=list(names), colors=_colours(colours), widths=list(widths))
@@ -182,6 +183,8 @@ def _points(points: tuple[tuple[float, float], ...]) -> Any:
 
 
 _TIME_LINE = "t"
+_OVER_DISCS = 35.0
+"""Rerun draws lines at 20, points at 30."""
 _MOST_TABS = 8
 """Robots with a tab; of further ones everything is recorded, and a pane can be added by hand."""
 

@@ -188,7 +188,7 @@ def _zones(seen: SurroundingsMessage) -> Lines:
         if len(corners) > 2 and all(drawable(*corner) for corner in corners):
             strips.append((*corners, corners[0]))
             colours.append(INK if name.startswith("closed") else SKY)
-    return Lines(tuple(strips), tuple(colours), 0.02)
+    return Lines(tuple(strips), tuple(colours), 0.02, on_top=True)
 
 
 def holding_entry(active: Sequence[str], seen: SurroundingsMessage | None, robot: Point | None) -> Entry:
@@ -196,7 +196,7 @@ def holding_entry(active: Sequence[str], seen: SurroundingsMessage | None, robot
     ends = [place for name in active for place in _named(name, seen)]
     strips = () if robot is None else tuple((robot, end) for end in ends)
     colours = tuple(INK if _kind(name) == _KINDS[0] else ORANGE for name in active if _named(name, seen))
-    return Entry(("world", "seen", "holds_back"), Lines(strips, colours[: len(strips)], 0.012))
+    return Entry(("world", "seen", "holds_back"), Lines(strips, colours[: len(strips)], 0.012, on_top=True))
 
 
 def _named(name: str, seen: SurroundingsMessage | None) -> list[Point]:
