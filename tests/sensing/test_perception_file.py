@@ -64,9 +64,15 @@ def test_nothing_in_the_file_is_what_is_without_one() -> None:
     assert parse_perception("") == PerceptionSettings()
 
 
-def test_the_file_on_the_page_is_one() -> None:
+def test_the_file_on_the_page_is_one(tmp_path: Path) -> None:
     block = PAGE.read_text().split("```toml\n")[1].split("```")[0]
-    settings = parse_perception(block)
+    (tmp_path / "perception.toml").write_text(block, encoding="utf-8")
+    (tmp_path / "keepout.yaml").write_text(
+        "image: keepout.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n", encoding="utf-8"
+    )
+    (tmp_path / "keepout.pgm").write_bytes(b"P5\n2 1\n255\n\x00\xfe")
+    settings, _ = load_perception(tmp_path / "perception.toml")
+    assert [zone.name for zone in settings.zones if zone.cells] == ["walls"]
     assert {zone.kind for zone in settings.zones} == {"ignored", "closed"}
     assert settings.sources
 

@@ -38,6 +38,7 @@ TABLE: dict[str, Limit] = {
         Limit("toml_depth", 12, "brackets within brackets in TOML", "files of our own have 2"),
         Limit("toml_dots", 12, "parts of one dotted key in TOML", "time grows with their square; our own have 1"),
         Limit("digits", 100, "digits of one number in TOML or JSON", "one of 64 bits has at most 17 that count"),
+        Limit("map_bytes", 64 * _MEBI, "bytes of the picture of a map", "400 m along each edge at 5 cm a pixel"),
         Limit("json_bytes", 4 * _MEBI, "bytes of a JSON text", "the largest result in the repository has 0.4 MB"),
         Limit("json_depth", 40, "brackets within brackets in JSON", "reports have 7"),
         Limit("offer_bytes", 64 * 1024, "bytes of an offered model, or of its margin", "all effects together: 3 KB"),

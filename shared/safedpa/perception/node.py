@@ -57,9 +57,7 @@ class PerceptionNode(AbstractNode):
     def hear(self, robot: str, message: Message) -> None:  # noqa: D102
         assert isinstance(message, ScanMessage)
         self._of(robot).hear(message)
-        self._heard.setdefault(robot, deque(maxlen=_MOST_HEARD)).append(
-            (message.epoch, message.source, message.number)
-        )
+        self._heard.setdefault(robot, deque(maxlen=_MOST_HEARD)).append((message.epoch, message.source, message.number))
 
     def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:  # noqa: D102
         del inputs
@@ -70,6 +68,7 @@ class PerceptionNode(AbstractNode):
         if in_force != self._in_force.get(robot):
             self._tell(robot, state, in_force)
         seen = around.at(state, in_force)
+        counting = in_force.at(state.values[3] if len(state.values) > 3 else None)
         message = SurroundingsMessage(
             epoch=state.epoch,
             tick=state.tick,
@@ -82,8 +81,8 @@ class PerceptionNode(AbstractNode):
             amiss=around.sources.amiss(state.robot_time),
             scans=self._scans(robot, state),
             off=tuple(name for name in state.sources if name in in_force.off),
-            zones=in_force.names,
-            borders=in_force.borders((state.values[0], state.values[1], state.values[2])),
+            zones=counting.names,
+            borders=counting.borders((state.values[0], state.values[1], state.values[2])),
             ordered=in_force.ordered,
         )
         return {SURROUNDINGS: message}

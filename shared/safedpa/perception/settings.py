@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from math import isfinite
@@ -11,6 +12,7 @@ from typing import Any, final
 
 from safedpa.errors import InputError
 from safedpa.limits import finite_number, parse_toml, refuse_unknown, text_of_file, whole_number
+from safedpa.perception.maps import Cells, read_map
 from safedpa.perception.zones import Zone
 
 __all__ = ["PerceptionSettings", "SourceSettings", "load_perception", "parse_perception"]
@@ -18,6 +20,7 @@ __all__ = ["PerceptionSettings", "SourceSettings", "load_perception", "parse_per
 FORMAT = 1
 _MOST_ZONES = 64
 _MOST_POINTS = 20
+_MAP = re.compile(r"""^[ \t]*map[ \t]*=[ \t]*["']([^"'\n]+)["'][ \t]*(?:#.*)?$""", re.MULTILINE)
 _TIME_OUT = (0.05, 10.0)
 """s"""
 
@@ -121,15 +124,25 @@ def _check(name: str, value: float, low: float, high: float) -> None:
 
 
 def load_perception(path: Path) -> tuple[PerceptionSettings, str]:
-    """The settings in a file, and its text. Raises InputError naming the file and the key."""
+    """The settings in a file, and its text, in which the maps that it names are written out: whoever has the text has
+    all. Raises InputError naming the file and the key."""
     try:
-        text = text_of_file(path, "toml_bytes")
+        text = _with_maps(text_of_file(path, "toml_bytes"), path.parent)
         return parse_perception(text), text
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read ({reason}); docs/sensing-zones.md has a whole file") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _with_maps(text: str, folder: Path) -> str:
+    """The text with the cells of each map in the place of its file's name."""
+
+    def cells(found: re.Match[str]) -> str:
+        return f'cells = "{read_map(folder / found[1]).packed}"'
+
+    return _MAP.sub(cells, text)
 
 
 def parse_perception(text: str) -> PerceptionSettings:
@@ -177,8 +190,10 @@ def _zone(value: Any) -> Zone:
     """One of ``[[zones]]``."""
     table = _table("zones", value)
     where = f"zone {table.get('name', '')}".rstrip()
+    if "map" in table:
+        raise InputError(f"{where}: map: wanted the name of a file in quotes, on a line of its own")
     refuse_unknown(table, [item.name for item in fields(Zone)], f"{where}: ")
-    for key in ("name", "kind", "frame", "polygon"):
+    for key in ("name", "kind", "frame", *(() if "cells" in table else ("polygon",))):
         if key not in table:
             raise InputError(f"{where}: {key}: missing; docs/sensing-zones.md has a whole file")
     given = {key: _value(f"{where}: {key}", "str", table[key]) for key in ("name", "kind", "frame")}
@@ -189,7 +204,17 @@ def _zone(value: Any) -> Zone:
         speed=None if speed is None else _pair(f"{where}: speed", speed, "[lowest, highest] in m/s"),
         robots=tuple(_value(f"{where}: robots", "str", name) for name in _list(where, "robots", table)),
         use=_value(f"{where}: use", "bool", table.get("use", True)),
+        cells=_cells(where, table),
     )
+
+
+def _cells(where: str, table: Mapping[str, Any]) -> Cells | None:
+    if "cells" not in table:
+        return None
+    try:
+        return Cells(_value("cells", "str", table["cells"]))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
 
 
 def _list(where: str, key: str, table: Mapping[str, Any]) -> list[Any]:

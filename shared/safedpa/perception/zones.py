@@ -1,12 +1,14 @@
 """Places that a person marks: where nothing that is seen is told (``ignored``), and where nobody drives (``closed``).
 
+A place is a polygon, or the occupied cells of a map.
+
 What a robot drives with is its file's, changed by orders: ``InForce``.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, cos, isfinite, sin
 from typing import final
 
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.perception.grid import CELL, Grid, grown
+from safedpa.perception.maps import Cells
 from safedpa.perception.odometry import Pose
 
 __all__ = [
@@ -53,7 +56,9 @@ HALF_DIAGONAL = CELL / 2**0.5
 @final
 @dataclass(frozen=True)
 class Zone:
-    """A polygon of ``kind`` in the ``frame`` of the states' positions (``map``) or of the robot's body (``robot``).
+    """A place of ``kind`` in the ``frame`` of the states' positions (``map``) or of the robot's body (``robot``).
+
+    It is a polygon, or, of a closed one in the frame of the map, ``cells``.
 
     Raises InputError naming the zone and what is wrong with it.
     """
@@ -61,7 +66,7 @@ class Zone:
     name: str
     kind: str
     polygon: Corners
-    """(3 to 64, 2) m; vertices in order, either way round, of edges that do not cross."""
+    """(3 to 64, 2) m; vertices in order, either way round, of edges that do not cross. None of a map's cells."""
     frame: str = "map"
     speed: tuple[float, float] | None = None
     """m/s, lowest and highest |speed| of the robot at which it counts; None: at any."""
@@ -69,6 +74,7 @@ class Zone:
     """For which it counts; empty: for all."""
     use: bool = True
     """Whether it counts unless an order says otherwise."""
+    cells: Cells | None = None
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -81,7 +87,13 @@ class Zone:
                 f"zone {self.name}: got a closed zone in the frame of the robot, which it would never get out of; "
                 'wanted frame = "map"'
             )
-        self._check_polygon()
+        if self.cells is None:
+            self._check_polygon()
+        elif self.polygon or (self.kind, self.frame) != ("closed", "map"):
+            raise InputError(
+                f"zone {self.name}: got cells of a map for {self.kind} in the frame of the {self.frame}"
+                f"{' beside a polygon' if self.polygon else ''}; wanted closed, frame = map, and cells alone"
+            )
         low, high = (0.0, 0.0) if self.speed is None else self.speed
         if not (isfinite(low) and isfinite(high) and 0.0 <= low <= high):
             raise InputError(f"zone {self.name}: speed: got {low:g} to {high:g} m/s, wanted 0 or more, the lower first")
@@ -149,10 +161,16 @@ class InForce:
         _MOST_TOLD vertices together."""
         rows: list[tuple[float, float, float]] = []
         for number, zone in enumerate(self.zones):
+            if zone.cells is not None:
+                continue
             if len(rows) + len(zone.polygon) > _MOST_TOLD:
                 break
             rows += [(float(number), x, y) for x, y in zone.corners(pose).tolist()]
         return tuple(rows)
+
+    def at(self, speed: float | None) -> InForce:
+        """With the zones alone that count at a speed [m/s]."""
+        return replace(self, zones=tuple(zone for zone in self.zones if zone.counts_at(speed)))
 
     def of_kind(self, kind: str, speed: float | None) -> tuple[Zone, ...]:
         """Its zones of a kind at a speed [m/s]."""
@@ -313,6 +331,12 @@ def closed_cells(zones: tuple[Zone, ...], column: int, row: int, reach: float) -
     around = ceil(far / CELL)
     places, depths = [np.empty((0, 2))], [np.empty(0)]
     for zone in zones:
+        if zone.cells is not None:
+            cells, layers = zone.cells.near(column, row, around)
+            close = np.sum((cells - here) ** 2, axis=1) * CELL**2 <= far**2
+            places.append(_middles(cells[close]))
+            depths.append(np.maximum((layers[close] + 0.5) * CELL - HALF_DIAGONAL, 0.0))
+            continue
         corners = zone.corners((0.0, 0.0, 0.0))
         cells = _cells(corners, CELL, here - around, here + around)
         cells = cells[np.sum((cells - here) ** 2, axis=1) * CELL**2 <= far**2]
