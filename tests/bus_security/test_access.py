@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from safedpa.bus import TOPICS
 from safedpa.bus.security.access import ROLES, access_control, roles_of, size_limits
+from safedpa.bus.wire.stamp import STAMP_BYTES
 from safedpa.errors import InputError
 
 NAMES = st.lists(st.from_regex(r"[a-z0-9_.][a-z0-9_.-]{0,8}", fullmatch=True), unique=True, max_size=5)

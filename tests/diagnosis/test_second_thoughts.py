@@ -11,10 +11,9 @@ from safedpa.diagnosis.fit.heldout import error_with, heldout_of
 from safedpa.diagnosis.fit.shooting import shooting_of
 from safedpa.diagnosis.fit.trial import tried
 from safedpa.diagnosis.search.beginning import begun
-from safedpa.diagnosis.search.groups import fewer_numbers, split
 from safedpa.diagnosis.search.judgement import Stage, farthest
 from safedpa.diagnosis.search.progress import Judged
-from safedpa.diagnosis.search.revision import united
+from safedpa.diagnosis.search.revision import fewer_numbers, split, united
 from safedpa.diagnosis.search.search import accept
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect

@@ -20,7 +20,7 @@ from safedpa.diagnosis.search.second_opinion import CLEAR_FALL
 from safedpa.effects import AbstractEffect
 
 __all__ = [
-    "HOPELESS", "as_good", "bounded", "exchange", "refit", "removals", "replaced", "smallest", "take_back", "united",
+    "bounded", "exchange", "fewer_numbers", "refit", "removals", "smallest", "split", "take_back", "united",
 ]  # fmt: skip
 
 _EXCHANGED = 4
@@ -32,7 +32,7 @@ _ONE = 1.0
 
 Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4.3.
 """
-HOPELESS = 0.01
+_HOPELESS = 0.01
 """Of the objective by which a rival may be behind when its fit has begun: one in 50 of an error."""
 _NEEDED, _FAR_WORSE = 4.0, 1.5
 """Standard errors, and times the error, from which what is left without an effect is not fitted to the end."""
@@ -93,7 +93,7 @@ def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
     for name in list(search.added):
         others = [by_name[other] for other in search.added if other != name]
         rivals = [by_name[other] for other in search.rivals.get(name, []) if other not in search.added][:_EXCHANGED]
-        enough = search.current.fit.value + HOPELESS
+        enough = search.current.fit.value + _HOPELESS
         tried = [refit(search, [*others, rival], enough) for rival in rivals]
         able = [t for t in tried if t.fit.value <= enough and _uses_its_numbers(t, search)]
         best = min(able, key=lambda t: t.loss, default=None)
@@ -102,7 +102,7 @@ def exchange(search: Search, library: Sequence[AbstractEffect], heldout: Heldout
         new = next(i.name for i in best.fit.model.effects if i.name not in {*search.added, *given_names(search)})
         late = feigned_lateness(replace(best, effects=(new,)), None, search.error, 0.0)
         if block_gain(search.current, best, search.shooting) > SIMPLER and not late:
-            replaced(search, (name,), (new,), best, heldout)
+            _replaced(search, (name,), (new,), best, heldout)
 
 
 def _uses_its_numbers(trial: Trial, search: Search) -> bool:
@@ -118,7 +118,7 @@ def _uses_its_numbers(trial: Trial, search: Search) -> bool:
     return more <= 0 or better > more
 
 
-def replaced(search: Search, group: Sequence[str], new: Sequence[str], best: Trial, heldout: Heldout) -> None:
+def _replaced(search: Search, group: Sequence[str], new: Sequence[str], best: Trial, heldout: Heldout) -> None:
     """Accepted effects give way to others, with which the model is ``best``; the candidates say so."""
     place = search.added.index(group[0])
     search.added[place : place + 1] = new
@@ -227,8 +227,8 @@ def united(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) 
         rest = [by_name[name] for name in search.added if name not in pair]
         for whole in _wholes(search, pair, by_name):
             best = refit(search, [*rest, whole])
-            if as_good(best, search, heldout):
-                replaced(search, pair, (whole.name,), best, heldout)
+            if _as_good(best, search, heldout):
+                _replaced(search, pair, (whole.name,), best, heldout)
                 return True
     return False
 
@@ -244,7 +244,7 @@ def _wholes(search: Search, pair: Sequence[str], by_name: Mapping[str, AbstractE
     return [item for item in found if len(item.parameters) == numbers]
 
 
-def as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
+def _as_good(trial: Trial, search: Search, heldout: Heldout) -> bool:
     """Whether a trial within its bounds predicts unseen blocks and held-out rollouts no worse than the model does."""
     if not trial.fit.free.all() or block_gain(trial, search.current, search.shooting) >= SAME:
         return False
@@ -302,3 +302,60 @@ def take_back(search: Search, group: Sequence[str], why: str = "no longer needed
             decision = "rejected" if gone == set(item.trial.effects) else "accepted"
             reason = f"{' and '.join(sorted(gone))} {why}"
             search.candidates[index] = with_reason(item, decision, reason)
+
+
+def fewer_numbers(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """One or two accepted effects give way to as many of their rivals that predict as well with fewer numbers.
+
+    A rival that says the same with a number less was beaten by rounding, or because the others were not there yet: a
+    towed load whose resistance is none is a payload.
+    """
+    by_name = known_effects(search, library)
+    while True:
+        found = []
+        for group in [group for count in (1, 2) for group in combinations(search.added, count)]:
+            best = _best_instead(search, group, _with_fewer(search, group, by_name), by_name)
+            if best is not None and _as_good(best[0], search, heldout):
+                found.append((group, *best))
+        if not found:
+            return
+        group, trial, names = min(found, key=lambda one: one[1].loss)
+        _replaced(search, group, names, trial, heldout)
+
+
+def split(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """An accepted effect gives way to two of its rivals that pass beside the others in its place: a delay of all
+    actuators stood for a lag of each."""
+    by_name = known_effects(search, library)
+    for name in list(search.added):
+        names = [other for other in search.rivals.get(name, [])[:_EXCHANGED] if other not in search.added]
+        best = _best_instead(search, (name,), list(combinations(names, 2)), by_name)
+        if best is None:
+            continue
+        gain = block_gain(search.current, best[0], search.shooting)
+        error = error_with(best[0].fit, search.shooting, heldout)
+        if best[0].fit.free.all() and passes(gain, error, search.error):
+            _replaced(search, (name,), best[1], best[0], heldout)
+
+
+def _with_fewer(search: Search, group: Sequence[str], by_name: Mapping[str, AbstractEffect]) -> list[tuple[str, ...]]:
+    """As many rivals of some effects, with fewer numbers together."""
+    numbers = sum(len(by_name[name].parameters) for name in group)
+    rivals = dict.fromkeys(rival for name in group for rival in search.rivals.get(name, [])[:_EXCHANGED])
+    names = [name for name in rivals if name not in search.added]
+    found = combinations(names, len(group))
+    return [one for one in found if sum(len(by_name[name].parameters) for name in one) < numbers]
+
+
+def _best_instead(
+    search: Search,
+    group: Sequence[str],
+    instead: Sequence[tuple[str, ...]],
+    by_name: Mapping[str, AbstractEffect],
+) -> tuple[Trial, tuple[str, ...]] | None:
+    """Which of some effects fits best in the place of others, beside the rest; None where none comes near."""
+    rest = [by_name[name] for name in search.added if name not in group]
+    enough = search.current.fit.value + _HOPELESS
+    tried = [(refit(search, [*rest, *map(by_name.__getitem__, names)], enough), names) for names in instead]
+    near = [(trial, names) for trial, names in tried if trial.fit.value <= enough]
+    return min(near, key=lambda pair: pair[0].loss, default=None)

@@ -19,7 +19,6 @@ from safedpa.diagnosis.search.acceptance import accept, settled
 from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.conditions import conditional, of_patch, placed
 from safedpa.diagnosis.search.final_numbers import with_final_numbers, with_form_in_doubt
-from safedpa.diagnosis.search.groups import fewer_numbers, split
 from safedpa.diagnosis.search.judgement import (
     MOST_MISSING,
     Stage,
@@ -32,7 +31,7 @@ from safedpa.diagnosis.search.judgement import (
 )
 from safedpa.diagnosis.search.patch import Patch, best_patch
 from safedpa.diagnosis.search.progress import Judged, Search
-from safedpa.diagnosis.search.revision import bounded, exchange, removals, smallest, united
+from safedpa.diagnosis.search.revision import bounded, exchange, fewer_numbers, removals, smallest, split, united
 from safedpa.diagnosis.search.second_opinion import CLEAR_FALL, MUCH, agrees, certain, clear
 from safedpa.diagnosis.search.where_none_passes import Passing, one_step_ahead, pairs_of, passing_elsewhere, worth_it
 from safedpa.dynamics import PhysicsModel
