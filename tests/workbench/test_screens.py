@@ -33,23 +33,30 @@ WIDTHS = (390, 1280, 1400, 1920)
 """Of the pages that axe-core looks at."""
 WRONG = (Path(__file__).parent / "screens.js").read_text(encoding="utf-8")
 
-SETTLED = """([quiet]) => new Promise((done) => {
+SETTLE = """([quiet]) => {
+  document.documentElement.dataset.settled = 'no';
   let since = performance.now();
+  const began = since;
   const observer = new MutationObserver(() => { since = performance.now(); });
   observer.observe(document.body, {childList: true, subtree: true, characterData: true, attributes: true});
   const moves = () => document.getAnimations().some((one) =>
-    one.playState === 'running' && one.effect.getComputedTiming().endTime !== Infinity);
-  const began = since;
+    one.playState === 'running' && one.effect?.getComputedTiming().endTime !== Infinity);
+  const frames = (then) => {
+    let due = () => { due = () => {}; then(); };
+    requestAnimationFrame(() => requestAnimationFrame(() => due()));
+    setTimeout(() => due(), quiet);
+  };
   const look = () => {
     if (moves()) since = performance.now();
     if (performance.now() - since < quiet && performance.now() - began < 10 * quiet) return setTimeout(look, 20);
     observer.disconnect();
-    requestAnimationFrame(() => requestAnimationFrame(done));
+    frames(() => { document.documentElement.dataset.settled = 'yes'; });
   };
-  requestAnimationFrame(() => requestAnimationFrame(() => { since = performance.now(); look(); }));
-})"""
-"""Waits until nothing of the page has changed or moved for so many ms; a live page never rests for long, which is why
-ten times as much is the most. Figures are drawn anew 100 ms after the window has another size."""
+  frames(() => { since = performance.now(); look(); });
+}"""
+"""Begins to wait until nothing of the page has changed or moved for so many ms; a live page never rests for long, which
+is why ten times as much is the most. Figures are drawn anew 100 ms after the window has another size. A browser that
+has nothing to draw, or too much, may owe a frame for ever: then time has to do."""
 QUIET = 300
 
 
@@ -74,6 +81,12 @@ def reports(drives, tmp_path_factory):
     return {"compare": out / "compared" / "compare.html", "diagnose": out / "found" / "report.html"}
 
 
+def settle(page):
+    """Waits, and not for ever, whatever becomes of the page meanwhile."""
+    page.evaluate(SETTLE, [QUIET])
+    page.wait_for_selector("html[data-settled=yes]", state="attached", timeout=PATIENCE)
+
+
 def looked_at(browser, address, ready, name, pictures, steps=(("", lambda _page: None),)):
     """What is wrong at each width and in each scheme, after each step; a picture of each."""
     found = []
@@ -87,7 +100,7 @@ def looked_at(browser, address, ready, name, pictures, steps=(("", lambda _page:
             act(page)
             for width, height in SIZES:
                 page.set_viewport_size({"width": width, "height": height})
-                page.evaluate(SETTLED, [QUIET])
+                settle(page)
                 title = f"{name}{step}-{scheme}-{width}"
                 if pictures is not None:
                     page.screenshot(path=pictures / f"{title}.png", full_page=not step)
@@ -152,7 +165,7 @@ def checked(browser, axe, address, scheme, more=lambda _page: None):
     found = []
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 900})
-        page.evaluate(SETTLED, [QUIET])
+        settle(page)
         if width in (WIDTHS[0], WIDTHS[-1]):
             found += [f"{scheme} {width}: {line}" for line in page.evaluate(RUN, ["body", []])]
         assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -168,7 +181,7 @@ def test_axe_finds_nothing_in_the_workbench(browser, shown_workbench, axe):
         for key, sign in (("o", ".preview table"), ("?", "dl.keys")):
             page.keyboard.press(key)
             page.wait_for_selector(sign, timeout=PATIENCE)
-            page.evaluate(SETTLED, [QUIET])
+            settle(page)
             # axe takes what lies behind a dialog for the background of its letters; WRONG looks at these
             found += page.evaluate(RUN, [".q-dialog", ["color-contrast"]])
             page.keyboard.press("Escape")
