@@ -34,23 +34,24 @@ class Heard:
     def __init__(self, transport: ZenohTransport) -> None:
         import zenoh
 
-        self.count = self.wrong = self.told_wrong = 0
+        self.count = self.wrong = self.told = self.told_wrong = 0
         handler: Any = zenoh.handlers.Callback(self._take, indirect=False)
         self._kept = [transport._session.declare_subscriber(pattern, handler) for pattern in PATTERNS]
-        transport.subscribe("safedpa/f/**", self._told)
+        transport.subscribe("safedpa/f/**", self._tell)
 
     def _take(self, sample: Any) -> None:
         self.count += 1
         self.wrong += str(sample.key_expr) != sample.payload.to_string()
 
-    def _told(self, key: str, payload: bytes) -> None:
+    def _tell(self, key: str, payload: bytes) -> None:
+        self.told += 1
         self.told_wrong += key.encode() != payload
 
-    def told(self) -> str:
-        """The numbers, which begin anew."""
-        count, wrong, told = self.count, self.wrong, self.told_wrong
-        self.count = self.wrong = self.told_wrong = 0
-        return f"{wrong} of {count} ({told} told)"
+    def numbers(self) -> str:
+        """They begin anew."""
+        said = f"{self.wrong} of {self.count}, of the bus {self.told_wrong} of {self.told}"
+        self.count = self.wrong = self.told = self.told_wrong = 0
+        return said
 
 
 def spin() -> None:
@@ -85,13 +86,13 @@ def said(router: ZenohTransport, members: list[ZenohTransport], seconds: float) 
         time.sleep(0.005)
     time.sleep(5.0)
     lines = [f"links of {len(members)} sessions: {fewest} at the fewest"]
-    lines += [f"session {number}: {one.told()} under another key" for number, one in enumerate(heard)]
+    lines += [f"session {number}: under another key {one.numbers()}" for number, one in enumerate(heard)]
     for _ in range(5):
         for key in KEYS:
             router.put(key, key.encode(), never_drop=False)
         time.sleep(0.3)
     time.sleep(1.0)
-    lines.append("afterwards: " + ", ".join(one.told() for one in heard))
+    lines.append("afterwards: " + "; ".join(one.numbers() for one in heard))
     for transport in (*members, router):
         transport.close()
     return lines
