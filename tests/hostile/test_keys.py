@@ -28,7 +28,8 @@ from safedpa_services.supervisor.private_folder import private_folder
 from safedpa_services.supervisor.securing import throw_away_certificates
 
 _HOLDS = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # who starts the tests in the background has it ignored
 from safedpa_services.supervisor.securing import throw_away_certificates
 with throw_away_certificates("f", "r1") as wallet:
     print(wallet.folder, flush=True)
