@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from tests.replay.conftest import driven
 
 from safedpa.bus import SCAN, SURROUNDINGS, Received, ScanMessage, SurroundingsMessage, decode, encode
+from safedpa.bus.log import counted_events
 from safedpa.replay.replay import Replay, ServiceReplay, replay
+from safedpa.replay.report import Saved
 from safedpa.replay.tape import RobotTape, read_tape
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.senses import Senses
@@ -147,9 +149,32 @@ def test_what_older_programs_saw_is_believed(fleet: Any, tmp_path: Path) -> None
         "borders",
         "ordered",
     }
-    found = replay(tape)
+    found, saved = replayed_again(tape, tmp_path / "older again.mcap")
     assert [part.service for part in found.services] == ["adaptation", "policy", "safety_filter"]
     assert found.exact
+    assert [entry.message for entry in saved.computed["perception"]] == told(tape)
+
+
+def replayed_again(tape: RobotTape, path: Path) -> tuple[Replay, RobotTape]:
+    """A replay, and what it writes as a recording."""
+    saved = Saved()
+    found = replay(tape, tell=saved.take)
+    saved.write(tape, path)
+    return found, read_tape([path])
+
+
+def test_what_was_replayed_with_scans_can_be_replayed(fleet: Any, tmp_path: Path) -> None:
+    driven(fleet, 15)
+    fleet.order("zone wet=on", who="Ada")
+    tape = read_tape([driven(fleet, 15).record(tmp_path / "seen.mcap")])
+    before = counted_events()
+    _, again = replayed_again(tape, tmp_path / "again.mcap")
+    assert len(again.scans) == len(tape.scans) > 20
+    found = replay(again)
+    assert found.exact
+    assert of_perception(found).compared["surroundings"] == 30
+    assert told(again)[20].ordered == "zone wet on, by Ada"
+    assert counted_events() == before, "what was switched then is no news"
 
 
 def test_as_many_borders_are_told_as_fit_into_a_message() -> None:

@@ -65,7 +65,7 @@ class PerceptionNode(AbstractNode):
             return {}
         around = self._of(robot)
         in_force = self.switches.in_force(robot, state.sources, state.tick)
-        if in_force != self._in_force.get(robot):
+        if in_force != self._in_force.get(robot) and not self.switches.replays(robot):
             self._tell(robot, state, in_force)
         seen = around.at(state, in_force)
         counting = in_force.at(state.values[3] if len(state.values) > 3 else None)

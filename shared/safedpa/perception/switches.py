@@ -69,6 +69,10 @@ class Switches:
         counting = (zone for zone, name in zip(known.zones, known.names, strict=True) if name in zones)
         self._replayed[robot] = InForce(known.off, tuple(counting), ordered)
 
+    def replays(self, robot: str) -> bool:
+        """Whether a recording says what counts: then it is long ago, and no news."""
+        return robot in self._replayed
+
     def _told_of_orders(self, robot: str) -> str:
         """What was ordered for a robot, with who did; empty: nothing was."""
         told = "; ".join(filter(None, (_listed(self._ordered.get(name, {})) for name in ("-", robot))))

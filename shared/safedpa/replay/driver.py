@@ -233,7 +233,7 @@ class Driver:
         missing = ""
         for index, number in message.scans:
             source = state.sources[int(index)] if 0 <= index < len(state.sources) else ""
-            scan = self._tape.scan(state.epoch, source, int(number))
+            scan = self._tape.scan((state.epoch, source, int(number)))
             if scan is None:
                 missing = f"scan {number:g} of {source or 'a source that the state does not name'} was not recorded"
                 continue

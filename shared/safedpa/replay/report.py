@@ -8,8 +8,21 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from safedpa.bus import MODEL, SETUP, STATE, ComputedMessage, Message, Topic, encode, key_of
+from safedpa.bus import (
+    MODEL,
+    SCAN,
+    SETUP,
+    STATE,
+    SURROUNDINGS,
+    ComputedMessage,
+    Message,
+    SurroundingsMessage,
+    Topic,
+    encode,
+    key_of,
+)
 from safedpa.errors import InputError
+from safedpa.perception import PerceptionNode
 from safedpa.records import McapRecorder
 from safedpa.replay.comparison import Difference
 from safedpa.replay.driver import Driven
@@ -200,10 +213,14 @@ class Saved:
                 recorder.write(key, encode(message), at, _nanoseconds(message))
 
     def _messages(self, tape: RobotTape) -> Iterable[tuple[int, Topic, Message]]:
-        """Log time, topic and message."""
+        """Log time, topic and message; of perception that was not replayed what it told then."""
         yield from ((at, SETUP, setup) for setups in tape.setups.values() for at, setup in setups)
         yield from ((_nanoseconds(message), MODEL, message) for message in tape.models)
         yield from ((_nanoseconds(state), STATE, state) for state in tape.states.values())
+        yield from ((_nanoseconds(scan), SCAN, scan) for scan in map(tape.scan, tape.scans) if scan is not None)
+        if not any(isinstance(step.recorded, SurroundingsMessage) for step in self._steps):
+            told = (entry.message for entry in tape.computed[PerceptionNode.name])
+            yield from ((_nanoseconds(message), SURROUNDINGS, message) for message in told)
         for step in self._steps:
             for topic, message in step.outputs.items():
                 traced = _traced(message, step.recorded)

@@ -126,9 +126,9 @@ class RobotTape:
         elif isinstance(message, ScanMessage):
             self.scans[message.epoch, message.source, message.number] = encode(message)
 
-    def scan(self, epoch: int, source: str, number: int) -> ScanMessage | None:
-        """One of the robot's scans; None where it was not recorded."""
-        payload = self.scans.get((epoch, source, number))
+    def scan(self, key: tuple[int, str, int]) -> ScanMessage | None:
+        """One of the robot's scans by epoch, source and number; None where it was not recorded."""
+        payload = self.scans.get(key)
         return None if payload is None else decode(ScanMessage, payload)
 
     def _add_computed(self, at: int, message: ComputedMessage) -> None:
