@@ -19,7 +19,7 @@ from safedpa.diagnosis.fit.least_squares import fit, known_of
 from safedpa.diagnosis.fit.trial import Trial, block_gain, trial_of, tried
 from safedpa.diagnosis.search.condition_screen import Proposal, begun_law, proposals_of
 from safedpa.diagnosis.search.judgement import FALL, SIMPLER, with_reason
-from safedpa.diagnosis.search.patch import Patch
+from safedpa.diagnosis.search.patch import Patch, best_patch
 from safedpa.diagnosis.search.progress import Judged, Search, known_effects
 from safedpa.diagnosis.search.revision import refit, removals, take_back
 from safedpa.dynamics import PhysicsModel
@@ -60,17 +60,38 @@ _MOST_RUNS = 0.6
 def conditional(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> bool:
     """Gives laws to effects as long as that predicts unseen data clearly better; whether any got one."""
     for done in range(_ROUNDS):
-        proposals = proposals_of(search, library)
-        if not proposals:  # nothing is left that a law would say
-            return done > 0
-        tries = [*_tries(search, proposals, library), *_in_place_of_two(search, library)]
-        trials = [trial for trial in (_fitted(search, *each) for each in tries) if trial is not None]
-        best = _chosen(search, trials, heldout)
-        if best is None:
+        best = _lawful(search, library, heldout) or _on_the_floor(search, library, heldout)
+        if best is None:  # nothing is left that a law would say
             return done > 0
         _accept(search, _one_sided(best, search), heldout)
         removals(search, library, heldout)  # what stood for the law
     return True
+
+
+def _lawful(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> Trial | None:
+    """The best effect with a law, of those that promise most to first order."""
+    proposals = proposals_of(search, library)
+    if not proposals:
+        return None
+    tries = [*_tries(search, proposals, library), *_in_place_of_two(search, library)]
+    trials = [trial for trial in (_fitted(search, *each) for each in tries) if trial is not None]
+    return _chosen(search, trials, heldout)
+
+
+def _on_the_floor(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> Trial | None:
+    """A place where the floor brakes, as the effect that it is, where it would be told as a formula otherwise.
+
+    Few blocks came there, so that laws of all effects cannot be compared there; blocks that did not are counted in.
+    """
+    if _FLOOR in {item.name for item in search.current.fit.model.effects}:
+        return None
+    patch = best_patch(search.current, search.shooting)
+    trial = None if patch is None else of_patch(patch, search, library)
+    if trial is None or not _of_some_rows(trial, search):
+        return None
+    gain = block_gain(search.current, trial, search.shooting)
+    fall = 1.0 - error_with(trial.fit, search.shooting, heldout).value / max(search.error.value, 1e-12)
+    return trial if any(gain > least and fall > share for least, share in _ENOUGH) else None
 
 
 def _tries(
