@@ -31,7 +31,7 @@ __all__ = ["Proposal", "begun_law", "proposals_of"]
 
 _QUANTILES = np.linspace(0.08, 0.92, 15)
 _BETWEEN = np.linspace(0.1, 0.9, 7)
-_RARE, _USUAL = 0.04, 0.9
+_RARE, _USUAL = 0.04, 0.96
 """Share of the rows in a region: less says little, more is nearly everywhere."""
 _EDGE = 0.02
 """Of the range of a variable: the width over which a condition sets in; 0.1 m for places."""

@@ -74,8 +74,23 @@ def _lawful(search: Search, library: Sequence[AbstractEffect], heldout: Heldout)
     if not proposals:
         return None
     tries = [*_tries(search, proposals, library), *_in_place_of_two(search, library)]
-    trials = [trial for trial in (_fitted(search, *each) for each in tries) if trial is not None]
+    trials = [trial for proposal, without in tries for trial in _fitted_so_far(search, proposal, without)]
     return _chosen(search, trials, heldout)
+
+
+def _fitted_so_far(search: Search, proposal: Proposal, without: tuple[str, ...]) -> Iterator[Trial]:
+    """An effect under a law, fitted; and without the accepted effects for which it leaves nothing to do: they stand at
+    a bound beside it."""
+    trial = _fitted(search, proposal, without)
+    if trial is None:
+        return
+    yield trial
+    held = {path.split(".")[0] for path, free in zip(trial.fit.paths, trial.fit.free, strict=True) if not free}
+    idle = tuple(name for name in search.added if name in held)
+    if idle and proposal.item.name not in held:
+        again = _fitted(search, proposal, (*without, *idle))
+        if again is not None:
+            yield again
 
 
 def _on_the_floor(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> Trial | None:
