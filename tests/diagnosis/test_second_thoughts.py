@@ -13,7 +13,7 @@ from safedpa.diagnosis.fit.trial import tried
 from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.judgement import Stage, farthest
 from safedpa.diagnosis.search.progress import Judged
-from safedpa.diagnosis.search.revision import fewer_numbers, split, united
+from safedpa.diagnosis.search.revision import fewer_numbers, same_at_last, split, united
 from safedpa.diagnosis.search.search import accept
 from safedpa.dynamics import PhysicsModel, Setting
 from safedpa.effects import effect
@@ -68,6 +68,11 @@ def searching(plain, with_effect, drive):
         return search, heldout
 
     return made
+
+
+def servo_car():
+    values = {"wheelbase": 0.32, "speed_gain": 4.0, "acceleration_limit": 5.0}
+    return PhysicsModel(KinematicBicycle(), (), {f"base.{name}": Setting(value) for name, value in values.items()})
 
 
 def of_car(names):
@@ -125,11 +130,9 @@ def test_a_towed_load_that_resists_stays(searching):
 
 def test_two_effects_give_way_to_two_with_fewer_numbers(searching):
     """A towed load and a drag stood for a resistance and a servo that stays below what it is told."""
-    values = {"wheelbase": 0.32, "speed_gain": 4.0, "acceleration_limit": 5.0}
-    servo = PhysicsModel(KinematicBicycle(), (), {f"base.{name}": Setting(value) for name, value in values.items()})
     hidden = {"rolling_resistance": {"deceleration": 0.5}, "speed_command_gain": {"gain": 0.8}}
     names, true = ["towed_load", "viscous_drag"], ["speed_command_gain", "rolling_resistance"]
-    search, heldout = searching(hidden, names, true, servo, 2.5)
+    search, heldout = searching(hidden, names, true, servo_car(), 2.5)
     before = search.error.value
     fewer_numbers(search, of_car([*names, *true]), heldout)
     assert search.added == true
@@ -147,9 +150,35 @@ def test_a_delay_of_all_actuators_that_stood_for_a_lag_of_each_gives_way_to_both
     assert accepted(search) == ["steering_lag + drive_lag"]
 
 
+def test_what_has_nothing_to_do_beside_both_goes_with_it(searching):
+    hidden = {"steering_lag": {"time_constant": 0.25}, "drive_lag": {"time_constant": 0.1}}
+    search, heldout = searching(hidden, ["actuator_delay", "turning_drag"], ["steering_lag", "drive_lag", "payload"])
+    split(search, of_car(["actuator_delay", "turning_drag", "steering_lag", "drive_lag", "payload"]), heldout)
+    assert search.added == ["steering_lag", "drive_lag"]
+    assert bool(search.current.fit.free.all())
+    assert accepted(search) == ["steering_lag + drive_lag"]
+
+
 def test_a_delay_of_all_actuators_stays_one(searching):
     search, heldout = searching(
         {"actuator_delay": {"seconds": 0.12}}, ["actuator_delay"], ["steering_lag", "drive_lag"]
     )
     split(search, of_car(["actuator_delay", "steering_lag", "drive_lag"]), heldout)
     assert search.added == ["actuator_delay"]
+
+
+def test_what_says_the_same_once_all_others_are_known_is_told(searching):
+    """Below its limit a servo that is held back by a drag stays below what it is told, as one of a smaller gain."""
+    hidden = {"viscous_drag": {"coefficient": 0.4}, "payload": {"mass_ratio": 0.3}}
+    names, rivals = ["speed_command_gain", "payload"], ["viscous_drag", "rolling_resistance", "steering_lag"]
+    search, heldout = searching(hidden, names, rivals, servo_car(), 1.0)
+    same_at_last(search, of_car([*names, *rivals]), heldout)
+    (told,) = [item.equals for item in search.candidates if item.decision == "accepted"]
+    assert told == ("viscous_drag",)
+    assert search.added == names
+
+
+def test_alone_nothing_is_asked_again(searching):
+    search, heldout = searching({"viscous_drag": {"coefficient": 0.4}}, ["viscous_drag"], ["quadratic_drag"])
+    same_at_last(search, of_car(["viscous_drag", "quadratic_drag"]), heldout)
+    assert [item.equals for item in search.candidates if item.decision == "accepted"] == [()]

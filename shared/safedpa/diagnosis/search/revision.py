@@ -20,7 +20,8 @@ from safedpa.diagnosis.search.second_opinion import CLEAR_FALL
 from safedpa.effects import AbstractEffect
 
 __all__ = [
-    "bounded", "exchange", "fewer_numbers", "refit", "removals", "smallest", "split", "take_back", "united",
+    "bounded", "exchange", "fewer_numbers", "refit", "removals", "same_at_last", "smallest", "split", "take_back",
+    "united",
 ]  # fmt: skip
 
 _EXCHANGED = 4
@@ -255,8 +256,7 @@ def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout)
     """Accepted effects that still stand at a bound of a parameter are taken out: what fits only there is something
     else."""
     by_name = known_effects(search, library)
-    fitted = search.current.fit
-    held = {path.split(".")[0] for path, free in zip(fitted.paths, fitted.free, strict=True) if not free}
+    held = _held(search.current)
     group = [name for name in search.added if name in held]
     if group:
         search.added = [name for name in search.added if name not in group]
@@ -325,17 +325,28 @@ def fewer_numbers(search: Search, library: Sequence[AbstractEffect], heldout: He
 
 def split(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
     """An accepted effect gives way to two of its rivals that pass beside the others in its place: a delay of all
-    actuators stood for a lag of each."""
+    actuators stood for a lag of each. What then stands at a bound made up for the mistake, and goes with it."""
     by_name = known_effects(search, library)
     for name in list(search.added):
+        if name not in search.added:
+            continue  # went with another
         names = [other for other in search.rivals.get(name, [])[:_EXCHANGED] if other not in search.added]
         best = _best_instead(search, (name,), list(combinations(names, 2)), by_name)
         if best is None:
             continue
-        gain = block_gain(search.current, best[0], search.shooting)
-        error = error_with(best[0].fit, search.shooting, heldout)
-        if best[0].fit.free.all() and passes(gain, error, search.error):
-            _replaced(search, (name,), best[1], best[0], heldout)
+        trial, new = best
+        idle = [other for other in search.added if other != name and other in _held(trial)]
+        if idle:
+            kept = [other for other in search.added if other not in (name, *idle)]
+            trial = refit(search, [by_name[item] for item in (*kept, *new)])
+        gain = block_gain(search.current, trial, search.shooting)
+        if trial.fit.free.all() and passes(gain, error_with(trial.fit, search.shooting, heldout), search.error):
+            _replaced(search, (name, *idle), new, trial, heldout)
+
+
+def _held(trial: Trial) -> set[str]:
+    """Effects of a trial that stand at a bound of a parameter."""
+    return {path.split(".")[0] for path, free in zip(trial.fit.paths, trial.fit.free, strict=True) if not free}
 
 
 def _with_fewer(search: Search, group: Sequence[str], by_name: Mapping[str, AbstractEffect]) -> list[tuple[str, ...]]:
@@ -359,3 +370,21 @@ def _best_instead(
     tried = [(refit(search, [*rest, *map(by_name.__getitem__, names)], enough), names) for names in instead]
     near = [(trial, names) for trial, names in tried if trial.fit.value <= enough]
     return min(near, key=lambda pair: pair[0].loss, default=None)
+
+
+def same_at_last(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -> None:
+    """Says of each accepted effect which of its rivals predict the same in its place, once all others are known: where
+    a payload came later, a command gain may turn out to be a drag as well."""
+    by_name = known_effects(search, library)
+    for name in search.added if len(search.added) > 1 else ():
+        numbers = len(by_name[name].parameters)
+        rivals = [other for other in search.rivals.get(name, [])[:_EXCHANGED] if other not in search.added]
+        same = []
+        for rival in (other for other in rivals if len(by_name[other].parameters) == numbers):
+            trial = _best_instead(search, (name,), [(rival,)], by_name)
+            if trial is not None and _as_good(trial[0], search, heldout):
+                same.append(rival)
+        for index, item in enumerate(search.candidates):
+            if item.decision == "accepted" and name in item.trial.effects:
+                equals = dict.fromkeys((*item.equals, *same))
+                search.candidates[index] = replace(item, equals=tuple(equals))

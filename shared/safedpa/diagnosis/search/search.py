@@ -31,7 +31,16 @@ from safedpa.diagnosis.search.judgement import (
 )
 from safedpa.diagnosis.search.patch import Patch, best_patch
 from safedpa.diagnosis.search.progress import Judged, Search
-from safedpa.diagnosis.search.revision import bounded, exchange, fewer_numbers, removals, smallest, split, united
+from safedpa.diagnosis.search.revision import (
+    bounded,
+    exchange,
+    fewer_numbers,
+    removals,
+    same_at_last,
+    smallest,
+    split,
+    united,
+)
 from safedpa.diagnosis.search.second_opinion import CLEAR_FALL, MUCH, agrees, certain, clear
 from safedpa.diagnosis.search.where_none_passes import Passing, one_step_ahead, pairs_of, passing_elsewhere, worth_it
 from safedpa.dynamics import PhysicsModel
@@ -118,6 +127,7 @@ def _second_thoughts(search: Search, library: Sequence[AbstractEffect], heldout:
     smallest(search, library, heldout)
     if search.first_error.value > MOST_MISSING:
         bounded(search, library, heldout)
+    same_at_last(search, library, heldout)
 
 
 def _stage_told(tell: Tell, search: Search, stage: int, size: int) -> Callable[[int], None]:
