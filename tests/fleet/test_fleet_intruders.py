@@ -24,6 +24,7 @@ class Attempt:
     def __init__(self, fleet: Fleet, watch: Watch) -> None:
         self.fleet, self.watch = fleet, watch
         self.began = time.time()
+        assert watch.until(lambda told: VICTIM in told["robots"], 60.0) is not None, "the victim was never heard"
         self.before = watch.now()
 
     def make(self, key: str, *words: str, given: str = "", network: str = "bus") -> dict[str, Any]:
