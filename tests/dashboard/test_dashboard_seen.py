@@ -109,3 +109,17 @@ def test_a_border_that_cannot_be_drawn_is_left_out(row: tuple[float, ...]) -> No
     shape = {entry.path[-1]: entry.shape for entry in seen_entries(odd)}["zones"]
     assert isinstance(shape, Lines)
     assert len(shape.strips) == 1
+
+
+def test_more_zones_than_a_file_may_have_are_not_looked_at() -> None:
+    """A message of 64 KiB has room for ten thousand names and two thousand vertices; each with each takes seconds."""
+    corners = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))
+    borders = tuple((float(number), *corner) for number in range(500) for corner in corners)
+    flood = replace(SEEN, zones=("closed a",) * 500, borders=borders, ordered="x" * 50_000, amiss=("y" * 50_000,))
+    shape = {entry.path[-1]: entry.shape for entry in seen_entries(flood)}["zones"]
+    assert isinstance(shape, Lines)
+    assert len(shape.strips) == 64
+    page = NowPage(look_of(load_model("car"), settings_named("car")))
+    page.take(state(), 0.0)
+    page.take(flood, 0.0)
+    assert len(page.page(0.1).text) < 2_000

@@ -83,7 +83,8 @@ def fleet(rows: list[tuple[str, ...]]) -> Iterator[Fleet]:
         fleet.up(SERVICES)
         yield fleet
     finally:
-        fleet.down()
+        left = fleet.down()
+        rows += [("taken away", left)] if left else []
 
 
 def _missing() -> str:

@@ -74,8 +74,8 @@ class Fleet:
         self.compose("up", "-d", "--no-build", *wanted)
         self.compose("up", "-d", "--no-build", "--no-recreate", "--scale", f"robot={len(self.robots)}", *services)
 
-    def down(self) -> None:
-        """Takes it away; again where docker says that a network without containers has "active endpoints".
+    def down(self) -> str:
+        """Takes it away, and says what stays; again where docker says that an empty network has "active endpoints".
 
         A guest may be about to be removed, or docker forgot that it was (moby's issue 17217): then the network stays,
         and the next fleet takes it. Raises AssertionError where a container is left.
@@ -83,13 +83,14 @@ class Fleet:
         for _ in range(_ATTEMPTS):
             try:
                 self.compose("down", "--volumes", "--remove-orphans", "--timeout", "3")
-                return
+                return ""
             except AssertionError as error:
                 if "active endpoints" not in str(error):
                     raise
                 time.sleep(2.0)
         left = run("docker", "ps", "-aq", "--filter", f"label=com.docker.compose.project={PROJECT}").stdout.split()
         assert not left, f"containers {left} are not to be removed"
+        return "a network without containers stays: docker takes it to have active endpoints"
 
     def container(self, service: str) -> str:
         """Identifier of the container of a service; ``robot-2`` is the second robot's."""

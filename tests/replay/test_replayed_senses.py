@@ -15,6 +15,7 @@ from safedpa.bus import SCAN, SURROUNDINGS, Received, ScanMessage, SurroundingsM
 from safedpa.bus.log import counted_events
 from safedpa.replay.replay import Replay, ServiceReplay, replay
 from safedpa.replay.report import Saved
+from safedpa.replay.setups import complete_setups
 from safedpa.replay.tape import RobotTape, read_tape
 from safedpa_sim.sensing import Laser, LaserSettings
 from safedpa_sim.sensing.senses import Senses
@@ -155,6 +156,14 @@ def test_what_older_programs_saw_is_believed(fleet: Any, tmp_path: Path) -> None
     assert [entry.message for entry in saved.computed["perception"]] == told(tape)
 
 
+def test_without_a_setup_perception_is_believed_and_that_is_said(fleet: Any, tmp_path: Path) -> None:
+    tape = read_tape([driven(fleet, 30).record(tmp_path / "seen.mcap")])
+    assert complete_setups(tape) == []
+    del tape.setups["perception"]
+    assert complete_setups(tape) == ["perception: no setup was recorded; what it made of the scans is believed"]
+    assert "perception" not in [part.service for part in replay(tape).services]
+
+
 def replayed_again(tape: RobotTape, path: Path) -> tuple[Replay, RobotTape]:
     """A replay, and what it writes as a recording."""
     saved = Saved()
@@ -192,6 +201,7 @@ def test_as_many_borders_are_told_as_fit_into_a_message() -> None:
     disc = tuple((1 / 3, 1 / 3, 1 / 3) for _ in range(256))
     message = SurroundingsMessage(
         **stamp, points=disc, movers=tuple(row * 2 for row in disc), hidden=tuple((*row, 1 / 3) for row in disc),
-        ages=(0.1,), zones=counting.names, borders=borders,
+        ages=(0.1,), zones=tuple(name + "n" * 55 for name in counting.names), borders=borders,
+        scans=((0.0, 123456.0),) * 256, ordered="zone " + "n" * 68 * 64, amiss=("a" * 400,),
     )  # fmt: skip
     assert len(encode(message)) < SURROUNDINGS.largest_bytes

@@ -123,7 +123,7 @@ def _sources_line(names: Sequence[str], seen: SurroundingsMessage) -> list[str]:
     ]
     zones = [f"zones: {', '.join(seen.zones)}"] if seen.zones else []
     ordered = [f"switched: {seen.ordered}"] if seen.ordered else []
-    return [*ages, *seen.amiss, *zones, *ordered]
+    return [told[:_LONGEST] for told in (*ages, *seen.amiss, *zones, *ordered)]
 
 
 def waiting_page(fleet: str, heard: dict[str, str], refused: str = "") -> Page:

@@ -164,7 +164,9 @@ def prediction_entry(verdict: VerdictMessage, position: Point | None) -> Entry:
 
 
 _MOST = 512
-"""Discs of a kind that are drawn."""
+"""Discs of a kind, and vertices of zones, that are drawn."""
+_MOST_ZONES = 64
+"""As many as perception's file may have."""
 _KINDS = ("points", "movers", "hidden")
 
 
@@ -182,9 +184,9 @@ def seen_entries(seen: SurroundingsMessage) -> list[Entry]:
 def _zones(seen: SurroundingsMessage) -> Lines:
     """The border of each zone that counts: of a closed one as of what is in the way, of an ignored one as of nothing
     that is believed."""
-    strips, colours = [], []
-    for number, name in enumerate(seen.zones):
-        corners = [(row[1], row[2]) for row in seen.borders if len(row) == 3 and row[0] == number]
+    strips, colours, rows = [], [], [row for row in seen.borders[:_MOST] if len(row) == 3]
+    for number, name in enumerate(seen.zones[:_MOST_ZONES]):
+        corners = [(row[1], row[2]) for row in rows if row[0] == number]
         if len(corners) > 2 and all(drawable(*corner) for corner in corners):
             strips.append((*corners, corners[0]))
             colours.append(INK if name.startswith("closed") else SKY)

@@ -86,13 +86,19 @@ def complete_setups(tape: RobotTape, model: str = "", settings: str = "") -> lis
     A model that is not named is the shipped one to which the recorded latents belong, or that of another service's
     setup. Raises InputError when there is none.
     """
+    sees = PerceptionNode.name
+    believed = tape.computed[sees] and not tape.setups.get(sees)
+    told = [f"{sees}: no setup was recorded; what it made of the scans is believed"] if believed else []
     lacking = [name for name in REPLAYED if tape.computed[name] and not tape.setups.get(name)]
     if not lacking:
-        return []
+        return told
     found = load_model(model) if model else _model_of(tape)
     tape.setups |= {name: [(0, _assumed(name, found, settings or found.system.name))] for name in lacking}
     which = f"model {fingerprint(found)} of a {found.system.name}, the settings '{settings or found.system.name}'"
-    return [f"{', '.join(lacking)}: no setup was recorded; assumed {which}, its shipped margin, the default controller"]
+    return [
+        *told,
+        f"{', '.join(lacking)}: no setup was recorded; assumed {which}, its shipped margin, the default controller",
+    ]
 
 
 def _assumed(service: str, model: PhysicsModel, settings: str) -> SetupMessage:

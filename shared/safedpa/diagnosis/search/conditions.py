@@ -21,7 +21,7 @@ from safedpa.diagnosis.search.condition_screen import Proposal, begun_law, propo
 from safedpa.diagnosis.search.judgement import FALL, SIMPLER, with_reason
 from safedpa.diagnosis.search.patch import Patch, best_patch
 from safedpa.diagnosis.search.progress import Judged, Search, known_effects
-from safedpa.diagnosis.search.revision import refit, removals, take_back
+from safedpa.diagnosis.search.revision import held, refit, removals, take_back
 from safedpa.dynamics import PhysicsModel
 from safedpa.dynamics.settings import Setting
 from safedpa.effects import AbstractEffect, Conditioned, Context, Varies, Where, conditioned
@@ -85,9 +85,9 @@ def _fitted_so_far(search: Search, proposal: Proposal, without: tuple[str, ...])
     if trial is None:
         return
     yield trial
-    held = {path.split(".")[0] for path, free in zip(trial.fit.paths, trial.fit.free, strict=True) if not free}
-    idle = tuple(name for name in search.added if name in held)
-    if idle and proposal.item.name not in held:
+    bound = held(trial)
+    idle = tuple(name for name in search.added if name in bound)
+    if idle and proposal.item.name not in bound:
         again = _fitted(search, proposal, (*without, *idle))
         if again is not None:
             yield again

@@ -20,8 +20,8 @@ from safedpa.diagnosis.search.second_opinion import CLEAR_FALL
 from safedpa.effects import AbstractEffect
 
 __all__ = [
-    "bounded", "exchange", "fewer_numbers", "refit", "removals", "same_at_last", "smallest", "split", "take_back",
-    "united",
+    "bounded", "exchange", "fewer_numbers", "held", "refit", "removals", "same_at_last", "smallest", "split",
+    "take_back", "united",
 ]  # fmt: skip
 
 _EXCHANGED = 4
@@ -256,8 +256,8 @@ def bounded(search: Search, library: Sequence[AbstractEffect], heldout: Heldout)
     """Accepted effects that still stand at a bound of a parameter are taken out: what fits only there is something
     else."""
     by_name = known_effects(search, library)
-    held = _held(search.current)
-    group = [name for name in search.added if name in held]
+    bound = held(search.current)
+    group = [name for name in search.added if name in bound]
     if group:
         search.added = [name for name in search.added if name not in group]
         search.current = refit(search, [by_name[name] for name in search.added])
@@ -335,7 +335,7 @@ def split(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -
         if best is None:
             continue
         trial, new = best
-        idle = [other for other in search.added if other != name and other in _held(trial)]
+        idle = [other for other in search.added if other != name and other in held(trial)]
         if idle:
             kept = [other for other in search.added if other not in (name, *idle)]
             trial = refit(search, [by_name[item] for item in (*kept, *new)])
@@ -344,7 +344,7 @@ def split(search: Search, library: Sequence[AbstractEffect], heldout: Heldout) -
             _replaced(search, (name, *idle), new, trial, heldout)
 
 
-def _held(trial: Trial) -> set[str]:
+def held(trial: Trial) -> set[str]:
     """Effects of a trial that stand at a bound of a parameter."""
     return {path.split(".")[0] for path, free in zip(trial.fit.paths, trial.fit.free, strict=True) if not free}
 
