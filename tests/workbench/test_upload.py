@@ -40,10 +40,11 @@ def test_files_dragged_onto_the_box_are_opened(browser, serve, drives, tmp_path)
     page.fill("input[aria-label^='Model']", str(model))
     page.press("input[aria-label^='Model']", "Tab")
     dragged(page, ".q-uploader", *((path.name, path.read_text(encoding="utf-8")) for path in runs))
-    page.wait_for_selector("text=/Uploaded: drive_2.csv, .* MB/", timeout=PATIENCE)
-    page.wait_for_selector("text=/001_drive_1.csv .first of 2 files.: 800 rows in 1 stretch/", timeout=PATIENCE)
-    kept = sorted((tmp_path / "out" / "uploads").iterdir())
-    assert [path.read_text(encoding="utf-8") for path in kept] == [path.read_text(encoding="utf-8") for path in runs]
+    for path in runs:  # they travel side by side, so any may come first
+        page.wait_for_selector(f"text=/Uploaded: {path.name}, .* MB/", timeout=PATIENCE)
+    page.wait_for_selector("text=/drive_..csv .first of 2 files.: 800 rows in 1 stretch/", timeout=PATIENCE)
+    kept = {path.name[4:]: path.read_text(encoding="utf-8") for path in (tmp_path / "out" / "uploads").iterdir()}
+    assert kept == {path.name: path.read_text(encoding="utf-8") for path in runs}
     page.locator(".q-dialog").get_by_role("button", name="Open", exact=True).click()  # a path may say 'open' too
     page.wait_for_function(
         "document.querySelectorAll('.stages .value').length === 1", polling=POLLING, timeout=PATIENCE

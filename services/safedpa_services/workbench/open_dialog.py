@@ -29,6 +29,8 @@ __all__ = ["ColumnsTable", "OpenDialog"]
 
 _GUESSED = "guessed from the names"
 _NATIVE = "native names"
+_TOLD = 5
+"""Uploads that the dialog names, the latest."""
 _NAME_UPLOAD = """(node) => {
   const input = node.el?.querySelector?.('input[type=file]');
   if (!input) return;
@@ -65,6 +67,7 @@ class OpenDialog:
         self._choice = Choice()
         self._raw = RawRows((), ())
         self._uploads = out / "uploads"
+        self._kept: list[str] = []
         ui.add_head_html(_DROPS)
         ui.on("recordings_dropped", self._dropped)
         with ui.dialog().props("aria-label=Open") as self._dialog, ui.card().classes("wide"):
@@ -143,20 +146,34 @@ class OpenDialog:
                 f"{limit('uploads')} files in {self._uploads}"
             )
             return
-        path = self._uploads / f"{there + 1:03d}_{_plain(event.file.name)}{ending}"
+        path: Path | None = None
         try:
-            self._uploads.mkdir(mode=0o700, parents=True, exist_ok=True)
+            path = self._place(there + 1, f"{_plain(event.file.name)}{ending}")
             await event.file.save(path)
         except OSError as error:
-            with suppress(OSError):  # part of it
-                path.unlink()
+            if path is not None:
+                with suppress(OSError):  # part of it
+                    path.unlink()
             why = why_not_written(error)
             self._say(f"{event.file.name}: cannot be kept in {self._uploads} ({why}), or choose another --out")
             return
         self._shelf = self._shelf.with_folder(self._uploads)
         self._paths.value = "\n".join([*str(self._paths.value or "").splitlines(), str(path)])
-        self._taken.set_content(escaped(f"Uploaded: {event.file.name}, {path.stat().st_size / 1e6:.2g} MB, to {path}"))
+        self._kept.append(f"Uploaded: {event.file.name}, {path.stat().st_size / 1e6:.2g} MB, to {path}")
+        self._taken.set_content("<br>".join(map(escaped, self._kept[-_TOLD:])))
         self._refresh()
+
+    def _place(self, number: int, name: str) -> Path:
+        """A new empty file of the folder: files that come together, here or in another tab, never share one."""
+        self._uploads.mkdir(mode=0o700, parents=True, exist_ok=True)
+        while True:
+            path = self._uploads / f"{number:03d}_{name}"
+            try:
+                path.touch(exist_ok=False)
+            except FileExistsError:
+                number += 1
+                continue
+            return path
 
     def _files_named(self) -> list[str]:
         """The paths, patterns replaced by what they match; none where one may not be opened, which is said."""
