@@ -8,8 +8,9 @@ import pytest
 
 from safedpa_lab.experiments.hidden_summary import summary
 from safedpa_lab.hidden import Case, truth_of
-from safedpa_lab.hidden.case import equals_of
+from safedpa_lab.hidden.case import TURNS_LESS, equals_of
 from safedpa_lab.hidden.judge import judged
+from safedpa_lab.hidden.towing import turning_share
 
 DRAG = {"quadratic_drag": {"coefficient": 0.12}}
 
@@ -97,6 +98,30 @@ def test_what_the_pymunk_car_has_by_itself_is_not_wrong():
     outcome = judge(case, document(["towed_load", "steering_lag", "battery_sag"]))
     assert outcome.right
     assert outcome.wrong == ("battery_sag",)
+
+
+@pytest.mark.parametrize(
+    ("gain", "wrong"), [(0.98, ()), (0.95, ()), (0.92, ("steering_gain",)), (1.03, ("steering_gain",))]
+)
+def test_a_steering_gain_is_part_of_a_load_where_it_is_the_load_s(gain, wrong):
+    case = Case("towing", 1, {"towed_load": {"mass_ratio": 0.8, "deceleration": 1.5}}, load="chair")
+    found = document(["towed_load", "steering_gain"])
+    found["parameters"] = {"steering_gain.gain": {"value": gain, "std": 0.01, "unit": "1"}}
+    assert judge(case, found).wrong == wrong
+    found["parameters"]["steering_gain.end"] = {"value": 0.1, "std": 0.01, "unit": "1"}
+    assert judge(case, found).wrong == ("steering_gain",), "one that varies is another claim"
+    bare = judge(Case("ordinary", 1, case.effects), found)
+    assert bare.wrong == ("steering_gain",), "without a load there is none"
+
+
+@pytest.mark.parametrize("load", TURNS_LESS)
+def test_a_load_turns_less_by_one_share_at_every_speed(load):
+    """Understeering would grow with the square of the speed."""
+    found = [turning_share(load, wished, steer) for wished in (1.0, 1.5, 2.0) for steer in (0.1, 0.2)]
+    speeds, shares = zip(*found, strict=True)
+    assert max(speeds) > 2.0 * min(speeds)
+    assert shares == pytest.approx([TURNS_LESS[load]] * len(shares), abs=0.012)
+    assert turning_share("none", 1.5, 0.2)[1] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_law_must_be_told_the_right_way_out():

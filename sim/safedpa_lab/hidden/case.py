@@ -62,6 +62,10 @@ ABSORBED = ("payload",)
 PYMUNK_CAR = ("drive_lag", "steering_lag", "tyre_slip", "understeer")
 """What the pymunk car has by itself and its given model has not: naming it is not wrong."""
 
+TURNS_LESS = {"chair": 0.97, "large_chair": 0.94}
+"""By load, the steering gain that it is as well: in steady curves its drawbar holds the car's nose back by the same
+share at every speed, which `safedpa_lab.hidden.towing.turning_share` measures."""
+
 
 def equals_of(case: Case, effect: str) -> tuple[str, ...]:
     """Effects that no data of this case could tell from ``effect``, worked out from the equations."""
@@ -88,4 +92,5 @@ def truth_of(case: Case) -> dict[str, Any]:
         "equals": {name: list(equals_of(case, name)) for name in case.effects},
         "absorbed": absorbed,
         "present": list(PYMUNK_CAR) if case.load is not None else [],
+        "present_near": {"steering_gain.gain": TURNS_LESS[case.load]} if case.load is not None else {},
     }

@@ -15,6 +15,8 @@ _DELAY_FOR_LAG = {"steering_delay": "steering_lag", "drive_delay": "drive_lag"}
 _BORDERS = ("_above", "_below", "at_x", "at_y", "radius")
 _BORDER, _SHARE = 0.2, 0.2
 """How far a number of a law may be from the truth: borders in their unit, others as a share."""
+_NEAR = 0.03
+"""How far a number of what is present beside the hidden effects may be from what was measured, as a share."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,9 @@ def judged(
         first_named=bool(added) and added[0] in hidden,
         all_named=set(hidden) <= set(added),
         all_in_group=all(found.values()),
-        wrong=tuple(name for name in added if not _justified(name, groups, truth)),
+        wrong=tuple(
+            name for name in added if not _justified(name, groups, truth) and not _present(document, truth, name)
+        ),
         told=tuple(f"{name} {words}" for name, words in told),
         laws_told=all((name, words) in told and _near(document, truth, name) for name, words in laws.items()),
         false_laws=tuple(f"{name} {words}" for name, words in told if name not in laws),
@@ -147,6 +151,15 @@ def _justified(name: str, groups: Mapping[str, set[str]], truth: Document) -> bo
     # an actuator that is neither a pure lag nor a pure delay may be called either, not both
     late = {other for other, lag in _DELAY_FOR_LAG.items() if lag in truth["present"] and lag not in groups}
     return name in hidden | equals | set(truth["present"]) | late or bool(groups[name] & hidden)
+
+
+def _present(document: Document, truth: Document, name: str) -> bool:
+    """Whether an effect is known to be there as well, and each of its numbers near what it is known to be."""
+    near = {path: value for path, value in truth["present_near"].items() if path.split(".")[0] == name}
+    own = _last_parameters(document, name)
+    if not near or any(entry not in near for entry in (f"{name}.{key}" for key in own)):
+        return False
+    return all(abs(float(own[path.split(".")[1]]["value"]) - value) <= _NEAR * value for path, value in near.items())
 
 
 def _near(document: Document, truth: Document, name: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import atan, atan2, cos, hypot, sin
+from math import atan, atan2, cos, hypot, sin, tan
 
 import numpy as np
 
@@ -11,13 +11,15 @@ from safedpa_lab.hidden.lanes import Floats
 from safedpa_sim.robots.loads import load_named
 from safedpa_sim.robots.world import CarWorld
 
-__all__ = ["drive_in", "drive_towing"]
+__all__ = ["drive_in", "drive_towing", "turning_share"]
 
 _FIELD = (-200.0, 200.0, -200.0, 200.0)
 _LATERAL = 2.5
 """m/s2; faster curves would throw the load about."""
 _STEER = 0.3
 """rad"""
+_SETTLES, _PERIOD = 200, 0.05
+"""Periods until a curve is steady, and as many that are measured; s."""
 
 
 def drive_towing(load: str, random: np.random.Generator, rows: int, period: float) -> tuple[Floats, Floats]:
@@ -25,6 +27,32 @@ def drive_towing(load: str, random: np.random.Generator, rows: int, period: floa
     return drive_in(
         CarWorld((0.0, 0.0, float(random.uniform(-3.0, 3.0))), _FIELD, (), load_named(load)), random, rows, period
     )
+
+
+def turning_share(load: str, speed: float, steer: float, wheelbase: float = 0.32) -> tuple[float, float]:
+    """The speed [m/s] of a steady curve at a wished speed [m/s] and a steer [rad], and yaw rate * wheelbase / (speed *
+    tan(steer)) there with the load, over the same without it at the same speed.
+
+    Without a load the share is 1 / (1 + K speed^2), whose K is measured beside it.
+    """
+    reached, turned = _steady(load, speed, steer, wheelbase)
+    bare, own = _steady("none", reached, steer, wheelbase)
+    gradient = (1.0 / own - 1.0) / bare**2
+    return reached, turned * (1.0 + gradient * reached**2)
+
+
+def _steady(load: str, speed: float, steer: float, wheelbase: float) -> tuple[float, float]:
+    world = CarWorld((0.0, 0.0, 0.0), _FIELD, (), load_named(load))
+    for _ in range(_SETTLES):
+        world.advance(speed, steer, _PERIOD)
+    yaw, speeds = [], []
+    for _ in range(_SETTLES):
+        yaw.append(world.state[2])
+        speeds.append(world.state[3])
+        world.advance(speed, steer, _PERIOD)
+    turned = np.unwrap(yaw)
+    rate, mean = float(turned[-1] - turned[0]) / ((_SETTLES - 1) * _PERIOD), float(np.mean(speeds))
+    return mean, rate * wheelbase / (mean * tan(steer))
 
 
 def drive_in(world: CarWorld, random: np.random.Generator, rows: int, period: float) -> tuple[Floats, Floats]:
