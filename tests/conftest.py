@@ -23,6 +23,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from safedpa import robot as declared
+from safedpa.bus import log
 from safedpa.bus.transport import ports
 from safedpa.dynamics import bases
 from safedpa.effects import library
@@ -167,6 +168,14 @@ def _process_as_it_was_found() -> Iterator[None]:
     os.chdir(folder)
     for number, handler in handlers.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True)
+def _events_of_one_test_alone() -> Iterator[None]:
+    """Of events that come together the later ones are told a second after the first: not to the test that is next."""
+    yield
+    with log._LOG._lock:
+        log._LOG._windows.clear()
 
 
 @pytest.fixture(autouse=True)

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from safedpa.bus import Bus, MemoryBroker, MemoryTransport, Message, StateMessage
+from safedpa.bus.transport import zenoh_transport
 
 SAMPLES = Path(__file__).parent / "samples"
 
@@ -23,6 +24,13 @@ def _load_samples() -> dict[str, Message]:
     specification.loader.exec_module(module)
     found: dict[str, Message] = module.SAMPLES
     return found
+
+
+@pytest.fixture(autouse=True)
+def _links_outlive_a_busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Signs of life may wait for longer than between robots: a link that is lost takes with it what is said once."""
+    for name in ("_LEASE_MILLISECONDS", "_LEASE_ON_ONE_MACHINE_MILLISECONDS"):
+        monkeypatch.setattr(zenoh_transport, name, 30_000)
 
 
 @pytest.fixture(scope="session")

@@ -163,7 +163,7 @@ def test_without_a_supervisor_it_outlives_its_standard_input(free_port: int) -> 
 )
 def test_bad_input_is_told_in_one_line(options: tuple[str, ...], sentence: str) -> None:
     with started(*options) as process:
-        output, errors = process.communicate(timeout=20)
+        output, errors = process.communicate(timeout=60)
         assert process.returncode == 2
         assert output == ""
         assert errors.startswith("safedpa-test: ")

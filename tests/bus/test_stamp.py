@@ -87,7 +87,7 @@ def test_a_question_gone_astray_is_not_answered_nor_an_answer_taken(
     other.answer("safedpa/f/*/request", on_question)
 
     def question(payload: bytes, **more: Any) -> list[bytes]:
-        replies = one._session.get("safedpa/f/mine/request", payload=payload, timeout=1.0, **more)
+        replies = one._session.get("safedpa/f/mine/request", payload=payload, timeout=PATIENCE, **more)
         return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
     assert until(lambda: one.ask("safedpa/f/mine/request", b"stamped", 1.0) == b"stamped")

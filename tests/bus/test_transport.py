@@ -108,8 +108,8 @@ class TransportContract(ABC):
         one, other = pair
         other.declare_alive("safedpa/f/r/alive/policy/2")
         other.declare_alive("safedpa/f/r/alive/policy/1")
-        assert until(lambda: len(one.alive("safedpa/f/*/alive/policy/*")) == 2)
-        assert one.alive("safedpa/f/*/alive/policy/*") == ["safedpa/f/r/alive/policy/1", "safedpa/f/r/alive/policy/2"]
+        both = ["safedpa/f/r/alive/policy/1", "safedpa/f/r/alive/policy/2"]
+        assert until(lambda: one.alive("safedpa/f/*/alive/policy/*") == both)
         assert one.alive("safedpa/f/*/alive/robot/*") == []
         other.close()
         assert until(lambda: one.alive("safedpa/f/*/alive/policy/*") == [])

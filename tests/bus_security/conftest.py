@@ -73,6 +73,7 @@ class Network:
     fleet = FLEET
     robots = ROBOTS
     strangers = STRANGERS
+    patience = PATIENCE
     until = staticmethod(until)
 
     def __init__(self, folder: Path, port: int) -> None:

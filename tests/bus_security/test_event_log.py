@@ -144,6 +144,16 @@ def test_names_from_an_attacker_cost_bounded_memory() -> None:
     assert len(bench.lines[-1]) < 1000
 
 
+@pytest.mark.parametrize("which", ["one", "the next"])
+def test_no_test_keeps_back_an_event_of_the_next_one_nor_tells_one_late(
+    which: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The second event is counted, and told a second later: by then another test may read standard error."""
+    for _ in range(2):
+        log_event("test.left_over", which)
+    assert json.loads(capsys.readouterr().err)["sentence"] == which
+
+
 def test_a_broken_standard_error_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr", None)
     log_event("test.broken", "nobody reads this")

@@ -25,9 +25,10 @@ def west(network: Any) -> Iterator[Callable[..., Join]]:
 
     def started(role: str = "router.west", *, guarded: bool = True) -> Join:
         access = access_control(network.fleet, network.robots) if guarded else None
-        settings = ZenohSettings("router", (endpoint,), (network.endpoint,), network.card(role), access)
+        long: Any = {"patience": network.patience}
+        settings = ZenohSettings("router", (endpoint,), (network.endpoint,), network.card(role), access, **long)
         started.router = network.opened(settings)  # type: ignore[attr-defined]
-        return lambda name: network.opened(ZenohSettings("client", (), (endpoint,), network.card(name)))
+        return lambda name: network.opened(ZenohSettings("client", (), (endpoint,), network.card(name), **long))
 
     return started
 

@@ -50,18 +50,19 @@ def test_one_that_beats_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.processes
 def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() -> None:
     program = (
-        "import time\n"
+        "import sys, threading, time\n"
         "from safedpa_services.router.pulse import Pulse\n"
-        "pulse = Pulse(look_seconds=0.05, looks=20)\n"
-        "end = time.monotonic() + 6.0\n"
-        "while time.monotonic() < end:\n"
+        "pulse, told = Pulse(look_seconds=0.05, looks=20), threading.Event()\n"
+        "threading.Thread(target=lambda: (sys.stdin.readline(), told.set()), daemon=True).start()\n"
+        "while not told.is_set():\n"
         "    pulse.beat()\n"
         "    print(1, flush=True)\n"
         "    time.sleep(0.05)\n"
         "time.sleep(600.0)\n"
     )
     command = [sys.executable, "-c", program]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "1\n"
         process.send_signal(signal.SIGSTOP)
@@ -69,6 +70,6 @@ def test_a_process_that_is_stopped_for_longer_goes_on_and_one_that_hangs_ends() 
         process.send_signal(signal.SIGCONT)
         for _ in range(20):
             assert process.stdout.readline() == "1\n", "it goes on"
-        _, told = process.communicate(timeout=120.0)
+        _, told = process.communicate("hang\n", timeout=120.0)
     assert process.returncode == 1
     assert json.loads(told)["kind"] == "router.stands"

@@ -26,9 +26,10 @@ class Door:
         """A stranger connects, says nothing that lets it in, and is cut off when 3.5 s have passed."""
         link = socket.create_connection(("127.0.0.1", self.port))
         accepted = self.listening.accept()[0]
-        time.sleep(0.3)  # seen
+        me = link.getsockname()
+        assert seen_within(lambda: any(one.peer == me for one in self.keeper._strangers.values()), 60.0)
         self.now += 3.5
-        link.settimeout(10.0)
+        link.settimeout(60.0)
         assert link.recv(1) == b""
         link.close()
         accepted.close()  # as its owner does who sees an end
@@ -58,9 +59,9 @@ def test_a_stranger_cut_off_is_told_within_a_second_of_the_clock(monkeypatch: py
     try:
         door.cut_off()
         door.now += 1.01
-        assert seen_within(lambda: told == [1], 10.0), "3.5 s and 1 s after the door was opened"
+        assert seen_within(lambda: told == [1], 60.0), "3.5 s and 1 s after the door was opened"
         door.cut_off()
         door.now += 1.01
-        assert seen_within(lambda: told == [1, 1], 10.0), "each is counted once"
+        assert seen_within(lambda: told == [1, 1], 60.0), "each is counted once"
     finally:
         door.close()

@@ -30,10 +30,10 @@ def test_it_drives_and_strangers_stay_outside(network: Any, tmp_path: Path) -> N
         assert network.until(lambda: any(event["kind"] == "router.open" for event in said()))
         opened = next(event for event in said() if event["kind"] == "router.open")
         endpoint = str(opened["sentence"]).split(" on ")[1]
-        foreign = ZenohSettings("client", (), (endpoint,), network.card("safety_filter"), patience=0.5)
+        foreign = ZenohSettings("client", (), (endpoint,), network.card("safety_filter"), patience=3.0)
         with pytest.raises(BusError, match="could not open"):
             ZenohTransport(foreign)
-        output, errors = running.communicate(timeout=90)
+        output, errors = running.communicate(timeout=180)
     assert running.returncode == 0, errors
     assert json.loads(output)["ticks"] == 120
     kinds = [event["kind"] for event in said()]

@@ -27,6 +27,7 @@ from safedpa.bus.wire.messages import ActionMessage, StateMessage
 from safedpa.errors import MessageError, SafedpaError
 
 SECONDS = 3.0
+LONGEST_SECONDS = 30.0
 TICK_SECONDS = 0.05
 Send = Callable[[str, bytes], None]
 
@@ -63,7 +64,7 @@ def enter(options: argparse.Namespace) -> dict[str, Any]:
     return {"opened": True}
 
 
-def capture(transport: ZenohTransport) -> dict[str, Any]:
+def capture(transport: ZenohTransport, robot: str) -> dict[str, Any]:
     heard: list[tuple[str, str]] = []
 
     def keep(key: str, payload: bytes) -> None:
@@ -72,6 +73,9 @@ def capture(transport: ZenohTransport) -> dict[str, Any]:
     for topic in ("action", "state", "verdict", "model"):
         transport.subscribe(f"safedpa/fleet/*/{topic}", keep)
     time.sleep(SECONDS)
+    end, wanted = time.monotonic() + LONGEST_SECONDS, f"safedpa/fleet/{robot}/action"
+    while wanted not in {key for key, _ in list(heard)} and time.monotonic() < end:  # it may brake by itself for long
+        time.sleep(TICK_SECONDS)
     return {"heard": list(heard)}
 
 
@@ -148,7 +152,7 @@ def _on_the_bus(options: argparse.Namespace) -> dict[str, Any]:
 
     try:
         if options.what == "capture":
-            return capture(transport)
+            return capture(transport, options.robot)
         if options.what == "act":
             return {"sent": act(options, transport, send)}
         if options.what == "replay":

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from safedpa.bus import ModelMessage
+from safedpa.bus.transport import zenoh_transport
 
 
 @pytest.fixture
@@ -28,6 +29,12 @@ def offer_of() -> Callable[..., ModelMessage]:
         )
 
     return made
+
+
+@pytest.fixture
+def links_outlive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Signs of life of sessions in this process may wait for longer than between robots: a busy machine parts none."""
+    monkeypatch.setattr(zenoh_transport, "_LEASE_MILLISECONDS", 30_000)
 
 
 def pytest_configure(config: pytest.Config) -> None:

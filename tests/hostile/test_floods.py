@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import pytest
 
 from safedpa.bus import ACTION, HEALTH, NO_ROBOT, WISH, ZenohSettings, ZenohTransport, key_of
 from safedpa.bus.security.access import ROLES, rate_limits
 
-pytestmark = [pytest.mark.processes, pytest.mark.slow]
+pytestmark = [pytest.mark.processes, pytest.mark.slow, pytest.mark.usefixtures("links_outlive")]
 _MOST = 4000.0
 _ACTIONS = 20
+_KNOCK = b"anybody there?"
 _PATIENCE_SECONDS = 60.0
 """For what takes a second on an idle machine; without limits each action waits for seconds behind the flood."""
+
+
+def knocked(sender: ZenohTransport, key: str, heard: Callable[[], bool]) -> None:
+    """Returns once what is said under the key is heard, and a little later: what comes together is a flood."""
+    deadline = time.monotonic() + _PATIENCE_SECONDS
+    while not heard():
+        assert time.monotonic() < deadline, f"nobody hears {key}"
+        sender.put(key, _KNOCK, never_drop=True)
+        time.sleep(0.1)
+    time.sleep(0.1)
 
 
 def test_a_flood_ends_at_the_router(free_port: int) -> None:
@@ -22,12 +34,13 @@ def test_a_flood_ends_at_the_router(free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     router = ZenohTransport(ZenohSettings("router", (endpoint,), rates=tuple(rate_limits("fleet", ("r1",)))))
     flooder, other, reader = (ZenohTransport(ZenohSettings("client", (), (endpoint,))) for _ in range(3))
-    came: dict[str, list[float]] = {"wish": [], "action": []}
+    came: dict[str, list[bytes]] = {"wish": [], "action": []}
     try:
-        for topic in (WISH, ACTION):
+        for topic, sender in ((WISH, flooder), (ACTION, other)):
             key = key_of("fleet", "r1", topic)
-            reader.subscribe(key, lambda _, payload, name=topic.name: came[name].append(time.monotonic()))
-        time.sleep(0.5)
+            reader.subscribe(key, lambda _, payload, name=topic.name: came[name].append(payload))
+            knocked(sender, key, lambda name=topic.name: bool(came[name]))  # type: ignore[misc]
+            came[topic.name].clear()
         sent, regular = 0, 0
         began = due = time.monotonic()
         while len(came["action"]) < _ACTIONS and time.monotonic() < began + _PATIENCE_SECONDS:
@@ -56,7 +69,8 @@ def test_what_arrives_at_once_is_taken_for_a_flood(free_port: int) -> None:
     key, came = key_of("fleet", "r1", ACTION), []
     try:
         reader.subscribe(key, lambda _, payload: came.append(payload))
-        time.sleep(0.5)
+        knocked(sender, key, lambda: bool(came))
+        came.clear()
         for number in range(200):
             sender.put(key, str(number).encode(), never_drop=True)
         deadline = time.monotonic() + _PATIENCE_SECONDS

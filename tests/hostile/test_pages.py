@@ -25,6 +25,8 @@ from safedpa_services.web.hosts import Hosts
 from safedpa_services.web.shelf import Shelf
 from safedpa_services.workbench.page_address import Serving
 
+_PATIENCE = 120.0
+"""s; nothing is waited for that long but on a busy machine."""
 PATHS = (
     "/",
     "/live",
@@ -58,7 +60,7 @@ class Served:
     def answer(
         self, path: str, headers: dict[str, str] | None = None, method: str = "GET", body: bytes = b""
     ) -> tuple[int, dict[str, str], bytes]:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_PATIENCE)
         try:
             connection.putrequest(method, path, skip_host=True)
             for name, value in {"Host": f"127.0.0.1:{self.port}", **(headers or {})}.items():
@@ -94,7 +96,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     yield Served(port, line.split()[1], folder)
     server.send_signal(signal.SIGINT)
     try:
-        server.wait(60)
+        server.wait(_PATIENCE)
     finally:
         server.kill()
         server.wait()
@@ -102,7 +104,8 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 def _await(port: int) -> None:
-    for _ in range(200):
+    end = time.monotonic() + _PATIENCE
+    while time.monotonic() < end:
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) == 0:
                 return
@@ -150,7 +153,7 @@ def _handshake(served: Served, headers: dict[str, str]) -> int:
     }
     text = f"GET /_nicegui_ws/socket.io/?EIO=4&transport=websocket HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n"
     text += "".join(f"{name}: {value}\r\n" for name, value in {**upgrade, **headers}.items())
-    with socket.create_connection(("127.0.0.1", served.port), timeout=20) as link:
+    with socket.create_connection(("127.0.0.1", served.port), timeout=_PATIENCE) as link:
         link.sendall(f"{text}\r\n".encode())
         return int(link.recv(200).split()[1])
 
@@ -201,6 +204,7 @@ def test_a_page_of_another_name_that_resolves_here_reads_nothing(served: Served,
     with playwright.sync_playwright() as play:
         browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox", rules, unguarded])
         context = browser.new_context()
+        context.set_default_timeout(1000 * _PATIENCE)
         own = context.new_page()
         own.goto(served.address)  # the person has the page open
         own.wait_for_selector("text=safedpa workbench")

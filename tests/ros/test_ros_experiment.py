@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from safedpa_lab.experiments.ros_faults import FAULTS, _judged
 from safedpa_lab.experiments.ros_report import page_of
+from safedpa_lab.ros import car
 from safedpa_services.command_line.group import safedpa
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -60,3 +62,25 @@ def test_the_robot_s_side_imports_nothing_of_ours_but_the_simulator(module: str)
 
     beside = loaded(f"safedpa_lab.ros.{module}") - loaded("safedpa_sim.robots.scene, safedpa_sim.robots.world")
     assert {name for name in beside if not name.startswith("safedpa_lab.ros.")} <= {"safedpa_lab", "safedpa_lab.ros"}
+
+
+@pytest.mark.parametrize("stall", [0.04, 0.3])
+def test_a_car_whose_process_was_held_up_does_not_drive_on_blindly(
+    monkeypatch: pytest.MonkeyPatch, stall: float
+) -> None:
+    """What it makes up for in a burst is driven by one command, of which no gateway knows where it leads."""
+    now, turns = [50.0], list[float]()
+    monkeypatch.setattr(car.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(car.time, "sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    driven = object.__new__(car.Car)
+    driven.options, driven.ended, driven.stalled = argparse.Namespace(seconds=1.0), False, 0.0
+
+    def turn(k: int, at: float) -> None:
+        turns.append(now[0])
+        now[0] += stall if k == 10 else 0.0
+
+    monkeypatch.setattr(driven, "turn", turn)
+    monkeypatch.setattr(driven, "account", dict)
+    driven.run()
+    assert max(turns.count(moment) for moment in turns) <= 3, "so many periods at once"
+    assert len(turns) == 50, "a second of driving all the same"

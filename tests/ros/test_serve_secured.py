@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,9 +31,17 @@ def certificates(folder: Path, *robots: str) -> str:
     return str(folder)
 
 
+def await_that(true: Callable[[], object]) -> None:
+    end = time.monotonic() + 120.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
 @contextmanager
-def served(folder: Path, file: Path, *options: str) -> Iterator[Callable[[str], str]]:
-    """The command while it runs; called with a process's name it tells that one's log. Ends in order."""
+def served(folder: Path, file: Path, *options: str, wanted: Sequence[str]) -> Iterator[Callable[[str], str]]:
+    """The command while it runs, once ``wanted`` are on the bus; called with a process's name it tells that one's log.
+    Ends in order."""
     words = [sys.executable, "-m", "safedpa_services", "serve", str(file), *QUIET, "--out", str(folder / "runs")]
     said = folder / "serve.log"
     with said.open("wb") as log, subprocess.Popen([*words, *options], stdout=log, stderr=log) as process:
@@ -43,9 +51,8 @@ def served(folder: Path, file: Path, *options: str) -> Iterator[Callable[[str], 
             return "".join(path.read_text(encoding="utf-8") for path in paths)
 
         try:
-            end = time.monotonic() + 60.0
-            while "router.open" not in tells("router") and process.poll() is None and time.monotonic() < end:
-                time.sleep(0.05)
+            for name in wanted:  # the logs are there long before
+                await_that(lambda name=name: "is on the bus" in tells(name) or process.poll() is not None)
             yield tells
             process.send_signal(signal.SIGINT)
             assert process.wait(60.0) == 0, tells("serve")
@@ -65,11 +72,12 @@ def endpoint_in(log: str) -> str:
 def test_a_robot_of_ros_drives_and_a_foreign_certificate_stays_outside(side: Side, tmp_path: Path, own: bool) -> None:
     shown = ("--certificates", certificates(tmp_path / "own", "r1")) if own else ("--secure",)
     car = side.car(8.0, 11)
-    with served(tmp_path, robot_file(tmp_path / "r.toml", side.endpoint, 11), *shown) as tells:
+    file = robot_file(tmp_path / "r.toml", side.endpoint, 11)
+    with served(tmp_path, file, *shown, wanted=("adaptation", "safety_filter", "robot")) as tells:
         endpoint = endpoint_in(tells("router"))
         foreign = Certificates(Path(certificates(tmp_path / "foreign", "r1")), "safety_filter")
         with pytest.raises(BusError, match="could not open"):
-            ZenohTransport(ZenohSettings("client", (), (endpoint,), foreign, patience=0.5))
+            ZenohTransport(ZenohSettings("client", (), (endpoint,), foreign, patience=3.0))
         car.say("go")
         if own:  # as a container's health check asks, again and again; a busy machine answers late
             assert any(healthy(endpoint, shown[1]) for _ in range(3)), tells("robot")
@@ -90,7 +98,7 @@ def robot(endpoint: str, folder: str, name: str, seconds: str) -> subprocess.Com
     words = ["--name", name, "--seed", "3", "--seconds", seconds, "--connect", endpoint]
     shown = ["--certificates", folder, "--role", f"robot.{name}"]
     command = [sys.executable, "-m", "safedpa_sim.robots", *words, *shown]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=90)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=180)
 
 
 @pytest.mark.slow
@@ -101,7 +109,7 @@ def test_a_robot_of_the_bus_joins_with_its_own_key_and_another_one_moves_nothing
     file.write_text(BY_ITSELF, encoding="utf-8")
     port = ports.free_port()
     where = ("--certificates", folder, "--listen", f"tls/0.0.0.0:{port}", "--policy", "goal_seeker")
-    with served(tmp_path, file, *where) as tells:
+    with served(tmp_path, file, *where, wanted=("adaptation", "policy", "safety_filter")) as tells:
         (tmp_path / "r1.key").rename(tmp_path / "own" / "robot.r1.key.pem")
         accounts: list[dict[str, Any]] = []
         for name, seconds in (("r2", "2"), ("r1", "5")):

@@ -54,9 +54,14 @@ def wait_for(there: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
+def is_ready(folder: Path, times: str) -> Callable[[], bool]:
+    """Whether it has written so: the file is there a moment before its words are."""
+    return lambda: (folder / "ready").exists() and (folder / "ready").read_text() == times
+
+
 def test_it_does_nothing_before_it_is_told_to_begin(robot: Child, tmp_path: Path) -> None:
     robot.start()
-    wait_for((tmp_path / "ready").exists)
+    wait_for(is_ready(tmp_path, "once"))
     time.sleep(0.3)
     assert not robot.begun
     assert not (tmp_path / "began").exists()
@@ -67,7 +72,7 @@ def test_it_does_nothing_before_it_is_told_to_begin(robot: Child, tmp_path: Path
 
 def test_once_begun_whatever_takes_its_place_does_not_wait(robot: Child, tmp_path: Path) -> None:
     robot.start()
-    wait_for((tmp_path / "ready").exists)
+    wait_for(is_ready(tmp_path, "once"))
     robot.kill()
     robot.begin()  # nobody hears the word
     assert not (tmp_path / "began").exists()
@@ -78,7 +83,7 @@ def test_once_begun_whatever_takes_its_place_does_not_wait(robot: Child, tmp_pat
 
 def test_who_is_asked_to_end_while_it_waits_ends_without_having_begun(robot: Child, tmp_path: Path) -> None:
     robot.start()
-    wait_for((tmp_path / "ready").exists)
+    wait_for(is_ready(tmp_path, "once"))
     robot.terminate()
     wait_for(lambda: robot.exit_code is not None)
     assert robot.exit_code == 0

@@ -72,4 +72,4 @@ def test_a_second_robot_of_the_same_name_is_refused(tmp_path: Path) -> None:
     assert running.returncode == 0, errors
     summary = json.loads(output)
     assert summary["collisions"] == 0
-    assert set(summary["refusals"]) <= {"late"}, "nothing but what a busy machine is late with"
+    assert set(summary["refusals"]) <= {"late", "too old"}, "nothing but what a busy machine is late with"

@@ -35,7 +35,8 @@ from safedpa_services.supervisor.child import Child
 __all__ = ["Watch", "summary_of"]
 
 _WHO = "'safedpa up', which is about to end"
-_ORDER_SECONDS = 0.5
+_ORDER_SECONDS = 2.0
+"""A busy machine is late with the answer; where there is no filter, that is known at once."""
 _STANDS = 0.02
 """m/s; slower than that a car stands."""
 

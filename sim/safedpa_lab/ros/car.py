@@ -31,8 +31,9 @@ __all__ = ["Car", "Told", "blind_wish"]
 _PERIOD = 0.02
 _DRIVER_PATIENCE = 0.25
 """s; the driver brakes by itself without a command for so long."""
-_STALL = 0.5
-"""s between two periods after which the whole machine must have been stopped: the drive goes on from there."""
+_STALL = 0.1
+"""s between two periods after which this process was held up, or the whole machine: the drive goes on from there. Made
+up for in a burst, they would be driven by one command; a gateway believes no odometry that is older than that."""
 _STANDS = 0.05
 """m/s."""
 _JUMP = 1000.0

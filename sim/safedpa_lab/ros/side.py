@@ -158,7 +158,7 @@ class Loop:
         """What it said."""
         return (self.folder / f"{name}.log").read_text(encoding="utf-8", errors="replace")
 
-    def wait_for(self, name: str, words: str, seconds: float = 20.0) -> str:
+    def wait_for(self, name: str, words: str, seconds: float = _START_SECONDS) -> str:
         """Until it said so. Raises SafedpaError with its log where it does not."""
         end = time.monotonic() + seconds
         while words not in (text := self.log(name)):
@@ -195,13 +195,15 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 @contextmanager
 def services(folder: Path, *, router: bool = False) -> Iterator[Loop]:
-    """Adaptation and safety filter of the car; they meet at the adaptation, or at a ``router``."""
+    """Adaptation and safety filter of the car, on the bus; they meet at the adaptation, or at a ``router``."""
     loop = Loop(folder)
     try:
         if router:
             loop.start("router", "--plain", "--robot", "r1")
         loop.start("adaptation", "--model", "car")
         loop.start("safety_filter", "--model", "car", "--settings", "car")
+        for name in ("adaptation", "safety_filter"):
+            loop.wait_for(name, "is on the bus", _START_SECONDS)
         yield loop
     finally:
         loop.end()
