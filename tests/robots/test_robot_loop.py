@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
@@ -193,6 +194,26 @@ def test_a_name_under_which_a_robot_speaks_or_lives_is_refused():
     with pytest.raises(BusError, match="lives already"):
         claim_name(newcomer, "r1")
     claim_name(newcomer, "r2")
+
+
+def test_the_first_of_two_that_start_at_once_stays_however_slowly_the_other_one_leaves(monkeypatch):
+    broker, now = MemoryBroker(), [0.0]
+    second = Bus(MemoryTransport(broker), "test")
+
+    class First(Bus):
+        def announce(self, robot: str, service: str, instance: str) -> None:
+            super().announce(robot, service, instance)
+            second.announce(robot, service, "b")
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+        if now[0] > 3.0:
+            second.close()
+
+    monkeypatch.setattr("safedpa.bus.transport.bus.time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
+    first = First(MemoryTransport(broker), "test")
+    first.claim("r1", "robot", "a")
+    assert first.instances("r1", "robot") == ["a"]
 
 
 def test_a_robot_that_speaks_without_being_announced_is_heard():
