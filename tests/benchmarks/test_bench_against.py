@@ -60,7 +60,7 @@ def test_what_is_no_checkout_is_refused(tmp_path: Path) -> None:
 def test_this_checkout_against_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert safedpa.run(["bench", "against", str(ROOT), "--pairs", "1", "--seconds", "1", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)["figures"]
-    assert 0.1 < figures["start to the first action"]["ours"] < 60.0
+    assert 0.1 < figures["start to the first action"]["ours"] < 180.0
     assert figures["sense to act, p50"]["ratio"] > 0.0
 
 

@@ -170,7 +170,7 @@ def test_what_a_laser_sees_lies_on_walls_and_pillars_evenly(count: int) -> None:
 
 def test_calls_in_turn_are_each_given_their_own_inputs_as_often() -> None:
     asked: dict[str, list[int]] = {"one": [], "other": []}
-    found = in_turn({"one": (asked["one"].append, [1, 2]), "other": (asked["other"].append, [3])}, 30, 5.0)
+    found = in_turn({"one": (asked["one"].append, [1, 2]), "other": (asked["other"].append, [3])}, 30, 60.0)
     assert asked["one"].count(1) + asked["one"].count(2) == len(asked["other"]) == 33
     assert set(asked["other"]) == {3}
     assert {own["calls"] for own in found.values()} == {30}

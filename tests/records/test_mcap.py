@@ -260,7 +260,7 @@ def test_a_kill_loses_less_than_the_last_second(tmp_path: Path) -> None:
     with process:
         assert process.stdout.readline() == b"written\n"
         process.send_signal(signal.SIGKILL)
-        process.wait(30)
+        process.wait(120)
     ticks = [message.tick for _, _, message in read_messages(path)]
     assert ticks == list(range(len(ticks)))
     assert (2000 - len(ticks)) * PERIOD < 1.0
@@ -300,7 +300,7 @@ recorder.close()
 def test_on_a_full_disk_what_was_written_stays_readable(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
     code = FULL.format(folder=str(Path(__file__).parent), path=str(path))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     tick, _, sentence = done.stdout.strip().partition(" ")
     assert "the recording stopped after" in sentence

@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
-from safedpa.bus import ACTION, HEALTH, STATE, ActionMessage, Bus, HealthMessage, MemoryBroker, MemoryTransport
+from safedpa.bus import (
+    ACTION,
+    HEALTH,
+    STATE,
+    ActionMessage,
+    Bus,
+    HealthMessage,
+    MemoryBroker,
+    MemoryTransport,
+    Received,
+    Refused,
+)
 from safedpa.bus.wire.codec import decode
 from safedpa.bus.wire.messages import StateMessage
 from safedpa.errors import BusError
@@ -41,6 +53,21 @@ class Fleet:
         self.sender = Bus(self.filter, "test")
         self.robot = CarRobot(Scene.random(1), period, lockstep, epoch=9)
         self.loop = RobotLoop(self.robot, Bus(MemoryTransport(broker), "test"), "r1", patience=patience)
+
+    @classmethod
+    def by_its_own_clock(cls, answer: Answer, period: float) -> Fleet:
+        """In real time by a clock that stands still but while the loop waits: no other process holds this one up."""
+        fleet = cls(answer, lockstep=False, period=period)
+        loop, take, now = fleet.loop, fleet.loop._inbox.take, [0.0]
+
+        def taken(longest_wait: float) -> list[Received | Refused]:
+            found = take(0.0)
+            now[0] += 0.0 if found else longest_wait
+            return found
+
+        loop._inbox.take = taken  # type: ignore[method-assign]
+        loop._clock, loop._next_heartbeat = lambda: now[0], 0.0
+        return fleet
 
     def on_state(self, _: str, payload: bytes) -> None:
         state = decode(STATE.message, payload)
@@ -97,7 +124,7 @@ def test_lockstep_can_be_stopped_while_it_waits():
 
 
 def test_real_time_brakes_in_each_period_without_an_action():
-    fleet = Fleet(lambda state: action(state) if state.tick % 2 else None, lockstep=False, period=0.05)
+    fleet = Fleet.by_its_own_clock(lambda state: action(state) if state.tick % 2 else None, period=0.05)
     fleet.loop.run(never, 12)
     assert fleet.robot.tick == 12
     assert fleet.robot.watchdog_ticks == 6
@@ -117,7 +144,7 @@ def test_real_time_brakes_in_each_period_without_an_action():
     ],
 )
 def test_what_the_robot_refuses_is_counted_and_braked_for(answer, reason):
-    fleet = Fleet(answer, lockstep=False, period=0.005)
+    fleet = Fleet.by_its_own_clock(answer, period=0.005)
     fleet.loop.run(never, 6)
     assert fleet.robot.watchdog_ticks == 6
     assert set(fleet.robot.guard.refusals) == {reason}
@@ -136,9 +163,9 @@ def test_it_brakes_to_a_standstill_before_it_ends_whatever_the_filter_says():
 
 
 def test_heartbeats_come_from_the_turning_loop():
-    fleet = Fleet(action, lockstep=False, period=0.02)
+    fleet = Fleet.by_its_own_clock(action, period=0.02)
     fleet.loop.run(never, 30)
-    assert 2 <= len(fleet.health) <= 4
+    assert len(fleet.health) == 3, "at 0, 0.25 and 0.5 s of 0.6"
     assert fleet.health[-1].service == "robot"
     assert fleet.health[-1].steps > fleet.health[0].steps
 
@@ -167,6 +194,26 @@ def test_a_name_under_which_a_robot_speaks_or_lives_is_refused():
     with pytest.raises(BusError, match="lives already"):
         claim_name(newcomer, "r1")
     claim_name(newcomer, "r2")
+
+
+def test_the_first_of_two_that_start_at_once_stays_however_slowly_the_other_one_leaves(monkeypatch):
+    broker, now = MemoryBroker(), [0.0]
+    second = Bus(MemoryTransport(broker), "test")
+
+    class First(Bus):
+        def announce(self, robot: str, service: str, instance: str) -> None:
+            super().announce(robot, service, instance)
+            second.announce(robot, service, "b")
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+        if now[0] > 3.0:
+            second.close()
+
+    monkeypatch.setattr("safedpa.bus.transport.bus.time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
+    first = First(MemoryTransport(broker), "test")
+    first.claim("r1", "robot", "a")
+    assert first.instances("r1", "robot") == ["a"]
 
 
 def test_a_robot_that_speaks_without_being_announced_is_heard():

@@ -6,11 +6,13 @@ import json
 import signal
 import subprocess
 import sys
+import time
+from math import inf
 from pathlib import Path
 
 import pytest
 
-from safedpa.bus import ACTION, STATE, ActionMessage, Bus, Received, StateMessage, ZenohSettings, ZenohTransport
+from safedpa.bus import ACTION, STATE, ActionMessage, Bus, Inbox, Received, StateMessage, ZenohSettings, ZenohTransport
 from safedpa.bus.transport.ports import free_port
 
 pytestmark = pytest.mark.processes
@@ -46,8 +48,8 @@ def start(free_endpoint):
             robot.communicate()
 
 
-def answer(bus: Bus, robot: subprocess.Popen[str], ticks: int) -> list[StateMessage]:
-    """Drives the robot for some ticks; returns the states heard."""
+def answer(bus: Bus, robot: subprocess.Popen[str], ticks: int, speed: float = -inf) -> list[StateMessage]:
+    """Drives the robot for some ticks, and on until it is so fast; returns the states heard."""
     inbox, states = bus.inbox((STATE,), "r1"), []
     for _ in range(600):
         for item in inbox.take(0.1):
@@ -59,10 +61,22 @@ def answer(bus: Bus, robot: subprocess.Popen[str], ticks: int) -> list[StateMess
                 epoch=state.epoch, tick=state.tick, robot_time=0.0, publish_time=0.0, values=(1.2, 0.05)
             )
             bus.publish(ACTION, "r1", message)
-            if state.tick >= ticks - 1:
+            if state.tick >= ticks - 1 and state.values[3] > speed:
                 return states
         assert robot.poll() is None, robot.communicate()
-    raise AssertionError("the robot did not come so far")
+    raise AssertionError("the robot did not come so far, or so fast")
+
+
+def slower_than(speed: float, inbox: Inbox) -> bool:
+    """Whether such a state is heard; the last one of a process may come after its end."""
+    patience = time.monotonic() + 60.0
+    while time.monotonic() < patience:
+        for item in inbox.take(0.1):
+            assert isinstance(item, Received)
+            assert isinstance(item.message, StateMessage)
+            if abs(item.message.values[3]) < speed:
+                return True
+    return False
 
 
 def told(errors: str) -> list[str]:
@@ -89,8 +103,7 @@ def test_a_lockstep_run_ends_with_an_account_and_repeats(bus, start, tmp_path):
 
 def test_sigterm_brakes_first(bus, start):
     robot = start("--rate", "50")
-    states = answer(bus, robot, 30)
-    assert states[-1].values[3] > 0.5
+    answer(bus, robot, 30, 0.5)  # periods whose action comes late, on a busy machine, are braked in
     inbox = bus.inbox((STATE,), "r1")
     robot.send_signal(signal.SIGTERM)
     output, errors = robot.communicate(timeout=60)
@@ -103,9 +116,7 @@ def test_sigterm_brakes_first(bus, start):
     account = json.loads(output)
     assert account["end"] == "SIGTERM"
     assert account["watchdog_ticks"] > 3
-    (last,) = [item.message for item in inbox.take(1.0) if isinstance(item, Received)]
-    assert isinstance(last, StateMessage)
-    assert abs(last.values[3]) < 0.2
+    assert slower_than(0.2, inbox)
 
 
 def test_a_second_robot_of_the_same_name_is_refused_in_one_line(bus, start):
@@ -120,7 +131,14 @@ def test_a_second_robot_of_the_same_name_is_refused_in_one_line(bus, start):
 
 
 def test_of_two_robots_that_start_at_once_one_stays(bus, start):
-    pair = [start("--seconds", "2"), start("--seconds", "2")]
+    pair = [start(), start()]
+    patience = time.monotonic() + 60.0
+    while all(robot.poll() is None for robot in pair) and time.monotonic() < patience:
+        time.sleep(0.05)
+    (stays,) = [robot for robot in pair if robot.poll() is None]
+    inbox = bus.inbox((STATE,), "r1")
+    assert any(inbox.take(0.1) for _ in range(600)), "it drives"
+    stays.send_signal(signal.SIGTERM)
     outcomes = [robot.communicate(timeout=60) for robot in pair]
     assert sorted(robot.returncode for robot in pair) == [0, 2], outcomes
 

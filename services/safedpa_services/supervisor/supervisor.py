@@ -13,6 +13,9 @@ from safedpa_services.supervisor.watch import Watch
 __all__ = ["Supervisor"]
 
 _READY_SECONDS = 30.0
+"""Until a service is heard that died meanwhile."""
+_STARTING_SECONDS = 120.0
+"""The same for one that still starts: all do at once, at first with nothing compiled, on whatever else is busy."""
 _TURN_SECONDS = 0.05
 _ROBOT_PATIENCE_SECONDS = 8.0
 """A robot brakes to a standstill before it ends."""
@@ -71,13 +74,13 @@ class Supervisor:
         return [self.watch, *(watch for _, watch in self.others)]
 
     def _await_services(self) -> None:
-        deadline = time.monotonic() + _READY_SECONDS
+        began = time.monotonic()
         while not self.stopped() and (silent := self._silent()):
             self._turn()
-            if time.monotonic() > deadline:
-                raise SafedpaError(
-                    f"{silent[0].name}: not ready after {_READY_SECONDS:.0f} s: {silent[0].last_words()}"
-                )
+            waited = time.monotonic() - began
+            for child in silent:
+                if waited > (_READY_SECONDS if child.restarts else _STARTING_SECONDS):
+                    raise SafedpaError(f"{child.name}: not ready after {waited:.0f} s: {child.last_words()}")
 
     def _silent(self) -> list[Child]:
         """Services that the loop needs and that were not heard yet."""

@@ -19,6 +19,8 @@ from safedpa.errors import BusError, InputError, MessageError
 __all__ = ["Bus"]
 
 _CLAIM_POLL_SECONDS = 0.05
+_CLAIM_SETTLE_SECONDS = 5.0
+"""The other one looks around for up to a second, sees that it came second, and ends its session, on a busy machine."""
 
 
 def _usable(payload: bytes | None) -> Answer | None:
@@ -193,7 +195,7 @@ class Bus:
         keys = self._transport.alive(f"safedpa/{self.fleet}/{robot}/alive/{service}/*")
         return [key.rsplit("/", 1)[1] for key in keys]
 
-    def claim(self, robot: str, service: str, instance: str, settle_seconds: float = 1.0) -> None:
+    def claim(self, robot: str, service: str, instance: str, settle_seconds: float = _CLAIM_SETTLE_SECONDS) -> None:
         """Announces the only instance of a service.
 
         Of two that start at once the lower instance stays: it waits up to ``settle_seconds`` for the other one to
