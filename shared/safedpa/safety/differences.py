@@ -24,7 +24,8 @@ _SMALLEST: Final = 1e-18
 """First step of an entry that neither moves nor is there; it grows from here, so it is no unit."""
 _GROWTH: Final = 1e3
 _STILL: Final = 1e-13
-"""Share of the largest number there is by which an entry moves at least: less is rounding of something else."""
+"""Share of the largest number there is by which an entry moves at least: less may be rounding of something else, or an
+entry in a far larger unit, and only steps beyond it tell which."""
 _FURTHEST: Final = 1e9
 """Steps grow to so many times the largest number of the state."""
 
@@ -42,9 +43,9 @@ def central_slopes(function: Callable[[Values], Values], state: Values, moved: V
     largest = max(float(np.max(np.abs(state))), float(np.max(moved)))
     furthest = _FURTHEST * largest if largest > 0.0 else 1.0 / _SMALLEST
     for index in range(len(state)):
-        far = float(moved[index]) if moved[index] > _STILL * largest else 0.0
+        far = float(moved[index])
         step, doubt = _first_step(abs(float(state[index])), far), np.full(len(size), np.inf)
-        while step <= (far or furthest):
+        while step <= (far if far > _STILL * largest else furthest):
             found = _difference(function, state, index, step, size)
             if found is None:
                 break
