@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -108,3 +111,27 @@ def test_who_steps_out_meets_no_car_that_moves_however_it_looks_around_the_corne
         told = run_drive(Drive("steps-out", seed, 6.0, 1.5, load=load, policy="way_seeker"))
         assert told["moving"] == []
         assert told["way"] > 1.0
+
+
+def test_what_a_record_holds_is_not_driven_again(tmp_path: Path) -> None:
+    path, wanted = tmp_path / "drives.jsonl", {"seeds": [1003], "seconds": 1.0, "coming": 1.5, "processes": 1}
+    some = {"guards": ("told",), "scenes": ["pillars"], "loads": ["none"]}
+    first = sensing_experiment(**wanted, **some, record=path)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 2
+    told = json.loads(lines[1])
+    path.write_text("\n".join([lines[0], json.dumps({**told, "goals": 1000}), '{"scene": "pil']), encoding="utf-8")
+    again = sensing_experiment(**wanted, **{**some, "loads": ["none", "box"]}, record=path)
+    assert again["rows"][0]["drives"] == 2
+    assert again["by_load"][0]["goals_a_minute"] == 60_000.0, "taken from the record"
+    assert first["by_load"][0]["goals_a_minute"] < 60_000.0
+    assert len(path.read_text(encoding="utf-8").splitlines()) == 3
+
+
+@pytest.mark.parametrize("holds", ["", "1", '{"code": {}}', '{"code": {"a": 1}}\n{"scene": "pillars"}'])
+def test_another_file_or_other_code_is_no_record(holds: str, tmp_path: Path) -> None:
+    path = tmp_path / "drives.jsonl"
+    path.write_text(holds, encoding="utf-8")
+    with pytest.raises(InputError, match=r"drives\.jsonl: .*wanted"):
+        sensing_experiment([1003], 1.0, 1.5, 1, ("told",), scenes=["pillars"], record=path)
+    assert path.read_text(encoding="utf-8") == holds

@@ -5,10 +5,12 @@ A collision counts as the car's where it moved (``STANDS`` and faster); who walk
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ import numpy as np
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import AbstractNode
 from safedpa.dynamics import PhysicsModel, load_model
+from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.counter_braking import STANDS
@@ -25,6 +28,7 @@ from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, Ti
 from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
 from safedpa_lab.experiments.sensing_told import TellsAllButWhoHides, TellsEverything
 from safedpa_lab.experiments.statistics import clopper_pearson_interval, ratio_interval
+from safedpa_lab.provenance.code import digests
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS as TOWED
@@ -119,8 +123,13 @@ def sensing_experiment(
     scenes: Sequence[str] = SCENES,
     loads: Sequence[str] = LOADS[:1],
     policy: str = POLICIES[0],
+    record: Path | None = None,
 ) -> dict[str, Any]:
-    """Every scene with every seed and load behind each guard; one row for each scene and guard."""
+    """Every scene with every seed and load behind each guard; one row for each scene and guard.
+
+    Drives that ``record`` holds are not driven again, and those that are driven are added to it, a line each. Raises
+    InputError where it holds something else, or drives by other code.
+    """
     kinds = [(scene, guard) for scene in scenes for guard in guards]
     wanted = [
         Drive(scene, seed, seconds, coming, guard, load, policy)
@@ -128,11 +137,50 @@ def sensing_experiment(
         for seed in seeds
         for load in loads
     ]
-    found: list[dict[str, Any]] = []
+    known = {} if record is None else _recorded(record)
+    found = {drive: known[drive] for drive in wanted if drive in known}
+    open_ones = [drive for drive in wanted if drive not in known]
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for outcome in pool.map(run_drive, wanted):
-            found.append(outcome)
+        for drive, outcome in zip(open_ones, pool.map(run_drive, open_ones), strict=True):
+            found[drive] = outcome
+            if record is not None:
+                with record.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(outcome) + "\n")
             on_drive(len(found), len(wanted))
+    return _result(seeds, seconds, coming, kinds, loads, policy, [found[drive] for drive in wanted])
+
+
+def _recorded(path: Path) -> dict[Drive, dict[str, Any]]:
+    """The drives that a file holds; it is begun where there is none. Its first line is the code they were made by."""
+    code = digests(run_drive.__module__)
+    if not path.exists():
+        path.write_text(json.dumps({"code": code}) + "\n", encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1] or text  # what was killed while it wrote leaves part of a line
+    try:
+        first, *lines = map(json.loads, whole.splitlines())
+        by = first["code"]
+        drives = {Drive(**{item.name: one[item.name] for item in fields(Drive)}): one for one in lines}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path}: got no record of such drives ({error}), wanted a new file, or one that was"
+        ) from error
+    if by != code:
+        raise InputError(f"{path}: its drives were made by other code than today's; wanted another file")
+    if whole != text:
+        path.write_text(whole, encoding="utf-8")
+    return drives
+
+
+def _result(
+    seeds: Sequence[int],
+    seconds: float,
+    coming: float,
+    kinds: Sequence[tuple[str, str]],
+    loads: Sequence[str],
+    policy: str,
+    found: Sequence[dict[str, Any]],
+) -> dict[str, Any]:
     by_kind = {kind: [one for one in found if (one["scene"], one["guard"]) == kind] for kind in kinds}
     rows = [_row(kind, drives, by_kind.get((kind[0], "told"), []), seconds) for kind, drives in by_kind.items()]
     chosen = {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "policy": policy}

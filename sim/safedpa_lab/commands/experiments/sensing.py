@@ -28,6 +28,9 @@ __all__ = ["command"]
 @click.option("--load", "loads", multiple=True, help="what is towed, once or more; every one with every seed  [none]")
 @click.option("--policy", default="way_seeker", show_default=True, help="the controller, or goal_seeker: looks nowhere")
 @click.option("--processes", type=int, default=2, show_default=True)
+@click.option(
+    "--record", type=click.Path(path_type=Path), help="keep each drive there; what it holds is not driven again"
+)
 @click.option("--out", type=click.Path(path_type=Path), help="write the result there as JSON as well")
 @click.option("--page", type=click.Path(path_type=Path), help="write a page of the result there, as Markdown")
 @click.option("--json", "as_json", is_flag=True, help="print one JSON document and nothing else")
@@ -54,6 +57,7 @@ def command(**options: Any) -> None:
             options["scenes"] or SCENES,
             options["loads"] or LOADS[:1],
             options["policy"],
+            options["record"],
         )
     result = {"experiment": "sensing", **found}
     if out is not None:
@@ -82,7 +86,7 @@ def _check(options: dict[str, Any]) -> None:
         raise InputError(f"--coming: got {options['coming']}, wanted 0 to 1.5 m/s")
     if options["policy"] not in POLICIES:
         raise InputError(f"--policy {options['policy']}: {did_you_mean(options['policy'], POLICIES)}")
-    for name in ("out", "page"):
+    for name in ("out", "page", "record"):
         path = options[name]
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"--{name} {path}: folder {path.parent} does not exist; create it")
