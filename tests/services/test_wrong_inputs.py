@@ -100,7 +100,16 @@ WRONG = (  # a command line, and what of the cure the line must hold
     *(
         (f"experiment {name} --seconds inf", "more than 0")
         for name in (
-            *("differential-drive", "meeting", "sensing", "long-logs", "safety-pays", "ros", "fleet-diagnosis"),
+            *(
+                "differential-drive",
+                "meeting",
+                "sensing",
+                "sensing-curves",
+                "long-logs",
+                "safety-pays",
+                "ros",
+                "fleet-diagnosis",
+            ),
             *("point-story", "pendulum-story"),
         )
     ),

@@ -92,6 +92,7 @@ PARTS: Final = (
         ("--seeds", "1", "--seconds", "1"),
         25,
     ),
+    Part("sensing-curves", ("sensing-curves", "--first-seed", "4800"), ("--seeds", "1", "--seconds", "1"), 25),
     Part(
         "meeting",
         ("meeting", "--seeds", "3", "--first-seed", "4700", "--seconds", "20"),

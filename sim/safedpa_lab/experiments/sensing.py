@@ -10,6 +10,7 @@ import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields
+from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
 from safedpa_sim.sensing.senses import Senses
 
-__all__ = ["GUARDS", "LOADS", "POLICIES", "SCENES", "Drive", "run_drive", "sensing_experiment"]
+__all__ = ["GUARDS", "LOADS", "POLICIES", "SCENES", "Drive", "driven", "row_of", "run_drive", "sensing_experiment"]
 
 GUARDS = ("safedpa", "told", "told-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
 """Who stands between policy and car: the filter with the laser alone; the filter that is told everything; told
@@ -60,6 +61,14 @@ class Drive:
     guard: str = GUARDS[0]
     load: str = LOADS[0]
     policy: str = POLICIES[1]
+    walking: float = 1.5
+    """Speed of the people, at most."""
+    noise: float = 0.02
+    """m; of each range."""
+    latency: float = 0.05
+    """s from a scan until it is told."""
+    field_of_view: float = 2.0 * pi
+    """rad"""
 
 
 def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Person]) -> list[AbstractNode]:
@@ -89,8 +98,9 @@ def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Pe
 def run_drive(wanted: Drive) -> dict[str, Any]:
     """Drives it; the same drive gives the same numbers."""
     model = load_model("car")
-    scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load)
-    robot = CarRobot(scene, senses=Senses((Laser(LaserSettings(), wanted.seed),), people))
+    scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load, wanted.walking)
+    laser = LaserSettings(noise=wanted.noise, latency=wanted.latency, field_of_view=wanted.field_of_view)
+    robot = CarRobot(scene, senses=Senses((Laser(laser, wanted.seed),), people))
     nodes = _nodes(wanted, model, scene, people)
     way, microseconds, wished, kept = 0.0, [], 0.0, 0.0
     for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD)):
@@ -137,9 +147,20 @@ def sensing_experiment(
         for seed in seeds
         for load in loads
     ]
+    found = driven(wanted, processes, on_drive, record)
+    return _result(seeds, seconds, coming, kinds, loads, policy, found)
+
+
+def driven(
+    wanted: Sequence[Drive],
+    processes: int,
+    on_drive: Callable[[int, int], None] = lambda _done, _all: None,
+    record: Path | None = None,
+) -> list[dict[str, Any]]:
+    """What came out of each drive; see ``sensing_experiment`` for the record."""
     known = {} if record is None else _recorded(record)
     found = {drive: known[drive] for drive in wanted if drive in known}
-    open_ones = [drive for drive in wanted if drive not in known]
+    open_ones = [drive for drive in dict.fromkeys(wanted) if drive not in known]
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
         for drive, outcome in zip(open_ones, pool.map(run_drive, open_ones), strict=True):
             found[drive] = outcome
@@ -147,7 +168,7 @@ def sensing_experiment(
                 with record.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(outcome) + "\n")
             on_drive(len(found), len(wanted))
-    return _result(seeds, seconds, coming, kinds, loads, policy, [found[drive] for drive in wanted])
+    return [found[drive] for drive in wanted]
 
 
 def _recorded(path: Path) -> dict[Drive, dict[str, Any]]:
@@ -182,7 +203,7 @@ def _result(
     found: Sequence[dict[str, Any]],
 ) -> dict[str, Any]:
     by_kind = {kind: [one for one in found if (one["scene"], one["guard"]) == kind] for kind in kinds}
-    rows = [_row(kind, drives, by_kind.get((kind[0], "told"), []), seconds) for kind, drives in by_kind.items()]
+    rows = [row_of(kind, drives, by_kind.get((kind[0], "told"), []), seconds) for kind, drives in by_kind.items()]
     chosen = {"seconds": seconds, "coming": coming, "seeds": list(seeds), "loads": list(loads), "policy": policy}
     by_load = [_of_load(kind, load, drives, seconds) for kind, drives in by_kind.items() for load in loads]
     return {**chosen, "rows": rows, "by_load": by_load}
@@ -194,10 +215,10 @@ def _of_load(kind: tuple[str, str], load: str, drives: list[dict[str, Any]], sec
     return {"scene": kind[0], "guard": kind[1], "load": load, "drives": len(own), "goals_a_minute": goals}
 
 
-def _row(
+def row_of(
     kind: tuple[str, str], drives: list[dict[str, Any]], told: list[dict[str, Any]], seconds: float
 ) -> dict[str, Any]:
-    """``told``: the same drives with perfect knowledge, in the same order, where there are any."""
+    """What drives of a scene behind a guard come to; ``told``: the same with perfect knowledge, in the same order."""
     hit = sum(bool(one["moving"]) for one in drives)
     goals = np.array([float(one["goals"]) for one in drives])
     others = np.array([float(one["goals"]) for one in told])

@@ -40,28 +40,33 @@ _LEG = 2.5
 _GOALS, _BOXES, _TRIES = 12, 3, 4000
 
 
-def scene_and_people(kind: str, seed: int, load: str) -> tuple[Scene, tuple[Person, ...]]:
-    """The scene of a seed, and who is in it. Raises InputError for a kind or a load that does not exist."""
+def scene_and_people(kind: str, seed: int, load: str, walking: float = 1.5) -> tuple[Scene, tuple[Person, ...]]:
+    """The scene of a seed, and who is in it, ``walking`` [m/s] at most; who steps out does so at that speed.
+
+    Raises InputError for a kind or a load that does not exist.
+    """
     if kind not in SCENES:
         raise InputError(f"scene '{kind}': {did_you_mean(kind, SCENES)}")
     draw = np.random.default_rng([seed, 23])
     if kind == "steps-out":
-        return _past_a_box(seed, load_named(load), draw)
+        return _past_a_box(seed, load_named(load), draw, walking)
     if kind == "rooms":
         scene = _rooms(seed, load_named(load), draw)
-        return scene, walkers(scene, int(draw.integers(0, _MOST_PEOPLE + 1)), draw=draw)
+        return scene, walkers(scene, int(draw.integers(0, _MOST_PEOPLE + 1)), walking, draw)
     scene = Scene.random(seed, load)
-    return scene, walkers(scene, _PEOPLE if kind == "people" else 0, draw=draw)
+    return scene, walkers(scene, _PEOPLE if kind == "people" else 0, walking, draw)
 
 
-def _past_a_box(seed: int, load: Load | None, draw: np.random.Generator) -> tuple[Scene, tuple[Person, ...]]:
-    """Somebody steps out from behind a box into the car's way at 1.5 m/s when the car is 0.8 to 2.2 m away."""
+def _past_a_box(
+    seed: int, load: Load | None, draw: np.random.Generator, walking: float
+) -> tuple[Scene, tuple[Person, ...]]:
+    """Somebody steps out from behind a box into the car's way when the car is 0.8 to 2.2 m away."""
     x, after = float(draw.uniform(-1.0, 1.0)), float(draw.uniform(0.5, 0.9))
     field = (-4.0 if load is None else -5.0, 4.0, -3.0, 3.0)
     cover = box(x, 1.0, 0.9, 0.6)
     scene = Scene(seed, load, field, (), (-3.0, 0.0, 0.0), ((3.2, 0.0), (-3.2, 0.0)), (cover,))
     trigger = float(draw.uniform(0.8, 2.2))
-    return scene, (StepsOut((x + after, 1.6), (x + after, 0.0), 1.5, trigger),)
+    return scene, (StepsOut((x + after, 1.6), (x + after, 0.0), walking, trigger),)
 
 
 def _rooms(seed: int, load: Load | None, draw: np.random.Generator) -> Scene:

@@ -27,8 +27,8 @@ KEY = "provenance"
 
 _PACKAGES = ("numpy", "piqp", "pymunk", "torch")
 _ELSEWHERE = (
-    "out", "page", "record", "keep", "recordings", "models", "baselines", "data", "file", "markdown", "pictures",
-    "peers",
+    "out", "page", "record", "keep", "recordings", "models", "baselines", "data", "file", "markdown", "picture",
+    "pictures", "peers",
 )  # fmt: skip
 """Options that name a place on a machine, where they do: they change nothing of a result but where it stands."""
 _NO_RESULT = ("as_json", "processes", "workers", "jobs", "listed", "resume")
