@@ -8,12 +8,17 @@ import subprocess
 import sys
 import time
 import urllib.request
+from types import SimpleNamespace
 
 import pytest
 
+from safedpa_services.dashboard import __main__ as dashboard_process
 from safedpa_services.dashboard.doors import Door, choose_port
 
 pytestmark = pytest.mark.processes
+
+PATIENCE = 240.0
+"""s; a dashboard yields to everybody, and a busy machine leaves it little."""
 
 
 def _start(*options):
@@ -29,12 +34,12 @@ def test_it_says_where_to_look_and_ends_at_once_without_a_viewer(tmp_path):
         beginning = time.monotonic() - began
         assert line.startswith("dashboard: http://localhost:"), process.stderr.read()
         address = line.split()[1].rstrip(",")
-        with urllib.request.urlopen(address, timeout=30) as page:
+        with urllib.request.urlopen(address, timeout=PATIENCE) as page:
             assert page.status == 200
             assert "rerun%2Bhttp://localhost" in page.url
         started = time.monotonic()
         process.send_signal(signal.SIGTERM)
-        rest, complaint = process.communicate(timeout=120)
+        rest, complaint = process.communicate(timeout=PATIENCE)
         assert time.monotonic() - started < 8.0 + 2.0 * beginning, "it waited for a viewer"
         assert process.returncode == 0
         assert (rest, complaint) == ("", "")
@@ -53,7 +58,10 @@ def test_it_says_where_to_look_and_ends_at_once_without_a_viewer(tmp_path):
 )
 def test_bad_options_are_refused_in_one_line(options, complaint):
     process = _start(*options)
-    out, error = process.communicate(timeout=30)
+    try:
+        out, error = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
     assert process.returncode == 2
     assert complaint in error
     assert error.count("\n") == 1
@@ -71,6 +79,25 @@ def test_a_taken_port_is_refused_when_wished_for_and_passed_over_otherwise(free_
         assert choose_port(None, free_port, "--web-port", "127.0.0.1") > free_port
 
 
+def test_a_port_that_another_took_since_it_was_chosen_is_passed_over_unless_wished_for(free_port, monkeypatch):
+    """Two dashboards that are started at one moment find the same ports free."""
+    from safedpa.errors import InputError
+
+    doors = []
+    monkeypatch.setattr(dashboard_process, "choose_port", lambda *_: free_port)
+    monkeypatch.setattr(dashboard_process, "Door", lambda *given: doors.append(Door(*given)))
+    options = SimpleNamespace(bind="127.0.0.1", web_port=None, name=())
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", free_port))
+        taken.listen()
+        address = dashboard_process._open_door(options, 5678)
+        options.web_port = free_port
+        with pytest.raises(InputError, match=f"--web-port {free_port}"):
+            dashboard_process._open_door(options, 5678)
+    doors.pop().close()
+    assert int(address.rpartition(":")[2]) > free_port
+
+
 def test_the_door_sends_a_browser_on_under_the_name_by_which_it_came(free_port):
     door = Door("127.0.0.1", free_port, 5678, ("robot.local",))
     request = urllib.request.Request(f"http://127.0.0.1:{free_port}", headers={"Host": f"robot.local:{free_port}"})
@@ -80,7 +107,7 @@ def test_the_door_sends_a_browser_on_under_the_name_by_which_it_came(free_port):
             return None
 
     with pytest.raises(urllib.error.HTTPError) as answer:
-        urllib.request.build_opener(Stay).open(request, timeout=30)
+        urllib.request.build_opener(Stay).open(request, timeout=PATIENCE)
     assert answer.value.headers["Location"] == "/?url=rerun%2Bhttp://robot.local:5678/proxy"
     answer.value.close()
     door.close()

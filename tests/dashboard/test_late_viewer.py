@@ -22,7 +22,8 @@ _LONG = pytest.mark.skipif("SAFEDPA_LONG_TESTS" not in os.environ, reason="minut
 _FIRST_CHUNKS = 200
 _TICKS_OF_A_BATCH = 8
 """The painter sends what it drew every 0.4 s; here by the robot's clock, since the drive is drawn faster than that."""
-_PATIENCE_SECONDS = 60.0
+_PATIENCE_SECONDS = 240.0
+_ENDED = "The drive has ended."
 _NEEDED = (
     "world/obstacles", "world/clearance", "world/field", "world/goal", "now", "verdict/filter", "verdict/in_force",
     "verdict/diagnosis", "verdict/model", "services/robot", "services/policy", "services/safety_filter",
@@ -80,15 +81,15 @@ class Viewer:
             time.sleep(0.3)
         return found
 
-    def all_chunks(self, patience=_PATIENCE_SECONDS):
-        """What there is once nothing more comes."""
+    def all_chunks(self, enough, patience=_PATIENCE_SECONDS):
+        """What there is once ``enough`` of it is there, or where nobody can say what comes last, nothing more comes."""
         counts = [0, 0]
 
         def settled(found):
             counts.append(len(found))
-            return counts[-1] >= _FIRST_CHUNKS and counts[-1] == counts[-2] == counts[-3]
+            return counts[-1] == counts[-2] == counts[-3]
 
-        return self.chunks(settled, patience)
+        return self.chunks(lambda found: len(found) >= _FIRST_CHUNKS and (enough or settled)(found), patience)
 
     def _read(self):
         from rerun.chunk import RrdReader
@@ -134,13 +135,14 @@ def test_who_joins_late_has_the_present_among_the_first_chunks(
     look, tick_of, free_port, view_of, robots, ticks, memory
 ):
     drive = Drive(look, tick_of, choose_port(None, free_port, "--grpc-port", "127.0.0.1"), robots, memory)
+    full = memory == "2MB" or ticks == 54_000
     try:
         drive.go(ticks)
-        chunks = view_of(drive.address).all_chunks(_PATIENCE_SECONDS + 0.01 * ticks)
+        enough = None if full else _has_the_beginning  # which comes last, and on a busy machine after pauses
+        chunks = view_of(drive.address).all_chunks(enough, _PATIENCE_SECONDS + 0.01 * ticks)
     finally:
         drive.painter.close()
-    full = memory == "2MB" or ticks == 54_000
-    assert full != any(_begin(chunk) == 0.0 for chunk in chunks), "was the memory limit reached?"
+    assert full != _has_the_beginning(chunks), "was the memory limit reached?"
     first = [chunk for chunk in chunks[:_FIRST_CHUNKS] if not chunk.is_static]
     missing = {f"/robots/{robot}/{path}" for robot in robots for path in _NEEDED} - {c.entity_path for c in first}
     assert not missing
@@ -155,10 +157,10 @@ def test_a_viewer_is_told_that_the_drive_has_ended(look, tick_of, free_port, vie
         drive.go(20)
         viewer = view_of(drive.address)
         viewer.chunks(lambda found: len(found) >= 60)
-        drive.painter.draw(drive.view.end("The drive has ended.", 1.0))
+        drive.painter.draw(drive.view.end(_ENDED, 1.0))
     finally:
         drive.painter.close()
-    viewer.chunks(lambda found: any("**The drive has ended.**" in _texts(c) for c in found if "now" in c.entity_path))
+    viewer.chunks(_is_ended)
 
 
 def test_a_dashboard_that_ends_while_it_waits_says_so_to_its_viewer(free_port, view_of):
@@ -173,6 +175,14 @@ def test_a_dashboard_that_ends_while_it_waits_says_so_to_its_viewer(free_port, v
     finally:
         process.kill()
         process.communicate()
+
+
+def _is_ended(chunks):
+    return any(f"**{_ENDED}**" in _texts(chunk) for chunk in chunks if "now" in chunk.entity_path)
+
+
+def _has_the_beginning(chunks):
+    return any(_begin(chunk) == 0.0 for chunk in chunks)
 
 
 def _begin(chunk):

@@ -250,6 +250,10 @@ def test_what_is_hidden_in_all_counts_in_no_robot():
     assert result["common_hidden"] == result["common_named"] == ["quadratic_drag"]
 
 
+PATIENCE = 240_000
+"""ms; on a busy machine a page takes its time."""
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -257,15 +261,15 @@ def browser() -> Iterator[Any]:
         pytest.skip("no Chromium; install it (Debian: apt-get install chromium)")
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; pip install playwright")
     with playwright.sync_playwright() as play:
-        started = play.chromium.launch(
-            executable_path=chromium, args=["--no-sandbox", "--disable-background-networking"]
-        )
+        arguments = ["--no-sandbox", "--disable-background-networking"]
+        started = play.chromium.launch(executable_path=chromium, args=arguments, timeout=PATIENCE)
         yield started
         started.close()
 
 
 def opened(browser: Any, path: Any) -> tuple[Any, list[str]]:
     page, said = browser.new_page(viewport={"width": 1280, "height": 900}), []
+    page.set_default_timeout(PATIENCE)
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("request", lambda request: None if request.url.startswith("file:") else said.append(request.url))

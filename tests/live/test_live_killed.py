@@ -50,7 +50,7 @@ def children_of(parents: set[int]) -> dict[int, str]:
 def test_killing_the_diagnosis_changes_nothing_for_the_car(tmp_path: Path) -> None:
     """Its search is a process of its own that speaks to the diagnosis alone, and ends with it."""
     alone = up(tmp_path / "alone", "--no-diagnosis")
-    without = json.loads(alone.communicate(timeout=170)[0])
+    without = json.loads(alone.communicate(timeout=600)[0])
     process = up(tmp_path / "watched", "--diagnosis")
     killed: set[int] = set()
     while process.poll() is None:

@@ -59,8 +59,8 @@ def _written(path: Path, rows: list[list[float]], columns: tuple[str, ...] = COL
 @pytest.fixture(scope="session")
 def finished() -> Iterator[Callable[[Coroutine[Any, Any, Any]], Any]]:
     """Runs a coroutine to its end, on a thread of its own: the browser's tests leave a running loop in this one."""
-    with ThreadPoolExecutor(1) as pool:
-        yield lambda story: pool.submit(asyncio.run, story).result(240.0)
+    with ThreadPoolExecutor(1) as pool:  # the story itself is given up: else its thread were waited for without an end
+        yield lambda story: pool.submit(asyncio.run, asyncio.wait_for(story, 240.0)).result()
 
 
 @pytest.fixture(scope="session")
@@ -106,11 +106,31 @@ def browser() -> Iterator[Any]:
         pytest.skip("no Chromium; install it (Debian: apt-get install chromium)")
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright; pip install playwright")
     with playwright.sync_playwright() as play:
-        started = play.chromium.launch(
-            executable_path=chromium, args=["--no-sandbox", "--disable-background-networking"]
-        )
-        yield started
+        arguments = ["--no-sandbox", "--disable-background-networking"]
+        started = play.chromium.launch(executable_path=chromium, args=arguments, timeout=_PATIENCE_MS)
+        yield PatientBrowser(started)
         started.close()
+
+
+_PATIENCE_MS = 240_000
+"""Of whatever is asked of a page; playwright's own half minute is not enough for a busy machine to load one."""
+
+
+class PatientBrowser:
+    """Opens pages that have patience."""
+
+    def __init__(self, started: Any) -> None:
+        self._started = started
+
+    def new_context(self, **options: Any) -> Any:
+        context = self._started.new_context(**options)
+        context.set_default_timeout(_PATIENCE_MS)
+        return context
+
+    def new_page(self, **options: Any) -> Any:
+        page = self._started.new_page(**options)
+        page.set_default_timeout(_PATIENCE_MS)
+        return page
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -41,6 +41,14 @@ pytestmark = pytest.mark.slow
 
 PATIENCE = 240_000
 """ms; on a busy machine a page takes its time."""
+POLLING = 100
+"""ms; a page that is asked at every picture that it draws computes nothing else."""
+NOTE_OFFER = """() => {
+  window.offered = false;
+  const look = () => { window.offered ||= document.body.innerText.includes('change 1 is offered to'); };
+  new MutationObserver(look).observe(document.body, {childList: true, subtree: true, characterData: true});
+}"""
+"""The words go by themselves: a busy browser may have shown them before anybody looks."""
 
 REPORT = {
     "robot": "car",
@@ -275,24 +283,27 @@ def test_a_candidate_is_accepted_on_the_live_page(browser, live):
     page.on("console", lambda message: complaints.append(message.text))
     page.goto(address)
     page.wait_for_selector(".candidate.open >> text=Accept", timeout=PATIENCE)
-    assert "the stage is candidates" in page.locator("#verdict").inner_text().lower()
+    page.wait_for_selector("#verdict >> text=/the stage is candidates/i", timeout=PATIENCE)
     page.wait_for_selector("text=/If you accept: the margin of obstacle goes from 0.03 to 0.1/", timeout=PATIENCE)
     assert not page.get_by_label("back to the model before").is_visible()
+    page.evaluate(NOTE_OFFER)
     page.keyboard.press("a")
-    page.wait_for_selector("text=/change 1 is offered to/", timeout=PATIENCE)
+    page.wait_for_function("window.offered", polling=POLLING, timeout=PATIENCE)
     page.wait_for_selector("text=−80 % since the change", timeout=PATIENCE)
-    assert page.locator(".candidate").count() == 0
+    page.wait_for_selector(".candidate", state="detached", timeout=PATIENCE)  # what may be accepted is asked for
     page.get_by_label("back to the model before").wait_for(timeout=PATIENCE)
     assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    before = len(complaints)
     server.send_signal(signal.SIGTERM)
     page.wait_for_selector("text=/The drive has ended. r1 drove for/", timeout=PATIENCE)
-    server.wait(60)
+    server.wait(PATIENCE / 1000)
     page.wait_for_timeout(2000)
     assert not page.locator("#popup").is_visible(), "an end is no lost connection"
     page.close()
     assert hosts == {address.split("/")[2]}
-    ended = ("ERR_CONNECTION_REFUSED", "WebSocket")  # what a browser says, again and again, where a server is gone
-    assert [line for line in complaints if not any(word in line for word in ended)] == []
+    assert [line for line in complaints[:before] if "WebSocket" not in line] == []
+    ended = ("net::ERR_", "WebSocket")  # what a browser says, again and again, of a server that goes and is gone
+    assert [line for line in complaints[before:] if not any(word in line for word in ended)] == []
 
 
 @pytest.mark.browser
@@ -311,5 +322,5 @@ def test_a_drive_that_ends_while_the_page_loads_is_told_to_have_ended(browser, l
     page.on("response", end)
     page.goto(address)
     page.get_by_text("The drive has ended").locator("visible=true").first.wait_for(timeout=PATIENCE)
-    server.wait(60)
+    server.wait(PATIENCE / 1000)
     page.close()

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,8 @@ PATIENCE = 240_000
 """ms; a search takes seconds, on a busy machine more."""
 POLLING = 100
 """ms; a page that is asked at every picture that it draws computes nothing else."""
+BUSY_SECONDS = 25.0
+"""Longer than a page that answers nothing was kept when that was 10 s; no longer than the shortest now."""
 BARS = "document.querySelectorAll('.stages .value').length === {}"
 
 
@@ -41,7 +44,7 @@ class Bench:
     def end(self, number: int = signal.SIGINT) -> None:
         if self.server is not None:
             self.server.send_signal(number)
-            self.server.wait(60)
+            self.server.wait(PATIENCE / 1000)
             self.server.stdout.close()
             self.server = None
 
@@ -108,7 +111,7 @@ def test_nothing_is_lost(browser, bench, drives):
     page.reload()  # F5
     page.wait_for_function(BARS.format(2), polling=POLLING, timeout=PATIENCE)
     assert errors(page) == kept
-    assert page.locator("text=/Written: .*model.toml/").is_visible()
+    page.wait_for_selector("text=/Written: .*model.toml/", timeout=PATIENCE)
 
     other = opened(browser, address.replace("127.0.0.1", "localhost"), 2)  # a second tab
     page.click("text=Undo")
@@ -130,3 +133,17 @@ def test_nothing_is_lost(browser, bench, drives):
     bench.end()
     assert "Traceback" not in bench.said
     assert "page goes on after an error" not in bench.said
+
+
+def test_a_page_whose_browser_is_busy_for_long_is_not_loaded_anew(browser, bench, drives):
+    """What was typed in it would be lost. A question that nobody answers keeps a browser as busy as a lack of time."""
+    model, runs = drives
+    page = opened(browser, bench.start(model, runs[0]), 1)
+    page.evaluate("window.stays = true")
+    page.on("dialog", lambda asked: (time.sleep(BUSY_SECONDS), asked.accept()))
+    page.evaluate("alert('busy')")
+    page.wait_for_timeout(2000)  # who was forgotten begins anew now
+    assert page.evaluate("window.stays === true")
+    page.get_by_label("select the cell of the map with the largest error").click()
+    page.wait_for_selector("text=/windows: error/", timeout=PATIENCE)
+    page.close()

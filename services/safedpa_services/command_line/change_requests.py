@@ -25,6 +25,8 @@ _TIMEOUT_SECONDS = 2.0
 _LONGEST_CHANGE_SECONDS = 120.0
 """A model that is made when it is accepted takes some seconds; the diagnosis itself gives up after a minute."""
 _LOOK_SECONDS = 0.1
+_SILENCE_SECONDS = 10.0
+"""A change goes on while one answer about it is late or lost; nobody is there where none comes for so long."""
 
 
 def bus_options(command: _C) -> _C:
@@ -57,22 +59,31 @@ def ask_for_change(do: str, robot: str, effect: str, options: dict[str, Any]) ->
 def _asked(bus: Bus, robot: str, request: Request) -> Answer:
     answer = bus.request(robot, request, _TIMEOUT_SECONDS)
     if answer is None:
-        raise SafedpaError(
-            f"robot '{robot}' of fleet '{bus.fleet}': no diagnosis answers; wanted a running 'safedpa up', whose "
-            "endpoint is named with --connect"
-        )
+        raise _nobody(bus, robot)
     return answer
+
+
+def _nobody(bus: Bus, robot: str) -> SafedpaError:
+    return SafedpaError(
+        f"robot '{robot}' of fleet '{bus.fleet}': no diagnosis answers; wanted a running 'safedpa up', whose "
+        "endpoint is named with --connect"
+    )
 
 
 def _end_of(bus: Bus, robot: str, begun: Answer) -> Answer:
     """The status once the change is over."""
     from safedpa.bus import Request
 
-    give_up = time.monotonic() + _LONGEST_CHANGE_SECONDS
+    heard = time.monotonic()
+    give_up = heard + _LONGEST_CHANGE_SECONDS
     while time.monotonic() < give_up:
-        status = _asked(bus, robot, Request(do="status"))
-        if not status.pending or status.change != begun.change:
-            return status
+        status = bus.request(robot, Request(do="status"), _TIMEOUT_SECONDS)
+        if status is not None:
+            heard = time.monotonic()
+            if not status.pending or status.change != begun.change:
+                return status
+        elif time.monotonic() - heard > _SILENCE_SECONDS:
+            raise _nobody(bus, robot)
         time.sleep(_LOOK_SECONDS)
     raise SafedpaError(
         f"change {begun.change} is not over after {_LONGEST_CHANGE_SECONDS:.0f} s; does the robot drive?"

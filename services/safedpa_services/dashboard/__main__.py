@@ -16,7 +16,7 @@ from safedpa.extras import need
 from safedpa.robot import DEFAULT_ROBOT
 from safedpa.safety.shipped import settings_named
 from safedpa_services.dashboard.dashboard import Dashboard
-from safedpa_services.dashboard.doors import FIRST_OF_ITS_OWN, DataDoor, Door, choose_port, own_loopback
+from safedpa_services.dashboard.doors import FIRST_OF_ITS_OWN, DataDoor, Door, choose_port, opened, own_loopback
 from safedpa_services.dashboard.fleet_view import FleetView
 from safedpa_services.dashboard.look import look_of
 from safedpa_services.serving import service_parser
@@ -42,7 +42,12 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
     data_port = choose_port(None, FIRST_OF_ITS_OWN, "--grpc-port", behind) if options.viewer else None
     painter = Painter(look, options.fleet, save=save, bind=behind, grpc_port=data_port)
     if grpc_port is not None and data_port is not None:
-        DataDoor(options.bind, grpc_port, (behind, data_port), options.name)
+        own = (behind, data_port)
+        grpc_port = opened(
+            lambda port: DataDoor(options.bind, port, own, options.name),
+            grpc_port,
+            wished=options.grpc_port is not None,
+        )
     address = "" if grpc_port is None else _open_door(options, grpc_port)
     sys.stdout.write(f"dashboard: {address or 'no viewer'}{f', recording {save}' if save else ''}\n")
     sys.stdout.flush()
@@ -56,8 +61,9 @@ def work(options: argparse.Namespace, stop: Stop) -> int:
 
 
 def _open_door(options: argparse.Namespace, grpc_port: int) -> str:
-    port = choose_port(options.web_port, 9090, "--web-port", options.bind)
-    Door(options.bind, port, grpc_port, options.name)
+    first = choose_port(options.web_port, 9090, "--web-port", options.bind)
+    wished = options.web_port is not None
+    port = opened(lambda port: Door(options.bind, port, grpc_port, options.name), first, wished=wished)
     host = "localhost" if options.bind in ("127.0.0.1", "0.0.0.0", "::", "::1") else options.bind
     return f"http://{host}:{port}"
 

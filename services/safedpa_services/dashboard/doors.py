@@ -16,7 +16,7 @@ import re
 import secrets
 import socket
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -24,7 +24,7 @@ from safedpa.errors import InputError, SafedpaError
 from safedpa_services.web.hosts import Hosts
 from safedpa_services.web.viewer import VIEWER_POLICY, Viewer
 
-__all__ = ["FIRST_OF_ITS_OWN", "DataDoor", "Door", "choose_port", "own_loopback"]
+__all__ = ["FIRST_OF_ITS_OWN", "DataDoor", "Door", "choose_port", "opened", "own_loopback"]
 
 _ATTEMPTS = 50
 _MOST_CONNECTIONS = 64
@@ -51,6 +51,21 @@ def choose_port(wanted: int | None, first: int, option: str, bind: str) -> int:
         if _is_free(port, bind):
             return port
     raise InputError(f"{option}: no free port from {first} to {first + _ATTEMPTS - 1}; name one")
+
+
+def opened(door: Callable[[int], object], first: int, *, wished: bool) -> int:
+    """The port at which a door was opened: ``first``, or the next where that was taken since it was chosen.
+
+    Another dashboard that is started at the same moment looks at the same ports. Raises InputError where the first was
+    wished for, or none of so many can be had.
+    """
+    last = first if wished else first + _ATTEMPTS - 1
+    for port in range(first, last):
+        with contextlib.suppress(InputError):
+            door(port)
+            return port
+    door(last)
+    return last
 
 
 def _is_free(port: int, bind: str) -> bool:

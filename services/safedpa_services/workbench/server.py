@@ -45,8 +45,9 @@ _LISTEN_SECONDS = 0.1
 _LOOK_SECONDS, _MOST_LOOKS = 0.02, 500
 _LAST_WORD_SECONDS = 4.0
 """For the browsers to say that they show the end of the drive."""
-_RECONNECT_SECONDS = 10.0
-"""s for which a page that lost its connection is kept."""
+_RECONNECT_SECONDS = 30.0
+"""s for which a page that lost its connection is kept. A browser that is silent for 0.4 of it counts as lost: on a busy
+machine, or while it asks something of a person, it may be, and a page that is loaded anew loses what was typed."""
 
 
 def serve(
