@@ -60,8 +60,8 @@ def curves_page(result: Mapping[str, Any]) -> str:
         "# A laser among people, made harder",
         "",
         f"Scene {result['scene']}, seeds {seeds[0]} to {seeds[-1]}, {result['seconds']:g} s each, no load. One thing "
-        "at a time differs from 1.5 m/s, 0.02 m, 0.05 s and 360 degrees. A collision is the car's where it was at 0.1 m/s "
-        "or more.",
+        "at a time differs from 1.5 m/s, 0.02 m, 0.05 s and 360 degrees. A collision is the car's where it was at 0.1 "
+        "m/s or more.",
         "",
         f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
     ]
