@@ -77,18 +77,22 @@ def kind_of(file: str) -> str:
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Of a long run: where its time went, by folder, summed over all processes."""
-    seconds: Counter[str] = Counter()
+    """Of a long run: where its time went, by folder and by file, summed over all processes."""
+    folders: Counter[str] = Counter()
+    files: Counter[str] = Counter()
     for reports in terminalreporter.stats.values():
         for report in reports:
-            seconds[folder_of(getattr(report, "nodeid", ""))] += getattr(report, "duration", 0.0)
-    if seconds.total() > _LONG_SECONDS:
-        shown = ", ".join(f"{folder} {spent:.0f}" for folder, spent in seconds.most_common(_FOLDERS_TOLD))
-        terminalreporter.write_line(f"seconds by folder: {shown}")
+            test, spent = getattr(report, "nodeid", ""), getattr(report, "duration", 0.0)
+            folders[folder_of(test)] += spent
+            files[test.split("::", 1)[0].removeprefix("tests/")] += spent
+    if folders.total() > _LONG_SECONDS:
+        for kind, seconds in (("folder", folders), ("file", files)):
+            shown = ", ".join(f"{name} {spent:.0f}" for name, spent in seconds.most_common(_MOST_TOLD))
+            terminalreporter.write_line(f"seconds by {kind}: {shown}")
 
 
 _LONG_SECONDS = 120.0
-_FOLDERS_TOLD = 20
+_MOST_TOLD = 20
 
 
 def folder_of(test: str) -> str:
