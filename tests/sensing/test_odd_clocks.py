@@ -1,0 +1,93 @@
+"""Clocks that stand still, leap or run ahead, headings that wrap, sources that overtake each other, few discs."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from safedpa.bus import SURROUNDINGS, ScanMessage, StateMessage, SurroundingsMessage
+from safedpa.perception import PerceptionNode
+from safedpa.perception.odometry import Odometry
+
+PERIOD = 0.05
+RAYS = 360
+
+
+def state_of(tick: int, yaw: float = 0.0, epoch: int = 1, robot_time: float | None = None) -> StateMessage:
+    return StateMessage(
+        epoch=epoch,
+        tick=tick,
+        robot_time=tick * PERIOD if robot_time is None else robot_time,
+        publish_time=0.0,
+        values=(0.0, 0.0, yaw, 0.0),
+        applied=(0.0, 0.0),
+        applied_by="filter",
+        period=PERIOD,
+        lockstep=True,
+        goal=(),
+        obstacles=(),
+        field=(),
+        footprint=(0.2, 0.2, 0.15),
+        sources=("laser",),
+    )
+
+
+def scan_of(number: int, time: float, tick: int, yaw: float = 0.0, epoch: int = 1) -> ScanMessage:
+    """Of a round wall at 3 m, and a post of 0.2 m radius at (1.5, 0)."""
+    angles = yaw + 2.0 * pi / RAYS * np.arange(RAYS)
+    along, across = 1.5 * np.cos(angles), 1.5 * np.sin(angles)
+    hits = (np.abs(across) < 0.2) & (along > 0.0)
+    near = along - np.sqrt(np.where(hits, 0.2**2 - across**2, 0.0))
+    noise = np.random.default_rng(number).normal(0.0, 0.003, RAYS)
+    return ScanMessage(
+        epoch=epoch,
+        tick=tick,
+        robot_time=time,
+        publish_time=0.0,
+        source="laser",
+        mount=(0.0, 0.0, 0.0),
+        first_angle=0.0,
+        angle_step=2.0 * pi / RAYS,
+        ranges=tuple((np.where(hits, near, 3.0) + noise).tolist()),
+        nearest=0.02,
+        farthest=8.0,
+        number=number,
+    )
+
+
+def step(node: PerceptionNode, state: StateMessage) -> SurroundingsMessage:
+    message = node.step("r", state, {})[SURROUNDINGS]
+    assert isinstance(message, SurroundingsMessage)
+    return message
+
+
+def test_a_scan_between_two_headings_that_wrap_is_laid_the_short_way_round() -> None:
+    odometry = Odometry()
+    odometry.add(0.0, (0.0, 0.0, pi - 0.01))
+    odometry.add(0.1, (1.0, 0.0, -pi + 0.03))
+    found = odometry.at(0.05)
+    assert found is not None
+    assert found == pytest.approx((0.5, 0.0, pi + 0.01))
+
+
+def test_a_robot_that_heads_west_and_tells_its_heading_within_half_a_turn_is_believed() -> None:
+    """As a ROS gateway tells it: the heading comes from a quaternion."""
+    node = PerceptionNode()
+    for tick in range(60):
+        true = pi + 0.02 * (1 if tick % 2 else -1)
+        if tick:
+            node.hear("r", scan_of(tick, (tick - 0.5) * PERIOD, tick - 1, yaw=pi))
+        message = step(node, state_of(tick, yaw=float(np.arctan2(np.sin(true), np.cos(true)))))
+        if tick > 10:
+            assert not message.amiss
+            assert min(np.hypot(x - 1.5, y) - radius for x, y, radius in message.points) < 0.25
+            assert min(np.hypot(x + 1.5, y) - radius for x, y, radius in message.points) > 1.0
+
+
+def test_a_clock_that_stands_still_for_a_tick_breaks_nothing() -> None:
+    odometry = Odometry()
+    odometry.add(1.0, (0.0, 0.0, 0.0))
+    odometry.add(1.0, (1.0, 0.0, 0.0))
+    assert odometry.at(1.0 + 5e-10) == (1.0, 0.0, 0.0)
