@@ -9,6 +9,7 @@ import pytest
 
 from safedpa.bus import SURROUNDINGS, ScanMessage, StateMessage, SurroundingsMessage
 from safedpa.perception import PerceptionNode
+from safedpa.perception.hiding import Hiding
 from safedpa.perception.odometry import Odometry
 
 PERIOD = 0.05
@@ -91,3 +92,21 @@ def test_a_clock_that_stands_still_for_a_tick_breaks_nothing() -> None:
     odometry.add(1.0, (0.0, 0.0, 0.0))
     odometry.add(1.0, (1.0, 0.0, 0.0))
     assert odometry.at(1.0 + 5e-10) == (1.0, 0.0, 0.0)
+
+
+def test_a_look_that_comes_late_forgets_nobody_who_went_out_of_sight_since() -> None:
+    hiding, none, all_of_it = Hiding(31, 0.2, 1.5), np.zeros((31, 31), bool), np.ones((31, 31), bool)
+    hiding.look(0.9, all_of_it, none, none, none)
+    somebody = none.copy()
+    somebody[15, 15] = True
+    beside = all_of_it.copy()
+    beside[10:21, 10:21] = False
+    hiding.look(1.0, beside, none, none, somebody)  # the newer one sees him, and nothing around him
+    hiding.look(0.8, all_of_it, none, none, none)  # the other was there before him
+    for time in (0.93, 1.06):
+        hiding.wait(time)
+    hiding.look(1.1, beside, none, none, none)
+    assert hiding.present[15, 15]
+    hiding.look(1.2, all_of_it, none, none, none)
+    hiding.look(1.3, beside, none, none, none)
+    assert not hiding.present[15, 15], "a look that is newer than he is rules him out"
