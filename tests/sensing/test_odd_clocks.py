@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 
 import numpy as np
@@ -92,6 +93,18 @@ def test_a_clock_that_stands_still_for_a_tick_breaks_nothing() -> None:
     odometry.add(1.0, (0.0, 0.0, 0.0))
     odometry.add(1.0, (1.0, 0.0, 0.0))
     assert odometry.at(1.0 + 5e-10) == (1.0, 0.0, 0.0)
+
+
+def test_a_scan_of_the_next_epoch_that_overtakes_its_state_is_told_with_that() -> None:
+    """A replay lets perception hear what is told, and would miss it."""
+    node = PerceptionNode()
+    step(node, state_of(40))
+    node.hear("r", scan_of(0, 0.0, 0, epoch=2))
+    node.hear("r", scan_of(7, 2.02, 40))
+    assert step(node, state_of(41)).scans == ((0.0, 7.0),)
+    state = state_of(0, epoch=2)
+    node.hear("r", replace(scan_of(1, 0.0, 0, epoch=2), source="another"))
+    assert step(node, state).scans == ((0.0, 0.0),)
 
 
 def test_a_look_that_comes_late_forgets_nobody_who_went_out_of_sight_since() -> None:
