@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from math import pi
 
@@ -12,6 +13,7 @@ from safedpa.bus import SURROUNDINGS, ScanMessage, StateMessage, SurroundingsMes
 from safedpa.perception import PerceptionNode
 from safedpa.perception.hiding import Hiding
 from safedpa.perception.odometry import Odometry
+from safedpa.perception.surroundings import covering
 
 PERIOD = 0.05
 RAYS = 360
@@ -95,6 +97,44 @@ def test_a_clock_that_stands_still_for_a_tick_breaks_nothing() -> None:
     assert odometry.at(1.0 + 5e-10) == (1.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("ahead", "tells_tick"), [(0.3, True), (3.0, True), (100.0, True), (3.0, False), (100.0, False)]
+)
+def test_a_source_whose_clock_runs_ahead_is_not_believed_when_the_robots_clock_comes_there(
+    ahead: float, tells_tick: bool
+) -> None:
+    node = PerceptionNode()
+    for tick in range(120):
+        time = tick * PERIOD + 0.01 + ahead
+        node.hear("r", scan_of(tick, time, tick if tells_tick else int(time / PERIOD)))
+        message = step(node, state_of(tick + 1))
+        assert message.ages == (-1.0,)
+    assert message.amiss == (
+        f"the source laser tells scans from {ahead - PERIOD + 0.01:.2f} s ahead of the robot's clock",
+    )
+
+
+def test_after_a_leap_backwards_no_scan_of_before_is_believed_later() -> None:
+    node = PerceptionNode()
+    for tick in range(1, 60):
+        node.hear("r", scan_of(tick, tick * PERIOD - 0.01, tick - 1))
+        step(node, state_of(tick))
+    leap = 2.0
+    node.hear("r", scan_of(60, 59 * PERIOD + 0.02, 59))
+    for tick in range(60, 120):
+        message = step(node, state_of(tick, robot_time=tick * PERIOD - leap))
+    assert message.ages == (-1.0,)
+
+
+def test_a_scan_that_comes_before_the_state_after_it_waits_for_that() -> None:
+    node = PerceptionNode()
+    step(node, state_of(0))
+    step(node, state_of(1))
+    node.hear("r", scan_of(0, 2.4 * PERIOD, 2))
+    assert step(node, state_of(2)).ages == (-1.0,)
+    assert step(node, state_of(3)).ages == pytest.approx((0.6 * PERIOD,))
+
+
 def test_a_scan_of_the_next_epoch_that_overtakes_its_state_is_told_with_that() -> None:
     """A replay lets perception hear what is told, and would miss it."""
     node = PerceptionNode()
@@ -123,3 +163,14 @@ def test_a_look_that_comes_late_forgets_nobody_who_went_out_of_sight_since() -> 
     hiding.look(1.2, all_of_it, none, none, none)
     hiding.look(1.3, beside, none, none, none)
     assert not hiding.present[15, 15], "a look that is newer than he is rules him out"
+
+
+@pytest.mark.parametrize("most", [7, 8, 12, 20])
+def test_around_the_origin_as_few_discs_as_may_be_told_cover_all_of_it(most: int) -> None:
+    places = np.random.default_rng(0).uniform(-15.0, 15.0, (3000, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = covering(places, np.full(len(places), 0.05), np.array((0.01, 0.02)), most)
+    assert len(found) <= most
+    apart = np.hypot(places[:, None, 0] - found[:, 0], places[:, None, 1] - found[:, 1])
+    assert ((apart + 0.05 - found[:, 2]).min(axis=1) < 1e-9).all()
