@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +174,42 @@ def test_a_picture_that_is_none_is_refused_at_once(tmp_path: Path, picture: byte
     (tmp_path / "room.pgm").write_bytes(picture)
     with pytest.raises(InputError, match=said):
         read_map(path)
+
+
+def test_a_picture_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    path = written(tmp_path, np.array([[0]]))
+    (tmp_path / "room.pgm").unlink()
+    os.mkfifo(tmp_path / "room.pgm")
+    with pytest.raises(InputError, match=r"room\.yaml: .*room\.pgm: is no ordinary file"):
+        read_map(path)
+
+
+@pytest.mark.parametrize("image", ["none.pgm", ".", "a\0b"])
+def test_a_picture_that_cannot_be_read_is_told_by_its_name(tmp_path: Path, image: str) -> None:
+    path = written(tmp_path, np.array([[0]]))
+    path.write_text(path.read_text(encoding="utf-8").replace("room.pgm", image), encoding="utf-8")
+    (tmp_path / "perception.toml").write_text(FILE, encoding="utf-8")
+    with pytest.raises(InputError) as raised:
+        load_perception(tmp_path / "perception.toml")
+    assert f"room.yaml: its image '{image}' cannot be read" in str(raised.value)
+
+
+def test_a_map_that_is_not_there_is_told_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "perception.toml").write_text(FILE, encoding="utf-8")
+    with pytest.raises(InputError, match=r"room\.yaml: it cannot be read \(No such file"):
+        load_perception(tmp_path / "perception.toml")
+
+
+def test_a_large_picture_that_is_occupied_all_over_takes_no_more_memory_than_some_of_its_rows(tmp_path: Path) -> None:
+    path = written(tmp_path, np.zeros((2500, 2000), dtype=np.uint8))
+    tracemalloc.start()
+    try:
+        closed = read_map(path).flags
+        assert tracemalloc.get_traced_memory()[1] < 200e6
+    finally:
+        tracemalloc.stop()
+    assert closed.shape == (1000, 1250)
+    assert closed.all()
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,10 @@ class Hiding:
         self.present: Flags = np.ones((size, size), dtype=bool)
         """(size, size) cells in which the middle of something hidden may be, as of the last look."""
         self._stuck: Flags = np.zeros((size, size), dtype=bool)
+        self._left: Values = np.full((size, size), -inf)
+        """s; when something that may move was last seen in a cell."""
+        self._newest = -inf
+        """s; the newest look."""
         self.nobody: Flags = np.zeros((size, size), dtype=bool)
         """(size, size) cells in which a person says that nobody hides: nobody comes out of them. Who would come through
         them is told where he comes in."""
@@ -56,19 +60,24 @@ class Hiding:
         self._earliest = moved(self._earliest, way, -inf)
         self.present = moved(self.present, way, True)
         self._stuck = moved(self._stuck, way, False)
+        self._left = moved(self._left, way, -inf)
         self.nobody = moved(self.nobody, way, False)
 
     def look(self, time: float, seen: Flags, solid: Flags, own: Flags, leaves: Flags) -> None:
         """Takes up what ``solid`` is at rest at ``time`` [s], the robot's ``own``, and cells past whose middle, within
         ``width``, a ray was ``seen`` to go on; (size, size).
 
-        ``leaves``: cells in which something that may move is seen, and may have gone out of sight by the next look.
+        ``leaves``: cells in which something that may move is seen, and may have gone out of sight by the next look. A
+        look that comes late, after another source's newer one, knows nothing of who went out of sight since: the front
+        begins anew at whoever the newer one saw.
         """
         stuck = grown(solid, self._slimmest, beyond=False)
         hidden = ~(seen | stuck | grown(own, min(CELL, self.width), beyond=False))  # as far as it would overlap
         self._earliest[~hidden] = inf
         self.present = hidden & (self._earliest <= time)
-        self._spread(time, grown(leaves, self._slimmest, beyond=False))
+        later = self._left > time if time < self._newest else np.zeros_like(leaves)
+        self._spread(time, grown(leaves | later, self._slimmest, beyond=False))
+        self._left[leaves], self._newest = np.maximum(self._left[leaves], time), max(self._newest, time)
         self._earliest[stuck] = inf
         self._stuck = stuck
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import zlib
 from base64 import b64decode, b64encode
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, isfinite, sin
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safedpa.errors import InputError
-from safedpa.limits import limit, text_of_file
+from safedpa.limits import file_of_at_most, text_of_file
 from safedpa.perception.grid import CELL
 
 __all__ = ["Cells", "read_map"]
@@ -37,6 +38,8 @@ _DEEPEST = 16
 """Cells from the border within which depth is told apart."""
 _TOUCHES = 1e-6
 """m by which a pixel that ends at a cell's border may be said to reach over it, by rounding."""
+_AT_ONCE = 2**20
+"""Pixels of a picture that are looked at together."""
 _PGM_HEADER = rb"P5(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,6})(?:\s|#[^\n]*\n)+(\d{1,3})\s"
 _KEYS = ("image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
@@ -126,8 +129,9 @@ def read_map(path: Path) -> Cells:
     """The occupied cells of a map's YAML file and the picture (.pgm) that it names; unknown ones stay open.
 
     A cell of 0.1 m is closed where a pixel that is occupied reaches into it, as far as the box around the pixel, where
-    the map is turned. Raises InputError naming the file, and OSError where it cannot be read.
+    the map is turned. Raises InputError naming the file.
     """
+    told: dict[str, str] = {}
     try:
         told = _told(text_of_file(path, "toml_bytes"))
         picture = _pgm(path.parent / told["image"])
@@ -136,6 +140,10 @@ def read_map(path: Path) -> Cells:
         return _closed(occupied, _number(told, "resolution", *_RESOLUTION), _origin(told["origin"]))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+    except (OSError, ValueError) as error:  # no UTF-8, or a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        unread = f"its image '{told['image'][:200]}'" if told else "it"
+        raise InputError(f"{path}: {unread} cannot be read ({reason})") from error
 
 
 def _told(text: str) -> dict[str, str]:
@@ -184,11 +192,7 @@ def _origin(text: str) -> tuple[float, float, float]:
 
 def _pgm(path: Path) -> NDArray[np.uint8]:
     """(height, width) brightness 0 to 255 of a binary PGM, its first row on top."""
-    most = limit("map_bytes")
-    with path.open("rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise InputError(f"{path.name}: got more than {most} bytes")
+    content = file_of_at_most(path, "map_bytes")  # a pipe would be waited for
     found = re.match(_PGM_HEADER, content)
     if found is None:
         raise InputError(f"{path.name}: got no binary PGM of one byte a pixel; wanted one, as map_saver writes it")
@@ -204,23 +208,34 @@ def _pgm(path: Path) -> NDArray[np.uint8]:
 
 def _closed(occupied: Flags, resolution: float, origin: tuple[float, float, float]) -> Cells:
     """Cells that occupied pixels (height, width) reach into."""
-    from_top, across = np.nonzero(occupied)
-    if not len(across):
+    boxes = [(low.min(axis=0), high.max(axis=0)) for low, high in _boxes(occupied, resolution, origin)]
+    if not boxes:
         raise InputError("got no occupied pixel, wanted one that closes something; leave the zone out")
-    x, y, yaw = origin
-    ahead, aside = (across + 0.5) * resolution, (occupied.shape[0] - from_top - 0.5) * resolution
-    middles = np.column_stack([x + ahead * cos(yaw) - aside * sin(yaw), y + ahead * sin(yaw) + aside * cos(yaw)])
-    half = 0.5 * resolution * (abs(cos(yaw)) + abs(sin(yaw))) - _TOUCHES
-    low = np.floor((middles - half) / CELL).astype(np.int64)
-    high = np.floor((middles + half) / CELL).astype(np.int64)
-    corner = low.min(axis=0)
-    size = high.max(axis=0) - corner + 1
+    corner = np.min([low for low, _ in boxes], axis=0)
+    size = np.max([high for _, high in boxes], axis=0) - corner + 1
     if size.max() > _LONGEST_EDGE:
         raise InputError(f"got {size.max() * CELL:.0f} m along an edge, wanted {_LONGEST_EDGE * CELL:.0f} at most")
     closed = np.zeros(tuple(size.tolist()), dtype=np.bool_)
-    spread = (high - low).max(axis=0)
-    for i in range(int(spread[0]) + 1):
-        for j in range(int(spread[1]) + 1):
-            cells = np.minimum(low + np.array((i, j)), high) - corner
-            closed[cells[:, 0], cells[:, 1]] = True
+    for low, high in _boxes(occupied, resolution, origin):
+        spread = (high - low).max(axis=0)
+        for i in range(int(spread[0]) + 1):
+            for j in range(int(spread[1]) + 1):
+                cells = np.minimum(low + np.array((i, j)), high) - corner
+                closed[cells[:, 0], cells[:, 1]] = True
     return Cells.of(int(corner[0]), int(corner[1]), closed)
+
+
+def _boxes(occupied: Flags, resolution: float, origin: tuple[float, float, float]) -> Iterator[tuple[Whole, Whole]]:
+    """Column and row (n, 2) of the first and last cell that occupied pixels reach into, some of their rows at a time:
+    of the largest picture all at once would take 7 GB."""
+    x, y, yaw = origin
+    half = 0.5 * resolution * (abs(cos(yaw)) + abs(sin(yaw))) - _TOUCHES
+    height, width = occupied.shape
+    rows = max(_AT_ONCE // width, 1)
+    for top in range(0, height, rows):
+        from_top, across = np.nonzero(occupied[top : top + rows])
+        if not len(across):
+            continue
+        ahead, aside = (across + 0.5) * resolution, (height - (from_top + top) - 0.5) * resolution
+        middles = np.column_stack([x + ahead * cos(yaw) - aside * sin(yaw), y + ahead * sin(yaw) + aside * cos(yaw)])
+        yield np.floor((middles - half) / CELL).astype(np.int64), np.floor((middles + half) / CELL).astype(np.int64)

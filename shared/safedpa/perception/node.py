@@ -88,9 +88,13 @@ class PerceptionNode(AbstractNode):
         return {SURROUNDINGS: message}
 
     def _scans(self, robot: str, state: StateMessage) -> Rows:
+        """What was heard for this step. A scan of another epoch may have overtaken its state, and waits for that."""
+        heard = self._heard.pop(robot, ())
+        if others := [one for one in heard if one[0] != state.epoch]:
+            self._heard[robot] = deque(others, maxlen=_MOST_HEARD)
         return tuple(
             (float(state.sources.index(name)), float(number))
-            for epoch, name, number in self._heard.pop(robot, ())
+            for epoch, name, number in heard
             if epoch == state.epoch and name in state.sources
         )
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from math import hypot
+from math import hypot, pi, remainder
 from typing import final
 
 __all__ = ["Odometry", "Pose"]
 
 Pose = tuple[float, float, float]
-"""x, y in m, yaw in rad, turns counted."""
+"""x, y in m, yaw in rad, turns counted or not."""
 
 _KEPT = 200
 """Poses; 10 s at 20 Hz."""
@@ -46,6 +46,8 @@ class Odometry:
         if later == 0:
             return self._poses[0]
         before, after = self._poses[later - 1], self._poses[later]
-        share = min((time - times[later - 1]) / (times[later] - times[later - 1]), 1.0)
-        x, y, yaw = (one + share * (other - one) for one, other in zip(before, after, strict=True))
-        return x, y, yaw
+        passed = times[later] - times[later - 1]
+        share = min((time - times[later - 1]) / passed, 1.0) if passed > 0.0 else 1.0  # a clock may stand still
+        x, y = (one + share * (other - one) for one, other in zip(before[:2], after[:2], strict=True))
+        turned = remainder(after[2] - before[2], 2.0 * pi)  # the short way round: a robot may tell -pi after pi
+        return x, y, before[2] + share * turned

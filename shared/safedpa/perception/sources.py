@@ -35,6 +35,8 @@ class _Source:
     same: int = 0
     contradictions: int = 0
     believed: float = 1.0
+    early: float = 0.0
+    """s by which the last scan was from the future; 0: it was not."""
 
 
 @final
@@ -62,8 +64,13 @@ class Sources:
         ):
             return False
         source.same = source.same + 1 if scan.ranges == source.ranges else 0
-        source.heard, source.number, source.ranges = scan.robot_time, scan.number, scan.ranges
+        source.heard, source.number, source.ranges, source.early = scan.robot_time, scan.number, scan.ranges, 0.0
         return source.same < _FROZEN
+
+    def early(self, scan: ScanMessage, ahead: float) -> None:
+        """A scan that was not taken up, since it says to be measured ``ahead`` [s] of the state after it."""
+        if scan.source in self._known:
+            self._known[scan.source].early = ahead
 
     def looked(self, scan: ScanMessage, sweep: Sweep, contradicted: float) -> None:
         """What a scan that was taken up looked like."""
@@ -90,7 +97,12 @@ class Sources:
         if self._known and self._off.issuperset(self._known):
             return (f"no source is listened to: {', '.join(self._known)} switched off",)
         used = ((name, one) for name, one in self._known.items() if name not in self._off)
-        return tuple(filter(None, (self._wrong(name, one, now) for name, one in used)))
+        return tuple(filter(None, (self._ahead(name, one, now) or self._wrong(name, one, now) for name, one in used)))
+
+    def _ahead(self, name: str, source: _Source, now: float) -> str:
+        if source.early and (source.time is None or now - source.time > self._settings.time_out_of(name)):
+            return f"the source {name} tells scans from {source.early:.2f} s ahead of the robot's clock"
+        return ""
 
     def _wrong(self, name: str, source: _Source, now: float) -> str:
         time_out = self._settings.time_out_of(name)

@@ -33,6 +33,8 @@ Rows = tuple[tuple[float, ...], ...]
 
 _WAITING = 64
 """Scans that wait for the state after them."""
+_AHEAD = 1.0
+"""s; no state comes so late after a scan that was measured after it, or the filter believes neither."""
 _LEAP = 10.0
 """s; after a leap of the clock by so much, or any backwards, nothing of before is believed."""
 _STRIDE = 0.3
@@ -41,6 +43,8 @@ _NEAR = 1.5
 """m; up to here each place has a disc of its own, up to twice as far a block of 2 x 2 cells, and so on."""
 _LEVELS = 2
 """Blocks of 4 x 4 cells at most, unless there is too much of it."""
+_APART = 8
+"""Times that blocks grow, after which those of all rings are of one size: 51 m, of which no more than four meet."""
 _DEEPEST = 4
 """Of what is closed, blocks of 16 x 16 cells at most."""
 _SPAN = 2**20
@@ -112,8 +116,18 @@ class Surroundings:
         return state.epoch == epoch and -1e-9 <= state.robot_time - before <= _LEAP
 
     def _due(self, state: StateMessage) -> list[ScanMessage]:
-        due = [scan for scan in self._waiting if scan.robot_time <= state.robot_time + 1e-9]
-        self._waiting = deque((one for one in self._waiting if one not in due), maxlen=_WAITING)
+        """The scans measured by now, oldest first. Of those that wait none is kept that no later state can be of: it
+        would count as new when the robot's clock comes there, however old it is by then."""
+        due, later = [], []
+        for scan in self._waiting:
+            ahead = scan.robot_time - state.robot_time
+            if ahead <= 1e-9:
+                due.append(scan)
+            elif scan.epoch == state.epoch and ahead > (state.period if scan.tick < state.tick else _AHEAD):
+                self.sources.early(scan, ahead)
+            else:
+                later.append(scan)
+        self._waiting = deque(later, maxlen=_WAITING)
         return sorted(due, key=lambda scan: scan.robot_time)
 
     def _take(self, scan: ScanMessage, state: StateMessage, things: Things) -> None:
@@ -214,6 +228,8 @@ def covering(places: Values, radii: Values, here: Values, most: int) -> Values:
         coarser += 1  # the far ones first
         level = np.minimum(np.maximum(ring + coarser - _LEVELS, 0), _LEVELS + coarser)
         level = np.maximum(level, np.minimum(ring, _LEVELS))
+        if coarser > _APART:  # each ring would keep blocks of its own, up to four where they meet
+            level = np.full_like(ring, coarser)
     order = np.argsort(np.hypot(found[:, 0] - here[0], found[:, 1] - here[1]) - found[:, 2])
     return found[order]
 
