@@ -174,3 +174,19 @@ def test_around_the_origin_as_few_discs_as_may_be_told_cover_all_of_it(most: int
     assert len(found) <= most
     apart = np.hypot(places[:, None, 0] - found[:, 0], places[:, None, 1] - found[:, 1])
     assert ((apart + 0.05 - found[:, 2]).min(axis=1) < 1e-9).all()
+
+
+@pytest.mark.parametrize("gap", [1 / 40, 1 / 30, 0.05, 0.06, 0.07, 0.09, 0.1, 0.12])
+@pytest.mark.parametrize("way", [(1, 0), (2, 1), (1, 1)])
+def test_the_front_of_who_hides_is_as_quick_as_he_may_be_however_often_somebody_looks(
+    gap: float, way: tuple[int, int]
+) -> None:
+    """But for the cell that it is in, and 3 % of the way: it goes from cell to cell."""
+    hiding, none, beside = Hiding(101, 0.2, 1.5), np.zeros((101, 101), bool), np.ones((101, 101), bool)
+    beside[50, 50] = False
+    hiding.look(0.0, beside, none, none, none)
+    for look in range(1, int(1.2 / gap) + 1):
+        hiding.look(look * gap, none, none, none, none)
+        reached = max(n for n in range(25) if hiding.present[50 + n * way[0], 50 + n * way[1]])
+        gone = 0.1 * float(np.hypot(*way))
+        assert 1.5 * look * gap - reached * gone < gone + 0.03 * 1.5 * look * gap + 1e-9

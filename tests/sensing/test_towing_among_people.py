@@ -40,18 +40,18 @@ Told = list[tuple[CarRobot, StateMessage, SurroundingsMessage, Person]]
 
 
 class GoesTo(Person):
-    """Walks to a place at 1.2 m/s, stands there until ``leaves`` [s], and walks back."""
+    """Walks to a place at ``pace`` [m/s], stands there until ``leaves`` [s], and walks back."""
 
-    def __init__(self, place: Point, towards: Point, leaves: float = 60.0) -> None:
+    def __init__(self, place: Point, towards: Point, leaves: float = 60.0, pace: float = 1.2) -> None:
         super().__init__(place)
-        self._from, self._towards, self._leaves = place, towards, leaves
+        self._from, self._towards, self._leaves, self._pace = place, towards, leaves, pace
 
     def velocity(self, time: float, robot: Point, outline: Outline) -> Point:
         del robot, outline
         target = self._towards if 1.0 < time < self._leaves else self._from
         x, y = target[0] - self.place[0], target[1] - self.place[1]
         far = hypot(x, y)
-        speed = min(1.2, far / 0.05)
+        speed = min(self._pace, far / 0.05)
         return (speed * x / far, speed * y / far) if far > 1e-6 else (0.0, 0.0)
 
 
@@ -88,6 +88,20 @@ def test_a_car_stands_while_somebody_stands_at_its_load(load: str, side: float) 
     told = stands_by(load, person, 7.0)
     for _, state, seen, _ in told:
         if state.robot_time > 3.2:
+            assert yields(state, seen), f"at {state.robot_time:.2f} s nobody is told of who stands at the load"
+
+
+@pytest.mark.parametrize("load", ["box", "chair", "large_chair"])
+@pytest.mark.parametrize("start", [(1.2, -1.6), (1.2, 1.6), (0.6, -2.0), (-1.0, 2.0)])
+@pytest.mark.parametrize("pace", [0.4, 0.65, 1.0, 1.5])
+def test_who_goes_in_beside_the_load_is_told_though_a_ray_goes_on_past_where_he_was_seen_last(
+    load: str, start: Point, pace: float
+) -> None:
+    place = (-0.26, 0.26 if start[1] > 0.0 else -0.26)
+    there = 1.0 + hypot(start[0] - place[0], start[1] - place[1]) / pace
+    told = stands_by(load, GoesTo(start, place, pace=pace), there + 1.5)
+    for _, state, seen, _ in told:
+        if state.robot_time > there:
             assert yields(state, seen), f"at {state.robot_time:.2f} s nobody is told of who stands at the load"
 
 

@@ -7,9 +7,12 @@ has the earliest moment A(c) at which the middle may be there. A look at time t
 
     A(c) = infinity              where a thing in c would be seen, or stuck in something solid
     P    = { c : A(c) <= t }     where something may be now
-    A(c) = min(A(c), t + |c - c'| / fastest)   for all c' in P within a few cells
+    A(c) = min(A(c), max(A(c'), S(c)) + |c - c'| / fastest)   for all c' in P within a few cells
 
-so what was seen to be empty a moment ago stays empty until the front has come that far, and what lies behind walls all
+S(c) is the moment of the newest look that saw c without it, so the front begins where it is, and not where the cells
+that it has passed by a look end: else it would lose up to a cell with each look, and be slower than it says.
+
+What was seen to be empty a moment ago stays empty until the front has come that far, and what lies behind walls all
 around stays empty for ever. What was seen and goes out of sight is a beginning of such a front as well (``leaves``).
 Source of the idea: reachability of phantom vehicles behind occlusions (Orzechowski, Meyer, Lauer, Tackling occlusions
 and limited sensor range with set-based safety verification, ITSC 2018); here on cells, with memory.
@@ -49,6 +52,8 @@ class Hiding:
         self._stuck: Flags = np.zeros((size, size), dtype=bool)
         self._left: Values = np.full((size, size), -inf)
         """s; when something that may move was last seen in a cell."""
+        self._shown: Values = np.full((size, size), -inf)
+        """s; the newest look that saw a cell without anybody in it, or something solid there."""
         self._newest = -inf
         """s; the newest look."""
         self.nobody: Flags = np.zeros((size, size), dtype=bool)
@@ -60,7 +65,7 @@ class Hiding:
         self._earliest = moved(self._earliest, way, -inf)
         self.present = moved(self.present, way, True)
         self._stuck = moved(self._stuck, way, False)
-        self._left = moved(self._left, way, -inf)
+        self._left, self._shown = moved(self._left, way, -inf), moved(self._shown, way, -inf)
         self.nobody = moved(self.nobody, way, False)
 
     def look(self, time: float, seen: Flags, solid: Flags, own: Flags, leaves: Flags) -> None:
@@ -74,6 +79,7 @@ class Hiding:
         stuck = grown(solid, self._slimmest, beyond=False)
         hidden = ~(seen | stuck | grown(own, min(CELL, self.width), beyond=False))  # as far as it would overlap
         self._earliest[~hidden] = inf
+        self._shown[~hidden] = np.maximum(self._shown[~hidden], time)
         self.present = hidden & (self._earliest <= time)
         later = self._left > time if time < self._newest else np.zeros_like(leaves)
         self._spread(time, grown(leaves | later, self._slimmest, beyond=False))
@@ -109,10 +115,12 @@ class Hiding:
         return (_FRONT - CELL) / self._fastest
 
     def _spread(self, time: float, leaves: Flags) -> None:
-        start = np.where((self.present | leaves) & ~self.nobody, 0.0, inf)
+        start = np.where(leaves, time, inf)
+        start = np.where(self.present, np.minimum(self._earliest, start), start)
+        start[self.nobody] = inf
         pad, size = floor(_FRONT / CELL + 1e-9), len(start)
-        wide = np.pad(start, pad, constant_values=0.0)
-        way = np.full_like(start, inf)
+        wide = np.pad(start, pad, constant_values=-inf)
         for i, j, distance in disc_offsets(_FRONT):
-            np.minimum(way, wide[pad + i : pad + i + size, pad + j : pad + j + size] + distance, out=way)
-        np.minimum(self._earliest, time + way / self._fastest, out=self._earliest)
+            there = wide[pad + i : pad + i + size, pad + j : pad + j + size]
+            begins = np.maximum(there, self._shown) + distance / self._fastest
+            np.minimum(self._earliest, begins, out=self._earliest)

@@ -96,6 +96,7 @@ class Things:
     def take(self, sweep: Sweep, own: Flags) -> None:
         """Takes up one sweep; ``own`` (size, size): where the robot itself is."""
         time = sweep.time
+        moved_before = self.moving(time)
         middles = self.grid.middles
         distance, sight = sweep.sight(*middles, _WIDTH)
         i, j, within = self.grid.cells(sweep.ends)
@@ -121,9 +122,9 @@ class Things:
         looked_through |= grown(hit & moving, CELL, beyond=False) & (distance < sight)
         self.hiding.look(time, looked_through, self._solid(time), own, moving)
         self._emptied[sweep.source] |= empty
-        given_up = moving & (self.last < time - _UNSEEN)
-        self.lost = self.places(given_up & ~grown(moving & ~given_up, _GOES_ON, beyond=False))
-        self._clear(given_up)
+        self._clear(moving & (self.last < time - _UNSEEN))
+        gone = moved_before & (self.first == inf)  # not seen for long, or a ray goes on past where he was
+        self.lost = self.places(gone & ~grown(self.moving(time), _GOES_ON, beyond=False))
 
     def _solid(self, time: float) -> Flags:
         return self.at_rest(time) & (self.first <= time - _LONG)
