@@ -1,4 +1,4 @@
-"""Tables as people bring them: stray quotation marks, other encodings, decimal commas, blank lines, whole nanoseconds."""
+"""Tables as people bring them: stray quotation marks, other encodings, decimal commas, blank lines, nanoseconds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from pyarrow import parquet
 
 from safedpa.errors import RunError
-from safedpa.records import load_run
+from safedpa.records import Run, load_run
 from safedpa.records.column_map_file import parse_column_map
 from safedpa.robots.car.system import CAR
 
@@ -122,3 +122,36 @@ def test_parquet_with_whole_nanoseconds_since_1970_is_read(tmp_path: Path, kind:
     text = f'format = 1\nrobot = "car"\n[columns]\nt = {{ from = "t", unit = "ns" }}\n{lines}\n'
     run = load_run(tmp_path / "drive.parquet", CAR, parse_column_map(text))
     np.testing.assert_allclose(run.t - run.t[0], columns["t"], atol=1e-6)
+
+
+def shifted(path: Path, rows: list[list[float]], target: str, more: str) -> Run:
+    lines = [f'{name} = {{ from = "{name}"{more if name == target else ""} }}' for name in NAMES]
+    text = "\n".join(['format = 1\nrobot = "car"\n[columns]', *lines])
+    written(path, [HEADER, *(",".join(repr(float(value)) for value in values) for values in rows)])
+    return load_run(path, CAR, parse_column_map(text))
+
+
+def test_a_shift_mixes_no_two_parts_of_a_log_whose_clock_began_again(tmp_path: Path) -> None:
+    other = [[values[0], values[1] + 50.0, *values[2:4], 2.0 + values[4], *values[5:]] for values in ROWS]
+    run = shifted(tmp_path / "drive.csv", [*ROWS, *other], "speed", ", shift = 0.1")
+    first, second = (states[:, 3] for _, states, _ in run.parts())
+    np.testing.assert_allclose(first, [values[4] for values in ROWS[2:]], atol=1e-9)
+    np.testing.assert_allclose(second, first + 2.0, atol=1e-9)
+
+
+def test_a_shift_makes_no_values_within_a_gap(tmp_path: Path) -> None:
+    late = [[*values[:4], 2.0 + values[4], *values[5:]] for values in ROWS[60:]]
+    run = shifted(tmp_path / "drive.csv", [*ROWS[:40], *late], "speed", ", shift = 0.1")
+    speeds = np.concatenate([states[:, 3] for _, states, _ in run.parts()])
+    assert not ((speeds > 1.02) & (speeds < 2.98)).any()
+    assert [len(part) for part in run.stretches] == [38, 38]
+
+
+@pytest.mark.parametrize("whole", [2 * np.pi, 360.0])
+def test_a_shifted_angle_goes_the_short_way_round(tmp_path: Path, whole: float) -> None:
+    every = [row(number) for number in range(200)]
+    rows = [[t, x, y, yaw * whole / (2 * np.pi) % whole, *rest] for t, x, y, yaw, *rest in every]
+    unit = ', unit = "deg"' if whole == 360.0 else ""
+    run = shifted(tmp_path / "drive.csv", rows, "yaw", f"{unit}, shift = 0.02")
+    np.testing.assert_allclose(run.states[:, 2], run.t + 0.02, atol=1e-6)
+    assert [len(part) for part in run.stretches] == [199]

@@ -240,9 +240,8 @@ def _numbers_of_texts(
         return {name: np.array([_number(cell, point) for cell in column]) for name, column in cells.items()}
     line = _line_of(row, malformed, layout.before)
     if row < rows - 1 or _ends_with_newline(path):
-        raise RunError(
-            f"{path}: line {_with_blanks(path, line, layout.before)}, column '{name}': {_no_number(str(cells[name][row]), point)}"
-        )
+        place = f"{path}: line {_with_blanks(path, line, layout.before)}, column '{name}'"
+        raise RunError(f"{place}: {_no_number(str(cells[name][row]), point)}")
     malformed.append((line, -1))
     return {name: np.array([_number(cell, point) for cell in column[:-1]]) for name, column in cells.items()}
 
