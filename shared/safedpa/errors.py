@@ -90,7 +90,7 @@ def near_files(path: Path, shipped: Iterable[str] = ()) -> str:
     Never raises: what cannot be listed has no names.
     """
     try:
-        beside = [item.name for item in path.parent.iterdir()]
+        beside = [item.name for item in path.parent.iterdir() if item.name != path.name]
     except OSError:
         beside = []
     near = difflib.get_close_matches(path.name, [*shipped, *beside], n=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,13 +56,13 @@ def command(
     changes are fitted as well. Prints the fitted numbers and the error on data that was not used for fitting, before
     and after.
     """
-    from safedpa.compare.output import refuse_inputs, writable
+    from safedpa.compare.output import refuse_inputs, writable_file
     from safedpa.diagnosis.addition import add_effect
     from safedpa.dynamics import save_model
 
     loaded = given_model(model, effects)
     refuse_inputs([out], inputs_of(model, runs, columns, effects), force)
-    writable(out.absolute().parent)
+    writable_file(out)
     law = _law(where, varies, edge, effect)
     found = add_effect(loaded, effect, loaded_runs(loaded, runs, columns), horizon, law)
     save_model(found.model, out)
@@ -69,8 +70,9 @@ def command(
     if as_json:
         values = {path: vars(value) for path, value in found.values.items()}
         told = {"sentence": found.sentence} if law is not None else {}
-        document = {"format": 1, "effect": effect, "before": before, "after": after, "parameters": values, **told}
-        click.echo(json.dumps(document))
+        errors = {key: value if math.isfinite(value) else None for key, value in (("before", before), ("after", after))}
+        document = {"format": 1, "effect": effect, **errors, "parameters": values, **told}
+        click.echo(json.dumps(document, allow_nan=False))
         return
     if found.sentence:
         click.echo(found.sentence)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -203,8 +204,8 @@ def story_lines(report: Report) -> list[tuple[str, str]]:
 
     story = story_of(as_document(report))
     lines = [(_verdict(report, story.lead), "bold")]
-    if report.where:
-        worst = report.where[0]
+    worst = next((item for item in report.where if math.isfinite(item["ratio"])), None)
+    if worst is not None:
         unit = "" if worst["unit"] == "1" else f" {worst['unit']}"
         place = f"{worst['variable']} {worst['low']:.3g} to {worst['high']:.3g}{unit}"
         lines.append((f"Worst at {place}: {worst['ratio']:.1f} times the average error.", ""))

@@ -39,7 +39,7 @@ def command(
     Each prediction starts at the measured state and sees only the run's own actions; FILE.csv has the columns start_t,
     t and the states, one line per measured row up to the horizon.
     """
-    from safedpa.compare.output import refuse_inputs, writable
+    from safedpa.compare.output import refuse_inputs, writable_file
     from safedpa.compare.rollout import predict_run
     from safedpa.records import load_column_map, load_run
     from safedpa.records.write import write_columns
@@ -47,7 +47,7 @@ def command(
     refuse_inputs([out], inputs_of(model, [run], columns, effects), force)
     loaded = given_model(model, effects)
     recorded = load_run(run, loaded.system, load_column_map(columns) if columns else None)
-    writable(out.parent)
+    writable_file(out)
     table = predict_run(loaded, recorded, horizon)
     write_columns(table, out, "csv")
     starts = len(set(table["start_t"].tolist()))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.compare.excerpt import without_repeated
 from safedpa.compare.naive import constant_velocity, no_change
 from safedpa.compare.rollout import rollout_at
 from safedpa.compare.rollout_error import RolloutError, error_of, prediction_errors, scaled_error, trimmed_rms
@@ -136,10 +137,12 @@ def compare_model(
 ) -> Comparison:
     """Rolls the model out from every ``every`` seconds of the runs and says where it fails.
 
-    Of more than 100,000 windows so many are kept, evenly spread, and a finding says so.
+    Of more than 100,000 windows so many are kept, evenly spread, and a finding says so; so it is of a recording that is
+    given twice, which counts once.
 
     Raises InputError for an unusable horizon or a model of another robot, RunError for unusable runs.
     """
+    runs, repeated = without_repeated(runs)
     spread = max(every, sum(run.duration for run in runs) / MOST_WINDOWS)
     windows = windows_of(runs, horizon, every=spread)
     parts = _parts(windows)
@@ -161,7 +164,7 @@ def compare_model(
         cells=cells(windows, errors, scale),
         residuals=residuals(windows, rows, rolled),
         runs=_by_run(runs, windows, errors, scale),
-        findings=(*_findings(runs, windows, errors, scale), *_thinned(every, spread)),
+        findings=(*_findings(runs, windows, errors, scale), *repeated, *_thinned(every, spread)),
     )
 
 

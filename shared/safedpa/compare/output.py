@@ -13,7 +13,9 @@ from pathlib import Path
 from safedpa.disk import why_not_written
 from safedpa.errors import InputError
 
-__all__ = ["new_folder", "refuse_inputs", "results_folder", "writable"]
+__all__ = ["new_folder", "refuse_inputs", "results_folder", "writable", "writable_file"]
+
+_OF_A_BAG = ("metadata.yaml", ".mcap", ".db3", ".zstd")
 
 
 def writable(folder: Path, *, create: bool = False) -> Path:
@@ -33,6 +35,17 @@ def writable(folder: Path, *, create: bool = False) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"{folder}: must not be written to; choose another place with --out")
     return folder
+
+
+def writable_file(path: Path) -> Path:
+    """The file, asked before long work: its folder is there and may be written to, and it is no folder itself.
+
+    Raises InputError where it is not so.
+    """
+    writable(path.absolute().parent)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name the file to write with --out")
+    return path
 
 
 @contextmanager
@@ -69,10 +82,17 @@ def refuse_inputs(outputs: Iterable[Path], inputs: Iterable[str | Path], force: 
 
     None: the command has no option --force.
     """
-    read = {Path(item).resolve() for item in inputs if Path(item).exists()}
+    read = {path.resolve() for item in inputs for path in _files_of(Path(item))}
     for path in outputs:
         if path.resolve() in read and not force:
             how = "" if force is None else ", or say --force"
             raise InputError(
                 f"{path}: is an input of this command and would be replaced; choose another place with --out{how}"
             )
+
+
+def _files_of(item: Path) -> list[Path]:
+    """What is read of an input: the file, or of the folder of a bag its files."""
+    if not item.is_dir():
+        return [item] if item.exists() else []
+    return [item, *(path for path in item.iterdir() if path.name.endswith(_OF_A_BAG))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from safedpa.compare.rollout_error import change_scale
 from safedpa.diagnosis.condition_words import conditions_of
 from safedpa.diagnosis.document import Value
 from safedpa.diagnosis.fit.evidence import evidence_at, shown_of
@@ -57,6 +58,10 @@ def add_effect(
     usable = prepared(model, runs)
     evidence = evidence_at(usable.runs, usable.seconds)
     shown = shown_of(usable.runs, horizon, evidence)
+    if not (change_scale(shown.windows, shown.windows.end) > 0).any():
+        raise RunError(
+            f"runs: no state changes over {horizon:g} s, so there is nothing to fit '{name}' to; record a drive"
+        )
     if len(evidence.shooting.windows) < _FEWEST:
         raise RunError(
             f"runs: got {len(evidence.shooting.windows)} windows of {usable.seconds:g} s, wanted at least {_FEWEST}; "

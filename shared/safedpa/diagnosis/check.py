@@ -80,7 +80,7 @@ def check_lines(check: Check) -> list[str]:
         f"{check.error:.3g}."
     ]
     if check.why_not:
-        return [*lines, f"Nothing can be told: {check.why_not}."]
+        lines += [f"Nothing can be told: {check.why_not}."]
     lines += _part("Would be found, from this size on:", check.told())
     lines += _part("Would be found, but only as a sum with something else:", check.as_sums())
     lines += _part("Would not be found at an ordinary size:", check.hidden())

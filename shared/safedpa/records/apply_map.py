@@ -11,6 +11,7 @@ from safedpa.errors import ColumnMapError, did_you_mean
 from safedpa.records.column_map import SLOPE, ColumnMap, DerivedColumn, SourceColumn
 from safedpa.records.derive import slope
 from safedpa.records.run import Finding, Stretch
+from safedpa.records.sampling import gap_rows, reset_rows
 from safedpa.records.table import Table
 from safedpa.records.units import factor_to_si
 from safedpa.systems import System
@@ -63,7 +64,9 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
     """Rows in SI units under the system's names; derived states are NaN until ``derive_states``."""
     keep = _kept(table, columns)
     values = {name: _values(table, columns, system, name)[keep] for name in columns.columns}
-    values = {name: _aligned(values["t"], part, columns.columns[name]) for name, part in values.items()}
+    turns = [name for at, name in enumerate(system.state_names) if at in system.angles]
+    turns = turns if columns.unwrap is None else [name for name in turns if name in columns.unwrap]
+    values = {name: _aligned(values["t"], part, columns.columns[name], name in turns) for name, part in values.items()}
     count = int(keep.sum())
     states = np.stack([values[name] for name in system.state_names], axis=1) if count else np.empty((0, 0))
     actions = np.array([values[name] for name in system.action_names]).reshape(len(system.action), count).T
@@ -78,16 +81,25 @@ def mapped_rows(table: Table, columns: ColumnMap, system: System) -> Rows:
 
 
 def _aligned(
-    t: NDArray[np.float64], values: NDArray[np.float64], column: SourceColumn | DerivedColumn
+    t: NDArray[np.float64], values: NDArray[np.float64], column: SourceColumn | DerivedColumn, turns: bool
 ) -> NDArray[np.float64]:
     """A column that comes late, at the times to which it belongs; NaN where the log does not reach.
 
-    The one place where values between rows are made, straight between two: because the map asks for it.
+    The one place where values between rows are made, straight between two: because the map asks for it. Never from one
+    side of a gap or of a clock reset to the other; of an angle that ``turns`` the short way round.
     """
     if isinstance(column, DerivedColumn) or column.shift == 0.0 or len(t) < 2:
         return values
-    order = np.argsort(t, kind="stable")
-    return np.interp(t + column.shift, t[order], values[order], left=np.nan, right=np.nan)
+    timed = np.flatnonzero(np.isfinite(t))
+    ends = np.flatnonzero(reset_rows(t[timed])[0] | gap_rows(t[timed])[0])
+    found = np.full(len(t), np.nan)
+    for rows in np.split(timed, ends):
+        if len(rows):
+            there = np.isfinite(values[rows])
+            part = values[rows].copy()
+            part[there] = np.unwrap(part[there]) if turns else part[there]
+            found[rows] = np.interp(t[rows] + column.shift, t[rows], part, left=np.nan, right=np.nan)
+    return found
 
 
 def _unit(system: System, target: str) -> str:

@@ -37,10 +37,9 @@ def read_parquet_table(path: Path, wanted: Sequence[str]) -> Table:
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise RunError(f"{path}: cannot be read as Parquet ({reason}); it may be cut off or another format") from error
-    columns = {
-        name: np.asarray(table.column(name).cast(pyarrow.float64()).to_numpy(), dtype=np.float64) for name in wanted
-    }
-    return Table(columns)
+    # nanoseconds since 1970 have more digits than a float64: to 256 ns, as in every other kind of log
+    numbers = {name: table.column(name).cast(pyarrow.float64(), safe=False) for name in wanted}
+    return Table({name: np.asarray(column.to_numpy(), dtype=np.float64) for name, column in numbers.items()})
 
 
 def open_parquet(path: Path) -> ParquetFile:

@@ -35,6 +35,7 @@ __all__ = ["SHORTEST_STRETCH", "run_of_rows"]
 
 SHORTEST_STRETCH = 5
 """Rows; a shorter one says nothing about dynamics."""
+_WANTED = f"; wanted {SHORTEST_STRETCH} rows one after another without a defect, or more"
 
 Mask = NDArray[np.bool_]
 
@@ -160,7 +161,7 @@ def _cut_finding(t: NDArray[np.float64], stretches: list[Stretch]) -> list[Findi
 def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, findings: tuple[Finding, ...]) -> Run:
     """The run that the rows of a file make: judged, cut, derived, thinned; raises RunError when nothing is left."""
     if not len(rows.t):
-        raise RunError(f"{path}: no rows" + _listed(findings) + "; wanted at least two")
+        raise RunError(f"{path}: no rows" + _listed(findings) + _WANTED)
     rows, stretches, found = _judged(rows, mapping, system)
     rows, stretches, derived = derive_states(rows, stretches, mapping, system)
     stretches, whole = _judged_whole(rows, stretches, mapping, system, found)
@@ -169,7 +170,7 @@ def run_of_rows(path: Path, system: System, mapping: ColumnMap, rows: Rows, find
     rows, stretches = _compact(rows, stretches)
     every = (*findings, *found, *derived, *whole)
     if not stretches:
-        raise RunError(f"{path}: no usable stretch of rows" + _listed(every))
+        raise RunError(f"{path}: no usable stretch of rows" + _listed(every) + _WANTED)
     return Run(readable(path.stem), system, rows.t, rows.states, rows.actions, tuple(stretches), every)
 
 

@@ -5,13 +5,17 @@ A stair-case column holds its values over several rows, because its source is sl
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from safedpa.records.apply_map import Rows
 from safedpa.records.run import Finding, Stretch
 from safedpa.records.sentences import counted, finding
 from safedpa.systems import System
+
+if TYPE_CHECKING:
+    from safedpa.records.apply_map import Rows
 
 __all__ = [
     "change_rows",

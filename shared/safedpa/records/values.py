@@ -115,8 +115,9 @@ def _time(rows: Rows, system: System) -> list[Finding]:
     for unit, factor in _UNITS:
         if not _PERIODS[0] <= factor * period <= _PERIODS[1]:
             continue
+        slow = period > 10.0 * _PERIODS[1]  # taken for seconds; a log of 1 kHz that counts ms is not
         epoch = _EPOCH[0] <= factor * last <= _EPOCH[1]
-        if period > 10.0 * _PERIODS[1] and (epoch or _faster(rows, system, factor) or _counted(rows.t, period)):
+        if epoch or (slow and (_faster(rows, system, factor) or _counted(rows.t, period))):
             text = f"t steps by {period:.4g}: it looks like {unit}, not seconds, so every row was cut"
             done = f'name unit = "{unit}" for t in a column map, or unit = "s" if it is seconds'
             return [finding("unit_mistake", text, len(rows.t), None, done)]

@@ -19,7 +19,8 @@ def systems() -> dict[str, System]:
 def add_system(system: System) -> None:
     """Makes a user's own kind of robot known; the same name again replaces it, and a robot of one's own too.
 
-    Raises InputError when it has no state, repeats a name, or bears the name of one that ships.
+    Raises InputError when it has no state, repeats a name, has bounds the wrong way round or an angle that is not in
+    radians, or bears the name of one that ships.
     """
     names = ["t", *system.state_names, *system.action_names]
     if not system.name.isidentifier() or not all(name.isidentifier() for name in names):
@@ -29,5 +30,16 @@ def add_system(system: System) -> None:
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"system '{system.name}': '{min(twice)}' stands twice (t is the time); choose other names")
+    for variable in (*system.state, *system.action):
+        if not variable.low < variable.high:
+            raise InputError(
+                f"system '{system.name}': '{variable.name}': got bounds {variable.low:g} to {variable.high:g}, wanted "
+                "the lower one first"
+            )
+        if variable.angle and variable.unit != "rad":
+            raise InputError(
+                f"system '{system.name}': '{variable.name}': got an angle in '{variable.unit}', wanted 'rad': a whole "
+                "turn is 2 pi here; declare rad, and name the log's unit in a column map"
+            )
     forget_robot(system.name)
     _own[system.name] = system

@@ -19,6 +19,7 @@ from safedpa.diagnosis.fit.heldout import Heldout, heldout_of
 from safedpa.diagnosis.fit.shooting import Shooting, shooting_of
 from safedpa.diagnosis.fit.simulation import simulate
 from safedpa.dynamics import PhysicsModel
+from safedpa.errors import RunError
 from safedpa.records.run import Run
 
 __all__ = ["LONGEST", "Evidence", "evidence_at", "evidence_beside", "evidence_seconds", "shown_of"]
@@ -77,12 +78,22 @@ def evidence_seconds(model: PhysicsModel, runs: Sequence[Run]) -> float:
     usable = [seconds for seconds, count in counted if count >= _ENOUGH]
     if not usable:
         usable = [seconds for seconds, count in counted if count >= _FEWEST][-1:]
+    if not any(count for _, count in counted):
+        raise RunError(_too_short(runs, ladder[-1]))
     if not usable:
         return ladder[-1]
     for seconds in usable:
         if seconds == usable[-1] or _growth(model, runs, seconds) <= _GROWTH:
             return seconds
     return usable[-1]
+
+
+def _too_short(runs: Sequence[Run], seconds: float) -> str:
+    lasts = max(float(t[-1] - t[0]) for run in runs for t, _, _ in run.parts() if len(t))
+    return (
+        f"{runs[0].name}: the longest stretch without a gap lasts {lasts:.4g} s, and effects are judged over "
+        f"{seconds:g} s at least; record 5 s, better a minute"
+    )
 
 
 def shown_of(runs: Sequence[Run], horizon: float, evidence: Evidence) -> Heldout:
