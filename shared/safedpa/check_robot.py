@@ -18,9 +18,11 @@ from safedpa.drawing import Discs, Lines, Rings
 from safedpa.dynamics import PhysicsModel, load_model
 from safedpa.effects import effects_of
 from safedpa.errors import InputError, SafedpaError
+from safedpa.networks.frame import Frame
 from safedpa.policy.controller import controller_for
 from safedpa.robot import AbstractRobot, robots
 from safedpa.safety.filter_check import check_filter
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.scene import AbstractScene
 from safedpa.safety.scenes import scene_of
@@ -84,9 +86,8 @@ def _tried(part: str, function: Callable[[], Any]) -> Any:
 
 def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
     system = robot.system
-    deviations = len(robot.measurement_deviation)
-    if deviations != len(system.state):
-        said = f"got {deviations} entries, wanted one for each of {', '.join(system.state_names)}"
+    said = _said_of_deviations(robot)
+    if said:
         raise _EndError(PartFinding("measurement_deviation", "wrong", said))
     yield PartFinding(
         "system", "fine", f"states {', '.join(system.state_names)}; actions {', '.join(system.action_names)}"
@@ -104,11 +105,31 @@ def _parts(robot: AbstractRobot, seed: int) -> Iterator[PartFinding]:
     scene: AbstractScene = _tried("settings", lambda: scene_of(model, settings))
     yield PartFinding("settings", "fine", f"bounds {settings.action_low} to {settings.action_high}")
     yield _foreign_settings(robot, model)
-    stand_in: AbstractStandIn = _tried("stand_in", lambda: robot.stand_in(seed, {}))
+    frame = _tried("frame", robot.frame)
+    if frame is not None and not isinstance(frame, Frame):
+        yield PartFinding("frame", "wrong", f"got {type(frame).__name__}, wanted a Frame, or None without networks")
+    stand_in = _tried("stand_in", lambda: robot.stand_in(seed, {}))
+    if not isinstance(stand_in, AbstractStandIn):
+        said = f"got {type(stand_in).__name__}, wanted an AbstractStandIn"
+        raise _EndError(PartFinding("stand_in", "wrong", said))
     drive = _tried("barriers", lambda: _Drive(robot, model, settings, scene, stand_in).run(_TICKS, seed))
     yield from _driven(robot, model, drive)
     yield _wished(model, drive)
     yield _drawing(robot, drive)
+
+
+def _said_of_deviations(robot: AbstractRobot) -> str:
+    """What is wrong with them; empty: nothing."""
+    names, given = robot.system.state_names, robot.measurement_deviation
+    try:
+        numbers = numbers_returned("measurement_deviation", given)
+    except InputError:
+        return f"got {given!r}, wanted one number for each of {', '.join(names)}"
+    if numbers.shape != (len(names),):
+        return f"got {numbers.size} entries, wanted one for each of {', '.join(names)}"
+    if not (np.isfinite(numbers).all() and (numbers > 0.0).all()):
+        return f"got {given!r}, wanted more than 0 for each of {', '.join(names)}: steps are told in these"
+    return ""
 
 
 def _foreign_settings(robot: AbstractRobot, model: PhysicsModel) -> PartFinding:
@@ -253,11 +274,18 @@ def _probed(robot: AbstractRobot, drive: _Drive) -> Iterator[PartFinding]:
 
 def _wished(model: PhysicsModel, drive: _Drive) -> PartFinding:
     """The default controller at a state that was met."""
-    wish, name = _tried(
+    answer = _tried(
         "controllers",
         lambda: controller_for(model)().wish(drive.states[0], model.latent if model.latent_names else None),
     )
-    if len(wish) != len(model.system.action) or not np.isfinite(np.array(wish, dtype=np.float64)).all():
+    if not isinstance(answer, tuple) or len(answer) != 2 or not isinstance(answer[1], str):
+        return PartFinding("controllers", "wrong", f"wish answers {answer!r}, wanted the action and a name")
+    wish, name = answer
+    try:
+        numbers = numbers_returned("wish", wish)
+    except InputError as error:
+        return PartFinding("controllers", "wrong", str(error))
+    if numbers.shape != (len(model.system.action),) or not np.isfinite(numbers).all():
         return PartFinding("controllers", "wrong", f"'{name}' wishes {wish}, wanted {len(model.system.action)} numbers")
     return PartFinding("controllers", "fine", f"'{name}' wishes {tuple(round(float(entry), 3) for entry in wish)}")
 

@@ -179,3 +179,9 @@ def test_missing_file_names_the_shipped_ones(tmp_path: Path) -> None:
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ModelFileError, match="cannot be read"):
         load_model(tmp_path / "binary.toml")
+
+
+def test_a_folder_of_the_same_name_hides_no_model_that_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "pendulum").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_model("pendulum").system.name == "pendulum"

@@ -11,12 +11,15 @@ import pytest
 from tests.safety.checked import Values, first, made, probe
 
 from safedpa.errors import InputError
-from safedpa.safety import FunctionBarrier, RolloutBarrier, check_filter
+from safedpa.safety import FilterSettings, FunctionBarrier, RolloutBarrier, SafetyFilter, check_filter
 from safedpa.safety.check_backup import backup_issues, horizon_issues
 from safedpa.safety.check_barriers import gradient_issues, margin_issues, scale_issues, tick_issues
 from safedpa.safety.check_influence import condition_issues
 from safedpa.safety.check_probes import Checked, probed
+from safedpa.safety.inputs import Plausible
 from safedpa.safety.verdict import Status, resting_verdict
+
+SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.001)
 
 
 def wide(x: Values) -> tuple[Values, Values]:
@@ -299,3 +302,55 @@ def test_a_backup_is_meant_to_keep_every_condition_unless_told_otherwise() -> No
     checked = made(first, backup=lambda x: [-1.0])
     assert "backup" in check_filter(checked.safe, [0.5], ticks=8).subjects
     assert "backup" not in check_filter(checked.safe, [0.5], ticks=8, stands=False).subjects
+
+
+@pytest.mark.parametrize("h", [lambda x: np.nan, lambda x: np.inf, lambda x: np.nan if x[0] > 0.5 else 1.0 - x[0]])
+def test_an_h_without_numbers_is_told(h: Callable[[Any], float]) -> None:
+    """No comparison with NaN is true, so nothing was amiss."""
+    safe = SafetyFilter(lambda x: (x, 0.05 * np.eye(1)), [FunctionBarrier(h)], SETTINGS)
+    assert "got NaN or infinity from h at [0.6]" in str(check_filter(safe, [[0.6]]))
+
+
+def test_an_h_without_numbers_one_tick_on_is_told() -> None:
+    blind = FunctionBarrier(lambda x: np.nan if x[0] > 0.5 else 1.0 - x[0])
+    safe = SafetyFilter(lambda x: (x, 0.05 * np.eye(1)), [blind], SETTINGS)
+    assert "got NaN or infinity from h one tick from [0.48]" in str(check_filter(safe, [[0.48]]))
+
+
+def test_what_the_filter_itself_refuses_is_told() -> None:
+    def of(**given: Any) -> SafetyFilter:
+        return SafetyFilter(lambda x: (x, 0.05 * np.eye(1)), [FunctionBarrier(lambda x: 1.0 - x[0])], SETTINGS, **given)
+
+    far = of(state_range=Plausible(np.array(-0.1), np.array(0.1), ("x",)))
+    assert "out of its plausible range" in str(check_filter(far, [[0.5]]))
+    assert "which no barrier is: did you mean 'function'" in str(check_filter(of(), [[0.5]], epsilon={"functio": 0.1}))
+    assert not len(check_filter(of(), [[0.5]]))
+
+
+def test_what_cannot_be_checked_is_an_error_of_one_line() -> None:
+    safe = SafetyFilter(lambda x: (x, np.eye(1)), [FunctionBarrier(lambda x: 1.0 - x[0])], SETTINGS)
+    for given, words in (
+        ((3, [[0.5]]), "safe: got int"),
+        ((safe, "a"), "states: got str"),
+        ((safe, [[1.0], [1.0, 2.0]]), "states: got list"),
+    ):
+        with pytest.raises(InputError, match=words):
+            check_filter(*given)
+    with pytest.raises(InputError, match="wanted an AbstractBarrier"):
+        check_filter(safe, [[0.5]], barriers=[abs])  # type: ignore[list-item]
+    with pytest.raises(InputError, match="latent: got str"):
+        check_filter(safe, [[0.5]], latent="a")
+
+
+def test_a_backup_that_writes_into_its_state_changes_no_state() -> None:
+    def writes(x: Any) -> Any:
+        if x is not None:
+            x[0] = -100.0
+        return np.zeros(1)
+
+    states = np.array([[0.5]])
+    safe = SafetyFilter(
+        lambda x: (x, 0.05 * np.eye(1)), [FunctionBarrier(lambda x: 1.0 - x[0])], SETTINGS, None, writes
+    )
+    assert not len(check_filter(safe, states))
+    assert states.tolist() == [[0.5]]

@@ -1,5 +1,6 @@
 """The wrapper around an environment and a reckless policy."""
 
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -255,3 +256,32 @@ def test_before_the_first_observation_nothing_is_known() -> None:
     env = GymnasiumVectorSafetyFilter(many(2), filter_of(), state_of=lambda seen: seen)
     env.env.reset()
     assert {verdict.status for verdict in env.step(np.ones((2, 1)))[4]["verdict"]} == {Status.fallback}
+
+
+@pytest.mark.parametrize("count", [0, 2], ids=["one", "many"])
+def test_a_policy_that_writes_into_its_observation_moves_no_state(count: int) -> None:
+    """The filter judged the shifted state, and the wall was passed."""
+    env = GymnasiumSafetyFilter(many(count) if count else Cart(), filter_of(), state_of=lambda seen: seen[:2])
+    observation, _ = env.reset()
+    wish = np.ones((count, 1) if count else 1, np.float32)
+    for _ in range(150):
+        observation -= 50.0
+        observation = env.step(wish)[0]
+        assert np.all(observation[..., 0] < 1.0)
+
+
+def test_mistakes_around_an_environment_are_told() -> None:
+    with pytest.raises(InputError, match="safety_filter: got int, wanted a SafetyFilter"):
+        GymnasiumSafetyFilter(Cart(), 3)
+    env = GymnasiumSafetyFilter(many(2), filter_of(), lambda seen: seen[:2])
+    env.reset()
+    with pytest.raises(InputError, match=r"actions: got 1.0, wanted 2, one for each environment"):
+        env.step(1.0)
+
+
+def test_a_wrapped_environment_can_be_copied() -> None:
+    env = wrapped()
+    env.reset()
+    other = deepcopy(env)
+    assert other.step(np.ones(1, np.float32))[4]["verdict"].status is Status.passed
+    assert env.unwrapped.x.tolist() == [-2.0, 0.0]

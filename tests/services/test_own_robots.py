@@ -98,6 +98,48 @@ def test_a_file_without_a_robot_and_one_that_lacks_something_cost_a_line(
         assert line.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("    system = SYSTEM\n    rate", "    system = None\n    rate", "class Cleaner: system: got NoneType"),
+        ("rate = 20.0", "rate = 0.0", "class Cleaner: rate: got 0.0, wanted ticks a second"),
+        ("rate = 20.0", "rate = 'fast'", "class Cleaner: rate: got 'fast', wanted a finite number"),
+        ('kinds = ("obstacle", "wall")', 'kinds = "wall"', "class Cleaner: kinds: got 'wall', wanted a tuple"),
+        ("barrier_settings = (", "barrier_settings = {}, (", "wanted a tuple of BarrierSetting"),
+        ("return {Wheels.kind: Wheels}", "return [Wheels]", "wanted a table of base models by kind"),
+        ("return {Wheels.kind: Wheels}", "return {Wheels.kind: Wheels()}", "wanted a table of base models by kind"),
+        ("    rate = 20.0", "    rate = 20.0\n    def __init__(self, port): pass", "failed with TypeError"),
+        ("class Pull", "raise SystemExit(0)\nclass Pull", "could not be run: SystemExit"),
+        ("(0.003, 0.003, 0.005)", "None", "measurement_deviation: got None, wanted one number for each"),
+        ("(0.003, 0.003, 0.005)", "(0.0, 0.003, 0.005)", "measurement_deviation: got (0.0, 0.003, 0.005), wanted more"),
+        ("(0.003, 0.003, 0.005)", "(0.1, float('nan'), 0.1)", "wanted more than 0 for each of x, y, yaw"),
+        ("return Frame((", "return 3\n        return Frame((", "frame: got int, wanted a Frame"),
+        ("return Frame((", "1 / 0\n        return Frame((", "frame: raised ZeroDivisionError"),
+        ("return Drive(seed, **given)", "return None", "stand_in: got NoneType, wanted an AbstractStandIn"),
+        ('FASTEST_TURN)), "goal_seeker"', "FASTEST_TURN))", "wanted the action and a name"),
+        ("return (FASTEST * max", "return 1.0, 'one'\n        return (FASTEST * max", "wishes 1.0, wanted 2 numbers"),
+        ("return (FASTEST * max", "return 'ab', 'ab'\n        return (FASTEST * max", "wish: got str"),
+    ],
+)
+def test_a_mistake_of_any_sort_is_told_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, said: str
+) -> None:
+    """Half of them ended in a traceback, and deviations of zero or NaN were fine."""
+    source = FILES["cleaner"].read_text(encoding="utf-8")
+    assert old in source
+    (tmp_path / "cleaner.toml").write_bytes((FILES["cleaner"].parent / "cleaner.toml").read_bytes())
+    file = tmp_path / "robot.py"
+    file.write_text(source.replace(old, new, 1), encoding="utf-8")
+    try:
+        assert safedpa.run(["check", str(file)]) == 2
+    finally:
+        load_own(FILES["cleaner"])
+    told = capsys.readouterr()
+    lines = [line for line in (told.out + told.err).splitlines() if said in line]
+    assert len(lines) == 1
+    assert "Traceback" not in told.err
+
+
 def _raises(*_: object) -> None:
     raise ZeroDivisionError("a tree of no size")
 

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import inspect
 import os
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+from safedpa.barrier_setting import BarrierSetting
 from safedpa.dynamics.base import AbstractBase
 from safedpa.dynamics.bases import add_base
 from safedpa.effects.library import add_effects, module_from
 from safedpa.errors import InputError
 from safedpa.installed import brought_under
+from safedpa.limits import finite_number
 from safedpa.operations import FLOATS
 from safedpa.robot import AbstractRobot, add_robot
 from safedpa.systems import System, add_system, systems
@@ -107,8 +111,32 @@ def _robots_in(module: ModuleType, path: Path) -> list[AbstractRobot]:
         lacking = sorted({*item.__abstractmethods__, *(part for part in _DECLARED if not hasattr(item, part))})
         if lacking:
             raise InputError(f"{path}: class {name}: '{lacking[0]}' is missing; declare it as AbstractRobot says")
-        found.append(item())
+        label = f"{path}: class {name}"
+        try:
+            robot = item()
+            bases = robot.bases()
+        except Exception as error:  # a user's class may fail in any way
+            raise InputError(f"{label}: failed with {type(error).__name__}: {error}") from error
+        _check_declared(robot, bases, label)
+        found.append(robot)
     return found
+
+
+def _check_declared(robot: AbstractRobot, bases: Any, label: str) -> None:
+    """Raises InputError for what would else fail far from where it was written."""
+    if not isinstance(robot.system, System):
+        raise InputError(f"{label}: system: got {type(robot.system).__name__}, wanted a System")
+    kinds: Any = robot.kinds
+    if finite_number(f"{label}: rate", robot.rate) <= 0.0:
+        raise InputError(f"{label}: rate: got {robot.rate}, wanted ticks a second, more than 0")
+    if isinstance(kinds, str):
+        raise InputError(f"{label}: kinds: got '{kinds}', wanted a tuple of names, such as ('{kinds}',)")
+    if not isinstance(robot.barrier_settings, (tuple, list)) or not all(
+        isinstance(item, BarrierSetting) for item in robot.barrier_settings
+    ):
+        raise InputError(f"{label}: barrier_settings: got {robot.barrier_settings!r}, wanted a tuple of BarrierSetting")
+    if not isinstance(bases, Mapping) or not all(map(callable, bases.values())):
+        raise InputError(f"{label}: bases: got {bases!r}, wanted a table of base models by kind: {{'kind': Class}}")
 
 
 def _systems_in(module: ModuleType) -> list[System]:

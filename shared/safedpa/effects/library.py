@@ -140,6 +140,6 @@ def module_from(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         specification.loader.exec_module(module)
-    except Exception as error:  # a user's file may fail in any way
+    except (Exception, SystemExit) as error:  # a user's file may fail in any way, or end as a program does
         raise InputError(f"{path}: could not be run: {type(error).__name__}: {error}") from error
     return module

@@ -47,7 +47,7 @@ def text_of_file_or_shipped(
     Raises ``error`` that says what was ``wanted``, and InputError as ``text_of_file`` does.
     """
     path = Path(source)
-    if not path.exists() and path.stem in shipped and path.parent == Path():
+    if (not path.exists() or path.is_dir()) and path.stem in shipped and path.parent == Path():
         path = shipped[path.stem]
     try:
         return path, text_of_file(path, "toml_bytes")

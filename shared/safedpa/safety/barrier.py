@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from operator import is_
-from typing import Any, NamedTuple, final, overload
+from typing import Any, Final, NamedTuple, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from safedpa.safety.remembered import Remembered
 __all__ = ["AbstractBarrier", "AbstractStack", "Barriers", "RememberingStack"]
 
 Values = NDArray[np.float64]
+
+_GRADIENT: Final = "gradient of h"
 
 
 class AbstractBarrier(ABC):
@@ -169,12 +171,13 @@ class Barriers(AbstractStack):
     def values(self, state: Values) -> Values:  # noqa: D102
         if len(self.parts) == 1:
             return numbers_returned("h", self.parts[0].values(state))
-        return np.concatenate([numbers_returned("h", part.values(state)) for part in self.parts])
+        return np.concatenate([_of_part("h", part, part.values(state)) for part in self.parts])
 
     def gradient(self, state: Values) -> Values:  # noqa: D102
         if len(self.parts) == 1:
-            return numbers_returned("gradient of h", self.parts[0].evaluate(state)[1])
-        return np.concatenate([numbers_returned("gradient of h", part.evaluate(state)[1]) for part in self.parts])
+            return numbers_returned(_GRADIENT, self.parts[0].evaluate(state)[1])
+        states = len(state)
+        return np.concatenate([_of_part(_GRADIENT, part, part.evaluate(state)[1], states) for part in self.parts])
 
     def since(self, state: Sequence[float]) -> AbstractStack:  # noqa: D102
         parts = [part.since(np.array(state)) for part in self.parts]
@@ -184,9 +187,9 @@ class Barriers(AbstractStack):
         self, state: Sequence[float], g: list[list[float]], widths: list[float], rows: Sequence[int]
     ) -> list[list[float]]:
         at, whole = _unwritten(state), np.array(g) * widths  # of the whole range: as large as any motion by an action
-        found = [numbers_returned("gradient of h", part.along(at, whole)) for part in self.parts]
+        found = [_of_part(_GRADIENT, part, part.along(at, whole), len(widths)) for part in self.parts]
         slopes = np.concatenate(found) / widths
-        table = _plain("gradient of h", slopes, (len(self.names), len(widths)))
+        table = _plain(_GRADIENT, slopes, (len(self.names), len(widths)))
         return [table[row] for row in rows]
 
 
@@ -238,6 +241,14 @@ def _unwritten(state: Sequence[float]) -> Values:
     """What every part may read and none may write into: the next one would see it."""
     array = np.array(state)
     array.setflags(write=False)
+    return array
+
+
+def _of_part(what: str, part: AbstractBarrier, value: Any, *columns: int) -> Values:
+    """What one part returned, one row for each of its names: else the next part's rows would be read as others."""
+    array, wanted = numbers_returned(what, value), (len(part.names), *columns)
+    if array.shape != wanted:
+        raise InputError(f"{what} of barrier {', '.join(part.names)}: got shape {array.shape}, wanted {wanted}")
     return array
 
 

@@ -11,7 +11,10 @@ from typing import Any, Final, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier, AbstractStack
+from safedpa.safety.check_report import shown
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.verdict import Status
 
@@ -83,7 +86,7 @@ class Checked:
     def backup(self, state: Values) -> Values:
         """The action that the filter falls back to, within its bounds or not. Raises what the user's function does."""
         known: Callable[[Values | None], Any] | None = self.safe.tools.backup
-        return self.safe.settings.resting_action if known is None else np.array(known(state), dtype=np.float64)
+        return self.safe.settings.resting_action if known is None else numbers_returned("backup", known(state.copy()))
 
 
 @final
@@ -137,6 +140,8 @@ def _driven(
             wish, held = corners[int(random.integers(len(corners)))], int(random.integers(3, 25))
         held -= 1
         verdict = checked.safe.decide(state, wish, checked.latent, barriers=scene, epsilon=checked.margins)
+        if tick == 0 and verdict.status is Status.fallback:
+            raise InputError(f"the filter decides nothing at {shown(state)}: {verdict.reason}")
         kept = verdict.status in _KEPT
         if tick % 8 == 7 or not kept:
             visited.append((state, kept))
@@ -148,9 +153,17 @@ def _driven(
 
 def _probe(checked: Checked, state: Values, *, kept: bool) -> Probe:
     h = checked.h(state)
+    _finite(h, f"at {shown(state)}")
     actions = checked.corners()
     residuals = np.array([checked.residual(state, action) for action in actions])
     moved = np.max([np.abs(checked.after(state, action) - state) for action in actions], axis=0)
+    _finite(residuals, f"one tick from {shown(state)}")
     inside = bool((h >= checked.threshold).all())
     missed = -(residuals / np.maximum(checked.slight(h), np.finfo(np.float64).tiny)).min(axis=1)
     return Probe(state, h, residuals, moved, np.ptp(residuals, axis=0), inside, kept or bool(missed.min() < 1.0))
+
+
+def _finite(numbers: Values, where: str) -> None:
+    """Raises InputError for NaN, which no comparison would tell, and for infinity."""
+    if not np.isfinite(numbers).all():
+        raise InputError(f"got NaN or infinity from h {where}, wanted finite numbers")

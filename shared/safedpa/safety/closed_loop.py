@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from safedpa.dynamics import AbstractDynamics
 from safedpa.errors import InputError
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.prediction import Prediction
 
 __all__ = ["ClosedLoop", "Model", "fixed", "prediction_of"]
@@ -69,7 +70,7 @@ class ClosedLoop:
         """The backup's action (actions,). Raises InputError when it is no vector."""
         if self._backup is None:
             return self._held
-        array = np.asarray(self._backup(state), dtype=np.float64)
+        array = numbers_returned("backup", self._backup(state))
         if array.ndim != 1:
             raise InputError(f"backup: got shape {array.shape}, wanted (actions,)")
         return array
@@ -131,7 +132,7 @@ def fixed(state: Values) -> Values:
 
 
 def _flat(what: str, value: ArrayLike) -> Values:
-    array = np.array(value, dtype=np.float64)
+    array = numbers_returned(what, value)
     if array.ndim != 1 or not np.isfinite(array).all():
         raise InputError(f"{what}: got {value!r}, wanted (actions,) finite numbers")
     array.flags.writeable = False

@@ -94,6 +94,8 @@ def check_barriers(barriers: Any, states: Sequence[str]) -> tuple[AbstractBarrie
     if not isinstance(barriers, Sequence):
         raise InputError(f"barriers: got {type(barriers).__name__}, wanted a list of them")
     check_reads(barriers, states)
+    for part in barriers:
+        _check_named(part)
     if not any(part.names for part in barriers):
         raise InputError(
             "barriers: got none, wanted at least one, or None in place of the list where every decision brings its own"
@@ -109,7 +111,7 @@ def check_reads(barriers: Iterable[Any], states: Sequence[str], entries: int | N
     for part in barriers:
         if not isinstance(part, AbstractBarrier):
             raise InputError(f"barriers: got one of type {type(part).__name__}, wanted an AbstractBarrier")
-        reads = part.reads
+        reads = tuple(part.reads)
         if not reads:
             continue
         if states:
@@ -123,6 +125,17 @@ def check_reads(barriers: Iterable[Any], states: Sequence[str], entries: int | N
                 f"barrier '{part.kind}': reads the states {_listed(reads)}, got a state of {entries} entries; wanted "
                 f"{len(reads)}, or the names of the states in state_range"
             )
+
+
+def _check_named(part: AbstractBarrier) -> None:
+    """Raises InputError where a class of the user's own does not say its kind and the names of its values."""
+    kind, names = getattr(part, "kind", None), getattr(part, "names", None)
+    if not isinstance(kind, str):
+        raise InputError(f"barrier {type(part).__name__}: got kind {kind!r}, wanted the name of its margin in epsilon")
+    if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) for name in names):
+        raise InputError(
+            f"barrier '{kind}': got names {names!r}, wanted a tuple with one for each value of h, such as ('wall',)"
+        )
 
 
 def check_margins(epsilon: Mapping[str, float], barriers: Sequence[AbstractBarrier] | None) -> None:

@@ -33,6 +33,9 @@ of its motion, is rounding error: the actuator is saturated."""
 _TINY: Final = 1e-300
 """Scale of a barrier that has none: h = 0, no margin, and no action that moves it."""
 
+_LARGEST: Final = 1.7976931348623157e308
+"""The largest number there is: a margin may be so wide that what misses it is none."""
+
 ROUNDING: Final = 1e-10
 """Share of a barrier's scale by which its condition may be missed: rounding errors of h and of the model."""
 
@@ -68,7 +71,7 @@ class Outcome:
         for row in self.broken:
             missing = -self.residual[row]
             worst = missing if missing > worst else worst
-        return worst
+        return worst if worst < _LARGEST else _LARGEST
 
 
 @final

@@ -15,6 +15,8 @@ from safedpa.safety.check_barriers import gradient_issues, margin_issues, scale_
 from safedpa.safety.check_influence import condition_issues
 from safedpa.safety.check_probes import Checked, Probe, probed
 from safedpa.safety.check_report import FilterIssue, FilterReport
+from safedpa.safety.compatibility import check_reads
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.safety_filter import SafetyFilter
 from safedpa.safety.stacks import stacked
 
@@ -55,18 +57,22 @@ def check_filter(
     - a backup out of bounds, not the one of a ``RolloutBarrier``, or under which a condition breaks; a horizon that
       ends before the backup has come to rest;
     - obstacles thinner than a tick's travel: h dips between two ticks by more than epsilon / eta;
-    - a gradient that its own h contradicts; anything that raises.
+    - a gradient that its own h contradicts; anything that raises, is no finite number, or that the filter refuses.
 
     A report without issues is no proof: it knows the states that it saw. Raises InputError for states of a wrong shape
     or without barriers.
     """
-    rows = np.atleast_2d(np.asarray(states, dtype=np.float64))
+    if not isinstance(safe, SafetyFilter):
+        raise InputError(f"safe: got {type(safe).__name__}, wanted a SafetyFilter")
+    rows = np.atleast_2d(numbers_returned("states", states))
     if rows.ndim != 2 or not rows.size or not np.isfinite(rows).all():
         raise InputError(f"states: got shape {np.shape(states)}, wanted (k, states) finite numbers, k at least 1")
-    stack = stacked(safe.barriers if barriers is None else barriers)
+    scene = safe.barriers if barriers is None else barriers
+    check_reads(scene, ())
+    stack = stacked(scene)
     if not stack.names:
         raise InputError("barriers: got none, wanted at least one to check")
-    free = None if latent is None else np.asarray(latent, dtype=np.float64)
+    free = None if latent is None else numbers_returned("latent", latent)
     margins = {**safe.settings.epsilon, **(epsilon or {})}
     checked = Checked(safe, stack, margins, free)
     try:

@@ -30,8 +30,8 @@ class FunctionBarrier(AbstractBarrier):
 
     Without a gradient central differences are taken, step 6e-6 max(1, |x_j|): error about 1e-10 for smooth h of size 1.
     ``names`` says how many values h has (default: one), ``reads`` the states that it is written for. h and its gradient
-    see arrays that they cannot write into. Raises InputError at evaluation when a shape is wrong, or what came back are
-    no real numbers.
+    see arrays that they cannot write into. Raises InputError for what is no function, and at evaluation when a shape is
+    wrong, or what came back are no real numbers.
     """
 
     def __init__(
@@ -42,8 +42,13 @@ class FunctionBarrier(AbstractBarrier):
         kind: str = "function",
         reads: Sequence[str] = (),
     ) -> None:
-        if isinstance(names, str) or not names:
+        for what, function in (("h", h), ("gradient", gradient)):
+            if not callable(function) and (what == "h" or function is not None):
+                raise InputError(f"{what}: got {type(function).__name__}, wanted a function of the state")
+        if isinstance(names, str) or not names or not all(isinstance(name, str) for name in names):
             raise InputError(f"names: got {names!r}, wanted a sequence with one name for each value of h")
+        if not isinstance(kind, str):
+            raise InputError(f"kind: got {kind!r}, wanted the name by which epsilon has a margin for it")
         if isinstance(reads, str):
             raise InputError(f"reads: got {reads!r}, wanted a sequence with the names of the states")
         self.names, self.kind, self.reads = tuple(names), kind, tuple(reads)

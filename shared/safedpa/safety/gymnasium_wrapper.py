@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from typing import Any, final
 
 import gymnasium
@@ -37,8 +38,8 @@ class GymnasiumSafetyFilter(gymnasium.Wrapper):  # type: ignore[misc] # gymnasiu
     so. An observation that is to be the state itself has to be a Box with one axis.
     """
 
-    def __new__(cls, env: Any, *given: Any, **named: Any) -> Any:
-        """The wrapper that fits the environment, one or many."""
+    def __new__(cls, env: Any = None, *given: Any, **named: Any) -> Any:
+        """The wrapper that fits the environment, one or many; whoever copies one gives none."""
         if isinstance(env, VectorEnv):
             return GymnasiumVectorSafetyFilter(env, *given, **named)
         return super().__new__(cls)
@@ -60,15 +61,17 @@ class GymnasiumSafetyFilter(gymnasium.Wrapper):  # type: ignore[misc] # gymnasiu
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """As the environment's; remembers the observation."""
-        self._observation, info = self.env.reset(seed=seed, options=options)
-        return self._observation, info
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._observation = deepcopy(observation)  # a policy may write into the one that it gets
+        return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Filters ``action`` at the last observation, then steps the environment with the verdict's action."""
         verdict = self._between.verdict(self._observation, action)
         taken = self._between.action(verdict)
-        self._observation, reward, terminated, truncated, info = self.env.step(taken)
-        return self._observation, reward, bool(terminated), bool(truncated), {**info, "verdict": verdict}
+        observation, reward, terminated, truncated, info = self.env.step(taken)
+        self._observation = deepcopy(observation)
+        return observation, reward, bool(terminated), bool(truncated), {**info, "verdict": verdict}
 
 
 @final
@@ -97,8 +100,9 @@ class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as abo
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """As the environments'; remembers the observations."""
-        self._observations, infos = self.env.reset(seed=seed, options=options)
-        return self._observations, infos
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._observations = deepcopy(observations)  # as above
+        return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Filters ``actions`` (environments, actions), then steps with the verdicts' actions.
@@ -106,16 +110,21 @@ class GymnasiumVectorSafetyFilter(VectorWrapper):  # type: ignore[misc] # as abo
         Raises InputError for another number of actions than of environments.
         """
         count = self.num_envs
-        if len(actions) != count:
-            raise InputError(f"actions: got {len(actions)}, wanted {count}, one for each environment")
+        try:
+            given = len(actions)
+        except TypeError as error:
+            raise InputError(f"actions: got {actions!r}, wanted {count}, one for each environment") from error
+        if given != count:
+            raise InputError(f"actions: got {given}, wanted {count}, one for each environment")
         seen = [None] * count if self._observations is None else iterate(self.observation_space, self._observations)
         verdicts = np.empty(count, dtype=object)
         for index, (observation, action) in enumerate(zip(seen, actions, strict=True)):
             verdicts[index] = self._between.verdict(observation, action)
         taken = np.stack([self._between.action(verdict) for verdict in verdicts])
-        self._observations, rewards, terminated, truncated, infos = self.env.step(taken)
+        observations, rewards, terminated, truncated, infos = self.env.step(taken)
+        self._observations = deepcopy(observations)
         told = {"verdict": verdicts, "_verdict": np.ones(count, dtype=np.bool_)}
-        return self._observations, rewards, terminated, truncated, {**infos, **told}
+        return observations, rewards, terminated, truncated, {**infos, **told}
 
 
 @final
@@ -125,6 +134,8 @@ class _Between:
     def __init__(
         self, safety_filter: SafetyFilter, read: tuple[_Reader, _Reader, _Reader], actions: Any, observations: Any
     ) -> None:
+        if not isinstance(safety_filter, SafetyFilter):
+            raise InputError(f"safety_filter: got {type(safety_filter).__name__}, wanted a SafetyFilter")
         settings = safety_filter.settings
         _check_actions(actions, settings)
         self._filter, (self._state_of, self._barriers_of, self._latent_of) = safety_filter, read

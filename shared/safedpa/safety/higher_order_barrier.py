@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.function_barrier import FunctionBarrier
+from safedpa.safety.numbers_returned import numbers_returned
 
 __all__ = ["HigherOrderBarrier"]
 
@@ -55,6 +56,11 @@ class HigherOrderBarrier(AbstractBarrier):
         kind: str = "function",
         reads: Sequence[str] = (),
     ) -> None:
+        for what, given in (("derivatives", derivatives), ("rates", rates)):
+            if not hasattr(given, "__len__"):
+                raise InputError(f"{what}: got {type(given).__name__}, wanted a list")
+        if not all(map(callable, derivatives)):
+            raise InputError(f"derivatives: got {list(derivatives)!r}, wanted functions of the state")
         if len(derivatives) < 2 or len(rates) != len(derivatives) - 1:
             raise InputError(
                 f"rates: got {len(rates)} for {len(derivatives)} derivatives, wanted h and its derivatives up to one "
@@ -62,7 +68,7 @@ class HigherOrderBarrier(AbstractBarrier):
             )
         *constant, last = rates
         for rate in (*constant, *(() if callable(last) else (last,))):
-            if callable(rate) or not (isfinite(rate) and rate > 0.0):
+            if not isinstance(rate, (int, float, np.number)) or not (isfinite(rate) and rate > 0.0):
                 raise InputError(
                     f"rates: got {rate!r}, wanted positive finite numbers; the last alone may be a function"
                 )
@@ -83,8 +89,8 @@ class HigherOrderBarrier(AbstractBarrier):
         return self._barrier.along(state, directions)
 
     def _psi(self, state: Values) -> Values:
-        known = np.array([np.asarray(derivative(state), dtype=np.float64) for derivative in self._derivatives])
+        known = np.array([numbers_returned("h", derivative(state)) for derivative in self._derivatives])
         before = np.tensordot(self._inner, known[:-1], axes=1)
         slope = np.tensordot(self._inner, known[1:], axes=1)
-        rate = self._last(before) if callable(self._last) else self._last * before
-        return np.asarray(slope + rate, dtype=np.float64)
+        rate = numbers_returned("rate", self._last(before)) if callable(self._last) else self._last * before
+        return np.asarray(slope + rate)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
@@ -31,7 +32,7 @@ _NOT_FINITE: Final = -2
 class Plausible:
     """The range in which an input is believed, both (entries,), with the entries' names for messages.
 
-    One number stands for all entries; raises ValueError where the range and the names are not as many.
+    One number stands for all entries; raises ValueError where the range and the names are not as many, and for NaN.
     """
 
     def __init__(self, low: Values, high: Values, names: Sequence[str]) -> None:
@@ -40,6 +41,8 @@ class Plausible:
         self.lowest: tuple[float, ...] = tuple(np.broadcast_to(low, len(self.names)).tolist())
         """As plain numbers: a few of them are compared faster than arrays."""
         self.highest: tuple[float, ...] = tuple(np.broadcast_to(high, len(self.names)).tolist())
+        if any(map(isnan, (*self.lowest, *self.highest))):
+            raise ValueError("plausible range: got NaN, within which everything would be believed; wanted numbers")
 
 
 @final

@@ -21,14 +21,14 @@ _REAL: Final = "fiu"
 
 
 def numbers_returned(what: str, value: Any) -> Values:
-    """``value`` as an array of floats, of any shape.
+    """``value`` as an array of floats, of any shape, and of its own: a function may return one that it writes again.
 
     Numbers, lists of them and arrays of real numbers are believed. Raises InputError for text, booleans, complex
     numbers, objects, and masked arrays, whose masked entries numpy would hand on as if they were measured.
     """
     kind = type(value)
     if kind is float or kind is _SCALAR or (kind is _ARRAY and value.dtype is _FLOAT):
-        return np.asarray(value)
+        return np.array(value)
     if isinstance(value, np.ma.MaskedArray):
         raise InputError(f"{what}: got a masked array, wanted plain numbers")
     try:

@@ -25,6 +25,7 @@ from safedpa.safety.closed_loop import Model, fixed, prediction_of
 from safedpa.safety.compatibility import check_reads
 from safedpa.safety.differences import central_slopes
 from safedpa.safety.inputs import Plausible
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.prediction import Prediction
 
 __all__ = ["PendingActions"]
@@ -68,10 +69,10 @@ class PendingActions:
 
     def state(self, state: ArrayLike, pending: ArrayLike | None = None) -> Values:
         """xi from x (states,) and the pending actions (count, actions), the next to act first; default: resting."""
-        x = np.asarray(state, dtype=np.float64)
+        x = numbers_returned("state", state)
         if pending is None:
             pending = np.tile(self.resting, (self.count, 1))
-        queue = np.asarray(pending, dtype=np.float64)
+        queue = numbers_returned("pending", pending)
         if x.ndim != 1 or queue.shape != (self.count, len(self.resting)):
             wanted = (self.count, len(self.resting))
             raise InputError(f"pending: got state {x.shape} and {queue.shape}, wanted (states,) and {wanted}")
@@ -80,7 +81,8 @@ class PendingActions:
     def next_state(self, augmented: Values, action: ArrayLike, measured: ArrayLike) -> Values:
         """xi one tick later, when ``action`` (actions,) was sent and x ``measured`` (states,)."""
         queue = self.split(augmented)[1]
-        return self.state(measured, np.concatenate((queue[1:], np.reshape(action, (1, len(self.resting))))))
+        last = np.reshape(numbers_returned("action", action), (1, len(self.resting)))
+        return self.state(measured, np.concatenate((queue[1:], last)))
 
     def split(self, augmented: Values) -> tuple[Values, Values]:
         """x (states,) and the pending actions (count, actions) of xi. Raises InputError when it is too short."""

@@ -27,13 +27,14 @@ class Prediction:
 
     ``affine`` takes (state), (state, latent) and, if it has them, the keywords ``around`` (the action about which to
     linearise) and ``memory``; it returns f (states,) and g (states, actions). ``step`` takes (state, action), (state,
-    action, latent) and, if it has it, ``memory``.
+    action, latent) and, if it has it, ``memory``. Raises InputError for what is no function, or does not tell what it
+    takes, and when asked for numbers of another shape.
     """
 
     def __init__(self, affine: Callable[..., Any], step: Callable[..., Any] | None = None) -> None:
         self._affine, self._step = affine, step
-        self._affine_count, self._affine_words = _accepted(affine, 2)
-        self._step_count, self._step_words = (0, frozenset[str]()) if step is None else _accepted(step, 3)
+        self._affine_counts, self._affine_words = _accepted("affine", affine, 2)
+        self._step_counts, self._step_words = ((0, 0), frozenset[str]()) if step is None else _accepted("step", step, 3)
         self._model: AbstractDynamics | None = None
         self.system: System | None = None
         """Of a model of this project; functions alone do not say of which they are."""
@@ -159,9 +160,14 @@ class Prediction:
             return numbers_returned("predicted state", model.advance(state, action, remembered, latent)[0])
         if self._step is None:
             f, g = self._tangent(state, action, latent, memory)
+            states = len(state)
+            if f.shape != (states,) and (f.ndim != 0 or states != 1):
+                raise InputError(f"f of the model: got shape {f.shape}, wanted {(states,)}")
+            if g.shape != (states, len(action)):  # numpy would add one number to every entry of the state
+                raise InputError(f"g of the model: got shape {g.shape}, wanted {(states, len(action))}")
             return np.asarray(f + g @ action)
         words = {"memory": memory} if "memory" in self._step_words else {}
-        found = self._step(*(state, action, latent)[: self._step_count], **words)
+        found = self._step(*(state, action, latent)[: self._step_counts[latent is not None]], **words)
         return numbers_returned("predicted state", found)
 
     def slopes(self, state: Values, around: Values, latent: Values | None, memory: Any) -> Values:
@@ -173,19 +179,32 @@ class Prediction:
     def _tangent(self, state: Values, around: Values, latent: Values | None, memory: Any) -> tuple[Values, Values]:
         offered = {"around": around, "memory": memory}
         words = {word: offered[word] for word in self._affine_words}
-        f, g = self._affine(*(state, latent)[: self._affine_count], **words)
+        f, g = self._affine(*(state, latent)[: self._affine_counts[latent is not None]], **words)
         return numbers_returned("f of the model", f), numbers_returned("g of the model", g)
 
 
-def _accepted(function: Callable[..., Any], most: int) -> tuple[int, frozenset[str]]:
-    """How many positional arguments (at most ``most``) and which of the filter's keywords a function takes."""
-    parameters = inspect.signature(function).parameters.values()
+def _accepted(what: str, function: Callable[..., Any], most: int) -> tuple[tuple[int, int], frozenset[str]]:
+    """How many positional arguments (at most ``most``) and which of the filter's keywords a function takes.
+
+    Two numbers: without a latent and with one, which is the last. A last one with a default may be anything, such as a
+    period: where no latent is given, neither is it.
+    """
+    if not callable(function):
+        raise InputError(f"{what}: got {type(function).__name__}, wanted a function: affine(x) -> (f, g), step(x, a)")
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except ValueError as error:
+        raise InputError(
+            f"{what}: got {type(function).__name__}, which does not tell its arguments; wanted a function of Python "
+            "around it"
+        ) from error
     words = frozenset(p.name for p in parameters if p.name in ("around", "memory"))
     positional = [
         p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.name not in words
     ]
     count = most if any(p.kind is p.VAR_POSITIONAL for p in parameters) else min(most, len(positional))
-    return count, words
+    own = len(positional) >= most and positional[most - 1].default is not inspect.Parameter.empty
+    return (most - 1 if own else count, count), words
 
 
 def _unwritten(numbers: Sequence[float]) -> Values:

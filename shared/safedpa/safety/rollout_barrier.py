@@ -29,6 +29,7 @@ from safedpa.safety.closed_loop import ClosedLoop, Model, fixed
 from safedpa.safety.compatibility import check_reads
 from safedpa.safety.differences import central_slopes
 from safedpa.safety.function_barrier import FunctionBarrier
+from safedpa.safety.numbers_returned import numbers_returned
 from safedpa.safety.swept import Least, Place, chord_point, least_along
 
 __all__ = ["RolloutBarrier", "Taken"]
@@ -116,16 +117,16 @@ class RolloutBarrier(AbstractBarrier):
     def fall_beyond(self, state: Values) -> Values:
         """(m,) >= 0 by how much h falls below H in another horizon's ticks: 0 where the backup ends at rest."""
         path = self.path(state)
-        known = least_along(self._h.values, path).values
+        known = least_along(self._heights, path).values
         if len(path) <= self.horizon:
             return np.zeros(len(known))
-        further = np.array([self._h.values(each) for each in self.loop.path(path[-1], self.horizon)])
+        further = np.array([self._heights(each) for each in self.loop.path(path[-1], self.horizon)])
         return np.asarray(np.maximum(known - further.min(axis=0), 0.0))
 
     def taken(self, origin: Values | None, state: Values) -> Taken:
         """H at ``state`` (states,) and where on its path it is taken, which begins with ``origin`` if one is given."""
         path = self._whole(origin, state, self.horizon)
-        return Taken(origin, fixed(state), path, least_along(self._h.values, path, always=int(origin is not None)))
+        return Taken(origin, fixed(state), path, least_along(self._heights, path, always=int(origin is not None)))
 
     def gradient_of(self, taken: Taken) -> Values:
         """dH/dx (m, states)."""
@@ -160,6 +161,10 @@ class RolloutBarrier(AbstractBarrier):
             rows.append(self._h.evaluate(chord_point(taken.path, (k, share)))[1][row] @ change)
         return np.array(rows)
 
+    def _heights(self, state: Values) -> Values:
+        """h (m,) at one state, as an array of its own: a barrier may return one that it writes again."""
+        return numbers_returned("h", self._h.values(state))
+
     def _whole(self, origin: Values | None, state: Values, ticks: int) -> list[Values]:
         path = self.loop.path(state, ticks)
         return path if origin is None else [origin, *path]
@@ -172,7 +177,7 @@ class RolloutBarrier(AbstractBarrier):
         known: dict[Place, Values] = {}
         for place in places:
             if place not in known:
-                known[place] = self._h.values(path[-1] if place[0] + 1 >= len(path) else chord_point(path, place))
+                known[place] = self._heights(path[-1] if place[0] + 1 >= len(path) else chord_point(path, place))
         return np.array([known[place][row] for row, place in enumerate(places)])
 
 

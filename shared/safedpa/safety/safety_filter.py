@@ -21,6 +21,7 @@ from typing import Any, final
 import numpy as np
 
 from safedpa.dynamics import AbstractDynamics, PhysicsModel
+from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier
 from safedpa.safety.compatibility import (
     check_backup,
@@ -58,7 +59,7 @@ class SafetyFilter:
     has entries a latent must be given. ``barriers`` is None where every decision brings its own.
 
     Not to be shared between threads: the solver's workspaces are reused. Who asks while another thread's decision is
-    under way gets the resting action and is told so.
+    under way gets the resting action and is told so. ``copy.deepcopy`` makes another filter of the same.
 
     Raises InputError for settings of another system or with bounds that the model's actions cannot take, for barriers
     that read other states, for none, for a margin that belongs to none of them, and for a backup of another size.
@@ -77,6 +78,9 @@ class SafetyFilter:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         prediction = affine if isinstance(affine, Prediction) else Prediction(affine, step)
+        for what, believed in (("state_range", state_range), ("latent_range", latent_range)):
+            if believed is not None and not isinstance(believed, Plausible):
+                raise InputError(f"{what}: got {type(believed).__name__}, wanted Plausible(low, high, names)")
         states = _names_of_states(prediction, state_range)
         own = check_barriers(barriers, states)
         if prediction.system is None:
@@ -132,6 +136,12 @@ class SafetyFilter:
     def barriers(self) -> tuple[AbstractBarrier, ...]:
         """The barriers that ``decide`` keeps where it is given none."""
         return self._barriers
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy, here or in another process, is made anew: with a solver's memory and a turn of its own."""
+        tools = self.tools
+        ranges = tools.state_range, tools.latent_range
+        return _made_anew, (tools.prediction, self._barriers or None, self.settings, tools.backup, *ranges, tools.clock)
 
     def decide(
         self,
@@ -220,6 +230,20 @@ class SafetyFilter:
             return resting_verdict(self.settings.resting_action, f"{type(error).__name__}")
         finally:
             self._one_at_a_time.release()
+
+
+def _made_anew(
+    prediction: Prediction,
+    barriers: Sequence[AbstractBarrier] | None,
+    settings: FilterSettings,
+    backup: Backup | None,
+    state_range: Plausible | None,
+    latent_range: Plausible | None,
+    clock: Callable[[], float],
+) -> SafetyFilter:
+    return SafetyFilter(
+        prediction, barriers, settings, None, backup, state_range=state_range, latent_range=latent_range, clock=clock
+    )
 
 
 def _decided(decision: Decision) -> Verdict:

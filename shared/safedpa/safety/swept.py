@@ -65,14 +65,23 @@ def chord_point(path: Sequence[Values], place: Place) -> Values:
 def least_along(h: Callable[[Values], Values], path: Sequence[Values], always: int = 0) -> Least:
     """The least h_i (m,) on a path of states; its first ``always`` chords are looked into in any case.
 
-    Of several places with the same least value the first counts.
+    Of several places with the same least value the first counts. Where h is NaN at a place that was looked at, so is
+    the least.
     """
     table = np.array([h(state) for state in path])
     values = table.min(axis=0)
+    lost = np.isnan(values)
+
+    def looked(state: Values) -> Values:
+        found = h(state)
+        np.logical_or(lost, np.isnan(found), out=lost)
+        return found
+
     places: list[Place] = [(int(k), 0.0) for k in table.argmin(axis=0)]
     moving = np.array([a is not b and a.tobytes() != b.tobytes() for a, b in pairwise(path)], dtype=bool)
     for k in _open_chords(table, moving, values, always):
-        _look_between(h, path, k, table, values, places)
+        _look_between(looked, path, k, table, values, places)
+    values[lost] = np.nan  # no comparison tells it
     size = np.abs(table).max(axis=0)
     return Least(values, tuple(places), np.where(size > 0.0, size, 1.0))
 
