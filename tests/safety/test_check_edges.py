@@ -17,6 +17,7 @@ from safedpa.safety.check_barriers import gradient_issues, margin_issues, scale_
 from safedpa.safety.check_influence import condition_issues
 from safedpa.safety.check_probes import Checked, probed
 from safedpa.safety.inputs import Plausible
+from safedpa.safety.prediction import Prediction
 from safedpa.safety.verdict import Status, resting_verdict
 
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.001)
@@ -77,13 +78,12 @@ def recorded(checked: Checked) -> tuple[Checked, list[float]]:
     asked: list[float] = []
     affine = checked.safe.tools.prediction._affine
 
-    class Asked:
-        def following(self, state: Any, action: Any, latent: Any, memory: Any) -> list[float]:
-            asked.append(action[0])
-            f, g = affine(np.array(state))
-            return list((f + g @ np.array(action)).tolist())
+    def step(state: Values, action: Values) -> Values:
+        asked.append(float(action[0]))
+        f, g = affine(state)
+        return np.asarray(f + g @ action)
 
-    tools = replace(checked.safe.tools, prediction=Asked())  # type: ignore[arg-type]
+    tools = replace(checked.safe.tools, prediction=Prediction(affine, step))
     safe: Any = type("Safe", (), {"settings": checked.safe.settings, "tools": tools})()
     return Checked(safe, checked.barriers, checked.margins, None), asked
 

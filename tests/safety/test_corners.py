@@ -34,9 +34,7 @@ def test_a_corner_is_told_where_no_other_action_costs_less(prices: tuple[float, 
     random, told = np.random.default_rng(count), [0, 0]
     for _ in range(150):
         slopes, limits = random.normal(size=(count, 2)), random.normal(0.5, 1.0, count)
-        rows = [
-            (tuple(a), float(b), index, 1.0) for index, (a, b) in enumerate(zip(slopes.tolist(), limits, strict=True))
-        ]
+        rows = [(a, float(b), index, 1.0) for index, (a, b) in enumerate(zip(slopes.tolist(), limits, strict=True))]
         wish, weights = random.uniform((-5.0, -1.0), (7.0, 4.0)).tolist(), random.uniform(0.2, 3.0, 2).tolist()
         corner = cornered(rows, wish, SIDES, weights, *prices)  # type: ignore[arg-type]
         elsewhere = cost(GRID, rows, wish, weights, prices).min()  # type: ignore[arg-type]

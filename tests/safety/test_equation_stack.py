@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -153,8 +154,8 @@ def test_a_stack_travels_to_another_process() -> None:
 
 
 def test_what_was_written_ahead_of_time_is_what_recording_gives_today() -> None:
-    with open(written_barriers.__file__.replace(".so", ".py"), encoding="utf-8") as file:
-        assert file.read() == text(), "run python -m safedpa.robots.car.write_barriers"
+    source = Path(written_barriers.__file__).with_name("written_barriers.py")
+    assert source.read_text(encoding="utf-8") == text(), "run python -m safedpa.robots.car.write_barriers"
 
 
 @pytest.mark.parametrize("way", [None, 0.3])

@@ -44,6 +44,10 @@ class Plausible:
         if any(map(isnan, (*self.lowest, *self.highest))):
             raise ValueError("plausible range: got NaN, within which everything would be believed; wanted numbers")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy is made anew: what is compiled cannot be made without its arguments."""
+        return Plausible, (self.low, self.high, self.names)
+
 
 @final
 @dataclass(frozen=True)

@@ -58,6 +58,12 @@ class Prediction:
                 prediction._learned = model.base if model.base.is_latent(model.latent_names) else None
         return prediction
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy is made anew: what is compiled cannot be made without its arguments."""
+        if self._model is not None:
+            return Prediction.of_model, (self._model,)
+        return Prediction, (self._affine, self._step)
+
     @property
     def timed(self) -> bool:
         """Whether the model depends on the time since the start of the run."""
