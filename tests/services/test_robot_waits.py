@@ -100,7 +100,7 @@ def test_the_end_of_the_process_is_a_word_too() -> None:
 class Named:
     """A process of which only what happens to it is kept."""
 
-    essential, waits, exit_code, pid = True, False, None, 0
+    essential, waits, exit_code, pid, restarts = True, False, None, 0, 0
 
     def __init__(self, name: str, said: list[str], *, waits: bool = False) -> None:
         self.name, self._said, self.waits, self.begun = name, said, waits, False
