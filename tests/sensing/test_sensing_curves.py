@@ -37,6 +37,13 @@ def test_a_row_is_of_the_drives_with_its_value(result: dict[str, Any]) -> None:
     }, "the values that are as elsewhere are the same drives"  # fmt: skip
 
 
+def test_what_curves_share_is_driven_once_and_the_progress_comes_to_its_end() -> None:
+    told: list[tuple[int, int]] = []
+    curves = {"walking": (0.0, 1.5), "noise": (0.02,)}
+    curves_experiment([1003], 0.5, 1, lambda done, of: told.append((done, of)), curves=curves)
+    assert told == [(1, 2), (2, 2)]
+
+
 def test_what_a_curve_changes_reaches_the_drive(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[LaserSettings] = []
     whole = sensing.Laser

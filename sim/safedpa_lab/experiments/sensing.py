@@ -160,14 +160,15 @@ def driven(
     """What came out of each drive; see ``sensing_experiment`` for the record."""
     known = {} if record is None else _recorded(record)
     found = {drive: known[drive] for drive in wanted if drive in known}
-    open_ones = [drive for drive in dict.fromkeys(wanted) if drive not in known]
+    different = dict.fromkeys(wanted)
+    open_ones = [drive for drive in different if drive not in known]
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
         for drive, outcome in zip(open_ones, pool.map(run_drive, open_ones), strict=True):
             found[drive] = outcome
             if record is not None:
                 with record.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(outcome) + "\n")
-            on_drive(len(found), len(wanted))
+            on_drive(len(found), len(different))
     return [found[drive] for drive in wanted]
 
 
