@@ -77,3 +77,18 @@ def test_what_is_slower_than_it_may_be_ends_with_an_error(
 
     monkeypatch.setattr("safedpa_lab.benchmarks.against.driven", drive)
     assert safedpa.run(["bench", "against", str(tmp_path), "--pairs", "1", "--seconds", "1", "--most", most]) == code
+
+
+@pytest.mark.processes
+@pytest.mark.slow
+def test_rows_of_this_checkout_against_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = ["--only", "adaptation", "--only", "filter"]
+    assert safedpa.run(["bench", "against", str(ROOT), "--pairs", "1", *rows, "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)["figures"]
+    assert {"filter, physics, 8 obstacles [us]", "adaptation, encoder [us]"} <= set(figures)
+    assert all(row["unit"] == "us" and 1.0 < row["ours"] < 1e5 for row in figures.values())
+
+
+def test_a_row_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert safedpa.run(["bench", "against", str(ROOT), "--only", "speed"]) == 2
+    assert "filter" in capsys.readouterr().err

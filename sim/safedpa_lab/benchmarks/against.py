@@ -22,7 +22,7 @@ from typing import Any, Final
 from safedpa.errors import InputError, SafedpaError
 from safedpa_lab.benchmarks.usage import load_average
 
-__all__ = ["FIGURES", "against", "checkout_of", "driven", "interval_of_median"]
+__all__ = ["FIGURES", "against", "benched", "checkout_of", "driven", "interval_of_median"]
 
 FIGURES: Final = {
     "sense to act, p50": "us",
@@ -34,6 +34,7 @@ _ROOMS: Final = ("shared", "services", "sim")
 _COVERAGE: Final = 0.95
 _LONGEST_SECONDS: Final = 180.0
 """Beyond the drive itself, until a run is given up."""
+_LONGEST_BENCH: Final = 1800.0
 
 Drive = Callable[[Path], Mapping[str, float]]
 
@@ -65,15 +66,18 @@ def against(
     seconds: float,
     tell: Callable[[int, int], None] = lambda _done, _all: None,
     drive: Drive | None = None,
+    rows: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Drives both in turn, ``pairs`` times, after one of each that is not counted.
+    """Drives both in turn, ``pairs`` times, after one of each that is not counted; with ``rows`` measures those.
 
-    Ratios are ours over the other's. Raises SafedpaError when a drive fails.
+    Ratios are ours over the other's, of the figures that both have. Raises SafedpaError when a drive fails.
     """
     before = load_average()
     found: tuple[list[Mapping[str, float]], list[Mapping[str, float]]] = ([], [])
     with tempfile.TemporaryDirectory(prefix="safedpa-against-", ignore_cleanup_errors=True) as compiled:
-        run = drive or (lambda folder: driven(folder, seconds, Path(compiled)))
+        run = drive or (
+            lambda folder: benched(folder, rows, Path(compiled)) if rows else driven(folder, seconds, Path(compiled))
+        )
         for number in range(pairs + 1):
             for which in (0, 1) if number % 2 else (1, 0):
                 measured = run((ours, other)[which])
@@ -83,7 +87,7 @@ def against(
     return {
         "pairs": pairs,
         "seconds": seconds,
-        "figures": {name: _compared(name, *found) for name in found[0][0]},
+        "figures": {name: _compared(name, *found) for name in found[0][0] if name in found[1][0]},
         "load_average": [before, load_average()],
     }
 
@@ -92,7 +96,7 @@ def _compared(name: str, ours: Sequence[Mapping[str, float]], others: Sequence[M
     ratios = [mine[name] / other[name] for mine, other in zip(ours, others, strict=True)]
     low, high = interval_of_median(ratios)
     return {
-        "unit": FIGURES.get(name, ""),
+        "unit": FIGURES.get(name) or name.rpartition(" ")[2].strip("[]"),
         "ours": round(statistics.median(entry[name] for entry in ours), 4),
         "other": round(statistics.median(entry[name] for entry in others), 4),
         "ratio": round(statistics.median(ratios), 4),
@@ -107,31 +111,58 @@ def driven(folder: Path, seconds: float, compiled: Path) -> dict[str, float]:
     Modules are compiled once, into the folder ``compiled``, as for what is installed: otherwise the start would tell
     how many lines of source there are.
     """
-    paths = os.pathsep.join(str(folder / name) for name in _ROOMS)
     with tempfile.TemporaryDirectory() as out:
-        command = [sys.executable, "-m", "safedpa_services", "up", "--headless", "--json", "--load", "box"]
-        command += ["--seconds", repr(seconds), "--out", out]
-        environment = {**os.environ, "PYTHONPATH": paths, "PYTHONPYCACHEPREFIX": str(compiled)}
-        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        drive = ["up", "--headless", "--json", "--load", "box", "--seconds", repr(seconds), "--out", out]
         began = time.time()
-        try:
-            done = subprocess.run(
-                command,
-                capture_output=True,
-                text=True,
-                check=False,
-                cwd=out,
-                env=environment,
-                timeout=seconds + _LONGEST_SECONDS,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise SafedpaError(f"{folder}: safedpa up did not end within {error.timeout:.0f} s") from error
-        if done.returncode != 0:
-            raise SafedpaError(f"{folder}: safedpa up: {done.stderr.strip()[-500:]}")
-        summary = json.loads(done.stdout)
+        summary = json.loads(_said_by(folder, drive, Path(out), compiled, seconds + _LONGEST_SECONDS))
         first = _first_action(Path(summary["recording"])) - began
     latency = summary["latency_us"]
     return dict(zip(FIGURES, (latency["p50"], latency["p99"], first), strict=True))
+
+
+def benched(folder: Path, rows: Sequence[str], compiled: Path) -> dict[str, float]:
+    """Rows of ``safedpa bench all --quick`` of a checkout: the median of each, in time of the processor where told."""
+    with tempfile.TemporaryDirectory() as out:
+        file = Path(out) / "rows.json"
+        named = [part for name in rows for part in ("--only", name)]
+        _said_by(folder, ["bench", "all", "--quick", *named, "--json", str(file)], Path(out), compiled, _LONGEST_BENCH)
+        document = json.loads(file.read_text(encoding="utf-8"))
+    found = {}
+    for name in rows:
+        for measured in document["rows"][name]["ours"]:
+            figures = {**measured["figures"], **measured["processor"]}
+            key = next((key for key in ("p50", "seconds") if key in figures), None)
+            if key is not None:
+                parts = [name, measured["name"].removeprefix("safedpa, "), measured["problem"]]
+                found[f"{', '.join(filter(None, parts))} [{measured['unit']}]"] = float(figures[key])
+    return found
+
+
+def _said_by(folder: Path, arguments: Sequence[str], where: Path, compiled: Path, longest_seconds: float) -> str:
+    """What ``safedpa`` of a checkout writes. Raises SafedpaError when it fails or takes longer."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(str(folder / name) for name in _ROOMS),
+        "PYTHONPYCACHEPREFIX": str(compiled),
+    }
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    command = [sys.executable, "-m", "safedpa_services", *arguments]
+    said = f"{folder}: safedpa {' '.join(arguments[:2])}"
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=where,
+            env=environment,
+            timeout=longest_seconds,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise SafedpaError(f"{said} did not end within {error.timeout:.0f} s") from error
+    if done.returncode != 0:
+        raise SafedpaError(f"{said}: {done.stderr.strip()[-500:]}")
+    return done.stdout
 
 
 def _first_action(recording: Path) -> float:

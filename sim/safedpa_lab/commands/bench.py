@@ -98,28 +98,36 @@ def fleet(robots: int, seconds: float, *, find_largest: bool, as_json: bool, **o
 @click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @click.option("--pairs", type=click.IntRange(1, 1000), default=20, show_default=True, help="drives of each, in turn")
 @click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=5.0, show_default=True, help="of each drive")
+@click.option("--only", multiple=True, metavar="NAME", help="this row of `bench all`, not drives; again for more")
 @click.option("--most", type=float, metavar="RATIO", help="exit code 1 where the median ratio of a figure is above it")
 @_JSON
 @needs("sim")
-def against(folder: Path, pairs: int, seconds: float, most: float | None, *, as_json: bool) -> None:
+def against(
+    folder: Path, pairs: int, seconds: float, only: tuple[str, ...], most: float | None, *, as_json: bool
+) -> None:
     """This checkout beside another one, such as an older commit in a git worktree: ratios of sense to act and start.
 
-    Short drives of the two in turn, with this Python, so that what the machine does meanwhile happens to both.
+    Short drives of the two in turn, with this Python, so that what the machine does meanwhile happens to both. With
+    --only, quick rows of `bench all` in turn: the medians of those that both checkouts have.
     """
     from safedpa.errors import SafedpaError
     from safedpa_lab.benchmarks.against import against as compared
     from safedpa_lab.benchmarks.against import checkout_of
+    from safedpa_lab.benchmarks.results import Effort
+    from safedpa_lab.benchmarks.suite import chosen_rows
     from safedpa_services.progress import progress
 
     ours, other = checkout_of(Path(__file__).parents[3]), checkout_of(folder)
-    with progress(f"{pairs} pairs of drives") as tell:
-        result = compared(ours, other, pairs, seconds, tell)
+    rows = chosen_rows(only, Effort(quick=True)) if only else []
+    with progress(f"{pairs} pairs of {'rows' if rows else 'drives'}") as tell:
+        result = compared(ours, other, pairs, seconds, tell, rows=rows)
     if as_json:
         click.echo(json.dumps(result))
     else:
+        widest = max(map(len, result["figures"]), default=0)
         for name, row in result["figures"].items():
             click.echo(
-                f"{name:26} {row['ours']:9.4g} {row['unit']:2} beside {row['other']:9.4g} {row['unit']:2}   "
+                f"{name:{widest}} {row['ours']:9.4g} {row['unit']:2} beside {row['other']:9.4g} {row['unit']:2}   "
                 f"ratio {row['ratio']:.3f} (95 %: {row['interval'][0]:.3f} to {row['interval'][1]:.3f})"
             )
     over = [name for name, row in result["figures"].items() if most is not None and row["ratio"] > most]
