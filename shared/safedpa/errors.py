@@ -19,6 +19,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Final
 
 __all__ = [
     "BusError",
@@ -34,6 +35,10 @@ __all__ = [
     "did_you_mean",
     "near_files",
 ]
+
+_NAMED: Final = 60
+"""Names that one reads in a sentence at most; a broad table has thousands of columns."""
+_LIKE: Final = 12
 
 
 class SafedpaError(Exception):
@@ -77,11 +82,17 @@ class RecordingError(SafedpaError):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Sentence that lists what exists, with the nearest name first: for look-up errors."""
+    """Sentence that lists what exists, with the nearest name first: for look-up errors.
+
+    Of more than ``_NAMED`` names those most like ``name`` are listed, and how many there are besides.
+    """
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""
-    return f"{hint}known: {', '.join(names)}"
+    if len(names) <= _NAMED:
+        return f"{hint}known: {', '.join(names)}"
+    like = sorted(difflib.get_close_matches(name, names, n=_LIKE, cutoff=0.0))
+    return f"{hint}known: {', '.join(like)} and {len(names) - len(like)} more"
 
 
 def near_files(path: Path, shipped: Iterable[str] = ()) -> str:
