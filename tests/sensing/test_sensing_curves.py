@@ -32,6 +32,8 @@ def test_a_row_is_of_the_drives_with_its_value(result: dict[str, Any]) -> None:
         assert row["metres_a_minute"] == pytest.approx(60.0 * way / 4.0)
         assert row["drives"] == 2
     plain = [row for row in result["rows"] if row["value"] in (1.5, 2.0 * pi)]
+    told = [run_drive(Drive("people", seed, 2.0, 1.5, "told", policy="way_seeker"))["goals"] for seed in (1003, 1004)]
+    assert plain[0]["goals_a_minute_told_everything"] == pytest.approx(60.0 * sum(told) / 4.0)
     assert {**plain[0], "curve": "", "value": 0, "median_microseconds": 0} == {
         **plain[1], "curve": "", "value": 0, "median_microseconds": 0
     }, "the values that are as elsewhere are the same drives"  # fmt: skip
@@ -41,7 +43,7 @@ def test_what_curves_share_is_driven_once_and_the_progress_comes_to_its_end() ->
     told: list[tuple[int, int]] = []
     curves = {"walking": (0.0, 1.5), "noise": (0.02,)}
     curves_experiment([1003], 0.5, 1, lambda done, of: told.append((done, of)), curves=curves)
-    assert told == [(1, 2), (2, 2)]
+    assert told == [(done, 4) for done in (1, 2, 3, 4)], "two with the laser, and two told everything"
 
 
 def test_what_a_curve_changes_reaches_the_drive(monkeypatch: pytest.MonkeyPatch) -> None:
