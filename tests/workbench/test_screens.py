@@ -117,18 +117,16 @@ class Looks:
         self.wrong, self.barriers = [], None if axe is None else []
         self._browser, self._pictures, self._axe = browser, pictures, axe
 
-    def at(self, address, ready, name, steps=(("", lambda _page: None),), follows=False):
-        """``follows``: the page that is open takes another scheme as soon as the reader's system has it."""
+    def at(self, address, ready, name, steps=(("", lambda _page: None),)):
         context = self._browser.new_context()
         page = context.new_page()
         for scheme, sizes in SCHEMES.items():
             page.emulate_media(color_scheme=scheme)
-            if scheme == "light" or not follows:
-                page.set_viewport_size({"width": SIZES[1][0], "height": SIZES[1][1]})
-                page.goto(address)
-                page.wait_for_selector(ready, timeout=PATIENCE)
-                if self._axe is not None:
-                    page.evaluate(self._axe)
+            page.set_viewport_size({"width": SIZES[1][0], "height": SIZES[1][1]})
+            page.goto(address)
+            page.wait_for_selector(ready, timeout=PATIENCE)
+            if self._axe is not None:
+                page.evaluate(self._axe)
             for step, act in steps:
                 act(page)
                 for width, height in sizes:
@@ -185,7 +183,7 @@ def test_the_live_page(live_looks):
 
 @pytest.mark.parametrize("name", ["compare", "diagnose"])
 def test_the_reports(browser, reports, name, pictures):
-    assert Looks(browser, pictures, None).at(reports[name].as_uri(), ".main-svg", name, follows=True).wrong == []
+    assert Looks(browser, pictures, None).at(reports[name].as_uri(), ".main-svg", name).wrong == []
 
 
 @pytest.mark.parametrize("name", ["workbench", "live"])

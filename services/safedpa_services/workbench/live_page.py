@@ -69,7 +69,6 @@ class LivePage:
         self._ended = False
         self._drawn: Any = None
         self._shown: Any = None
-        self._seen: Any = None
         self._asking = self._gone = False
         ui.add_head_html(_GONE)
         link.untold.add(self)  # from the first byte on: a drive may end while the page loads
@@ -172,17 +171,10 @@ class LivePage:
         self._where.set_content(escaped(_where(book)))
         self._legend.set_content(field_legend(self._look))
         self._driven.set_content(driven_lines(book))
-        self._show_field(book)
+        self._field.update_figure(field_figure(book, self._look))
         self._show_error(book)
         self._said.set_content(escaped(self._told or "Accepted models are taken over by all services at one tick."))
         self._show_candidates(book)
-
-    def _show_field(self, book: RobotBook) -> None:
-        """When it is another picture: what stands is not drawn anew."""
-        figure = field_figure(book, self._look)
-        if figure != self._seen:
-            self._seen = figure
-            self._field.update_figure(figure)
 
     def _show_error(self, book: RobotBook) -> None:
         """Once a second, when there is a new error: drawing is the browser's most expensive work here."""
