@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,9 +51,58 @@ def test_with_a_margin_that_is_not_its_own_a_fixed_wind_fails() -> None:
     assert found["safedpa"]["relaxed"] == 0.0
 
 
-def test_each_filter_has_a_margin_of_its_own_by_one_rule() -> None:
+@dataclass
+class Small:
+    """The whole experiment, run once: what came of it, how far it said that it was, and the seeds of its margins."""
+
+    told: list[tuple[int, int]] = field(default_factory=list)
+    calibrated: set[int] = field(default_factory=set)
+    result: dict[str, Any] = field(default_factory=dict)
+
+
+@pytest.fixture(scope="module")
+def small() -> Small:
+    """Both axes at the experiment's own number: a difficulty that axes have in common is run once."""
+    found, plain = Small(), Difficulty()
+    own = [axis.values.index(getattr(plain, axis.name)) for axis in SWEPT]
+    axes = tuple(
+        replace(axis, values=axis.values[at : at + 1], shown=axis.shown[at : at + 1])
+        for axis, at in zip(SWEPT, own, strict=True)
+    )
+    asked = PendulumExperiment(NOWHERE, directions=4, episodes=1, sweep_episodes=1, drives=50, seed=3, axes=axes)
+
+    def margins(*given: Any) -> dict[str, dict[str, Any]]:
+        with noted(found.calibrated):
+            return measured_margins(*given)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("safedpa_lab.experiments.pendulum.measured_margins", margins)
+        found.result = pendulum_experiment(asked, lambda done, every: found.told.append((done, every)))
+    return found
+
+
+SWEPT = (AXES[1], AXES[3])
+"""One of both questions, and one of the second alone."""
+
+
+@contextmanager
+def noted(seeds: set[int]) -> Iterator[None]:
+    """The seeds of all episodes that are drawn meanwhile."""
+    plain = Episodes.random
+
+    def random(self: Episodes, stream: int) -> np.random.Generator:
+        seeds.add(self.seed)
+        return plain(self, stream)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Episodes, "random", random)
+        yield
+
+
+@pytest.mark.slow
+def test_each_filter_has_a_margin_of_its_own_by_one_rule(small: Small) -> None:
     methods = [method_named(1, name) for name in ("safedpa", "mix", "oracle")]
-    found = measured_margins(methods, NOWHERE, 50)
+    found = {method.name: small.result["margins"][method.name] for method in methods}
     assert {(row["drives"], row["transitions"], row["coverage"]) for row in found.values()} == {(100, 35_000, 0.99)}
     epsilon = {name: row["epsilon"] for name, row in found.items()}
     assert epsilon["oracle"] < 1e-6 < epsilon["safedpa"] < epsilon["mix"], "who knows less pays with a wider one"
@@ -62,25 +114,18 @@ def test_each_filter_has_a_margin_of_its_own_by_one_rule() -> None:
         assert covered_share(method, NOWHERE, swings, fresh.winds(), *given) > 0.98
 
 
-def test_the_seeds_of_calibration_choice_and_evaluation_are_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: dict[str, set[int]] = {}
-    part = "calibration"
-    plain = Episodes.random
-
-    def random(self: Episodes, stream: int) -> np.random.Generator:
-        drawn.setdefault(part, set()).add(self.seed)
-        return plain(self, stream)
-
-    monkeypatch.setattr(Episodes, "random", random)
-    measured_margins([method_named(1, "oracle")], NOWHERE, 50)
-    part = "development"
-    best_penalty(Choice(NOWHERE, 4, 1, Difficulty()))
-    part = "evaluation"
-    for seed in (0, 2100):
-        asked = PendulumExperiment(NOWHERE, seed=seed).evaluation
-        balanced(method_named(1, "unfiltered"), NOWHERE, 0.0, asked, ticks=2)
+@pytest.mark.slow
+def test_the_seeds_of_calibration_choice_and_evaluation_are_apart(small: Small) -> None:
+    drawn: dict[str, set[int]] = {"calibration": small.calibrated, "development": set(), "evaluation": set()}
+    with noted(drawn["development"]):
+        best_penalty(Choice(NOWHERE, 4, 1, Difficulty()))
+    with noted(drawn["evaluation"]):
+        for seed in (0, 2100):
+            asked = PendulumExperiment(NOWHERE, seed=seed).evaluation
+            balanced(method_named(1, "unfiltered"), NOWHERE, 0.0, asked, ticks=2)
     assert drawn["development"] == {DEVELOPMENT}
     for name, seeds in drawn.items():
+        assert seeds, name
         assert seeds <= set(SEEDS[name]), name
 
 
@@ -147,11 +192,8 @@ def test_what_is_asked_is_what_happens() -> None:
 
 
 @pytest.mark.slow
-def test_the_whole_experiment_in_small(tmp_path: Path) -> None:
-    axes = tuple(replace(axis, values=axis.values[:1], shown=axis.shown[:1]) for axis in (AXES[1], AXES[3]))
-    small = PendulumExperiment(NOWHERE, directions=4, episodes=1, sweep_episodes=1, drives=50, seed=3, axes=axes)
-    told: list[tuple[int, int]] = []
-    result = pendulum_experiment(small, lambda done, every: told.append((done, every)))
+def test_the_whole_experiment_in_small(small: Small, tmp_path: Path) -> None:
+    told, result = small.told, small.result
     assert told[-1][0] == told[-1][1]
     assert "| SafeDPA | " in markdown_of(result)
     write_report(result, tmp_path)

@@ -87,6 +87,13 @@ def short_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def short_drives(drives: tuple[Path, list[Path]], short_drive: Path) -> tuple[Path, list[Path]]:
+    """The model file and two recordings of 12 s, for tests that look at a page or a report of more than one drive."""
+    truth = _plain().with_effect(effect("car", "quadratic_drag"), {"coefficient": Setting(0.3)})
+    return drives[0], [short_drive, _written(short_drive.with_name("shorter.csv"), _rows(truth, 12.0, 2))]
+
+
+@pytest.fixture(scope="session")
 def complete_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording that the model without any effect explains."""
     return _written(tmp_path_factory.mktemp("complete") / "complete.csv", _rows(_plain(), 60.0, 3))
@@ -146,9 +153,9 @@ def serve(free_port: int, tmp_path: Path) -> Iterator[Callable[..., str]]:
 
 
 @pytest.fixture(scope="module")
-def shown_workbench(drives: tuple[Path, list[Path]], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of a workbench with both recordings, for tests that look at it and decide nothing."""
-    model, recordings = drives
+def shown_workbench(short_drives: tuple[Path, list[Path]], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a workbench with two recordings, for tests that look at it and decide nothing."""
+    model, recordings = short_drives
     with _workbenches(ports.free_port(), tmp_path_factory.mktemp("shown")) as start:
         yield start(model, *recordings)
 
@@ -210,17 +217,18 @@ def answer(name, request):
     robot.publish(MODEL, "r1", model(tick[0], "take"))
     return Answer(ok=True, sentence=f"change 1 is offered to {request.who}")
 
-tick = [0]
+tick, seconds = [0], float(sys.argv[3])
 def drive():
     while True:
         tick[0] += 1
+        rests = tick[0] > 200 and seconds > 0.01
         robot.publish(STATE, "r1", state(tick[0]))
-        if tick[0] % 20 == 0:
+        if rests or tick[0] % 20 == 0:
             done = "accept" in asked
             message = finding(tick[0], "watching", 0.1) if done else finding(
                 tick[0], "candidates", 0.5, json.dumps(REPORT), 1)
             robot.publish(FINDING, "r1", message)
-        time.sleep(0.01)
+        time.sleep(seconds if rests else 0.01)
 
 robot.answer_requests(answer)
 threading.Thread(target=drive, daemon=True).start()
@@ -237,19 +245,20 @@ def live(free_port: int, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str]
 
 @pytest.fixture(scope="module")
 def shown_live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of such a page, for tests that look at it and decide nothing."""
-    with _live_server(ports.free_port(), tmp_path_factory.mktemp("live")) as (_, address):
+    """The address of such a page, for tests that look at it and decide nothing: it rests between two ticks."""
+    with _live_server(ports.free_port(), tmp_path_factory.mktemp("live"), seconds=1.0) as (_, address):
         yield address
 
 
 @contextmanager
-def _live_server(free_port: int, folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def _live_server(free_port: int, folder: Path, seconds: float = 0.01) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A tick every so many ``seconds``, once there are enough to be drawn."""
     source = (Path(__file__).parent / "test_live.py").read_text(encoding="utf-8")
     start, stop = source.index("REPORT = {"), source.index("@pytest.fixture\ndef book")
     header = "from safedpa.bus import FindingMessage, ModelMessage, StateMessage, VerdictMessage\n\n"
     (folder / "live_messages.py").write_text(header + source[start:stop], encoding="utf-8")
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
-    command = [sys.executable, "-c", SERVER, str(folder), str(free_port)]
+    command = [sys.executable, "-c", SERVER, str(folder), str(free_port), str(seconds)]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     try:
         line = server.stdout.readline()

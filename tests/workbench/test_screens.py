@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.processes]
 
 PATIENCE = 240_000
 SIZES = ((390, 844), (1280, 800), (1400, 900), (1920, 1080))
-SCHEMES = {"light": SIZES, "dark": SIZES[:2]}
+SCHEMES = {"light": SIZES, "dark": (SIZES[0], SIZES[-1])}
 """Sizes at which each is looked at: what is where does not depend on colours, contrast does not on the size."""
 AXE = "axe-core@4.10.3"
 SHA256 = "880970c081707360e64f34cea25ff91892f5bc95675b0776925b9709dd8a68bb"
@@ -30,8 +30,6 @@ RUN = """([part, off]) => axe.run(part, {resultTypes: ['violations'],
   rules: Object.fromEntries(off.map((name) => [name, {enabled: false}]))}).then((found) => found.violations
   .filter((item) => ['serious', 'critical'].includes(item.impact))
   .map((item) => `${item.id}: ${item.nodes.map((node) => node.html.slice(0, 120)).join(' ')}`))"""
-WIDTHS = (390, 1280, 1400, 1920)
-"""Of the pages that axe-core looks at."""
 WRONG = (Path(__file__).parent / "screens.js").read_text(encoding="utf-8")
 
 SETTLE = """([quiet]) => {
@@ -73,13 +71,34 @@ def pictures():
 
 
 @pytest.fixture(scope="module")
-def reports(drives, tmp_path_factory):
-    """The reports of a diagnosis, of a comparison and of a rehearsal, on disk."""
-    model, runs = drives
+def reports(short_drives, tmp_path_factory):
+    """The reports of a diagnosis and of a comparison, on disk."""
+    model, runs = short_drives
     out, files = tmp_path_factory.mktemp("reports"), list(map(str, runs))
     assert safedpa.run(["compare", str(model), *files, "--out", str(out / "compared")]) == 0
     assert safedpa.run(["diagnose", str(model), *files, "--out", str(out / "found")]) == 0
     return {"compare": out / "compared" / "compare.html", "diagnose": out / "found" / "report.html"}
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory):
+    """The script, or nothing where it cannot be fetched."""
+    npm = shutil.which("npm")
+    if npm is None:
+        return None
+    folder = tmp_path_factory.mktemp("axe")
+    try:
+        done = subprocess.run([npm, "pack", AXE, "--silent"], cwd=folder, capture_output=True, timeout=240, check=False)
+    except subprocess.TimeoutExpired:
+        return None
+    packed = next(folder.glob("axe-core-*.tgz"), None)
+    if done.returncode != 0 or packed is None:
+        return None
+    with tarfile.open(packed) as files:
+        member = files.extractfile("package/axe.min.js")
+        script = b"" if member is None else member.read()
+    assert hashlib.sha256(script).hexdigest() == SHA256, "another script than the one that was pinned"
+    return script.decode("utf-8")
 
 
 def settle(page):
@@ -88,26 +107,47 @@ def settle(page):
     page.wait_for_selector("html[data-settled=yes]", state="attached", timeout=PATIENCE)
 
 
-def looked_at(browser, address, ready, name, pictures, steps=(("", lambda _page: None),)):
-    """What is wrong at each width and in each scheme, after each step; a picture of each."""
-    found = []
-    for scheme, sizes in SCHEMES.items():
-        context = browser.new_context(color_scheme=scheme)
+class Looks:
+    """What is wrong with a page at each width and in each scheme, after each step, and what axe-core finds there.
+
+    One page, loaded once for each scheme, is looked at by both; a picture of each, where somebody wishes them.
+    """
+
+    def __init__(self, browser, pictures, axe):
+        self.wrong, self.barriers = [], None if axe is None else []
+        self._browser, self._pictures, self._axe = browser, pictures, axe
+
+    def at(self, address, ready, name, steps=(("", lambda _page: None),)):
+        context = self._browser.new_context()
         page = context.new_page()
-        page.set_viewport_size({"width": SIZES[1][0], "height": SIZES[1][1]})
-        page.goto(address)
-        page.wait_for_selector(ready, timeout=PATIENCE)
-        for step, act in steps:
-            act(page)
-            for width, height in sizes:
-                page.set_viewport_size({"width": width, "height": height})
-                settle(page)
-                title = f"{name}{step}-{scheme}-{width}"
-                if pictures is not None:
-                    page.screenshot(path=pictures / f"{title}.png", full_page=not step)
-                found += [f"{title}: {line}" for line in page.evaluate(WRONG, [width])]
+        for scheme, sizes in SCHEMES.items():
+            page.emulate_media(color_scheme=scheme)
+            page.set_viewport_size({"width": SIZES[1][0], "height": SIZES[1][1]})
+            page.goto(address)
+            page.wait_for_selector(ready, timeout=PATIENCE)
+            if self._axe is not None:
+                page.evaluate(self._axe)
+            for step, act in steps:
+                act(page)
+                for width, height in sizes:
+                    page.set_viewport_size({"width": width, "height": height})
+                    settle(page)
+                    title = f"{name}{step}-{scheme}-{width}"
+                    if self._pictures is not None:
+                        page.screenshot(path=self._pictures / f"{title}.png", full_page=not step)
+                    self.wrong += [f"{title}: {line}" for line in page.evaluate(WRONG, [width])]
+                    if self._axe is not None:
+                        self.barriers += [f"{title}: {line}" for line in _barriers(page, step, width)]
         context.close()
-    return "\n".join(found)
+        return self
+
+
+def _barriers(page, step, width):
+    """Of the narrowest and of the widest page; of a dialog, on the widest."""
+    if step:
+        # axe takes what lies behind a dialog for the background of its letters; WRONG looks at these
+        return page.evaluate(RUN, [".q-dialog", ["color-contrast"]]) if width == SIZES[-1][0] else []
+    return page.evaluate(RUN, ["html", []]) if width in (SIZES[0][0], SIZES[-1][0]) else []
 
 
 def dialog(key, sign):
@@ -122,75 +162,33 @@ def dialog(key, sign):
     return act
 
 
-def test_the_workbench(browser, shown_workbench, pictures):
+@pytest.fixture(scope="module")
+def workbench_looks(browser, shown_workbench, pictures, axe):
     steps = (("", lambda _page: None), ("-open", dialog("o", ".preview table")), ("-keys", dialog("?", "dl.keys")))
-    assert looked_at(browser, shown_workbench, ".candidate", "workbench", pictures, steps) == ""
+    return Looks(browser, pictures, axe).at(shown_workbench, ".candidate", "workbench", steps)
 
 
-def test_the_live_page(browser, shown_live, pictures):
-    assert looked_at(browser, shown_live, ".candidate", "live", pictures) == ""
+@pytest.fixture(scope="module")
+def live_looks(browser, shown_live, pictures, axe):
+    return Looks(browser, pictures, axe).at(shown_live, ".candidate", "live")
+
+
+def test_the_workbench(workbench_looks):
+    assert workbench_looks.wrong == []
+
+
+def test_the_live_page(live_looks):
+    assert live_looks.wrong == []
 
 
 @pytest.mark.parametrize("name", ["compare", "diagnose"])
 def test_the_reports(browser, reports, name, pictures):
-    assert looked_at(browser, reports[name].as_uri(), ".main-svg", name, pictures) == ""
+    assert Looks(browser, pictures, None).at(reports[name].as_uri(), ".main-svg", name).wrong == []
 
 
-@pytest.fixture(scope="session")
-def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The script; skips where it cannot be fetched."""
-    npm = shutil.which("npm")
-    if npm is None:
-        pytest.skip("no npm, which fetches axe-core")
-    folder = tmp_path_factory.mktemp("axe")
-    try:
-        done = subprocess.run([npm, "pack", AXE, "--silent"], cwd=folder, capture_output=True, timeout=240, check=False)
-    except subprocess.TimeoutExpired:
-        pytest.skip(f"{AXE} cannot be fetched")
-    packed = next(folder.glob("axe-core-*.tgz"), None)
-    if done.returncode != 0 or packed is None:
-        pytest.skip(f"{AXE} cannot be fetched")
-    with tarfile.open(packed) as files:
-        member = files.extractfile("package/axe.min.js")
-        script = b"" if member is None else member.read()
-    assert hashlib.sha256(script).hexdigest() == SHA256, "another script than the one that was pinned"
-    return script.decode("utf-8")
-
-
-def checked(browser, axe, address, scheme, more=lambda _page: None):
-    context = browser.new_context(color_scheme=scheme, bypass_csp=True)
-    page = context.new_page()
-    page.goto(address)
-    page.wait_for_selector(".candidate", timeout=PATIENCE)
-    page.evaluate(axe)
-    found = []
-    for width in WIDTHS if scheme == "light" else (WIDTHS[0], WIDTHS[-1]):
-        page.set_viewport_size({"width": width, "height": 900})
-        settle(page)
-        if width in (WIDTHS[0], WIDTHS[-1]):
-            found += [f"{scheme} {width}: {line}" for line in page.evaluate(RUN, ["body", []])]
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-    found += page.evaluate(RUN, ["html", []])
-    found += more(page) or []
-    context.close()
-    return found
-
-
-def test_axe_finds_nothing_in_the_workbench(browser, shown_workbench, axe):
-    def dialogs(page):
-        found = []
-        for key, sign in (("o", ".preview table"), ("?", "dl.keys")):
-            page.keyboard.press(key)
-            page.wait_for_selector(sign, timeout=PATIENCE)
-            settle(page)
-            # axe takes what lies behind a dialog for the background of its letters; WRONG looks at these
-            found += page.evaluate(RUN, [".q-dialog", ["color-contrast"]])
-            page.keyboard.press("Escape")
-            page.wait_for_selector(sign, state="hidden", timeout=PATIENCE)
-        return found
-
-    assert [line for scheme in SCHEMES for line in checked(browser, axe, shown_workbench, scheme, dialogs)] == []
-
-
-def test_axe_finds_nothing_on_the_live_page(browser, shown_live, axe):
-    assert [line for scheme in SCHEMES for line in checked(browser, axe, shown_live, scheme)] == []
+@pytest.mark.parametrize("name", ["workbench", "live"])
+def test_axe_finds_nothing(request, name):
+    found = request.getfixturevalue(f"{name}_looks").barriers
+    if found is None:
+        pytest.skip(f"{AXE} cannot be fetched by npm")
+    assert found == []
