@@ -49,9 +49,9 @@ def test_before_two_minutes_all_is_shown(book):
     for kept in (book.errors, book.marks):
         while len(kept) > 2:
             kept.pop()
-    figure = error_figure(book, LIGHT)
+    figure, evidence = error_figure(book, LIGHT), evidence_figure(book, LIGHT)
     assert [shape["x0"] for shape in figure["layout"]["shapes"]] == [0.0, 100.0]
-    assert figure["layout"]["xaxis"]["range"] == [0.0, 110.0]
+    assert figure["layout"]["xaxis"]["range"] == evidence["layout"]["xaxis"]["range"] == [0.0, 110.0]
 
 
 def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in_sight(book):
@@ -60,6 +60,7 @@ def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in
     assert evidence["x"] == threshold["x"] == [181.0, 240.0, 299.0]
     assert threshold["y"] == [13.8] * 3
     assert evidence["y"] == pytest.approx([1.6 * 13.8] * 3), "what is far above is cut, or the threshold is lost"
+    assert figure["layout"]["xaxis"]["range"] == [180.0, 300.0]
     low, high = figure["layout"]["yaxis"]["range"]
     assert low < 0.0
     assert high > 1.6 * 13.8
