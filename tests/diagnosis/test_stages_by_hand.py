@@ -62,6 +62,8 @@ def test_the_order_by_fall_takes_the_lowest_error_at_each_step(monkeypatch: pyte
     )
     first: Any = ("first", SimpleNamespace(value=1.0))
     search: Any = SimpleNamespace(added=["a", "b", "c"])
-    order, steps = _by_fall(search, first, SimpleNamespace())  # type: ignore[arg-type]
+    heldout: Any = None
+    order, steps = _by_fall(search, first, heldout)
     assert order == ["b", "c", "a"]
-    assert [step[0] for step in steps] == ["first", "b", "bc", "bca"]
+    names: list[Any] = [step[0] for step in steps]
+    assert names == ["first", "b", "bc", "bca"]

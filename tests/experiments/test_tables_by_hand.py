@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments import car_margin, hidden_summary, meeting, safety
 from safedpa_lab.experiments.fleet_diagnosis import _deviations, _robot
 from safedpa_lab.experiments.statistics import clopper_pearson_interval, wilson_interval
@@ -163,7 +164,7 @@ def test_what_the_filter_changed_in_an_episode_is_all_that_is_not_passed(monkeyp
     robot = SimpleNamespace(collisions=[1, 2], goals_reached=3, trajectory_hash="abc")
     monkeypatch.setattr(safety, "CarRobot", lambda *_: robot)
     monkeypatch.setattr(safety, "drive", lambda _robot, _nodes, count: ticks[:count])
-    found = safety.run_episode(safety.Episode("box", 1, True, 0.75, "car", safety.settings_named("car")))
+    found = safety.run_episode(safety.Episode("box", 1, True, 0.75, "car", settings_named("car")))
     assert (found.interventions, found.collisions, found.goals, found.ticks) == (6, 2, 3, 15)
     assert found.least_h == pytest.approx(0.5 - 0.14)
     assert found.statuses == {"passed": 4, "corrected": 3, "relaxed": 2, "fallback": 1, "disabled": 5}

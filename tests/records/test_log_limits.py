@@ -35,7 +35,7 @@ def csv_file(folder: Path) -> Path:
 def parquet_file(folder: Path) -> Path:
     path = folder / "a.parquet"
     columns = {name: np.arange(float(ROWS)) for name in ("t", "x", "y")}
-    parquet.write_table(pa.table(columns), path)  # type: ignore[no-untyped-call]
+    parquet.write_table(pa.table(columns), path)
     return path
 
 
