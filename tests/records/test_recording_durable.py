@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, encode
 from safedpa.bus.wire.setup import setup_message
+from safedpa.errors import RecordingError
 from safedpa.records import McapRecorder
 from safedpa.records.mcap_messages import read_payloads
 from safedpa_services.recorder import recorder as module
@@ -56,6 +58,30 @@ def test_what_is_acknowledged_is_on_the_disk_before(tmp_path: Path, synced: list
         assert synced == [("a.mcap", path.stat().st_size)]
         assert recorder.acknowledged == len(list(read_payloads(path))) == moment + 1
         synced.clear()
+
+
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [(errno.EINVAL, ""), (errno.EROFS, ""), (errno.ENOTSUP, ""), (errno.EIO, "Input/output error"),
+     (errno.ENOSPC, "No space left")],
+)  # fmt: skip
+def test_a_disk_that_fails_acknowledges_nothing_and_what_knows_no_such_thing_is_no_failure(
+    number: int, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pipe, for one, cannot be waited for."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.write(KEY, payload(), 0, 0)
+
+        def fails(_descriptor: int) -> None:
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(os, "fsync", fails)
+        if told:
+            with pytest.raises(RecordingError, match=told):
+                recorder.sync()
+        else:
+            recorder.sync()
+        assert recorder.acknowledged == (0 if told else 1)
 
 
 def test_what_is_older_than_half_a_second_has_reached_the_file(tmp_path: Path) -> None:
