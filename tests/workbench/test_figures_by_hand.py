@@ -71,6 +71,25 @@ def test_the_path_is_that_of_the_last_twenty_seconds(book):
     assert trail["x"] == [285.0, 290.0, 295.0, 300.0]
 
 
+@pytest.mark.parametrize(("yaw", "turned"), [(0.0, 90.0), (np.pi / 2.0, 0.0), (np.pi, -90.0), (-np.pi / 4.0, 135.0)])
+def test_the_robot_points_where_it_heads(book, yaw, turned):
+    """A triangle points up; Plotly turns it clockwise, by degrees."""
+    book.state = SimpleNamespace(
+        values=(1.0, 2.0, yaw, 0.5), goal=(3.0, 4.0), obstacles=((5.0, 6.0, 0.5),), load_pose=(0.5, 2.0, 0.0),
+        field=(-4.0, 4.0, -3.0, 3.0),
+    )  # fmt: skip
+    figure = field_figure(book, LIGHT)
+    signs = {sign["name"]: sign for sign in figure["data"] if sign.get("mode") == "markers"}
+    assert {name: (*sign["x"], *sign["y"]) for name, sign in signs.items()} == {
+        "goal": (3.0, 4.0), "robot": (1.0, 2.0), "load": (0.5, 2.0),
+    }  # fmt: skip
+    assert signs["robot"]["marker"]["angle"] == pytest.approx(turned)
+    (circle,) = figure["layout"]["shapes"]
+    assert [circle[name] for name in ("x0", "x1", "y0", "y1")] == [4.5, 5.5, 5.5, 6.5]
+    assert figure["layout"]["xaxis"]["range"] == [-4.0, 4.0]
+    assert figure["layout"]["yaxis"]["range"] == [-3.0, 3.0]
+
+
 def test_no_axis_of_a_small_figure_bears_more_numbers_than_can_be_read(book):
     """At 11 letters a line and 4 pixels between lines: 20 pixels each; the figures are 110 to 190 pixels high."""
     states = [SimpleNamespace(name=name, unit="m") for name in ("x", "y", "yaw", "speed")]
