@@ -32,7 +32,10 @@ def test_keys_round_trip(fleet: str, robot: str, topic: Topic, service: str) -> 
     assert topic_of(key_of(fleet, robot, topic, service)) == (fleet, robot, topic)
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "a*", "**", "$*", "a#b", "a?b", "@a"])
+@pytest.mark.parametrize(
+    "name",
+    ["", "a/b", "a*", "**", "$*", "a#b", "a?b", "@a", "a\nb", "a\x00", "\x1b[2J", "a\u202eb", "a\u200b", "a" * 129],
+)
 def test_names_that_the_bus_cannot_carry_are_refused(name: str) -> None:
     for arguments in ((name, "r", STATE), ("f", name, STATE), ("f", "r", HEALTH, name)):
         with pytest.raises(InputError, match="name"):
