@@ -42,6 +42,11 @@ def test_names_that_the_bus_cannot_carry_are_refused(name: str) -> None:
             key_of(*arguments)
 
 
+@pytest.mark.parametrize("name", ["a" * 128, "\u00e4" * 128, "\u8f66"])
+def test_a_name_has_a_hundred_and_twenty_eight_letters_at_most_of_whatever_script(name: str) -> None:
+    assert topic_of(key_of(name, name, STATE)) == (name, name, STATE)
+
+
 @pytest.mark.parametrize(
     "key",
     [
