@@ -16,7 +16,7 @@ def test_a_mean_and_its_interval() -> None:
 
 @pytest.mark.parametrize("unit", [1.0, 60.0])
 def test_a_ratio_and_its_interval_by_the_delta_method(unit: float) -> None:
-    """r = 3 / 2; (v - r o) / 2 is 0.25 and -0.25, whose mean has the error 0.25. The unit of both counts for nothing."""
+    """r = 3 / 2; (v - r o) / 2 is 0.25 and -0.25, whose mean has the error 0.25; units cancel."""
     found = ratio_interval(unit * np.array([2.0, 4.0]), unit * np.array([1.0, 3.0]))
     assert found == pytest.approx([1.5, 1.5 - 1.96 * 0.25, 1.5 + 1.96 * 0.25], abs=1e-4)
 
