@@ -41,25 +41,25 @@ def test_every_row_counts_every_answer_that_is_wrong():
     far, unheard = replace(right, excess=1.0), replace(right, excess=None)
     items = [wrong, wrong, raised, raised, broken, broken, far, far, unheard, unheard, right]
     rows = Programs().told([[(1, number, item) for number, item in enumerate(items)]]).rows
-    assert {row.what: row.measured for row in rows} == {
-        "answers corrected": 7,
-        "answers fallback": 2,
-        "answers raised ValueError": 2,
-        "raised an exception": 2,
-        "action out of bounds": 4,
-        "passed, but not the wish": 4,
-        "passed or corrected, condition broken": 2,
-        "largest break, in scales": 1.0,
-        "passed or corrected, predicted h < 0": 6,
-        "h < 0 now, and not told (or told wrongly)": 4,
-        "no decision computed": 2,
-        "corrected further than needed": 2,
-        "largest excess, in ranges": 1.0,
-        "corrected, and the reference found nothing": 2,
-        "not corrected, though an action keeps all": 2,
-        "within 1 % of the least unsafe": 0.0,
-        "largest shortfall, in scales": 0.5,
-        "h < 0 predicted, though h >= 0 attainable": 4,
+    assert {row.what: (row.measured, row.of) for row in rows} == {
+        "answers corrected": (7, None),
+        "answers fallback": (2, None),
+        "answers raised ValueError": (2, None),
+        "raised an exception": (2, 11),
+        "action out of bounds": (4, 11),
+        "passed, but not the wish": (4, 11),
+        "passed or corrected, condition broken": (2, 7),
+        "largest break, in scales": (1.0, 7),
+        "passed or corrected, predicted h < 0": (6, 7),
+        "h < 0 now, and not told (or told wrongly)": (4, 11),
+        "no decision computed": (2, 11),
+        "corrected further than needed": (2, 3),
+        "largest excess, in ranges": (1.0, 3),
+        "corrected, and the reference found nothing": (2, 5),
+        "not corrected, though an action keeps all": (2, 4),
+        "within 1 % of the least unsafe": (0.0, 2),
+        "largest shortfall, in scales": (0.5, 2),
+        "h < 0 predicted, though h >= 0 attainable": (4, 4),
     }
 
 

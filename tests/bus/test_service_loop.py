@@ -9,6 +9,7 @@ import pytest
 from safedpa.bus import (
     HEALTH,
     LATENT,
+    SETUP,
     STATE,
     WISH,
     AbstractNode,
@@ -29,6 +30,7 @@ from safedpa.bus import (
     encode,
 )
 from safedpa.bus.loop.slot import Slot
+from safedpa.bus.wire.setup import setup_message
 from safedpa.errors import MessageError
 
 EPOCH = 8731
@@ -420,3 +422,17 @@ def test_whatever_is_said_in_a_turn_is_on_the_bus_when_it_ends(state_at: Callabl
         assert sorted(fleet.wished()) == [(name, tick) for name in names]
         heard = {item.robot for item in fleet.healths.take(0.0) if isinstance(item, Received)}
         assert heard == set(names)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_the_setup_is_told_at_once_and_every_five_seconds_by_whoever_has_one(known: bool) -> None:
+    broker, clock = MemoryBroker(), Clock()
+    heard = Bus(MemoryTransport(broker), "test").inbox((SETUP,), keep_all=True)
+    setup = setup_message("policy", {}) if known else None
+    loop = ServiceLoop(Wisher(), Bus(MemoryTransport(broker), "test"), clock=clock, setup=setup)
+    told = list[float]()
+    for quarter in range(48):
+        clock.now = 100.0 + 0.25 * quarter
+        loop.turn(0.0)
+        told += [clock.now - 100.0 for item in heard.take(0.0) if isinstance(item, Received)]
+    assert told == ([0.0, 5.0, 10.0] if known else [])

@@ -32,11 +32,19 @@ def test_keys_round_trip(fleet: str, robot: str, topic: Topic, service: str) -> 
     assert topic_of(key_of(fleet, robot, topic, service)) == (fleet, robot, topic)
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "a*", "**", "$*", "a#b", "a?b", "@a"])
+@pytest.mark.parametrize(
+    "name",
+    ["", "a/b", "a*", "**", "$*", "a#b", "a?b", "@a", "a\nb", "a\x00", "\x1b[2J", "a\u202eb", "a\u200b", "a" * 129],
+)
 def test_names_that_the_bus_cannot_carry_are_refused(name: str) -> None:
     for arguments in ((name, "r", STATE), ("f", name, STATE), ("f", "r", HEALTH, name)):
         with pytest.raises(InputError, match="name"):
             key_of(*arguments)
+
+
+@pytest.mark.parametrize("name", ["a" * 128, "\u00e4" * 128, "\u8f66"])
+def test_a_name_has_a_hundred_and_twenty_eight_letters_at_most_of_whatever_script(name: str) -> None:
+    assert topic_of(key_of(name, name, STATE)) == (name, name, STATE)
 
 
 @pytest.mark.parametrize(

@@ -186,6 +186,19 @@ def test_a_dropped_offer_cannot_be_taken(ticking: Ticking) -> None:
     assert ticking.node.model_of("r1") == fingerprint(CAR)
 
 
+@pytest.mark.parametrize("prepared", [False, True])
+def test_a_drop_of_another_change_leaves_the_offer_as_it_is(ticking: Ticking, prepared: bool) -> None:
+    ticking.node.hear("r1", offer())
+    if prepared:
+        assert ticking.answer() == ("ready", "")
+    ticking.node.hear("r1", decision("drop", change=2))
+    if not prepared:
+        assert ticking.answer() == ("ready", "")
+    ticking.node.hear("r1", decision("take"))
+    assert ticking.answer() == ("taken", "")
+    assert ticking.node.model_of("r1") == NEW
+
+
 def _memory_of(node: Any) -> Any:
     """What the node would lose if it began anew with the robot."""
     if isinstance(node, PolicyNode):

@@ -15,7 +15,6 @@ from safedpa.diagnosis.search import revision
 from safedpa.diagnosis.search.beginning import begun
 from safedpa.diagnosis.search.final_numbers import between_kinds, with_form_in_doubt
 from safedpa.diagnosis.search.judgement import feigned_lateness
-from safedpa.diagnosis.search.stages import _that_help
 from safedpa.dynamics import Setting, load_model
 from safedpa.effects import effect
 
@@ -156,14 +155,3 @@ def test_a_towed_chair_is_found_with_its_mass_and_nothing_that_is_not_there(towi
             for key, value in item.parameters.items():
                 assert value == report.parameters[key if "." in key else f"{item.effect}.{key}"]
             assert item.heldout_error in [stage.heldout_error for stage in report.stages]
-
-
-def test_what_helps_only_beside_a_later_effect_is_one_stage_with_it():
-    def errors(*by_run):
-        return SimpleNamespace(by_run=np.array(by_run))
-
-    falls = [errors(0.5, 0.5), errors(0.4, 0.5), errors(0.3, 0.4)]
-    assert _that_help(falls) == [0, 1, 2]
-    assert _that_help([errors(0.5, 0.5), errors(0.6, 0.5), errors(0.3, 0.4)]) == [0, 2]
-    assert _that_help([errors(0.5, 0.5), errors(0.4, 0.6), errors(0.4, 0.6), errors(0.3, 0.6)]) == [0, 1, 3]
-    assert _that_help([errors(0.5)]) == [0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,6 +50,19 @@ def test_the_key_that_has_most_waiting_loses_its_oldest(sent: list[tuple[str, in
     assert kept == {name: sizes for name, sizes in waiting.items() if sizes}
     assert inbox._queued == sum(map(len, kept.values()))
     assert inbox._queued_bytes == sum(map(sum, kept.values()))
+
+
+@pytest.mark.parametrize(("most", "kept"), [(100, 10), (99, 9), (35, 3), (10, 1), (9, 0)])
+def test_what_waits_has_no_more_bytes_than_fit(most: int, kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten messages of ten bytes: the oldest go, until the rest has room."""
+    monkeypatch.setattr(module, "_LARGEST_QUEUE_BYTES", most)
+    inbox = Inbox()
+    for index in range(10):
+        inbox.keep_all("safedpa/f/r/verdict", bytes([index] * 10))
+    assert inbox.dropped == 10 - kept
+    queues = [payload for queue in inbox._queues.values() for payload, _ in queue.messages]
+    assert queues == [bytes([index] * 10) for index in range(10 - kept, 10)]
+    assert inbox._queued_bytes == 10 * kept
 
 
 def test_of_each_key_at_most_so_many_are_taken_in_one_turn() -> None:

@@ -115,6 +115,15 @@ def test_a_model_that_is_taken_over_is_told_with_the_error_before_and_after(told
     assert f"{before:.3f} with the model before" in last.sentence
 
 
+@pytest.mark.parametrize(("later", "told"), [(0.0, True), (59.9, True), (60.1, False), (600.0, False)])
+def test_the_error_before_is_told_for_a_minute_after_a_model_was_taken_over(car, worker, later, told):
+    diagnosis = RobotDiagnosis("r1", write_model(car), worker)
+    diagnosis.time = 1000.0
+    diagnosis.adopt(fitted(car))
+    diagnosis.time += later
+    assert ("with the model before" in diagnosis._sentence("learning")) is told
+
+
 def test_when_the_error_returns_to_its_band_the_finding_is_closed_and_the_search_given_up(
     car, worker, drive_of, state_of, verdict_of
 ):

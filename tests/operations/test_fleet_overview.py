@@ -44,6 +44,21 @@ def test_a_healthy_fleet_raises_no_concern(fleet: Any) -> None:
     assert json.loads(json.dumps(document)) == document
 
 
+@pytest.mark.parametrize(("promised", "coverage"), [(0.99, 0.95), (0.0, 0.0), (-1.0, -1.0)])
+def test_a_row_of_a_robot_by_hand(fleet: Any, promised: float, coverage: float) -> None:
+    """A margin without a promise, and a coverage of no step yet, are told as nothing."""
+    state = {"lockstep": True, "goals_reached": 3, "collisions": 1}
+    verdict = {"h_now": 0.25, "margin": 0.125, "promised": promised, "coverage": coverage, "status": "corrected"}
+    fleet.drive(1, 1.0, r1={"state": state, "verdict": verdict})
+    (row,) = document_of(fleet.overview)["robots"]
+    told = {
+        "robot": "r1", "verdict": "corrected", "h": 0.25, "margin": 0.125, "wanted_rate": 20.0, "lockstep": True,
+        "time": 0.95, "goals": 3, "collisions": 1, "late": 0.0, "diagnosis": "", "corrected": 1.0, "passed": 0.0,
+        "promised": None if promised < 0.0 else promised, "coverage": None if coverage < 0.0 else coverage,
+    }  # fmt: skip
+    assert {name: row[name] for name in told} == pytest.approx(told)
+
+
 def test_a_robot_that_was_asked_for_and_is_not_there_is_no_healthy_fleet(fleet: Any) -> None:
     fleet.overview.robot = "r9"  # what the services say was heard, and nothing of this robot
     fleet.beat("recorder")

@@ -221,6 +221,23 @@ def test_a_path_of_another_model_is_not_drawn_and_ends_no_drive() -> None:
     assert markers.said[0]["markers"][0]["points"] == [{"x": 0.5, "y": 0.0}]
 
 
+def test_a_path_is_drawn_ten_times_a_second_at_most_and_where_there_is_none_nothing() -> None:
+    markers: Any = Markers()
+    now = [7.0]
+    voice = Voice("r1", "odom", DifferentialDriveFace(), None, markers, clock=lambda: now[0])
+    verdict = VerdictMessage(
+        epoch=1, tick=1, robot_time=0.0, publish_time=0.0, status="passed", sentence="", action=(0.0, 0.0), wish=(),
+        slack=0.0, active=(), h_now=1.0, h_next=1.0, margin=0.0, solver="", microseconds=1.0,
+        predicted=((0.5, 0.0, 0.0, 1.0, 0.0),),
+    )  # fmt: skip
+    for hundredth in range(100):
+        now[0] = 7.0 + 0.01 * hundredth
+        voice.verdict(replace(verdict, predicted=()) if hundredth < 50 else verdict)
+    assert 5 <= len(markers.said) <= 6
+    assert all(said["markers"][0]["points"] for said in markers.said)
+    Voice("r1", "odom", DifferentialDriveFace(), None, None, clock=lambda: 7.0).verdict(verdict)
+
+
 class Diagnostics:
     type = "diagnostic_msgs/msg/DiagnosticArray"
 

@@ -54,6 +54,18 @@ def test_the_change_of_h_with_the_latent_is_in_the_error() -> None:
     assert watch.seen == {}, "nothing was predicted"
 
 
+@pytest.mark.parametrize("learns", [True, False])
+def test_a_watch_that_does_not_learn_sees_and_leaves_its_margin_as_it_is(learns: bool) -> None:
+    watch = WatchedMargin(CALIBRATION)
+    watch.learns = learns
+    for _ in range(200):
+        watch.expect([0.3], at(0.1))
+        watch.observe([0.2], at(0.1))
+    assert seen(watch) == pytest.approx(0.1)
+    assert (watch.epsilon["function"] > 0.05) is learns
+    assert (watch.coverage < 0.0) is not learns
+
+
 def kinds(**heights: float) -> Barriers:
     """Barriers of a kind each, whose h is one state with a number on top."""
     rows = [

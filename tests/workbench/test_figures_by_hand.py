@@ -49,9 +49,9 @@ def test_before_two_minutes_all_is_shown(book):
     for kept in (book.errors, book.marks):
         while len(kept) > 2:
             kept.pop()
-    figure = error_figure(book, LIGHT)
+    figure, evidence = error_figure(book, LIGHT), evidence_figure(book, LIGHT)
     assert [shape["x0"] for shape in figure["layout"]["shapes"]] == [0.0, 100.0]
-    assert figure["layout"]["xaxis"]["range"] == [0.0, 110.0]
+    assert figure["layout"]["xaxis"]["range"] == evidence["layout"]["xaxis"]["range"] == [0.0, 110.0]
 
 
 def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in_sight(book):
@@ -60,6 +60,7 @@ def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in
     assert evidence["x"] == threshold["x"] == [181.0, 240.0, 299.0]
     assert threshold["y"] == [13.8] * 3
     assert evidence["y"] == pytest.approx([1.6 * 13.8] * 3), "what is far above is cut, or the threshold is lost"
+    assert figure["layout"]["xaxis"]["range"] == [180.0, 300.0]
     low, high = figure["layout"]["yaxis"]["range"]
     assert low < 0.0
     assert high > 1.6 * 13.8
@@ -68,6 +69,25 @@ def test_the_evidence_is_that_of_the_last_two_minutes_and_its_threshold_stays_in
 def test_the_path_is_that_of_the_last_twenty_seconds(book):
     (trail,) = field_figure(book, LIGHT)["data"]
     assert trail["x"] == [285.0, 290.0, 295.0, 300.0]
+
+
+@pytest.mark.parametrize(("yaw", "turned"), [(0.0, 90.0), (np.pi / 2.0, 0.0), (np.pi, -90.0), (-np.pi / 4.0, 135.0)])
+def test_the_robot_points_where_it_heads(book, yaw, turned):
+    """A triangle points up; Plotly turns it clockwise, by degrees."""
+    book.state = SimpleNamespace(
+        values=(1.0, 2.0, yaw, 0.5), goal=(3.0, 4.0), obstacles=((5.0, 6.0, 0.5),), load_pose=(0.5, 2.0, 0.0),
+        field=(-4.0, 4.0, -3.0, 3.0),
+    )  # fmt: skip
+    figure = field_figure(book, LIGHT)
+    signs = {sign["name"]: sign for sign in figure["data"] if sign.get("mode") == "markers"}
+    assert {name: (*sign["x"], *sign["y"]) for name, sign in signs.items()} == {
+        "goal": (3.0, 4.0), "robot": (1.0, 2.0), "load": (0.5, 2.0),
+    }  # fmt: skip
+    assert signs["robot"]["marker"]["angle"] == pytest.approx(turned)
+    (circle,) = figure["layout"]["shapes"]
+    assert [circle[name] for name in ("x0", "x1", "y0", "y1")] == [4.5, 5.5, 5.5, 6.5]
+    assert figure["layout"]["xaxis"]["range"] == [-4.0, 4.0]
+    assert figure["layout"]["yaxis"]["range"] == [-3.0, 3.0]
 
 
 def test_no_axis_of_a_small_figure_bears_more_numbers_than_can_be_read(book):

@@ -32,6 +32,7 @@ for regression, 2018); the factor 1.5 is for the fact that seconds of one drive 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -166,7 +167,8 @@ def _heading(system: System, forecasts: Sequence[Forecast], errors: Vector) -> s
     whole = float(np.sqrt((explained**2).sum() * (errors**2).sum()))
     if whole <= 0.0 or float(explained @ errors) / whole < _TURNS or np.sign(errors).var() < 0.1:
         return ""
-    return f", turning with the heading (most towards {np.degrees(np.arctan2(north, east)):.0f} degrees)"
+    towards = round(math.degrees(math.atan2(north, east)))  # a whole number: no -0 degrees
+    return f", turning with the heading (most towards {towards} degrees)"
 
 
 def _variables(system: System, forecasts: Sequence[Forecast]) -> list[tuple[str, str, Vector]]:

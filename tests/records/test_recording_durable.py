@@ -1,0 +1,120 @@
+"""What is said to be on the disk is: the file's name at once, its messages when they are acknowledged."""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from safedpa.bus import STATE, Bus, MemoryBroker, MemoryTransport, encode
+from safedpa.bus.wire.setup import setup_message
+from safedpa.errors import RecordingError
+from safedpa.records import McapRecorder
+from safedpa.records.mcap_messages import read_payloads
+from safedpa_services.recorder import recorder as module
+from safedpa_services.recorder.recorder import Recorder
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.scene import Scene
+
+KEY = "safedpa/f/r1/state"
+
+
+@pytest.fixture
+def synced(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """What the disk was waited for: a folder with how many files there were in it, a file with its bytes."""
+    found = list[tuple[str, int]]()
+    original = os.fsync
+
+    def fsync(descriptor: int) -> None:
+        path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+        found.append((path.name, len(list(path.iterdir())) if path.is_dir() else path.stat().st_size))
+        original(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    return found
+
+
+def payload() -> bytes:
+    return encode(CarRobot(Scene.random(1, "none")).state_message())
+
+
+def test_the_name_is_on_the_disk_when_a_recording_begins(tmp_path: Path, synced: list[tuple[str, int]]) -> None:
+    with McapRecorder(tmp_path / "drives" / "a.mcap"):
+        assert synced == [("drives", 1)]
+
+
+def test_what_is_acknowledged_is_on_the_disk_before(tmp_path: Path, synced: list[tuple[str, int]]) -> None:
+    path = tmp_path / "a.mcap"
+    recorder = McapRecorder(path)
+    synced.clear()
+    for moment, ends in enumerate((recorder.sync, recorder.sync, recorder.close)):
+        recorder.write(KEY, payload(), moment, moment)
+        assert (recorder.acknowledged, recorder.written) == (moment, moment + 1)
+        ends()
+        assert synced == [("a.mcap", path.stat().st_size)]
+        assert recorder.acknowledged == len(list(read_payloads(path))) == moment + 1
+        synced.clear()
+
+
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [(errno.EINVAL, ""), (errno.EROFS, ""), (errno.ENOTSUP, ""), (errno.EIO, "Input/output error"),
+     (errno.ENOSPC, "No space left")],
+)  # fmt: skip
+def test_a_disk_that_fails_acknowledges_nothing_and_what_knows_no_such_thing_is_no_failure(
+    number: int, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pipe, for one, cannot be waited for."""
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        recorder.write(KEY, payload(), 0, 0)
+
+        def fails(_descriptor: int) -> None:
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(os, "fsync", fails)
+        if told:
+            with pytest.raises(RecordingError, match=told):
+                recorder.sync()
+        else:
+            recorder.sync()
+        assert recorder.acknowledged == (0 if told else 1)
+
+
+def test_what_is_older_than_half_a_second_has_reached_the_file(tmp_path: Path) -> None:
+    path, reached = tmp_path / "a.mcap", []
+    with McapRecorder(path) as recorder:
+        for tenth in range(13):
+            recorder.write(KEY, payload(), tenth * 100_000_000, 0)
+            reached.append(len(list(read_payloads(path))))
+    assert reached == [0] * 5 + [6] * 5 + [11] * 3
+
+
+def test_what_a_recorder_received_is_acknowledged_after_half_a_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drive of four seconds with 20 messages in each, by a clock that goes on while the recorder sleeps."""
+    clock, broker, sent, waiting = [100.0], MemoryBroker(), [0], list[int]()
+    ears, robot = Bus(MemoryTransport(broker), "f"), Bus(MemoryTransport(broker), "f")
+    recorder = Recorder(ears, tmp_path / "a.mcap", setup_message("recorder", {}))
+    state = CarRobot(Scene.random(1, "none")).state_message()
+
+    def sleep(seconds: float) -> None:
+        clock[0] += seconds
+        while sent[0] < 20.0 * (clock[0] - 100.0) - 1e-6:
+            robot.publish(STATE, "r1", state)
+            sent[0] += 1
+
+    def stopped() -> bool:
+        waiting.append(sent[0] - recorder.acknowledged)
+        return clock[0] > 104.0
+
+    monkeypatch.setattr(
+        module, "time", SimpleNamespace(monotonic=lambda: clock[0], sleep=sleep, time_ns=time.time_ns, time=time.time)
+    )
+    assert recorder.run(stopped) == 0
+    assert sent[0] > 80
+    assert max(waiting) <= 13, "half a second's, one turn's more, and the recorder's own words"
