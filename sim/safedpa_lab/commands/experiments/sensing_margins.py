@@ -19,7 +19,7 @@ __all__ = ["command"]
 @click.command(name="sensing-margins")
 @click.option("--drives", type=int, default=100, show_default=True, help="to calibrate on; 99 at least for 99 %")
 @click.option("--fresh", type=int, default=100, show_default=True, help="to count on")
-@click.option("--seconds", type=float, default=10.0, show_default=True, help="of driving in each")
+@click.option("--seconds", type=float, default=8.0, show_default=True, help="of driving in each")
 @click.option("--coverage", type=float, default=0.99, show_default=True, help="of steps, and of drives")
 @click.option("--scene", "scenes", multiple=True, help="one kind of scene, once or more  [people, rooms, steps-out]")
 @click.option("--processes", type=int, default=2, show_default=True)
