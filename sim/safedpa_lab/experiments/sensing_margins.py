@@ -33,7 +33,7 @@ from safedpa_lab.experiments.misjudging import Misjudges
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.sensing import LOADS
 from safedpa_lab.experiments.sensing_scenes import scene_and_people
-from safedpa_lab.experiments.sensing_scores import KINDS, NEAR, Score, Scores
+from safedpa_lab.experiments.sensing_scores import NEAR, Score, Scores
 from safedpa_lab.experiments.statistics import clopper_pearson_interval, cluster_interval
 from safedpa_lab.provenance.code import digests
 from safedpa_sim.closed_loop import drive
@@ -51,6 +51,8 @@ ODOMETRY: Final = 0.02
 """Share of each metre, and of each turn, by which a drive's odometry is wrong at most; as perception's ``drift``."""
 _PERIOD: Final = 0.05
 _WORST: Final = 5
+_STOOD: Final = "stood"
+"""The kind that no margin is made for."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +81,11 @@ def run_sensed(wanted: SensedDrive) -> dict[str, Any]:
     scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load)
     car = CarRobot(scene, senses=Senses((Laser(LaserSettings(), wanted.seed),), people))
     robot = Misjudges(car, wanted.stretch, wanted.turning)
-    scores = Scores(robot, people, settings)
+    sensing = PerceptionSettings()
+    scores = Scores(robot, people, settings, sensing)
     nodes = [
         AdaptationNode(model),
-        PerceptionNode(PerceptionSettings()),
+        PerceptionNode(sensing),
         PolicyNode(model, "way_seeker"),
         SafetyFilterNode(model, settings, margin_for(model)),
     ]
@@ -120,11 +123,11 @@ def margins_of_sensing(
     heights = [_heights(one) for one in before]
     margin = calibration_from_drives(heights, coverage, time.strftime("%Y-%m-%d"), fingerprint(model), NO_CEILING)
     tables = {"step": margin.epsilon, "drive": margin.drive, "in force": _in_force(model)}
-    rows = [_row(kind, before, after, tables) for kind in KINDS if kind in margin.epsilon]
+    rows = [_row(kind, before, after, tables) for kind in NEAR]
     return {
         "seconds": seconds,
         "coverage": coverage,
-        "near": NEAR,
+        "near": dict(NEAR),
         "odometry": ODOMETRY,
         "scenes": list(scenes),
         "loads": list(LOADS),
@@ -139,7 +142,7 @@ def _in_force(model: PhysicsModel) -> dict[str, float]:
     """By kind the margin that ships."""
     known = margin_for(model)
     epsilon = {**settings_named("car").epsilon, **({} if known is None else known.epsilon)}
-    return {kind: epsilon["obstacle" if kind == "obstacle" else "mover"] for kind in KINDS}
+    return {kind: epsilon["obstacle" if kind == "obstacle" else "mover"] for kind in NEAR}
 
 
 def _ends(orders: Sequence[SensedDrive]) -> list[int]:
@@ -151,12 +154,13 @@ def _named(one: Mapping[str, Any]) -> str:
 
 
 def _scores(one: Mapping[str, Any], kind: str) -> list[Score]:
-    return [Score(*row) for row in one["scores"] if row[0] == kind]
+    scores = (Score(*row) for row in one["scores"] if row[0] == kind)
+    return [score for score in scores if score.true < NEAR[kind]]
 
 
 def _error(score: Score) -> float:
     """e [m]; what is told farther away than ``NEAR`` is told as far as that."""
-    return min(score.hoped, NEAR) - score.true
+    return min(score.hoped, NEAR[score.kind]) - score.true
 
 
 def _out(score: Score) -> float:
@@ -168,7 +172,9 @@ def _out(score: Score) -> float:
 
 def _heights(one: Mapping[str, Any]) -> dict[str, Values]:
     """By kind (steps, 4), as ``calibration_from_drives`` takes them."""
-    found = {kind: [Seen(min(s.hoped, NEAR), s.true) for s in _scores(one, kind)] for kind in KINDS}
+    found = {
+        kind: [Seen(min(s.hoped, NEAR[kind]), s.true) for s in _scores(one, kind)] for kind in NEAR if kind != _STOOD
+    }
     return {kind: np.array(rows) for kind, rows in found.items() if rows}
 
 
@@ -179,31 +185,27 @@ def _row(
     tables: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Any]:
     """What the margins of a kind are, what they cover on fresh drives, and the worst that happened in all."""
-    heights, scores = (
-        [_heights(one) for one in after],
-        [(one, s) for one in [*before, *after] for s in _scores(one, kind)],
-    )
-    errors = [_error(score) for _, score in scores]
-    covered = {
-        name: _covered(covered_shares(heights, kind, table[kind]), table[kind])
-        for name, table in tables.items()
-        if heights
-    }
+    both = [*before, *after]
+    heights, scores = [_heights(one) for one in after], [(one, s) for one in both for s in _scores(one, kind)]
     return {
         "kind": kind,
-        "steps": len(errors),
-        "drives_near": sum(bool(_scores(one, kind)) for one in [*before, *after]),
-        "quantiles": _quantiles(errors),
-        "out": {} if kind in ("hidden", "model") else _quantiles([_out(score) for _, score in scores]),
-        "step": tables["step"][kind],
+        "steps": len(scores),
+        "drives_near": sum(bool(_scores(one, kind)) for one in both),
+        "quantiles": _quantiles([_error(score) for _, score in scores]),
+        "out": _quantiles([_out(score) for _, score in scores]) if kind in ("obstacle", "mover") else {},
+        "step": tables["step"].get(kind),
         "drive": tables["drive"].get(kind),
-        "fresh": covered,
+        "fresh": {
+            name: _covered(covered_shares(heights, kind, table[kind]), table[kind])
+            for name, table in tables.items()
+            if heights and kind in tables["step"]
+        },
         "worst": list(_worst(scores)),
     }
 
 
 def _quantiles(values: Sequence[float]) -> dict[str, float]:
-    return {f"{share:g}": float(np.quantile(values, share)) for share in (0.5, 0.9, 0.99, 1.0)}
+    return {f"{share:g}": float(np.quantile(values, share)) for share in (0.5, 0.9, 0.99, 1.0)} if values else {}
 
 
 def _covered(shares: Values, epsilon: float) -> dict[str, Any]:

@@ -12,6 +12,7 @@ _KINDS: Final = {
     "mover": "people seen",
     "hidden": "people hidden",
     "model": "the model alone",
+    "stood": "people who have stood since they were seen",
 }
 _MARGINS: Final = {"step": "step", "drive": "drive", "in force": "in force"}
 
@@ -26,8 +27,8 @@ def margins_page(result: Mapping[str, Any]) -> str:
         f"Scenes {', '.join(result['scenes'])}, loads {', '.join(result['loads'])} in turn, {result['seconds']:g} s a "
         f"drive, odometry wrong by up to {100.0 * result['odometry']:g} %; seeds {used} to calibrate, {fresh} to "
         "count. Errors in m of h: above 0 where what is told is farther away than what is there. Steps count in which "
-        f"the car moves and h of what is there is below {result['near']:g} m. Coverage {100.0 * result['coverage']:g} "
-        "%; intervals: 95 %.",
+        f"the car moves and h of what is there is below {result['near']['obstacle']:g} m, of people "
+        f"{result['near']['mover']:g} m. Coverage {100.0 * result['coverage']:g} %; intervals: 95 %.",
         "",
         f"`{made.get('command')}`, {str(made.get('date'))[:10]}",
         "",
@@ -54,11 +55,13 @@ def margins_page(result: Mapping[str, Any]) -> str:
 
 
 def _errors(row: Mapping[str, Any]) -> str:
-    found = " | ".join(f"{row['quantiles'][share]:.3f}" for share in ("0.5", "0.9", "0.99", "1"))
-    drive = "" if row["drive"] is None else f"{row['drive']:.3f}"
+    shares = ("0.5", "0.9", "0.99", "1")
+    found = [f"{row['quantiles'][share]:.3f}" if row["quantiles"] else "" for share in shares]
+    margins = ["" if row[name] is None else f"{row[name]:.3f}" for name in ("step", "drive")]
     out = f"{row['out']['0.99']:.3f}, {row['out']['1']:.3f}" if row["out"] else ""
-    steps = f"{row['steps']} ({row['drives_near']})"
-    return f"| {_KINDS[row['kind']]} | {steps} | {found} | {row['step']:.3f} | {drive} | {out} |"
+    return (
+        " | ".join([f"| {_KINDS[row['kind']]}", f"{row['steps']} ({row['drives_near']})", *found, *margins, out]) + " |"
+    )
 
 
 def _coverage(row: Mapping[str, Any]) -> list[str]:

@@ -17,12 +17,14 @@ whatever comes between: noise, age, lost rays, cells, who was seen too late, odo
 - ``mover``: j are the people whom a ray of the scan that was looked at last hit, at their places p when it was
   measured, wider by their top speed w times its age a: wherever each may have gone since, h_j with R = r + w a. So e_k
   counts the worst that anybody may do, and not what somebody did. i are told movers and hidden places.
+- ``stood``: the same of people who have stood where they were first seen for as long as perception takes to believe
+  it: they are told as at rest, and nothing is promised about them until they walk. No margin is made for them.
 - ``hidden``: the same of people whom no ray hit, h with what nobody sees behind the car, or towards whom it creeps.
   Who has to walk around something is as far away as his shortest way there is long (``WaysAround``).
 - ``model``: j are the told discs themselves: what of ``mover`` and ``hidden`` is the error of the model.
 
 A tick counts for a kind if a true thing of it is near, h_j < ``NEAR``, and the car moves in x[k+1]: below ``STANDS``
-it keeps every promise.
+it keeps every promise. What is told counts as no farther than ``NEAR`` then.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ from numpy.typing import NDArray
 from safedpa.bus import Received, ScanMessage, StateMessage, SurroundingsMessage
 from safedpa.equations import Given
 from safedpa.operations import NUMPY
+from safedpa.perception import PerceptionSettings
 from safedpa.perception.odometry import Pose
 from safedpa.perception.sweep import within_body
 from safedpa.robots.car.barriers import ObstacleBarrier, braking_of
@@ -54,19 +57,22 @@ from safedpa_sim.closed_loop import Tick
 from safedpa_sim.sensing import Person
 from safedpa_sim.sensing.shapes import Outline, cast
 
-__all__ = ["KINDS", "NEAR", "Score", "Scores"]
+__all__ = ["NEAR", "Score", "Scores"]
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-KINDS: Final = ("obstacle", "mover", "hidden", "model")
-NEAR: Final = 0.5
-"""m of h: farther from the boundary no margin has to cover anything."""
+NEAR: Final = {"obstacle": 0.5, "mover": 1.0, "hidden": 1.0, "model": 0.5, "stood": 1.0}
+"""By kind, m of h: farther from the boundary no margin has to cover anything."""
+_KEPT_FROM: Final = 1.5
+"""m of h, below which steps are told at all."""
 _FAR: Final = 1e3
 _APART: Final = 0.02
 """m between the places that stand for an edge: nothing gets nearer between two of them by more than 1 mm."""
 _HIT: Final = 0.1
 """m that a ray's end lies off somebody's outline at most, five deviations of its noise."""
+_WALKS: Final = 0.1
+"""m from where somebody was first seen, beyond which he walks: a cell."""
 _KEPT: Final = 40
 """Ticks whose people are remembered: 2 s."""
 
@@ -108,14 +114,15 @@ class _Then:
 class Scores:
     """Of one drive: ``hear`` each message of a tick, then ``after`` with the tick, once the robot has lived through it.
 
-    ``fastest`` [m/s]: what anybody may do.
+    ``sensing``: what perception reckons with.
     """
 
     def __init__(
-        self, robot: Misjudges, people: Sequence[Person], settings: FilterSettings, fastest: float = 1.5
+        self, robot: Misjudges, people: Sequence[Person], settings: FilterSettings, sensing: PerceptionSettings
     ) -> None:
         scene = robot.car.scene
-        self._robot, self._people, self._settings, self._fastest = robot, people, settings, fastest
+        self._robot, self._people, self._settings = robot, people, settings
+        self._fastest, self._still_after = sensing.fastest, sensing.still_after
         self._radii = np.array([person.radius for person in people])
         outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
         self._rest = np.vstack([outline.discs, *map(_along, outline.edges)])
@@ -126,6 +133,10 @@ class Scores:
         self._told: SurroundingsMessage | None = None
         self._since = np.full(len(people), inf)
         """s; when each was seen first without a break."""
+        self._first = np.zeros((len(people), 2))
+        """(people, 2) m; where that was."""
+        self._walked = np.zeros(len(people), dtype=bool)
+        """Who has left it."""
         self._looked = -inf
         self._seen = np.zeros(len(people), dtype=bool)
         self.found: list[Score] = []
@@ -170,7 +181,10 @@ class Scores:
             ],
             dtype=bool,
         )
+        anew = self._seen & (self._since == inf)
+        self._first[anew] = then.people[anew]
         self._since = np.where(self._seen, np.minimum(self._since, time), inf)
+        self._walked = self._seen & (self._walked | (np.hypot(*(then.people - self._first).T) > _WALKS))
         self._looked = time
         self._scans = {moment: one for moment, one in self._scans.items() if moment > time}
 
@@ -197,9 +211,10 @@ class Scores:
         grown = self._radii + self._fastest * (state.robot_time - then.time)
         people = np.column_stack([self._robot.in_told_frame(then.people), grown, np.full(len(grown), self._fastest)])
         h = bodies.moving(people, ~self._seen, came.values)
-        for who in np.flatnonzero(~self._seen & (h < NEAR)).tolist():
+        for who in np.flatnonzero(~self._seen & (h < _KEPT_FROM)).tolist():
             h[who] = self._around(bodies, people[who], then.people[who], came.values, float(h[who]))
-        for kind, wanted in (("mover", self._seen), ("hidden", ~self._seen)):
+        stood = self._seen & ~self._walked & (state.robot_time - self._since >= self._still_after)
+        for kind, wanted in (("mover", self._seen & ~stood), ("hidden", ~self._seen), ("stood", stood)):
             if wanted.any():
                 who = int(np.argmin(np.where(wanted, h, inf)))
                 here = _facing((*people[who, :2], self._radii[who]), came.values)
@@ -215,7 +230,7 @@ class Scores:
         there = np.column_stack([cells, np.full(len(cells), person[2]), np.zeros(len(cells))])
         touches = bodies.moving(there, np.zeros(len(cells), dtype=bool), values) <= 0.0
         direct = max(float(bodies.moving(np.array([[*person[:3], 0.0]]), np.array([False]), values)[0]), 0.0)
-        way = self._ways.to((float(place[0]), float(place[1])), touches, direct + 2.0 * NEAR + max(-straight, 0.0))
+        way = self._ways.to((float(place[0]), float(place[1])), touches, direct + _KEPT_FROM - straight + 0.1)
         smaller = np.array([[*person[:2], person[2] - max(way - direct, 0.0), person[3]]])
         return float(bodies.moving(smaller, np.array([True]), values)[0])
 
@@ -229,7 +244,7 @@ class Scores:
         apart: tuple[float, ...] = (_FAR, _FAR, _FAR),
         grown: float = 0.0,
     ) -> None:
-        if true >= NEAR:
+        if true >= _KEPT_FROM:
             return
         since = float(self._since[who]) if who >= 0 else inf
         seen_for = came.robot_time - since if since < inf else 0.0
