@@ -105,6 +105,7 @@ WRONG = (  # a command line, and what of the cure the line must hold
                 "meeting",
                 "sensing",
                 "sensing-curves",
+                "sensing-margins",
                 "long-logs",
                 "safety-pays",
                 "ros",

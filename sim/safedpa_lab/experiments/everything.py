@@ -94,6 +94,12 @@ PARTS: Final = (
     ),
     Part("sensing-curves", ("sensing-curves", "--first-seed", "4800"), ("--seeds", "1", "--seconds", "1"), 25),
     Part(
+        "sensing-margins",
+        ("sensing-margins",),
+        ("--drives", "2", "--fresh", "1", "--seconds", "1", "--coverage", "0.6"),
+        20,
+    ),
+    Part(
         "meeting",
         ("meeting", "--seeds", "3", "--first-seed", "4700", "--seconds", "20"),
         ("--robots", "2", "--seeds", "1", "--seconds", "1"),

@@ -1,0 +1,88 @@
+"""A simulated car whose odometry is wrong: what it tells of its place drifts away from where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import cos, sin
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.bus import ActionMessage, ScanMessage, StateMessage
+from safedpa.perception.odometry import Pose
+from safedpa_sim.robots.core import CarRobot
+
+__all__ = ["Misjudges", "placed"]
+
+Values = NDArray[np.float64]
+
+
+@final
+class Misjudges:
+    """Tells of each metre and m/s ``1 + stretch`` of it, and of each radian ``1 + turning`` of it.
+
+    Its frame is the true one at first. Goals are told in the frame that it believes in, as by somebody who points there
+    from where it is. What its laser measures is true.
+    """
+
+    def __init__(self, car: CarRobot, stretch: float, turning: float) -> None:
+        self.car = car
+        self._stretch, self._turning = 1.0 + stretch, 1.0 + turning
+        x, y, yaw, _ = car.values
+        self._true: Pose = (x, y, yaw)
+        self._told: Pose = (x, y, yaw)
+
+    @property
+    def true_pose(self) -> Pose:
+        """Where it is: x, y [m], yaw [rad]."""
+        x, y, yaw, _ = self.car.values
+        return x, y, yaw
+
+    @property
+    def told_pose(self) -> Pose:
+        """Where it believes to be."""
+        now = self.true_pose
+        if now != self._true:
+            (x, y, yaw), (before_x, before_y, before_yaw) = now, self._true
+            aside = self._told[2] - before_yaw
+            way_x, way_y = self._stretch * (x - before_x), self._stretch * (y - before_y)
+            self._told = (
+                self._told[0] + way_x * cos(aside) - way_y * sin(aside),
+                self._told[1] + way_x * sin(aside) + way_y * cos(aside),
+                self._told[2] + self._turning * (yaw - before_yaw),
+            )
+            self._true = now
+        return self._told
+
+    def in_told_frame(self, places: Values) -> Values:
+        """(n, 2) m; where true ``places`` (n, 2) [m] lie in the frame that it believes in, as seen from it now."""
+        told, true = self.told_pose, self.true_pose
+        return placed(places - np.array(true[:2]), told[2] - true[2]) + np.array(told[:2])
+
+    def state_message(self) -> StateMessage:
+        """State k as it is told; the pose of a load is for pictures only, and left out."""
+        message = self.car.state_message()
+        goal = self.in_told_frame(np.array([message.goal]))[0]
+        values = (*self.told_pose, self._stretch * message.values[3])
+        return replace(message, values=values, goal=tuple(goal.tolist()), load_pose=())
+
+    def scans(self) -> Sequence[ScanMessage]:
+        """What the car's sensors have to tell."""
+        return self.car.scans()
+
+    def receive(self, message: ActionMessage) -> str | None:
+        """Accepts an action, or says why not."""
+        return self.car.receive(message)
+
+    def advance(self) -> None:
+        """Lives through one period."""
+        self.car.advance()
+
+
+def placed(places: Values, angle: float) -> Values:
+    """(n, 2) ``places`` turned by ``angle`` [rad] around the origin."""
+    cosine, sine = cos(angle), sin(angle)
+    turned: Values = places @ np.array([[cosine, sine], [-sine, cosine]])
+    return turned

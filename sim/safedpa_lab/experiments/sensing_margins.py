@@ -1,0 +1,276 @@
+"""Margins of what a laser tells, calibrated on whole drives with noise, age, lost rays and wrong odometry.
+
+What counts is ``sensing_scores``: by how much the least h of what is told exceeds that of what is there. As other
+margins it is calibrated over drives, which are exchangeable, and counted on drives with seeds of their own. A drive is
+one scene with its people, one load, and one odometry that is wrong by a share of each metre and of each turn.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safedpa.adaptation import AdaptationNode
+from safedpa.dynamics import PhysicsModel, fingerprint, load_model
+from safedpa.errors import InputError
+from safedpa.perception import PerceptionNode, PerceptionSettings
+from safedpa.policy import PolicyNode
+from safedpa.robots.car.counter_braking import STANDS
+from safedpa.safety.ceiling import NO_CEILING, Seen
+from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.node import SafetyFilterNode
+from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_lab.experiments.car_workers import Workers
+from safedpa_lab.experiments.misjudging import Misjudges
+from safedpa_lab.experiments.seeds import seeds_for
+from safedpa_lab.experiments.sensing import LOADS
+from safedpa_lab.experiments.sensing_scenes import scene_and_people
+from safedpa_lab.experiments.sensing_scores import NEAR, Score, Scores
+from safedpa_lab.experiments.statistics import clopper_pearson_interval, cluster_interval
+from safedpa_lab.provenance.code import digests
+from safedpa_sim.closed_loop import drive
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.sensing import Laser, LaserSettings
+from safedpa_sim.sensing.senses import Senses
+
+__all__ = ["SCENES", "SensedDrive", "margins_of_sensing", "order", "run_sensed"]
+
+Values = NDArray[np.float64]
+
+SCENES: Final = ("people", "rooms", "steps-out")
+"""Six pillars among three people; two rooms with a door, boxes and up to six people; somebody behind a box."""
+ODOMETRY: Final = 0.02
+"""Share of each metre, and of each turn, by which a drive's odometry is wrong at most; as perception's ``drift``."""
+_PERIOD: Final = 0.05
+_WORST: Final = 5
+_STOOD: Final = "stood"
+"""The kind that no margin is made for."""
+
+
+@dataclass(frozen=True)
+class SensedDrive:
+    """One drive, all of whose numbers follow from these."""
+
+    scene: str
+    seed: int
+    load: str
+    seconds: float
+    stretch: float
+    turning: float
+    """Wrong shares of the odometry, see ``Misjudges``."""
+
+
+def order(index: int, seed: int, seconds: float, scenes: Sequence[str] = SCENES) -> SensedDrive:
+    """The drive of a seed: every scene with every load in turn."""
+    stretch, turning = np.random.default_rng([seed, 31]).uniform(-ODOMETRY, ODOMETRY, 2).tolist()
+    load = LOADS[index // len(scenes) % len(LOADS)]
+    return SensedDrive(scenes[index % len(scenes)], seed, load, seconds, stretch, turning)
+
+
+def run_sensed(wanted: SensedDrive) -> dict[str, Any]:
+    """Drives it behind the filter as it ships; the same drive gives the same numbers."""
+    model, settings = load_model("car"), settings_named("car")
+    scene, people = scene_and_people(wanted.scene, wanted.seed, wanted.load)
+    car = CarRobot(scene, senses=Senses((Laser(LaserSettings(), wanted.seed),), people))
+    robot = Misjudges(car, wanted.stretch, wanted.turning)
+    sensing = PerceptionSettings()
+    scores = Scores(robot, people, settings, sensing)
+    nodes = [
+        AdaptationNode(model),
+        PerceptionNode(sensing),
+        PolicyNode(model, "way_seeker"),
+        SafetyFilterNode(model, settings, margin_for(model)),
+    ]
+    for tick in drive(robot, nodes, round(wanted.seconds / _PERIOD), hear=scores.hear):
+        scores.after(tick)
+    return {
+        **asdict(wanted),
+        "moving": [str(hit) for hit in car.collisions if hit.speed >= STANDS],
+        "goals": car.goals_reached,
+        "scores": [list(one) for one in scores.found],
+    }
+
+
+def margins_of_sensing(
+    drives: int,
+    fresh: int,
+    seconds: float,
+    coverage: float,
+    processes: int = 1,
+    on_drive: Callable[[int, int], None] = lambda _done, _all: None,
+    record: Path | None = None,
+    scenes: Sequence[str] = SCENES,
+) -> dict[str, Any]:
+    """Margins of a step and of a drive from ``drives`` calibration seeds, and what they cover on ``fresh`` ones.
+
+    Drives that ``record`` holds are not driven again. Raises InputError for too few drives, and for a record of others.
+    """
+    orders = [
+        [order(index, seed, seconds, scenes) for index, seed in enumerate(seeds_for(purpose, count))]
+        for purpose, count in (("calibration", drives), ("evaluation", fresh))
+    ]
+    found = _driven([*orders[0], *orders[1]], processes, on_drive, record)
+    before, after = found[:drives], found[drives:]
+    model = load_model("car")
+    heights = [_heights(one) for one in before]
+    margin = calibration_from_drives(heights, coverage, time.strftime("%Y-%m-%d"), fingerprint(model), NO_CEILING)
+    tables = {"step": margin.epsilon, "drive": margin.drive, "in force": _in_force(model)}
+    rows = [_row(kind, before, after, tables) for kind in NEAR]
+    return {
+        "seconds": seconds,
+        "coverage": coverage,
+        "near": dict(NEAR),
+        "odometry": ODOMETRY,
+        "scenes": list(scenes),
+        "loads": list(LOADS),
+        "seeds": {"calibration": _ends(orders[0]), "evaluation": _ends(orders[1])},
+        "rows": rows,
+        "moving": [f"{_named(one)}: {what}" for one in found for what in one["moving"]],
+        "goals": sum(one["goals"] for one in found),
+    }
+
+
+def _in_force(model: PhysicsModel) -> dict[str, float]:
+    """By kind the margin that ships."""
+    known = margin_for(model)
+    epsilon = {**settings_named("car").epsilon, **({} if known is None else known.epsilon)}
+    return {kind: epsilon["obstacle" if kind == "obstacle" else "mover"] for kind in NEAR}
+
+
+def _ends(orders: Sequence[SensedDrive]) -> list[int]:
+    return [orders[0].seed, orders[-1].seed] if orders else []
+
+
+def _named(one: Mapping[str, Any]) -> str:
+    return f"{one['scene']}, load {one['load']}, seed {one['seed']}"
+
+
+def _scores(one: Mapping[str, Any], kind: str) -> list[Score]:
+    scores = (Score(*row) for row in one["scores"] if row[0] == kind)
+    return [score for score in scores if score.true < NEAR[kind]]
+
+
+def _error(score: Score) -> float:
+    """e [m]; what is told farther away than ``NEAR`` is told as far as that."""
+    return min(score.hoped, NEAR[score.kind]) - score.true
+
+
+def _out(score: Score) -> float:
+    """m by which what is there sticks out of what is told, where it faces the car; of what may move as of when it was
+    measured."""
+    points, movers, hidden = score.apart
+    return min(points, movers) if score.kind == "obstacle" else min(movers, hidden) + score.grown
+
+
+def _heights(one: Mapping[str, Any]) -> dict[str, Values]:
+    """By kind (steps, 4), as ``calibration_from_drives`` takes them."""
+    found = {
+        kind: [Seen(min(s.hoped, NEAR[kind]), s.true) for s in _scores(one, kind)] for kind in NEAR if kind != _STOOD
+    }
+    return {kind: np.array(rows) for kind, rows in found.items() if rows}
+
+
+def _row(
+    kind: str,
+    before: Sequence[Mapping[str, Any]],
+    after: Sequence[Mapping[str, Any]],
+    tables: Mapping[str, Mapping[str, float]],
+) -> dict[str, Any]:
+    """What the margins of a kind are, what they cover on fresh drives, and the worst that happened in all."""
+    both = [*before, *after]
+    heights, scores = [_heights(one) for one in after], [(one, s) for one in both for s in _scores(one, kind)]
+    return {
+        "kind": kind,
+        "steps": len(scores),
+        "drives_near": sum(bool(_scores(one, kind)) for one in both),
+        "quantiles": _quantiles([_error(score) for _, score in scores]),
+        "out": _quantiles([_out(score) for _, score in scores]) if kind in ("obstacle", "mover") else {},
+        "step": tables["step"].get(kind),
+        "drive": tables["drive"].get(kind),
+        "fresh": {
+            name: _covered(covered_shares(heights, kind, table[kind]), table[kind])
+            for name, table in tables.items()
+            if heights and kind in tables["step"]
+        },
+        "worst": list(_worst(scores)),
+    }
+
+
+def _quantiles(values: Sequence[float]) -> dict[str, float]:
+    return {f"{share:g}": float(np.quantile(values, share)) for share in (0.5, 0.9, 0.99, 1.0)} if values else {}
+
+
+def _covered(shares: Values, epsilon: float) -> dict[str, Any]:
+    whole = int((shares == 1.0).sum())
+    return {
+        "epsilon": epsilon,
+        "steps": float(shares.mean()),
+        "steps_95": list(cluster_interval(shares)),
+        "drives": whole / len(shares),
+        "drives_95": list(clopper_pearson_interval(whole, len(shares))),
+    }
+
+
+def _worst(scores: Sequence[tuple[Mapping[str, Any], Score]]) -> Iterator[dict[str, Any]]:
+    """The drives with the largest errors, each with its worst step."""
+    by_drive = [
+        max(group, key=lambda pair: _error(pair[1])) for _, group in groupby(scores, lambda pair: _named(pair[0]))
+    ]
+    for one, score in sorted(by_drive, key=lambda pair: -_error(pair[1]))[:_WORST]:
+        told = zip(("points", "movers", "hidden"), score.apart, strict=True)
+        yield {
+            "drive": _named(one),
+            "time": round(score.time, 3),
+            "error": _error(score),
+            "hoped": score.hoped,
+            "true": score.true,
+            "speed": score.speed,
+            "seen_for": score.seen_for,
+            "apart": {name: away for name, away in told if away < 100.0},
+        }
+
+
+def _driven(
+    wanted: Sequence[SensedDrive],
+    processes: int,
+    on_drive: Callable[[int, int], None],
+    record: Path | None,
+) -> list[dict[str, Any]]:
+    known = {} if record is None else _recorded(record)
+    missing = [one for one in wanted if one not in known]
+    with Workers(processes) as workers:
+        for one, outcome in zip(missing, workers.map(run_sensed, missing), strict=True):
+            known[one] = outcome
+            if record is not None:
+                with record.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(outcome) + "\n")
+            on_drive(sum(each in known for each in wanted), len(wanted))
+    return [known[one] for one in wanted]
+
+
+def _recorded(path: Path) -> dict[SensedDrive, dict[str, Any]]:
+    """The drives that a file holds; it is begun where there is none. Its first line is the code they were made by."""
+    code = {
+        room: digest for room, digest in digests(run_sensed.__module__).items() if room != "safedpa_lab.experiments"
+    }
+    if not path.exists():
+        path.write_text(json.dumps({"code": code}) + "\n", encoding="utf-8")
+    lines = path.read_text(encoding="utf-8").split("\n")[:-1]  # what was killed while it wrote leaves part of a line
+    try:
+        first, *outcomes = map(json.loads, lines)
+        by = first["code"]
+        drives = {SensedDrive(**{item.name: one[item.name] for item in fields(SensedDrive)}): one for one in outcomes}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: got no record of such drives ({error}), wanted a new file") from error
+    if by != code:
+        raise InputError(f"{path}: its drives were made by other code than today's; wanted another file")
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    return drives
