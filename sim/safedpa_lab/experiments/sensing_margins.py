@@ -258,9 +258,7 @@ def _driven(
 
 def _recorded(path: Path) -> dict[SensedDrive, dict[str, Any]]:
     """The drives that a file holds; it is begun where there is none. Its first line is the code they were made by."""
-    code = {
-        room: digest for room, digest in digests(run_sensed.__module__).items() if room != "safedpa_lab.experiments"
-    }
+    code = digests(run_sensed.__module__)
     if not path.exists():
         path.write_text(json.dumps({"code": code}) + "\n", encoding="utf-8")
     lines = path.read_text(encoding="utf-8").split("\n")[:-1]  # what was killed while it wrote leaves part of a line
