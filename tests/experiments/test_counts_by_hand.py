@@ -72,7 +72,7 @@ def test_who_is_walked_into_is_counted_apart_from_who_drives_into_something(
     assert told["microseconds"] == 300.0
 
 
-HIT = Collision(time=1.0, part="car", what="obstacle 3", x=0.0, y=0.0, speed=0.0)
+HIT = Collision(time=1.0, part="car", what="obstacle 3", x=0.0, y=0.0, speed=0.0, towards=0.0)
 VERDICT = SimpleNamespace(wish=(1.0, 0.0), action=(0.5, 0.0), microseconds=300.0)
 TICK = SimpleNamespace(verdict=VERDICT, state=SimpleNamespace(values=(0.0, 0.0, 0.0, -0.8)))
 

@@ -133,7 +133,7 @@ def test_a_collision_is_told_with_robot_place_and_what_the_watchdog_did(stack: M
 
     def bump(*action: float) -> None:
         advance(*action)
-        car.world.contacts.collisions.append(Collision(1.25, "car", "wall east", x, y, 0.5))
+        car.world.contacts.collisions.append(Collision(1.25, "car", "wall east", x, y, 0.5, 0.5))
         car.world.advance = advance
 
     car.world.advance = bump

@@ -91,12 +91,14 @@ def test_a_result_says_how_much_is_reached_beside_perfect_knowledge_and_its_page
 
 
 def test_who_walks_into_a_standing_car_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By hand: of five contacts two with a car that moves."""
-    hits = [Collision(0.1, "car", "obstacle 0", 0.0, 0.0, speed) for speed in (0.0, 1.0, 0.0, 2.0, 0.0)]
+    """By hand: of five contacts two with a car that moves, one of them away from what it touches."""
+    speeds = ((0.0, 0.0), (1.0, 1.0), (0.0, 0.0), (2.0, -0.5), (0.0, 0.0))
+    hits = [Collision(0.1, "car", "obstacle 0", 0.0, 0.0, *speed) for speed in speeds]
     monkeypatch.setattr(CarRobot, "collisions", property(lambda _: hits))
     told = run_drive(Drive("pillars", 1000, 0.1, 1.5))
     assert told["standing"] == 3
     assert told["moving"] == [str(hits[1]), str(hits[3])]
+    assert told["run_into"] == 1
 
 
 def test_told_everything_but_who_hides_it_drives_no_farther_than_told_everything() -> None:

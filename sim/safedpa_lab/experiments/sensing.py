@@ -109,10 +109,11 @@ def run_drive(wanted: Drive) -> dict[str, Any]:
             kept += min(max(tick.verdict.action[0] * np.sign(tick.verdict.wish[0]), 0.0), abs(tick.verdict.wish[0]))
         way += abs(tick.state.values[3]) * _PERIOD
         microseconds.append(tick.verdict.microseconds)
-    moving = [str(hit) for hit in robot.collisions if hit.speed >= STANDS]
+    moving = [hit for hit in robot.collisions if hit.speed >= STANDS]
     return {
         **asdict(wanted),
-        "moving": moving,
+        "moving": [str(hit) for hit in moving],
+        "run_into": sum(hit.towards < STANDS for hit in moving),
         "standing": len(robot.collisions) - len(moving),
         "stepped_out": any(isinstance(person, StepsOut) and person.stepped for person in people),
         "goals": robot.goals_reached,
@@ -230,6 +231,7 @@ def row_of(
         "drives_in_which_the_car_moved_into_something": hit,
         "share_95": clopper_pearson_interval(hit, len(drives)),
         "which": [f"seed {one['seed']}, load {one['load']}: {what}" for one in drives for what in one["moving"]],
+        "of_them_it_did_not_drive_towards": sum(one["run_into"] for one in drives),
         "touched_while_it_stood": sum(one["standing"] for one in drives),
         "drives_in_which_somebody_stepped_out": sum(one["stepped_out"] for one in drives),
         "goals_a_minute": 60.0 * float(goals.sum()) / (seconds * len(drives)),

@@ -35,9 +35,14 @@ def page_of(result: Mapping[str, Any], title: str = "Drives with a laser") -> st
         "|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [_line(row) for row in result["rows"]]
+    elsewhere = sum(row["of_them_it_did_not_drive_towards"] for row in result["rows"])
     hit = [f"- {row['scene']}, {row['guard']}: {what}" for row in result["rows"] for what in row["which"]]
     lines += _by_load(result.get("by_load", ()), result["loads"])
-    return "\n".join([*lines, *(["", "Into what:", "", *hit] if hit else []), ""])
+    return "\n".join([*lines, *(["", f"Into what ({_elsewhere(elsewhere)}):", "", *hit] if hit else []), ""])
+
+
+def _elsewhere(contacts: int) -> str:
+    return f"in {contacts} of these car or load did not drive towards it, at less than 0.1 m/s: it came to them"
 
 
 def _by_load(found: Sequence[Mapping[str, Any]], loads: Sequence[str]) -> list[str]:

@@ -30,9 +30,12 @@ class Collision:
     """m; where the car or load was."""
     speed: float
     """m/s; how fast its centre moved when it touched."""
+    towards: float
+    """m/s; n^T v: how fast the place that touched drove into the other along the normal n; below 0 away from it."""
 
     def __str__(self) -> str:
-        return f"{self.part} against {self.what} at t={self.time:.2f} s, {self.speed:.2f} m/s"
+        how = f"{self.speed:.2f} m/s, {self.towards:.2f} m/s towards it"
+        return f"{self.part} against {self.what} at t={self.time:.2f} s, {how}"
 
 
 class ContactCounter:
@@ -72,7 +75,8 @@ class ContactCounter:
             body = arbiter.shapes[0].body
             assert body is not None
             x, y = body.position
-            self.collisions.append(Collision(round(self.time, 6), *pair, x, y, body.velocity.length))
+            speeds = body.velocity.length, _towards(arbiter, body)
+            self.collisions.append(Collision(round(self.time, 6), *pair, x, y, *speeds))
         self._touching.add(pair)
         _stop(arbiter.shapes[1].body)
 
@@ -81,6 +85,12 @@ class ContactCounter:
         pair = self._pair(arbiter)
         self._touching.discard(pair)
         self._ended[pair] = self.time
+
+
+def _towards(arbiter: pymunk.Arbiter, body: pymunk.Body) -> float:
+    """m/s at which the body's place that touches drives along the normal, which points to what it touches."""
+    touched = arbiter.contact_point_set
+    return max(float(body.velocity_at_world_point(one.point_a).dot(touched.normal)) for one in touched.points)
 
 
 def _stop(body: pymunk.Body | None) -> None:
