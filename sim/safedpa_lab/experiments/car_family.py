@@ -59,7 +59,7 @@ class Family:
         if not isinstance(base, LearnedBase):
             return "is no learned one, and physics knows of loads"
         table: Mapping[str, Any] = base.weights.description.trained_on.get("configuration", {})
-        told = [path for path in table.get("environment", {}) if not path.startswith(_FORCE)]
+        told = sorted(path for path in table.get("environment", {}) if not path.startswith(_FORCE))
         if not table or told:
             return f"was trained with {', '.join(told) or 'nobody knows what'} in its environment"
         practice = table.get("practice", {})
