@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import product
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from tests.experiments.conftest import crude_weights, save_crude
 from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.networks import Weights
+from safedpa.safety.braking import Braking
 from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments import car as experiment
 from safedpa_lab.experiments.car import CarExperiment
@@ -22,6 +25,7 @@ from safedpa_lab.experiments.car_family import FAMILIES, family_named
 from safedpa_lab.experiments.car_methods import METHODS, chosen_methods, named_model
 from safedpa_lab.experiments.car_orders import FIRST_SEEDS
 from safedpa_services.command_line.group import safedpa
+from safedpa_sim.robots import LOADS, CarWorld
 from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.training import car_task
 from safedpa_sim.training.configuration import load_configuration
@@ -134,6 +138,41 @@ def test_only_what_was_measured_without_a_load_differs_in_the_filter_s_settings(
     assert replace(paper, barriers=today.barriers) == today
     changed = {name for name in paper.barriers if paper.barrier(name) != today.barrier(name)}
     assert changed == {"braking_deceleration", "braking_gain"}
+
+
+def way_over_promise(world: CarWorld, braking: Braking) -> float:
+    """Way to standstill along the path, from now on under the brake, over the way that ``braking`` promises."""
+    x, y, _, speed = world.state
+    promised, way = abs(braking.distance(speed)), 0.0
+    for _ in range(80):
+        world.advance(0.0, 0.0, 0.025)
+        there_x, there_y, _, _ = world.state
+        way += hypot(there_x - x, there_y - y)
+        x, y = there_x, there_y
+    return way / promised
+
+
+def test_the_braking_numbers_hold_without_a_load_and_know_of_none() -> None:
+    """Over steers, speeds, steady and still accelerating, from 0.2 m/s on; a large chair hitched on the way is more."""
+    settings = PAPER.settings("car")
+    braking = Braking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain"))
+    shares = []
+    for steer, periods, speed in product((0.0, -0.34), (4, 8, 60), (0.3, 0.8, 1.4, 2.0, -0.6)):
+        world = driven(speed, steer, periods)
+        if abs(world.state[3]) > 0.2:
+            shares.append(way_over_promise(world, braking))
+    assert max(shares) < 1.0 / 1.125
+    towing = driven(2.0, 0.0, 100)
+    towing.hitch(LOADS["large_chair"])
+    assert way_over_promise(towing, braking) > 1.0
+
+
+def driven(speed: float, steer: float, periods: int) -> CarWorld:
+    """The car without a load on an open field after so many periods of 0.05 s under that target speed and steer."""
+    world = CarWorld((0.0, 0.0, 0.0), (-500.0, 500.0, -500.0, 500.0))
+    for _ in range(periods):
+        world.advance(speed, steer, 0.05)
+    return world
 
 
 def test_an_unknown_family_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
