@@ -13,7 +13,7 @@ import click
 from safedpa.dynamics import load_own_everywhere
 from safedpa.errors import InputError
 from safedpa.extras import needs
-from safedpa.robot import robot_named
+from safedpa.robot import robot_named, robots
 from safedpa_services.command_line.names import Choice, complete_robots
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def _configuration(robot: str, options: dict[str, Any]) -> Configuration:
 
     source = options["source"] or (f"{robot}_small" if options["small"] else robot)
     if options["small"] and source not in configurations():
-        small = sorted(name.removesuffix("_small") for name in configurations() if name.endswith("_small"))
+        small = sorted(name for name in robots() if f"{name}_small" in configurations())
         raise InputError(
             f"--small: ships for {', '.join(small)}, and for no {robot}; wanted --configuration FILE with short phases"
         )
