@@ -14,6 +14,7 @@ from safedpa.bus import StateMessage
 from safedpa.errors import InputError
 from safedpa.networks import Weights
 from safedpa.policy.learned import LearnedPolicy
+from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.robots.scene import Scene
@@ -243,3 +244,21 @@ def test_a_checkpoint_without_the_best_policy_is_refused(tmp_path: Path) -> None
     torch.save({"digest": "a", "curve": "[]"}, tmp_path / "old.pt")
     with pytest.raises(InputError, match="remove it to train from the beginning"):
         PolicyCheckpoint(tmp_path / "old.pt", "a").read()
+
+
+def test_it_is_trained_into_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """By the command, from where a person stands; phases are said to be there, so that nothing is trained."""
+    asked: list[Path] = []
+
+    def run_pipeline(_configuration: Configuration, out: Path, *_: Any) -> dict[str, Any]:
+        asked.append(out)
+        return {}
+
+    monkeypatch.setattr("safedpa_sim.training.pipeline.run_pipeline", run_pipeline)
+    mine = tmp_path / "mine.toml"
+    folder = shipped()["car"].parent
+    text = shipped()["car_paper"].read_text(encoding="utf-8")
+    mine.write_text(text.replace("published_car.toml", str(folder / "published_car.toml")), encoding="utf-8")
+    for words in ([], ["--configuration", "car_paper"], ["--configuration", str(mine)], ["--small"]):
+        assert safedpa.run(["train", "car", *words]) == 0
+    assert asked == [Path("learned") / name for name in ("car", "car_paper", "car", "car")]
