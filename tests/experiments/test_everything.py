@@ -44,12 +44,20 @@ def test_no_part_writes_into_another_one_s_place(tmp_path: Path) -> None:
     assert all(place.parent == tmp_path / part.name for part in PARTS for place in [part.result(tmp_path)])
 
 
-def test_names_that_there_are_not_and_recordings_that_are_missing_are_told(tmp_path: Path) -> None:
+def test_names_that_there_are_not_and_recordings_that_are_missing_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"--only safty: .*safety"):
         chosen(("safty",), None)
     with pytest.raises(InputError, match="real-logs: got no --data"):
         chosen(("real-logs",), None)
-    assert {part.name for part in PARTS} - {part.name for part in chosen((), None)} == {"real-logs"}
+    with pytest.raises(
+        InputError, match="car-paper: no learned/car_paper; 'safedpa train car --configuration car_paper'"
+    ):
+        chosen(("car-paper",), None)
+    assert {part.name for part in PARTS} - {part.name for part in chosen((), None)} == {"real-logs", "car-paper"}
+    (tmp_path / "learned" / "car_paper").mkdir(parents=True)
     assert chosen((), tmp_path) == list(PARTS)
 
 

@@ -13,7 +13,7 @@ import click
 from safedpa.dynamics import load_own_everywhere
 from safedpa.errors import InputError
 from safedpa.extras import needs
-from safedpa.robot import robot_named
+from safedpa.robot import robot_named, robots
 from safedpa_services.command_line.names import Choice, complete_robots
 
 if TYPE_CHECKING:
@@ -26,10 +26,10 @@ __all__ = ["command"]
 @click.argument("robot", shell_complete=complete_robots)
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path), metavar="[RUN...]")
 @click.option("--robot-file", type=click.Path(path_type=Path), metavar="FILE.py", help="a robot of your own")
-@click.option("--configuration", "source", metavar="FILE", help="what to train on; that of the robot when left out")
+@click.option("--configuration", "source", metavar="FILE", help="what to train on, or the name of one that ships")
 @click.option("--model", metavar="MODEL.toml", help="simulate this one, of `safedpa diagnose` say; its effects join e")
 @click.option("--small", is_flag=True, help="every phase in seconds, to see it work: nothing to drive with")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="folder; learned/ROBOT when left out")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="folder; learned/ROBOT or learned/NAME")
 @click.option("--phases", metavar="NAME,NAME,...", help="which ones; all of the robot's when left out")
 @click.option("--pairs", type=click.IntRange(min=1), help="state-action pairs of phase 1a")
 @click.option("--seed", type=click.IntRange(min=0), help="of everything that is drawn")
@@ -51,7 +51,7 @@ def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool,
     if options["robot_file"] is not None:
         load_own_everywhere(options["robot_file"])
     robot = robot_named(robot).name
-    out = Path("learned") / robot if out is None else out
+    out = Path("learned") / _folder(robot, options["source"]) if out is None else out
     _check(runs, options)
     configuration = _configuration(robot, options)
     with _progress() as tell:
@@ -65,6 +65,13 @@ def command(robot: str, runs: tuple[Path, ...], out: Path | None, as_json: bool,
     else:
         times = ", ".join(f"{name} {value:.1f} times" for name, value in result.get("times_better", {}).items())
         click.echo(f"{out}: tuned on {len(runs)} runs; held-out error lower: {times}")
+
+
+def _folder(robot: str, source: str | None) -> str:
+    """What was trained on another configuration that ships does not replace what was trained on the robot's own."""
+    from safedpa_sim.training.configuration import configurations
+
+    return source if source in configurations() else robot
 
 
 def _warnings(result: dict[str, Any]) -> list[str]:
@@ -92,7 +99,7 @@ def _configuration(robot: str, options: dict[str, Any]) -> Configuration:
 
     source = options["source"] or (f"{robot}_small" if options["small"] else robot)
     if options["small"] and source not in configurations():
-        small = sorted(name.removesuffix("_small") for name in configurations() if name.endswith("_small"))
+        small = sorted(name for name in robots() if f"{name}_small" in configurations())
         raise InputError(
             f"--small: ships for {', '.join(small)}, and for no {robot}; wanted --configuration FILE with short phases"
         )

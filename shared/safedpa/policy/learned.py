@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isfinite
 from typing import Any, final
 
@@ -18,6 +19,7 @@ __all__ = ["LearnedPolicy"]
 
 Values = NDArray[np.floating[Any]]
 
+_BODY, _BODY_NUMBERS = "observation_body", 3
 _LARGEST = 10.0
 """Scaled observations are clipped to it: what training never saw shall not drive the network without bound."""
 
@@ -28,7 +30,9 @@ class LearnedPolicy:
 
     pi: dense layers with tanh between them, the mean of the Gaussian that proximal policy optimisation trained; o as
     the robot's perception makes it. Without a latent the policy takes that of the environment in which nothing acts.
-    Raises InputError when the weights hold no policy, or one for other observations.
+    Weights with ``observation_body`` (3,): rear, front, radius [m], are of a policy that sees this body around itself,
+    whatever the footprint is: it is not told what hangs behind it. Raises InputError when the weights hold no policy,
+    or one for other observations.
     """
 
     def __init__(self, weights: Weights) -> None:
@@ -44,6 +48,7 @@ class LearnedPolicy:
                 f"weights: the policy takes {got[0]} numbers and gives {got[1]}, wanted {wanted[0]} and {wanted[1]}; "
                 "train it anew with phase 1b of 'safedpa train'"
             )
+        self._body = _body(weights)
         self._middle, self._scale = weights["observation_middle"], weights["observation_scale"]
         self._action_middle, self._action_scale = weights["action_middle"], weights["action_scale"]
         self._into = [(np.ascontiguousarray(weight.T), bias) for weight, bias in self._layers]
@@ -76,7 +81,18 @@ class LearnedPolicy:
         latent = self._nominal if latent is None else latent
         if latent.shape != self._nominal.shape:
             raise MessageError(f"latent: got {latent.size} entries, wanted {self._nominal.size}")
-        observation = self._perception.observed(state, latent)
+        seen = state if self._body is None else replace(state, footprint=self._body)
+        observation = self._perception.observed(seen, latent)
         if not isfinite(observation.sum()):
             raise MessageError(f"state: got numbers that are not finite in {state.values}, wanted finite ones")
         return tuple(self._act_once(observation)), "learned"
+
+
+def _body(weights: Weights) -> tuple[float, ...] | None:
+    """Rear, front, radius [m] that the policy sees in place of the footprint; None: it sees the footprint."""
+    if _BODY not in weights.tensors:
+        return None
+    body = tuple(weights[_BODY].ravel().tolist())
+    if len(body) != _BODY_NUMBERS:
+        raise InputError(f"weights: '{_BODY}' holds {len(body)} numbers, wanted {_BODY_NUMBERS}: rear, front, radius")
+    return body

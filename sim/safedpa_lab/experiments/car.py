@@ -18,10 +18,10 @@ from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety import FilterSettings
 from safedpa.safety.calibration import MarginCalibration
-from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments.car_cells import Cell, run_cells
 from safedpa_lab.experiments.car_drives import Drive, DriveOrder, cut_at_contact, recorded_drive
 from safedpa_lab.experiments.car_errors import error_ratios, errors_of_model, increment_scale
+from safedpa_lab.experiments.car_family import FAMILIES, family_named
 from safedpa_lab.experiments.car_latent import latent_result
 from safedpa_lab.experiments.car_margin import COVERAGE, coverage_of, margin_of, step_errors
 from safedpa_lab.experiments.car_methods import chosen_methods, model_path, named_model
@@ -55,7 +55,7 @@ class CarExperiment:
     """What to run. Raises InputError naming what does not fit."""
 
     models: Path
-    """Folder of the learned models; what is not in it is looked for among those that ship."""
+    """Folder of the learned models; what is not in it is looked for among those that ship, if the family does."""
     out: Path | None = None
     """Where cells are kept, so that a run that was broken off goes on."""
     episodes: int = 100
@@ -67,6 +67,8 @@ class CarExperiment:
     margin: str | float = "conformal"
     """Of every filter: each model's own ``conformal`` or ``theorem`` epsilon, or this number for all."""
     settings: str = "car"
+    family: str = "best"
+    """In which world the policies were trained; see ``car_family``."""
     processes: int = 2
     drives: int = 6
     """Recorded drives of each kind and configuration."""
@@ -74,6 +76,7 @@ class CarExperiment:
     date: str = ""
 
     def __post_init__(self) -> None:
+        family_named(self.family)
         for name in ("episodes", "processes", "drives"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: got {getattr(self, name)}, wanted at least 1")
@@ -98,8 +101,9 @@ def car_experiment(experiment: CarExperiment, tell: Tell = lambda _done, _all: N
 class _Run:
     def __init__(self, experiment: CarExperiment, tell: Tell) -> None:
         self._experiment = experiment
-        self._settings = replace(settings_named(experiment.settings), margin=experiment.margin)
-        self._methods, self._missing = chosen_methods(experiment.methods, experiment.models)
+        self._family = FAMILIES[experiment.family]
+        self._settings = replace(self._family.settings(experiment.settings), margin=experiment.margin)
+        self._methods, self._missing = chosen_methods(experiment.methods, experiment.models, self._family)
         if not self._methods:
             raise InputError(f"{experiment.models}: none of the methods can be driven; {self._missing[0]}")
         self._tell, self._done = tell, 0
@@ -109,6 +113,7 @@ class _Run:
         experiment = self._experiment
         result: dict[str, Any] = {
             "experiment": "car",
+            "family": {"name": self._family.name, "words": self._family.words},
             "seeds": [experiment.first_seed, experiment.first_seed + experiment.episodes - 1],
             "left_out": self._missing,
             "methods": {item.name: {"title": item.title, "meaning": item.meaning} for item in self._methods},
@@ -126,15 +131,11 @@ class _Run:
         drivers = self._drivers()
         models = [named_model(name, experiment.models) for name in drivers]
         uncalibrated = replace(self._settings, margin="conformal")
+        loads, each = self._family.calibrating(experiment.loads, experiment.drives)
         work = []
         for name, method in drivers.items():
             known, fresh = (
-                self._recorded(
-                    workers,
-                    earnest_orders(
-                        experiment.loads, experiment.drives, purpose, method, experiment.models, uncalibrated
-                    ),
-                )
+                self._recorded(workers, earnest_orders(loads, each, purpose, method, experiment.models, uncalibrated))
                 for purpose in ("margin", "fresh")
             )
             scale = increment_scale(models, known)
@@ -142,7 +143,8 @@ class _Run:
         margins, rows = {}, {}
         for name, (margin, coverage) in zip(drivers, workers.map(_margin, work), strict=True):
             margins[name], rows[name] = margin, coverage
-        return margins, {"used": experiment.margin, "coverage_wanted": COVERAGE, "models": rows}
+        told = {"used": experiment.margin, "coverage_wanted": COVERAGE, "calibrated_with": list(loads)}
+        return margins, {**told, "models": rows}
 
     def _drivers(self) -> dict[str, str]:
         """By filter model: the method that drives for its margin, the first one that has it."""
@@ -169,7 +171,8 @@ class _Run:
         models = {
             name: named_model(name, experiment.models)
             for name in _PREDICTORS
-            if model_path(name, experiment.models) is not None
+            if model_path(name, experiment.models, ships=self._family.ships) is not None
+            and not self._family.refuses(named_model(name, experiment.models).base)
         }
         heldout = self._recorded(workers, open_orders(experiment.loads, each, ticks, "errors"))
         scale = increment_scale(list(models.values()), heldout)

@@ -18,6 +18,7 @@ from safedpa.safety import FilterSettings
 from safedpa.safety.calibration import MarginCalibration
 from safedpa.safety.node import SafetyFilterNode
 from safedpa_lab.experiments.car_blind import BlindFilterNode
+from safedpa_lab.experiments.car_family import FAMILIES, Family
 
 __all__ = ["METHODS", "FixedLatentNode", "Method", "chosen_methods", "model_path", "named_model", "nodes_of"]
 
@@ -54,6 +55,15 @@ METHODS: dict[str, Method] = {
         ),
         Method("rma", "RMA", "car_simulated", None, meaning="policy and history encoder, no filter"),
         Method("rma_p", "RMA-P", "car_rma_p", None, meaning="policy trained with a penalty on contact, no filter"),
+        Method(
+            "ppo",
+            "PPO",
+            "car_ppo",
+            None,
+            adaptive=False,
+            usual=False,
+            meaning="policy without a latent, trained in all environments; no filter",
+        ),
         Method("fix", "Fix", "car_learned", "car_fix", meaning="filter with f, g of one fixed environment"),
         Method("mix", "Mix", "car_learned", "car_mix", meaning="filter with f, g of all environments, without z"),
         Method(
@@ -84,33 +94,40 @@ METHODS: dict[str, Method] = {
 """Every method by name, in the order of the table."""
 
 
-def chosen_methods(names: tuple[str, ...], folder: Path) -> tuple[list[Method], list[str]]:
-    """The named methods (the usual ones without names) whose models exist, and sentences about those left out.
+def chosen_methods(
+    names: tuple[str, ...], folder: Path, family: Family = FAMILIES["best"]
+) -> tuple[list[Method], list[str]]:
+    """The named methods (the family's without names) whose models exist, and sentences about those left out.
 
     Raises InputError for a name that does not exist, and for one that was asked for and lacks its model.
     """
+    usual = family.methods or tuple(item.name for item in METHODS.values() if item.usual)
     for name in names:
         if name not in METHODS:
             raise InputError(f"method '{name}': {did_you_mean(name, METHODS)}")
-    wanted = [METHODS[name] for name in names] if names else [item for item in METHODS.values() if item.usual]
+    wanted = [METHODS[name] for name in names or usual]
     present, missing = [], []
     for method in wanted:
-        lack = _lack(method, folder)
+        lack = _lack(method, folder, family)
         if lack:
             missing.append(f"{method.title} is left out: {lack}")
         else:
             present.append(method)
     if names and missing:
-        raise InputError(f"{missing[0]}; 'safedpa train car --out {folder}' makes it")
+        raise InputError(f"{missing[0]}; '{family.training} --out {folder}' makes it")
     return present, missing
 
 
-def _lack(method: Method, folder: Path) -> str:
+def _lack(method: Method, folder: Path, family: Family) -> str:
     """What the method needs and does not find; empty when all is there."""
     files = sorted({method.model, method.filter_model or method.model})
     for name in files:
-        if model_path(name, folder) is None:
-            return f"{name}.toml is neither in {folder} nor among the shipped models"
+        if model_path(name, folder, ships=family.ships) is None:
+            return f"{name}.toml is {'neither' if family.ships else 'not'} in {folder}" + (
+                " nor among the shipped models" if family.ships else ", and none that ships belongs to this family"
+            )
+        if refused := family.refuses(named_model(name, folder).base):
+            return f"{name}.toml in {folder} {refused}"
     base = named_model(method.model, folder).base
     if method.controller == "learned" and not (isinstance(base, LearnedBase) and base.weights.has("policy")):
         return f"{method.model}.toml in {folder} has no policy among its weights"
@@ -119,12 +136,12 @@ def _lack(method: Method, folder: Path) -> str:
     return ""
 
 
-def model_path(name: str, folder: Path) -> str | None:
-    """The model's file in the folder, else its name if it ships, else None."""
+def model_path(name: str, folder: Path, *, ships: bool = True) -> str | None:
+    """The model's file in the folder, else its name if it ships and those that ship will do, else None."""
     path = folder / f"{name}.toml"
     if path.is_file():
         return str(path)
-    return name if name in shipped_models() else None
+    return name if ships and name in shipped_models() else None
 
 
 @lru_cache(maxsize=16)

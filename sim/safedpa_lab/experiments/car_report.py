@@ -36,7 +36,8 @@ def write_report(result: dict[str, Any], out: Path) -> None:
 def markdown_of(result: dict[str, Any]) -> str:
     """The tables of a result: success and safety, prediction errors, latents, margins, as far as they were run."""
     first, last = result["seeds"]
-    parts = [f"Seeds of the episodes: {first} to {last}.\n"]
+    policies = f"Policies: {result['family']['words']}. " if "family" in result else ""
+    parts = [f"{policies}Seeds of the episodes: {first} to {last}.\n"]
     if "cells" in result:
         parts.append(table_markdown(result["cells"]))
     if "errors" in result:
@@ -98,7 +99,9 @@ def _margin_markdown(margin: dict[str, Any]) -> str:
         cells = [_epsilons(kinds[kind]) if kind in kinds else "-" for kind in ("obstacle", "field", "speed")]
         covered = ", ".join(f"{100 * row['conformal']['share']:.1f} %" for row in kinds.values())
         lines.append(f"| {MODEL_TITLES.get(name, name)} | {' | '.join(cells)} | {covered} |")
-    return "\n".join([*lines, "", f"Used by every filter: {margin['used']}."]) + "\n"
+    loads = ", ".join(margin.get("calibrated_with", ()))
+    told = f"Used by every filter: {margin['used']}{f', calibrated with {loads}' if loads else ''}."
+    return "\n".join([*lines, "", told]) + "\n"
 
 
 def _epsilons(row: dict[str, Any]) -> str:

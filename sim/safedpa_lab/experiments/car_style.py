@@ -24,6 +24,7 @@ METHOD_COLOURS = {
     "safedpa_untuned": SKY,
     "rma": ORANGE,
     "rma_p": "#F0C878",
+    "ppo": "#9E2A2B",
     "fix": GREEN,
     "mix": "#7FCBB5",
     "policy": RED,

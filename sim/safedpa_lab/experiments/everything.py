@@ -16,6 +16,7 @@ from typing import Any, Final, final
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa.records.atomic import atomic_path
+from safedpa_lab.experiments.car_family import FAMILIES
 from safedpa_lab.provenance.check import Standing, standings
 
 __all__ = ["ELSEWHERE", "PARTS", "Part", "chosen", "is_made", "make"]
@@ -41,6 +42,10 @@ class Part:
     where: str = "--out"
     data: bool = False
     """Whether it needs the recordings of ``--data``."""
+    models: str = ""
+    """Folder of models that do not ship, which it needs."""
+    training: str = ""
+    """The command that makes them."""
 
     def result(self, out: Path) -> Path:
         """The file of its result below the folder of all."""
@@ -110,6 +115,15 @@ PARTS: Final = (
     Part("theory", ("theory", "car_learned"), ("--states", "2000"), 2),
     Part("car", ("car",), ("--episodes", "1", "--part", "table", "--load", "none"), 60, "car.json"),
     Part(
+        "car-paper",
+        ("car", "--family", "paper"),
+        ("--episodes", "1", "--part", "table", "--load", "none"),
+        60,
+        "car.json",
+        models=str(FAMILIES["paper"].models),
+        training=FAMILIES["paper"].training,
+    ),
+    Part(
         "pendulum",
         ("pendulum", "--seed", "2100"),
         ("--directions", "2", "--episodes", "1", "--sweep-episodes", "0", "--drives", "4"),
@@ -157,9 +171,9 @@ ELSEWHERE: Final = {
 
 
 def chosen(names: Sequence[str], data: Path | None) -> list[Part]:
-    """The parts of these names, all without any; those that need recordings only where there are some.
+    """The parts of these names, all without any; those that need recordings or models only where there are some.
 
-    Raises InputError for a name that there is not, or one that needs recordings without these.
+    Raises InputError for a name that there is not, or one that needs recordings or models without these.
     """
     known = {part.name: part for part in PARTS}
     for name in names:
@@ -167,8 +181,14 @@ def chosen(names: Sequence[str], data: Path | None) -> list[Part]:
             raise InputError(f"--only {name}: {did_you_mean(name, known)}")
         if known[name].data and data is None:
             raise InputError(f"--only {name}: got no --data, wanted the folder of the recordings that it reads")
+        if not _is_trained(known[name]):
+            raise InputError(f"--only {name}: no {known[name].models}; '{known[name].training}' makes it")
     wanted = [known[name] for name in names] if names else list(PARTS)
-    return [part for part in wanted if data is not None or not part.data]
+    return [part for part in wanted if (data is not None or not part.data) and _is_trained(part)]
+
+
+def _is_trained(part: Part) -> bool:
+    return not part.models or Path(part.models).is_dir()
 
 
 def is_made(part: Part, out: Path, account: Mapping[str, Any], *, small: bool) -> bool:

@@ -6,7 +6,7 @@ Before each action stands the safety filter, so that the policy learns to drive 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -37,7 +37,7 @@ def practice(
     configuration: Configuration, weights: Weights, count: int, seed: int, penalty: float, sheltered: bool
 ) -> Driving:
     """Cars to train on; ``penalty`` is for contacts, ``sheltered`` by a stand-in for the filter."""
-    rewards = Rewards(penalty=penalty)
+    rewards = replace(Rewards.of(configuration), penalty=penalty)
     return Driving(configuration, weights, count, seed, rewards=rewards, sheltered=sheltered)
 
 
@@ -46,7 +46,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """One drive of each car under the policy without noise: the share that reach the goal within 15 s, and contacts.
 
-    ``success_by_radius`` tells the same for the footprint of the car alone and of each load, by the nearest radius [m].
+    ``clean``: that reach it and touched nothing before. ``success_by_radius`` tells the share that reach it for the
+    footprint of the car alone and of each load, by the nearest radius [m].
     """
     driving = Driving(configuration, weights, cars, seed + _EVALUATION_SEED, sheltered=sheltered, calm=True)
     policy = LearnedPolicy(weights)
@@ -66,6 +67,7 @@ def evaluate(
     group = np.abs(driving.scene.footprint[:, 2, np.newaxis] - radii).argmin(axis=1)
     return {
         "success": float(reached.mean()),
+        "clean": float((reached & (contacts == 0)).mean()),
         "contacts": float(contacts.mean()),
         "nearest": float(nearest.mean()),
         "reward": float(gained.mean()),
@@ -140,10 +142,16 @@ class Rewards:
     penalty: float = 0.0
     """At the first tick of a contact: the strong penalty of RMA-P."""
 
+    @classmethod
+    def of(cls, configuration: Configuration) -> Rewards:
+        """Those of a configuration, without a penalty."""
+        return cls(near=configuration.practice.near, contact=configuration.practice.contact)
+
 
 @final
 class Driving:
-    """``count`` cars; the same seed gives the same drives. ``sheltered`` puts the filter before each.
+    """``count`` cars; the same seed gives the same drives. ``sheltered`` puts the filter before each, unless the
+    configuration's ``practice`` has no shelter.
 
     ``latent`` of each car is mu(e) of the weights. ``calm``: every drive begins at rest, and its environment stays.
     """
@@ -161,8 +169,8 @@ class Driving:
     ) -> None:
         self.count = count
         self.calm = calm
-        self.rewards = rewards or Rewards()
-        self.sheltered = sheltered
+        self.rewards = rewards or Rewards.of(configuration)
+        self.sheltered = sheltered and configuration.practice.shelter
         self._cars = BatchedCars(configuration)
         self._shelter = CarShelter(self._cars.model)
         self.period = self._cars.model.period
@@ -170,7 +178,9 @@ class Driving:
         self._generator = self._cars.generator(seed)
         self._random = np.random.default_rng([seed, 11])
         self._middle, self._scale = weights["action_middle"], weights["action_scale"]
-        self._pool = draw_scenes(self._random, min(16 * count, _POOL))
+        self._pool = draw_scenes(self._random, min(16 * count, _POOL), loads=configuration.practice.loads)
+        self.body: Floats | None = None if configuration.practice.footprint else np.array(FOOTPRINTS[0], np.float32)
+        """(3,) rear, front, radius [m]: what the policy sees in place of every footprint."""
         self.scene: ScenePool = self._pool.taken(np.zeros(count, dtype=np.int64))
         self.state: Floats = np.zeros((count, 4), dtype=np.float32)
         self.applied: Floats = np.zeros((count, 2), dtype=np.float32)
@@ -207,7 +217,8 @@ class Driving:
         """What the policy sees of the cars of those indices, all of them without (count, observations)."""
         scene = self.scene.taken(which)
         own = self.state[which], self.applied[which]
-        seen = observe(*own, scene.goal, scene.obstacles, scene.field, scene.footprint, self.latent[which])
+        body = scene.footprint if self.body is None else np.broadcast_to(self.body, scene.footprint.shape)
+        seen = observe(*own, scene.goal, scene.obstacles, scene.field, body, self.latent[which])
         return seen.astype(np.float32, copy=False)
 
     def exploring(self, random: np.random.Generator) -> Floats:

@@ -28,6 +28,7 @@ __all__ = [
     "Phase1b",
     "Phase2",
     "Phase3",
+    "Practising",
     "configurations",
     "limited",
     "load_configuration",
@@ -160,6 +161,32 @@ class Phase3:
 
 
 @dataclass(frozen=True)
+class Practising:
+    """In what world a car's policy practises, and what it is told of it; other robots have ``cost`` alone."""
+
+    shelter: bool = True
+    """A stand-in of the filter before each action; without, nowhere: neither in phase 1b nor in phase 2."""
+    loads: bool = True
+    """Scenes for the footprint with each load; without, for the robot alone."""
+    footprint: bool = True
+    """The policy sees free space around its footprint, and the radius; without, around its own body, always."""
+    near: float = limited(0.05, 0.0)
+    """Reward lost in a period at contact, falling to 0 at a clearance of 0.2 m."""
+    contact: float = limited(0.05, 0.0)
+    """Reward lost in each period of a contact."""
+    cost: float = limited(0.0, 0.0)
+    """Of a contact, when the best of a training's policies is chosen: return - cost x contacts on development drives;
+    0: by the share that reach the goal alone."""
+    penalties: tuple[float, ...] = ()
+    """Grid of RMA-P: one policy each, the best of them chosen in the same way; empty: ``ablations.penalty`` alone."""
+
+    def __post_init__(self) -> None:
+        for value in self.penalties:
+            if type(value) not in (int, float) or not 0.0 < value < math.inf:
+                raise InputError(f"practice.penalties: got {value!r}, wanted positive numbers")
+
+
+@dataclass(frozen=True)
 class Ablations:
     """f and g that know no environment: Fix, trained where nothing acts, and Mix, trained in all environments."""
 
@@ -193,6 +220,7 @@ class Configuration:
     """Share of the environments in which a given effect does nothing."""
     phase_1a: Phase1a = Phase1a()
     imitation: Imitation = Imitation()
+    practice: Practising = Practising()
     phase_1b: Phase1b = Phase1b()
     phase_2: Phase2 = Phase2()
     phase_3: Phase3 = Phase3()
@@ -215,6 +243,8 @@ class Configuration:
         chosen = {name: asdict(getattr(self, name)) for name in sections if name in _SECTIONS}
         if not self.imitation.rounds:
             chosen.pop("imitation", None)  # nothing is made from it
+        if self.practice == Practising():
+            chosen.pop("practice", None)  # what was made before there was a choice is of today
         text = json.dumps({**plain, **chosen}, sort_keys=True)
         return sha256(text.encode()).hexdigest()[:12]
 
@@ -278,7 +308,10 @@ def parse_configuration(text: str, folder: Path) -> Configuration:
         if item.name in table and item.name not in skipped
     }
     known: dict[str, Any] = {**ranges, **sections, **plain}
-    return Configuration(simulator=simulator, **known)
+    found = Configuration(simulator=simulator, **known)
+    if found.robot != "car" and replace(found.practice, cost=0.0) != Practising():
+        raise InputError(f"practice: got settings of a car for robot '{found.robot}', wanted cost alone")
+    return found
 
 
 def _environment(simulator: PhysicsModel, table: Mapping[str, Any]) -> dict[str, _Range]:

@@ -134,14 +134,15 @@ class PolicyCheckpoint:
     path: Path
     digest: str
 
-    def write(self, algorithm: PPO, curve: list[dict[str, Any]]) -> None:
-        """Networks, optimiser, steps so far and the learning curve; whole or not at all."""
+    def write(self, algorithm: PPO, curve: list[dict[str, Any]], chosen: Weights) -> None:
+        """Networks, optimiser, steps so far, the learning curve and the best policy of it; whole or not at all."""
         content = {
             "digest": self.digest,
             "steps": algorithm.num_timesteps,
             "policy": algorithm.policy.state_dict(),
             "optimiser": algorithm.policy.optimizer.state_dict(),
             "curve": json.dumps(curve),
+            "chosen": {name: torch.from_numpy(part.copy()) for name, part in _policy_of(chosen).items()},
         }
         with atomic_path(self.path) as unfinished:
             torch.save(content, unfinished)
@@ -157,7 +158,8 @@ class PolicyCheckpoint:
             content: dict[str, Any] = torch.load(self.path, map_location="cpu", weights_only=True)
             if content["digest"] != self.digest:
                 return None
-            return {**content, "curve": json.loads(content["curve"])}
+            chosen = {name: part.numpy() for name, part in content["chosen"].items()}
+            return {**content, "curve": json.loads(content["curve"]), "chosen": chosen}
         except (OSError, RuntimeError, EOFError, KeyError, ValueError, TypeError, UnpicklingError) as error:
             raise InputError(
                 f"{self.path}: no usable checkpoint ({error}); remove it to train from the beginning"
@@ -184,9 +186,9 @@ def train_policy(
     """Trains until the share of evaluation drives that reach their goal is ``enough``, or the steps are used up.
 
     ``penalty`` is taken off the reward when a contact begins; ``sheltered``: a stand-in for the filter limits what the
-    robot does; without one it has to learn by itself what not to do (RMA-P). Returns the weights with the policy, and
-    the learning curve with what was reached. An interrupted training goes on from its checkpoint in ``out``; ``name``
-    is the stage's. Raises InputError for weights without mu.
+    robot does; without one, or in a ``practice`` without, it has to learn by itself what not to do (RMA-P). Returns the
+    weights with the best policy of the evaluations, and the learning curve with what was reached. An interrupted
+    training goes on from its checkpoint in ``out``; ``name`` is the stage's. Raises InputError for weights without mu.
     """
     if weights.description.latents and not weights.has("mu"):
         raise InputError("phase 1b: got weights without mu, wanted those of phase 1a; run it first")
@@ -212,9 +214,9 @@ class _Training:
     ) -> None:
         self.configuration, self.weights, self.tell = configuration, weights, tell
         self.phase = configuration.phase_1b
-        self.name, self.penalty, self.sheltered, self.best = name, penalty, sheltered, -1.0
+        self.name, self.penalty, self.sheltered, self.best = name, penalty, sheltered, -math.inf
         self.curve: list[dict[str, Any]] = []
-        made_from = configuration.digest("phase_1a", "imitation", "phase_1b")
+        made_from = configuration.digest("phase_1a", "imitation", "phase_1b", "practice")
         digest = f"{self.name} {penalty} {weights.digest} {made_from}"
         self.checkpoint = PolicyCheckpoint(out / f"checkpoint_{self.name}.pt", digest)
         self.task = task_of(configuration.robot)
@@ -249,7 +251,7 @@ class _Training:
         policy.optimizer.load_state_dict(known["optimiser"])
         self.algorithm.num_timesteps = known["steps"]
         self.curve = known["curve"]
-        self.chosen, self.best = self.trained(), _score(self.curve[-1])
+        self.chosen, self.best = self.weights.with_tensors(known["chosen"]), max(map(self._score, self.curve))
 
     def _algorithm(self, device: torch.device) -> PPO:
         phase = self.phase
@@ -298,12 +300,15 @@ class _Training:
         steps = self.algorithm.num_timesteps
         training = {"training_success": rate, "training_contacts": contacts, "noise": self.noise()}
         self.curve.append({"steps": steps, **training, **figures})
-        if _score(figures) >= self.best:
-            self.best, self.chosen = _score(figures), now
-        self.checkpoint.write(self.algorithm, self.curve)
+        if self._score(figures) >= self.best:
+            self.best, self.chosen = self._score(figures), now
+        self.checkpoint.write(self.algorithm, self.curve, self.chosen)
         note = f"reached {figures['success']:.3f}, contacts {figures['contacts']:.2f}"
         self.tell(self.name, steps, self.phase.steps, note)
         return bool(figures["success"] >= self.phase.enough)
+
+    def _score(self, figures: dict[str, Any]) -> float:
+        return _score(figures, self.configuration.practice.cost)
 
     def noise(self) -> float:
         """Standard deviation of the actions that are tried now, as a share of half their range."""
@@ -315,6 +320,9 @@ class _Training:
         policy: Any = self.algorithm.policy
         layers = [policy.mlp_extractor.policy_net[0], policy.mlp_extractor.policy_net[2], policy.action_net]
         tensors = {"observation_middle": self.middle, "observation_scale": self.scale}
+        body = getattr(self.environment.practice, "body", None)  # a car's alone
+        if body is not None:
+            tensors["observation_body"] = body
         for index, layer in enumerate(layers):
             tensors[f"policy.{index}.weight"] = layer.weight.detach().cpu().numpy()
             tensors[f"policy.{index}.bias"] = layer.bias.detach().cpu().numpy()
@@ -324,7 +332,8 @@ class _Training:
         """The best weights of the evaluations, and what is worth recording."""
         figures = self.evaluated(self.chosen, 4 * self.phase.evaluation_cars)
         told = {"imitation_errors": self.errors} if self.errors else {}
-        summary = {"steps": self.algorithm.num_timesteps, **told, **figures, "learning_curve": self.curve}
+        rule = {"cost": self.configuration.practice.cost, "score": self._score(figures)}
+        summary = {"steps": self.algorithm.num_timesteps, **told, **figures, **rule, "learning_curve": self.curve}
         self.checkpoint.path.unlink(missing_ok=True)
         return self.chosen, summary
 
@@ -348,9 +357,19 @@ class _Watch(BaseCallback):
             self._good = self._training.look()
 
 
-def _score(figures: dict[str, Any]) -> float:
-    """What the best policy is chosen by: goals in an evaluation's time, or the share of drives that reach theirs."""
+def _score(figures: dict[str, Any], cost: float) -> float:
+    """What the best policy is chosen by: return less ``cost`` for each contact.
+
+    Without a cost: goals in an evaluation's time, or the share of drives that reach theirs.
+    """
+    if cost:
+        return float(figures["reward"] - cost * figures["contacts"])
     return float(figures.get("goals", figures["success"]))
+
+
+def _policy_of(weights: Weights) -> dict[str, Floats]:
+    """The tensors that a training of the policy makes."""
+    return {name: part for name, part in weights.tensors.items() if name.startswith(("policy.", "observation_"))}
 
 
 def _scales(practice: Practice) -> tuple[Floats, Floats]:

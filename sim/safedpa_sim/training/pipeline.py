@@ -35,7 +35,7 @@ def run_pipeline(
     model file into ``out``, seconds, seeds and losses into ``progress.json``. Raises InputError for an unknown phase,
     an earlier phase that is missing, or a device that this machine does not have.
     """
-    stages = stages_of(configuration.robot)
+    stages = stages_of(configuration.robot, configuration.practice.penalties)
     chosen = tuple(phases) or tuple(stages)
     for name in chosen:
         if name not in stages:

@@ -66,9 +66,12 @@ class ScenePool:
         return ScenePool(**{item.name: getattr(self, item.name)[which] for item in fields(self)})
 
 
-def draw_scenes(random: np.random.Generator, count: int) -> ScenePool:
-    """Scenes; half of them lead across the middle as in the car experiment, half from anywhere to anywhere."""
-    radius = _footprint_radii(random, count)
+def draw_scenes(random: np.random.Generator, count: int, *, loads: bool = True) -> ScenePool:
+    """Scenes; half of them lead across the middle as in the car experiment, half from anywhere to anywhere.
+
+    Without ``loads`` all are for the car alone, and no footprint but its own occurs.
+    """
+    radius = _footprint_radii(random, count) if loads else np.full(count, FOOTPRINTS[0][2])
     half = random.uniform(*_HALF_FIELD, count)
     crossing = random.random(count) < _CROSSING
     start, goal = _ends(random, radius, half, crossing)

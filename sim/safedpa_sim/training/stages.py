@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from safedpa.extras import need
-from safedpa.networks import Weights
+from safedpa.networks import Weights, load_weights
 from safedpa.networks.frame import frame_of
 from safedpa_sim.training.configuration import Configuration
 from safedpa_sim.training.phase_1a import train_affine
-from safedpa_sim.training.progress import Tell
+from safedpa_sim.training.progress import Tell, read_record
 
 __all__ = ["Stage", "Trained", "phase_function", "stages_of"]
 
@@ -44,13 +44,14 @@ class Stage:
     """Beginnings of the names of tensors that it makes itself, or that were made from those: it must not see them."""
 
 
-def stages_of(robot: str) -> dict[str, tuple[Stage, ...]]:
+def stages_of(robot: str, penalties: tuple[float, ...] = ()) -> dict[str, tuple[Stage, ...]]:
     """The stages of each phase, in order: of a robot without a task for its policy, dynamics and history alone.
 
-    Raises InputError for a kind of robot whose networks have no frame.
+    With ``penalties`` a car's ablations are PPO without a latent as well, and RMA-P as the best of a grid. Raises
+    InputError for a kind of robot whose networks have no frame.
     """
     if robot in _STAGES:
-        return _STAGES[robot]
+        return {**_STAGES[robot], "ablations": _grid(penalties)} if penalties else _STAGES[robot]
     frame_of(robot)
     phases = _common(_LEARNED)
     return {"1a": phases["1a"], "2": tuple(replace(stage, needs=()) for stage in phases["2"])}
@@ -85,7 +86,7 @@ def _penalised(configuration: Configuration, given: Weights, out: Path, tell: Te
 
 
 _SIMULATED, _LEARNED = "{robot}_simulated", "{robot}_learned"
-_TO_POLICY = ("phase_1a", "imitation", "phase_1b")
+_TO_POLICY = ("phase_1a", "imitation", "phase_1b", "practice")
 _TO_HISTORY = (*_TO_POLICY, "phase_2")
 _ALONE = ("phase_1a", "ablations")
 _POLICY = ("policy.", "observation_")
@@ -130,14 +131,44 @@ def _in_force(direction: int, strength: float = 1.54) -> Stage:
     return _alone(f"fix_{direction}", force)
 
 
-def _punished(penalty: float) -> Stage:
-    """RMA-P for the pendulum, with a penalty of its own; RMA without one."""
+def _punished(penalty: float, source: str = _LEARNED) -> Stage:
+    """RMA-P with a penalty of its own; RMA without one."""
     name = f"rma_p_{penalty:g}".replace(".", "_") if penalty else "rma"
     train = _later("phase_1b", "train_policy", name=name, penalty=penalty, sheltered=False)
-    return _with_penalty(name, _LEARNED, train)
+    return _with_penalty(name, source, train)
 
 
-_PLAIN = _later("phase_1b", "train_policy", name="ppo", sheltered=False)
+def _grid(penalties: tuple[float, ...]) -> tuple[Stage, ...]:
+    """A car's Fix and Mix, PPO on the latter, RMA-P for each penalty, and the best of those with a phi of its own."""
+    members = tuple(_punished(penalty, _SIMULATED) for penalty in penalties)
+    best = _with_penalty("rma_p", _SIMULATED, _best_of(members))
+    return (_alone("fix", {}), _alone("mix"), _PPO, *members, replace(best, drops=(*_POLICY, "phi.")))
+
+
+def _best_of(members: tuple[Stage, ...]) -> Train:
+    """The member of the highest score on development drives, and a history encoder taught on its drives."""
+
+    def train(configuration: Configuration, given: Weights, out: Path, tell: Tell, device: str) -> Trained:
+        del given
+        record = read_record(out)
+        scores = {stage.name: float(record[stage.name]["score"]) for stage in members}
+        best = max(scores, key=lambda name: scores[name])
+        weights = load_weights(out / record[best]["file"])
+        made, told = _later("phase_2", "train_history_encoder")(configuration, weights, out, tell, device)
+        return made, {**told, "chosen": best, "scores": scores}
+
+    return train
+
+
+_PPO = Stage(
+    "ppo",
+    (*_TO_POLICY, "ablations"),
+    "{robot}_mix",
+    "{robot}_ppo",
+    ("policy",),
+    _later("phase_1b", "train_policy", name="ppo", sheltered=False),
+)
+"""A policy that knows no latent, in all environments."""
 _STAGES: Final = {
     "car": {
         **_common(_SIMULATED),
@@ -159,7 +190,7 @@ _STAGES: Final = {
         "ablations": (
             *(_in_wind(direction) for direction in (45, 135, 225, 315)),
             _alone("mix"),
-            Stage("ppo", (*_TO_POLICY, "ablations"), "{robot}_mix", "{robot}_ppo", ("policy",), _PLAIN),
+            _PPO,
             *(_punished(penalty) for penalty in (0.0, 0.1, 1.0, 10.0)),
         ),
     },

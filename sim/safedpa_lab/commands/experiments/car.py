@@ -19,9 +19,13 @@ __all__ = ["command"]
 @click.option(
     "--models",
     type=click.Path(path_type=Path),
-    default=Path("learned/car"),
+    help="folder of the learned models; learned/car or learned/car_paper when left out, by the family",
+)
+@click.option(
+    "--family",
+    default="best",
     show_default=True,
-    help="folder of the learned models; what is not in it is looked for among those that ship",
+    help="policies: best, ours with all that helps them; paper, trained and calibrated without loads and the filter",
 )
 @click.option("--episodes", type=int, default=100, show_default=True, help="of each method and configuration")
 @click.option("--first-seed", type=int, default=0, show_default=True, help="of the episodes' scenes")
@@ -45,14 +49,17 @@ def command(**options: Any) -> None:
     """SafeDPA and its ablations on the car.
 
     Success and safety in four configurations, prediction errors with and without tuning, latents, margins. Methods
-    whose models are not there are left out, and named. With --out a run that was broken off goes on where it stopped.
+    whose models are not there are left out, and named. What is not in --models is looked for among the models that
+    ship, for the family best alone. With --out a run that was broken off goes on where it stopped.
     """
     from safedpa_lab.experiments.car import CarExperiment, car_experiment
+    from safedpa_lab.experiments.car_family import family_named
     from safedpa_lab.experiments.car_report import markdown_of, write_report
     from safedpa_services.progress import progress
 
     experiment = CarExperiment(
-        **{name: options[name] for name in ("models", "episodes", "first_seed", "methods", "settings", "processes")},
+        models=options["models"] or family_named(options["family"]).models,
+        **{name: options[name] for name in ("family", "episodes", "first_seed", "methods", "settings", "processes")},
         **{name: options[name] for name in ("drives", "drive_ticks", "out")},
         **{name: options[name] for name in ("loads", "parts") if options[name]},
         margin=_margin(options["margin"]),

@@ -1,0 +1,201 @@
+"""Families of the car experiment: the paper's takes no model of another world and calibrates without loads."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import product
+from math import hypot
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.experiments.conftest import crude_weights, save_crude
+
+from safedpa.dynamics import load_model
+from safedpa.errors import InputError
+from safedpa.networks import Weights
+from safedpa.safety.braking import Braking
+from safedpa.safety.shipped import settings_named
+from safedpa_lab.experiments import car as experiment
+from safedpa_lab.experiments.car import CarExperiment
+from safedpa_lab.experiments.car_drives import DriveOrder
+from safedpa_lab.experiments.car_family import FAMILIES, family_named
+from safedpa_lab.experiments.car_methods import METHODS, chosen_methods, named_model
+from safedpa_lab.experiments.car_orders import FIRST_SEEDS
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.robots import LOADS, CarWorld
+from safedpa_sim.robots.footprint import footprint
+from safedpa_sim.training import car_task
+from safedpa_sim.training.configuration import load_configuration
+
+PAPER = FAMILIES["paper"]
+
+
+def weights_of(latents: int, name: str = "car_paper", **practice: Any) -> Weights:
+    """Crude ones, said to be trained with a configuration, with some of its ``practice`` changed."""
+    configuration = load_configuration(name)
+    configuration = replace(configuration, practice=replace(configuration.practice, **practice))
+    crude = crude_weights(latents)
+    described = replace(crude.description, trained_on={"configuration": configuration.as_table()})
+    return crude.with_tensors({"observation_body": np.array(footprint(None))} if latents else {}, described)
+
+
+@pytest.fixture(scope="module")
+def paper_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All models that the family asks for."""
+    folder = tmp_path_factory.mktemp("paper")
+    for name in ("car_learned", "car_simulated", "car_rma_p", "car_ppo"):
+        save_crude(folder, name, weights_of(2))
+    for name in ("car_fix", "car_mix"):
+        save_crude(folder, name, weights_of(0))
+    return folder
+
+
+def test_every_method_of_the_paper_s_world_is_driven_by_its_own_models(paper_folder: Path) -> None:
+    present, missing = chosen_methods((), paper_folder, PAPER)
+    assert [item.name for item in present] == ["safedpa", "safedpa_untuned", "rma", "rma_p", "ppo", "fix", "mix"]
+    assert missing == []
+    assert METHODS["ppo"].filter_model is METHODS["rma"].filter_model is METHODS["rma_p"].filter_model is None
+    assert not METHODS["ppo"].adaptive
+
+
+def test_nothing_that_ships_stands_in_for_a_model_that_lacks(tmp_path: Path) -> None:
+    present, missing = chosen_methods((), tmp_path, PAPER)
+    assert present == []
+    assert "car_learned.toml is not in" in missing[0]
+    with pytest.raises(InputError, match="'safedpa train car --configuration car_paper --out"):
+        chosen_methods(("safedpa",), tmp_path, PAPER)
+    with pytest.raises(InputError, match="not in"):
+        chosen_methods(("physics",), tmp_path, PAPER)
+
+
+@pytest.mark.parametrize(
+    ("weights", "told"),
+    [
+        (weights_of(2, "car"), "was trained with towed_load.deceleration, towed_load.mass_ratio in its environment"),
+        (weights_of(2, shelter=True), "was trained with practice.shelter = true"),
+        (weights_of(2, loads=True), "was trained with practice.loads = true"),
+        (weights_of(2, footprint=True), "was trained with practice.footprint = true"),
+        (crude_weights(2), "was trained with nobody knows what in its environment"),
+    ],
+)
+def test_a_model_of_another_world_is_refused(weights: Weights, told: str, tmp_path: Path) -> None:
+    save_crude(tmp_path, "car_simulated", weights)
+    with pytest.raises(InputError) as caught:
+        chosen_methods(("rma",), tmp_path, PAPER)
+    assert told in str(caught.value)
+    assert chosen_methods(("rma",), tmp_path)[0] == [METHODS["rma"]]
+
+
+def test_a_policy_that_sees_the_footprint_is_refused_and_so_is_physics(paper_folder: Path, tmp_path: Path) -> None:
+    good = weights_of(2)
+    tensors = {name: part for name, part in good.tensors.items() if name != "observation_body"}
+    save_crude(tmp_path, "car_simulated", Weights(tensors, good.description))
+    assert PAPER.refuses(named_model("car_simulated", tmp_path).base) == "holds a policy that sees the footprint"
+    assert "no learned one" in PAPER.refuses(load_model("car").base)
+    assert PAPER.refuses(named_model("car_learned", paper_folder).base) == ""
+
+
+def test_margins_are_calibrated_without_a_load_and_on_as_many_drives(
+    paper_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: dict[str, list[DriveOrder]] = {}
+
+    class AskedError(Exception):
+        pass
+
+    def recorded(run: Any, _workers: Any, orders: list[DriveOrder]) -> Any:
+        asked.setdefault(run._family.name, []).extend(orders)
+        if len(asked[run._family.name]) > len(orders):
+            raise AskedError
+        return []
+
+    monkeypatch.setattr(experiment._Run, "_recorded", recorded)
+    for name in FAMILIES:
+        with pytest.raises(AskedError):
+            experiment.car_experiment(CarExperiment(paper_folder, methods=("safedpa",), family=name, processes=1))
+    assert len(asked["paper"]) == len(asked["best"])
+    assert {order.load for order in asked["best"]} == {"none", "box", "chair", "large_chair"}
+    assert {order.load for order in asked["paper"]} == {"none"}
+    for orders in asked.values():
+        first, second = FIRST_SEEDS["margin"], FIRST_SEEDS["fresh"]
+        assert all(first <= order.seed < FIRST_SEEDS["errors"] for order in orders)
+        assert {order.seed < second for order in orders} == {True, False}
+
+
+def test_seeds_of_episodes_calibration_and_development_are_apart() -> None:
+    """Episodes below those of recorded drives; policies are chosen on scenes of another kind, with seeds beyond all."""
+    with pytest.raises(InputError, match="wanted seeds from 0 and below 5000"):
+        CarExperiment(Path(), first_seed=4990, episodes=20, family="paper")
+    assert max(FIRST_SEEDS.values()) + 1000 < car_task._EVALUATION_SEED
+
+
+def test_only_what_was_measured_without_a_load_differs_in_the_filter_s_settings() -> None:
+    today, paper = FAMILIES["best"].settings("car"), PAPER.settings("car")
+    assert today == settings_named("car")
+    assert replace(paper, barriers=today.barriers) == today
+    changed = {name for name in paper.barriers if paper.barrier(name) != today.barrier(name)}
+    assert changed == {"braking_deceleration", "braking_gain"}
+
+
+def way_over_promise(world: CarWorld, braking: Braking) -> float:
+    """Way to standstill along the path, from now on under the brake, over the way that ``braking`` promises."""
+    x, y, _, speed = world.state
+    promised, way = abs(braking.distance(speed)), 0.0
+    for _ in range(80):
+        world.advance(0.0, 0.0, 0.025)
+        there_x, there_y, _, _ = world.state
+        way += hypot(there_x - x, there_y - y)
+        x, y = there_x, there_y
+    return way / promised
+
+
+def test_the_braking_numbers_hold_without_a_load_and_know_of_none() -> None:
+    """Over steers, speeds, steady and still accelerating, from 0.2 m/s on; a large chair hitched on the way is more."""
+    settings = PAPER.settings("car")
+    braking = Braking(settings.barrier("braking_deceleration"), settings.barrier("braking_gain"))
+    shares = []
+    for steer, periods, speed in product((0.0, -0.34), (4, 8, 60), (0.3, 0.8, 1.4, 2.0, -0.6)):
+        world = driven(speed, steer, periods)
+        if abs(world.state[3]) > 0.2:
+            shares.append(way_over_promise(world, braking))
+    assert max(shares) < 1.0 / 1.125
+    towing = driven(2.0, 0.0, 100)
+    towing.hitch(LOADS["large_chair"])
+    assert way_over_promise(towing, braking) > 1.0
+
+
+def driven(speed: float, steer: float, periods: int) -> CarWorld:
+    """The car without a load on an open field after so many periods of 0.05 s under that target speed and steer."""
+    world = CarWorld((0.0, 0.0, 0.0), (-500.0, 500.0, -500.0, 500.0))
+    for _ in range(periods):
+        world.advance(speed, steer, 0.05)
+    return world
+
+
+def test_an_unknown_family_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="family 'papr': did you mean 'paper'"):
+        family_named("papr")
+    assert safedpa.run(["experiment", "car", "--family", "papr", "--models", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_the_table_of_the_paper_s_world_names_it(
+    paper_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three methods on one scene with a box, by the command: margins, cells and page as for the other family."""
+    words = ["experiment", "car", "--family", "paper", "--models", str(paper_folder), "--out", str(tmp_path)]
+    words += ["--method", "safedpa", "--method", "rma", "--method", "ppo", "--load", "box", "--episodes", "1"]
+    assert safedpa.run([*words, "--drives", "1", "--part", "table", "--processes", "1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["family"]["name"] == "paper"
+    assert told["margin"]["calibrated_with"] == ["none"]
+    cells = {cell["method"]: cell for cell in told["cells"]}
+    assert cells["safedpa"]["safe"]["hits"] == 1
+    assert cells["rma"]["safe"]["hits"] == cells["ppo"]["safe"]["hits"] == 0, "it drives straight on"
+    page = (tmp_path / "car.md").read_text()
+    assert "trained in the paper's world" in page
+    assert "calibrated with none" in page

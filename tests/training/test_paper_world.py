@@ -1,0 +1,264 @@
+"""The car in the paper's world: no load in what is randomised, no footprint in what is seen, no filter before it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from safedpa.bus import StateMessage
+from safedpa.errors import InputError
+from safedpa.networks import Weights
+from safedpa.policy.learned import LearnedPolicy
+from safedpa_services.command_line.group import safedpa
+from safedpa_sim.robots.core import CarRobot
+from safedpa_sim.robots.footprint import footprint
+from safedpa_sim.robots.scene import Scene
+from safedpa_sim.training import car_task, phase_1b, stages
+from safedpa_sim.training.car_task import Driving, evaluate, practice
+from safedpa_sim.training.configuration import Configuration, Practising, load_configuration, parse_configuration
+from safedpa_sim.training.configuration import configurations as shipped
+from safedpa_sim.training.networks import AffineNetworks, AffineSizes
+from safedpa_sim.training.phase_1b import PolicyCheckpoint, train_policy
+from safedpa_sim.training.scenes import draw_scenes
+from safedpa_sim.training.simulator import BatchedCars
+from safedpa_sim.training.stages import stages_of
+from safedpa_sim.training.transitions import scales
+from safedpa_sim.training.weights_export import export_weights
+
+BODY = np.array(footprint(None), dtype=np.float32)
+
+
+def untrained(configuration: Configuration) -> Weights:
+    """Networks that nobody trained: mu gives some z for every environment."""
+    cars = BatchedCars(configuration)
+    zeros = torch.zeros(configuration.latents)
+    vectors = scales(cars, 0) | {"latent_low": zeros - 1, "latent_high": zeros + 1, "latent_nominal": zeros}
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        sizes = AffineSizes(3, 4, 2, len(cars.entries), configuration.latents, 8, 8)
+        return export_weights(AffineNetworks("car", sizes, vectors), cars, configuration, {})
+
+
+@pytest.fixture(scope="module")
+def small() -> Configuration:
+    found = load_configuration("car_paper_small")
+    brief = replace(found.phase_1b, cars=8, rollout=4, batch=32, steps=128, evaluate_every=2, evaluation_cars=4)
+    return replace(found, phase_1b=brief)
+
+
+@pytest.fixture(scope="module")
+def weights(small: Configuration) -> Weights:
+    return untrained(small)
+
+
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1 s a drive in place of 15: what an evaluation makes of a training is looked at here, no figure of it."""
+    monkeypatch.setattr(car_task, "EPISODE_TICKS", 20)
+
+
+@pytest.fixture
+def taught(small: Configuration, weights: Weights, brief: None, tmp_path: Path) -> tuple[Weights, dict[str, Any]]:
+    return train_policy(small, weights, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["car_paper", "car_paper_small"])
+def test_a_force_is_all_that_is_randomised_and_nothing_of_loads_or_the_filter_is_practised_with(name: str) -> None:
+    configuration = load_configuration(name)
+    assert configuration.environment.keys() == {"constant_force.ax", "constant_force.ay"}
+    assert {entry.path for entry in BatchedCars(configuration).entries} == set(configuration.environment)
+    told = configuration.practice
+    assert (told.shelter, told.loads, told.footprint, told.near, told.contact) == (False, False, False, 0.0, 0.0)
+    assert told.cost > 0.0
+    assert len(told.penalties) > 1
+
+
+def test_both_configurations_are_the_same_but_for_their_sizes() -> None:
+    large, small = (load_configuration(name) for name in ("car_paper", "car_paper_small"))
+    grid = small.practice.penalties
+    assert set(grid) <= set(large.practice.penalties)
+    assert replace(large.practice, penalties=grid) == small.practice
+    today = load_configuration("car")
+    for name in ("state", "action", "latents", "history", "seed"):
+        assert getattr(large, name) == getattr(small, name) == getattr(today, name)
+    for name in ("phase_1a", "phase_2", "phase_3"):
+        assert getattr(large, name) == getattr(today, name), "what is not the world is as in the other family"
+
+
+def test_scenes_are_for_the_car_alone(small: Configuration, weights: Weights) -> None:
+    radii = draw_scenes(np.random.default_rng(0), 200, loads=False).footprint
+    np.testing.assert_array_equal(radii, np.broadcast_to(BODY, radii.shape))
+    assert len(np.unique(draw_scenes(np.random.default_rng(0), 200).footprint[:, 2])) > 4
+    driving = Driving(small, weights, 8, 0)
+    np.testing.assert_array_equal(driving.scene.footprint, np.broadcast_to(BODY, (8, 3)))
+
+
+def test_no_filter_stands_before_an_action_in_any_phase(
+    small: Configuration, weights: Weights, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: Any) -> Any:
+        raise AssertionError("a stand-in of the filter was asked")
+
+    monkeypatch.setattr(car_task.CarShelter, "decide", refused)
+    robots = practice(small, weights, 8, 0, 0.0, True)  # as phase 2 asks for them, whatever the configuration
+    assert not robots.sheltered
+    robots.advance(np.ones((8, 2), dtype=np.float32))
+    assert robots.rewards == replace(car_task.Rewards(), near=0.0, contact=0.0)
+
+
+def test_what_a_policy_practises_with_tells_no_footprint(small: Configuration, weights: Weights) -> None:
+    driving = Driving(small, weights, 8, 3)
+    before = driving.observation()
+    driving.scene.footprint[:, 0] += 0.3
+    driving.scene.footprint[:, 2] = 0.45
+    np.testing.assert_array_equal(driving.observation(), before)
+    told = replace(small, practice=replace(small.practice, footprint=True))
+    other = Driving(told, weights, 8, 3)
+    before = other.observation()
+    other.scene.footprint[:, 2] = 0.45
+    assert not np.array_equal(other.observation(), before)
+
+
+def test_what_was_trained_wishes_the_same_whatever_hangs_behind(taught: tuple[Weights, dict[str, Any]]) -> None:
+    made, _ = taught
+    np.testing.assert_array_equal(made["observation_body"], BODY)
+    policy, latent = LearnedPolicy(made), np.zeros(made.description.latents)
+    message = CarRobot(Scene.random(3, "none")).state_message()
+    wishes = {policy.wish(replace(message, footprint=footprint), latent) for footprint in _footprints(message)}
+    assert len(wishes) == 1
+    seeing = LearnedPolicy(
+        Weights({k: v for k, v in made.tensors.items() if k != "observation_body"}, made.description)
+    )
+    assert len({seeing.wish(replace(message, footprint=item), latent) for item in _footprints(message)}) > 1
+    assert seeing.wish(message, latent)[0] == pytest.approx(wishes.pop()[0], abs=1e-5)
+
+
+def _footprints(message: StateMessage) -> list[tuple[float, ...]]:
+    rear, front, radius = message.footprint
+    return [(rear, front, radius), (rear, front, 0.25), (rear + 0.3, front, 0.45)]
+
+
+def test_a_body_of_another_length_is_refused(weights: Weights, small: Configuration, tmp_path: Path) -> None:
+    seen = len(Driving(small, weights, 2, 0).observation()[0])
+    tensors = {"policy.0.weight": np.zeros((2, seen)), "policy.0.bias": np.zeros(2), "observation_body": np.zeros(2)}
+    tensors |= {"observation_middle": np.zeros(seen), "observation_scale": np.ones(seen)}
+    with pytest.raises(InputError, match="'observation_body' holds 2 numbers, wanted 3"):
+        LearnedPolicy(weights.with_tensors(tensors))
+
+
+def test_the_best_by_return_and_cost_is_chosen_also_after_an_interruption(
+    small: Configuration, weights: Weights, brief: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three evaluations: the second is the best though the third has more goals, and training is broken off between."""
+    told = iter([(0.2, 1.0, 0.1), (0.5, 4.0, 0.1), (0.9, 6.0, 2.0)])
+    seen: list[Weights] = []
+
+    def figures(_: Any, made: Weights, cars: int) -> dict[str, Any]:
+        if cars > small.phase_1b.evaluation_cars:
+            return {"success": 0.0, "reward": 0.0, "contacts": 0.0}
+        seen.append(made)
+        success, reward, contacts = next(told)
+        return {"success": success, "reward": reward, "contacts": contacts}
+
+    def interrupt(_name: str, done: int, _all: int, _note: str) -> None:
+        if done == 128:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(phase_1b._Training, "evaluated", figures)
+    longer = replace(small, phase_1b=replace(small.phase_1b, steps=192))
+    with pytest.raises(KeyboardInterrupt):
+        train_policy(longer, weights, tmp_path, interrupt)
+    made, summary = train_policy(longer, weights, tmp_path)
+    assert len(seen) == 3
+    assert made.digest == seen[1].digest
+    assert [entry["success"] for entry in summary["learning_curve"]] == [0.2, 0.5, 0.9]
+
+
+def test_development_drives_are_none_that_is_trained_on(small: Configuration, weights: Weights) -> None:
+    """Other seeds: a training begins with its own, or anew with that and the steps done, whole rollouts of all cars."""
+    for name in ("car_paper", "car_paper_small"):
+        phase = load_configuration(name).phase_1b
+        assert car_task._EVALUATION_SEED % (phase.cars * phase.rollout)
+    trained_on = Driving(small, weights, 64, small.seed).scene.start
+    developed = Driving(small, weights, 64, small.seed + car_task._EVALUATION_SEED, calm=True).scene.start
+    assert not set(map(tuple, trained_on.tolist())) & set(map(tuple, developed.tolist()))
+
+
+def test_clean_drives_reach_their_goal_and_touched_nothing(taught: tuple[Weights, dict[str, Any]], small: Any) -> None:
+    made, summary = taught
+    assert summary["clean"] <= summary["success"]
+    assert summary["score"] == pytest.approx(summary["reward"] - small.practice.cost * summary["contacts"])
+    assert evaluate(small, made, cars=4, seed=small.seed) == evaluate(small, made, cars=4, seed=small.seed)
+
+
+def test_the_grid_is_trained_and_its_best_gets_a_history_encoder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = [stage.name for stage in stages_of("car", (1.0, 10.0))["ablations"]]
+    assert names == ["fix", "mix", "ppo", "rma_p_1", "rma_p_10", "rma_p"]
+    assert [stage.name for stage in stages_of("car")["ablations"]] == ["fix", "mix", "rma_p"]
+    scores = {"rma_p_1": 2.0, "rma_p_10": 3.5}
+    record = {name: {"score": score, "file": f"car_{name}.safetensors"} for name, score in scores.items()}
+    monkeypatch.setattr(stages, "read_record", lambda _: record)
+    monkeypatch.setattr(stages, "load_weights", lambda path: path)
+    monkeypatch.setattr(stages, "phase_function", lambda *_: lambda _configuration, given, *_rest: (given, {}))
+    best = stages_of("car", (1.0, 10.0))["ablations"][-1]
+    made, told = best.train(None, None, tmp_path, None, "cpu")  # type: ignore[arg-type]
+    assert made == tmp_path / "car_rma_p_10.safetensors"
+    assert told == {"chosen": "rma_p_10", "scores": scores}
+    assert "phi." in best.drops
+
+
+def test_what_was_trained_before_there_was_a_choice_is_still_of_today() -> None:
+    today = load_configuration("car")
+    assert today.practice == Practising()
+    assert today.digest("phase_1b", "practice") == today.digest("phase_1b")
+    other = replace(today, practice=replace(today.practice, shelter=False))
+    assert other.digest("phase_1b", "practice") != today.digest("phase_1b")
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "message"),
+    [
+        ("car_paper", "penalties = [0.0]", "practice.penalties: got 0.0, wanted positive numbers"),
+        ("car_paper", "shelter = 1", "practice.shelter: got 1, wanted a value of type bool"),
+        ("pendulum", "[practice]\nshelter = false", "practice: got settings of a car for robot 'pendulum'"),
+    ],
+)
+def test_a_mistake_in_it_is_named(name: str, words: str, message: str) -> None:
+    path = shipped()[name]
+    text = path.read_text(encoding="utf-8")
+    key = words.split(" ", maxsplit=1)[0]
+    changed = [words if line.startswith(f"{key} ") else line for line in text.splitlines()]
+    with pytest.raises(InputError) as caught:
+        parse_configuration("\n".join(changed if words in changed else [text, words]), path.parent)
+    assert str(caught.value).startswith(message)
+
+
+def test_a_checkpoint_without_the_best_policy_is_refused(tmp_path: Path) -> None:
+    torch.save({"digest": "a", "curve": "[]"}, tmp_path / "old.pt")
+    with pytest.raises(InputError, match="remove it to train from the beginning"):
+        PolicyCheckpoint(tmp_path / "old.pt", "a").read()
+
+
+def test_it_is_trained_into_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """By the command, from where a person stands; phases are said to be there, so that nothing is trained."""
+    asked: list[Path] = []
+
+    def run_pipeline(_configuration: Configuration, out: Path, *_: Any) -> dict[str, Any]:
+        asked.append(out)
+        return {}
+
+    monkeypatch.setattr("safedpa_sim.training.pipeline.run_pipeline", run_pipeline)
+    mine = tmp_path / "mine.toml"
+    folder = shipped()["car"].parent
+    text = shipped()["car_paper"].read_text(encoding="utf-8")
+    mine.write_text(text.replace("published_car.toml", str(folder / "published_car.toml")), encoding="utf-8")
+    for words in ([], ["--configuration", "car_paper"], ["--configuration", str(mine)], ["--small"]):
+        assert safedpa.run(["train", "car", *words]) == 0
+    assert asked == [Path("learned") / name for name in ("car", "car_paper", "car", "car")]
