@@ -59,7 +59,8 @@ class Misjudges:
     def in_told_frame(self, places: Values) -> Values:
         """(n, 2) m; where true ``places`` (n, 2) [m] lie in the frame that it believes in, as seen from it now."""
         told, true = self.told_pose, self.true_pose
-        return placed(places - np.array(true[:2]), told[2] - true[2]) + np.array(told[:2])
+        believed: Values = placed(places - np.array(true[:2]), told[2] - true[2]) + np.array(told[:2])
+        return believed
 
     def state_message(self) -> StateMessage:
         """State k as it is told; the pose of a load is for pictures only, and left out."""

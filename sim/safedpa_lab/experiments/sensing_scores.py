@@ -311,7 +311,7 @@ def _hit(scan: ScanMessage, pose: Pose, state: StateMessage, disc: tuple[float, 
     x, y, yaw = pose
     ahead, aside, turned = scan.mount
     here = np.array((x, y)) + placed(np.array([[ahead, aside]]), yaw)[0]
-    angles = yaw + turned + scan.first_angle + scan.angle_step * np.arange(len(scan.ranges))
+    angles = yaw + turned + scan.first_angle + scan.angle_step * np.arange(len(scan.ranges), dtype=np.float64)
     ranges = np.array(scan.ranges)
     away = cast(Outline((disc,)), float(here[0]), float(here[1]), angles)
     on_him = (ranges >= scan.nearest) & (np.abs(ranges - away) < _HIT)

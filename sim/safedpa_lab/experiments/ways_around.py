@@ -17,6 +17,7 @@ __all__ = ["WaysAround"]
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Cells = NDArray[np.intp]
 
 _CELL: Final = 0.05
 """m"""
@@ -42,7 +43,7 @@ class WaysAround:
         """(cells, 2) m; the cells' middles."""
         outline = Outline(scene.obstacles, scene.polygons, (scene.field,))
         open_cells = (rooms_to(outline, self.places) > radius - _CELL).reshape(columns, rows)
-        starts, ends, lengths = list[Values](), list[Values](), list[Values]()
+        starts, ends, lengths = list[Cells](), list[Cells](), list[Values]()
         number = np.arange(columns * rows).reshape(columns, rows)
         for right, up in _STEPS:
             here = np.s_[max(-right, 0) : columns - max(right, 0), max(-up, 0) : rows - max(up, 0)]
