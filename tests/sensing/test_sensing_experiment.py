@@ -10,7 +10,7 @@ import pytest
 
 from safedpa.bus import SURROUNDINGS, SurroundingsMessage
 from safedpa.errors import InputError
-from safedpa_lab.experiments.sensing import LOADS, Drive, run_drive, sensing_experiment
+from safedpa_lab.experiments.sensing import GUARDS, POLICIES, Drive, run_drive, sensing_experiment
 from safedpa_lab.experiments.sensing_page import page_of
 from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
 from safedpa_lab.experiments.sensing_told import TellsEverything
@@ -104,6 +104,12 @@ def test_who_walks_into_a_standing_car_is_counted_apart(monkeypatch: pytest.Monk
 def test_told_everything_but_who_hides_it_drives_no_farther_than_told_everything() -> None:
     way = {guard: run_drive(Drive("pillars", 1001, 6.0, 1.5, guard))["way"] for guard in ("told", "told-but-hiding")}
     assert way["told"] > way["told-but-hiding"] > 0.0
+
+
+@pytest.mark.parametrize("guard", GUARDS)
+@pytest.mark.parametrize("policy", POLICIES)
+def test_behind_each_guard_either_controller_drives(guard: str, policy: str) -> None:
+    assert run_drive(Drive("pillars", 1001, 2.0, 1.5, guard, policy=policy))["way"] > 0.1
 
 
 @pytest.mark.parametrize("load", ["none", "large_chair"])

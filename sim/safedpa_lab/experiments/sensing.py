@@ -80,9 +80,10 @@ def _nodes(wanted: Drive, model: PhysicsModel, scene: Scene, people: Sequence[Pe
         "time-to-collision": TimeToCollision,
         "nothing": NoFilter,
     }
-    if wanted.guard in peers:
-        return [AdaptationNode(model), policy, peers[wanted.guard]()]
     settings = PerceptionSettings(coming=wanted.coming)
+    if wanted.guard in peers:  # a controller that looks around sees the same behind each of them
+        looks = [PerceptionNode(settings)] if wanted.policy == POLICIES[0] else []
+        return [AdaptationNode(model), *looks, policy, peers[wanted.guard]()]
     told: dict[str, Callable[[], AbstractNode]] = {
         "told": lambda: TellsEverything(scene, people),
         "told-but-hiding": lambda: TellsAllButWhoHides(scene, people, settings),
