@@ -10,7 +10,7 @@ import pytest
 
 from safedpa.bus import SURROUNDINGS, SurroundingsMessage
 from safedpa.errors import InputError
-from safedpa_lab.experiments.sensing import GUARDS, POLICIES, Drive, run_drive, sensing_experiment
+from safedpa_lab.experiments.sensing import GUARDS, LOADS, POLICIES, Drive, run_drive, sensing_experiment
 from safedpa_lab.experiments.sensing_page import page_of
 from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
 from safedpa_lab.experiments.sensing_told import TellsEverything
