@@ -41,7 +41,7 @@ test-fleet: environment  ## a fleet of containers: faults, intruders; installs d
 
 test-compiled: $(BUILT)  ## the filter's tests on a wheel with its compiled modules; needs a C compiler
 	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; assert compiled_modules() == MODULES'
-	@PYTHONPATH=$(COMPILED) $(BIN)/pytest -q tests/safety
+	@PYTHONPATH=$(COMPILED) $(BIN)/pytest -q --numprocesses $(TESTERS) --dist loadfile tests/safety
 
 lint: environment  ## ruff: rules and format
 	@$(BIN)/ruff check .

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -45,6 +46,20 @@ def test_it_is_told_after_all_parts_and_before_failures_and_summary() -> None:
     )
     places = [text.index(part) for part in order]
     assert places == sorted(places)
+
+
+def test_without_a_compiler_the_compiled_filter_is_not_tested_and_that_is_told(tmp_path: Path) -> None:
+    text = SCRIPT.read_text(encoding="utf-8")
+    begin = text.index("compiled_tests() {")
+    function = text[begin : text.index("\n}\n", begin) + 3]
+    found = shutil.which("tee")
+    assert found
+    (tmp_path / "tee").symlink_to(found)
+    told = f"{function}\nprograms={tmp_path} PATH={tmp_path}\ncompiled_tests"
+    subprocess.run(["/bin/bash", "-c", told], check=True)
+    assert not_tested(tmp_path / "compiled.log") == [
+        "NOT TESTED: 1: no C compiler, so the filter was tested from source alone"
+    ]
 
 
 def test_a_part_that_fails_fails_and_its_time_is_told() -> None:
