@@ -80,6 +80,12 @@ def test_the_usual_value_is_part_of_each_curve() -> None:
     assert all(getattr(usual, name) in values for name, values in CURVES.items())
 
 
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in CURVES.items() for value in values])
+def test_every_value_of_every_curve_can_be_driven(name: str, value: float) -> None:
+    changed: dict[str, Any] = {name: value}
+    assert run_drive(replace(Drive("people", 1003, 0.1, 1.5, policy="way_seeker"), **changed))["moving"] == []
+
+
 def test_page_and_picture(result: dict[str, Any], tmp_path: Path) -> None:
     page = curves_page(result)
     assert "| 90 | 2 |" in page

@@ -20,7 +20,7 @@ __all__ = ["CURVES", "curves_experiment", "curves_page", "draw_curves"]
 
 CURVES: Final[Mapping[str, tuple[float, ...]]] = {
     "walking": (0.0, 0.5, 1.0, 1.5, 2.0, 3.0),
-    "coming": (0.0, 0.25, 0.5, 1.0, 1.5, 2.0),
+    "coming": (0.0, 0.25, 0.5, 1.0, 1.5),
     "noise": (0.0, 0.02, 0.05, 0.1, 0.2),
     "latency": (0.0, 0.05, 0.1, 0.2, 0.4),
     "field_of_view": (pi / 2, pi, 1.5 * pi, 2.0 * pi),
