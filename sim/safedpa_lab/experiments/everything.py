@@ -97,7 +97,28 @@ PARTS: Final = (
         ("--seeds", "1", "--seconds", "1"),
         25,
     ),
-    Part("sensing-curves", ("sensing-curves", "--first-seed", "4800"), ("--seeds", "1", "--seconds", "1"), 25),
+    Part(
+        "sensing-minute",
+        (
+            *("sensing", "--seeds", "34", "--first-seed", "5100", "--seconds", "60", "--no-peers", "--not-told"),
+            *tuple(word for scene in ("pillars", "people", "rooms") for word in ("--scene", scene)),
+            *tuple(word for load in ("none", "box", "chair", "large_chair") for word in ("--load", load)),
+        ),
+        ("--seeds", "1", "--seconds", "1"),
+        60,
+    ),
+    Part(
+        "sensing-peers",
+        ("sensing", "--seeds", "4", "--first-seed", "5100", "--not-told"),
+        ("--seeds", "1", "--seconds", "1", "--scene", "pillars"),
+        5,
+    ),
+    Part(
+        "sensing-curves",
+        ("sensing-curves", "--seeds", "8", "--first-seed", "4900"),
+        ("--seeds", "1", "--seconds", "1"),
+        10,
+    ),
     Part(
         "sensing-margins",
         ("sensing-margins",),
