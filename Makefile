@@ -29,8 +29,8 @@ $(BUILT): $(INSTALLED) hatch_build.py $(shell find shared services sim/safedpa_s
 	@PYTHONPATH=$(COMPILED) $(BIN)/python -c 'from safedpa.compiled import *; compiled_modules() or print("Nothing could be compiled (is there a C compiler?): the loop runs from Python source, and a decision takes about twice as long.")'
 	@touch $@
 
-# Two more than two cores: half of the time a test waits for services, browsers and robots that drive in real time.
-TESTERS ?= 4
+# One more than two cores: half of the time a test waits for services, browsers and robots that drive in real time.
+TESTERS ?= 3
 
 # Bytecode is kept, whatever the environment says: hundreds of processes would each compile all that they import.
 test: environment  ## runs all tests
