@@ -23,7 +23,6 @@ _FIRST_CHUNKS = 200
 _TICKS_OF_A_BATCH = 8
 """The painter sends what it drew every 0.4 s; here by the robot's clock, since the drive is drawn faster than that."""
 _PATIENCE_SECONDS = 240.0
-_OPENED_ANEW_SECONDS = 40.0
 _ENDED = "The drive has ended."
 _NEEDED = (
     "world/obstacles", "world/clearance", "world/field", "world/goal", "now", "verdict/filter", "verdict/in_force",
@@ -67,28 +66,21 @@ class Drive:
 class Viewer:
     """Rerun's own client, keeping what comes in the order in which it comes.
 
-    One to which nothing at all comes is opened anew, as a person would: it now and then gives up on a busy machine.
+    It opens a door of its own, at port 9876 unless told otherwise, and ends where another client has that.
     """
 
     def __init__(self, address, path):
         program = Path(find_spec("rerun_cli").origin).parent / "rerun"
-        self._command, self._path, self._said = [str(program), address, "--save", str(path)], path, path.with_suffix("")
-        self._open()
-
-    def _open(self):
-        self._path.unlink(missing_ok=True)
-        with self._said.open("a") as said:
-            self._process = subprocess.Popen(self._command, stdout=said, stderr=said)
-        self._anew = time.monotonic() + _OPENED_ANEW_SECONDS
+        self._path, self._said = path, path.with_suffix(".log")
+        command = [str(program), address, "--port", "auto", "--save", str(path)]
+        with self._said.open("w") as said:
+            self._process = subprocess.Popen(command, stdout=said, stderr=said)
 
     def chunks(self, enough, patience=_PATIENCE_SECONDS):
         """What has come once ``enough`` of it is there."""
         until = time.monotonic() + patience
         while not enough(found := self._read()):
             assert time.monotonic() < until, f"it got {len(found)} chunks; it said: {self._said.read_text()[-2000:]}"
-            if not found and (self._process.poll() is not None or time.monotonic() > self._anew):
-                self.close()
-                self._open()
             time.sleep(0.3)
         return found
 
