@@ -32,7 +32,7 @@ from safedpa.safety.theory_layer import Stay, stays_in_layer
 from safedpa_lab.experiments.car_workers import Workers
 from safedpa_lab.experiments.margin_drives import DRIVERS, DriveOrder, DriveResult, driven
 from safedpa_lab.experiments.seeds import seeds_for
-from safedpa_lab.experiments.statistics import clopper_pearson_interval, cluster_interval, mean_interval
+from safedpa_lab.experiments.statistics import coverage_row, mean_interval
 
 __all__ = ["KINDS", "SHIPPED", "MarginCases", "margins_experiment"]
 
@@ -295,19 +295,8 @@ def _counted(
         near = sum(len(ceiling.errors(kind, heights[kind])) > 0 for heights in drives if kind in heights)
         rows[kind] = {"drives": len(drives), "drives_near": near}
         for name, table in tables.items():
-            rows[kind][name] = _covered(covered_shares(drives, kind, table[kind], ceiling), table[kind])
+            rows[kind][name] = coverage_row(covered_shares(drives, kind, table[kind], ceiling), table[kind])
     return {"covered": rows}
-
-
-def _covered(shares: Any, epsilon: float) -> dict[str, Any]:
-    whole = int((shares == 1.0).sum())
-    return {
-        "epsilon": epsilon,
-        "steps": float(shares.mean()),
-        "steps_95": list(cluster_interval(shares)),
-        "drives": whole / len(shares),
-        "drives_95": list(clopper_pearson_interval(whole, len(shares))),
-    }
 
 
 def _driving(results: Sequence[DriveResult], seconds: float) -> dict[str, Any]:

@@ -5,11 +5,8 @@ A collision counts as the car's where it moved (``STANDS`` and faster); who walk
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -19,17 +16,16 @@ import numpy as np
 from safedpa.adaptation import AdaptationNode
 from safedpa.bus import AbstractNode
 from safedpa.dynamics import PhysicsModel, load_model
-from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.counter_braking import STANDS
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
+from safedpa_lab.experiments.kept_drives import driven
 from safedpa_lab.experiments.sensing_peers import CollisionMonitor, NoFilter, TimeToCollision
 from safedpa_lab.experiments.sensing_scenes import SCENES, scene_and_people
 from safedpa_lab.experiments.sensing_told import TellsAllButWhoHides, TellsEverything
 from safedpa_lab.experiments.statistics import clopper_pearson_interval, ratio_interval
-from safedpa_lab.provenance.code import digests
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.robots.loads import LOADS as TOWED
@@ -37,7 +33,7 @@ from safedpa_sim.robots.scene import Scene
 from safedpa_sim.sensing import Laser, LaserSettings, Person, StepsOut
 from safedpa_sim.sensing.senses import Senses
 
-__all__ = ["GUARDS", "LOADS", "POLICIES", "SCENES", "Drive", "driven", "row_of", "run_drive", "sensing_experiment"]
+__all__ = ["GUARDS", "LOADS", "POLICIES", "SCENES", "Drive", "row_of", "run_drive", "sensing_experiment"]
 
 GUARDS = ("safedpa", "told", "told-but-hiding", "monitor", "monitor-2s", "time-to-collision", "nothing")
 """Who stands between policy and car: the filter with the laser alone; the filter that is told everything; told
@@ -149,51 +145,8 @@ def sensing_experiment(
         for seed in seeds
         for load in loads
     ]
-    found = driven(wanted, processes, on_drive, record)
+    found = driven(run_drive, wanted, processes, on_drive, record)
     return _result(seeds, seconds, coming, kinds, loads, policy, found)
-
-
-def driven(
-    wanted: Sequence[Drive],
-    processes: int,
-    on_drive: Callable[[int, int], None] = lambda _done, _all: None,
-    record: Path | None = None,
-) -> list[dict[str, Any]]:
-    """What came out of each drive; see ``sensing_experiment`` for the record."""
-    known = {} if record is None else _recorded(record)
-    found = {drive: known[drive] for drive in wanted if drive in known}
-    different = dict.fromkeys(wanted)
-    open_ones = [drive for drive in different if drive not in known]
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for drive, outcome in zip(open_ones, pool.map(run_drive, open_ones), strict=True):
-            found[drive] = outcome
-            if record is not None:
-                with record.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(outcome) + "\n")
-            on_drive(len(found), len(different))
-    return [found[drive] for drive in wanted]
-
-
-def _recorded(path: Path) -> dict[Drive, dict[str, Any]]:
-    """The drives that a file holds; it is begun where there is none. Its first line is the code they were made by."""
-    code = digests(run_drive.__module__)
-    if not path.exists():
-        path.write_text(json.dumps({"code": code}) + "\n", encoding="utf-8")
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1] or text  # what was killed while it wrote leaves part of a line
-    try:
-        first, *lines = map(json.loads, whole.splitlines())
-        by = first["code"]
-        drives = {Drive(**{item.name: one[item.name] for item in fields(Drive)}): one for one in lines}
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path}: got no record of such drives ({error}), wanted a new file, or one that was"
-        ) from error
-    if by != code:
-        raise InputError(f"{path}: its drives were made by other code than today's; wanted another file")
-    if whole != text:
-        path.write_text(whole, encoding="utf-8")
-    return drives
 
 
 def _result(

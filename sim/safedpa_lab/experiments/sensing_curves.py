@@ -14,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from safedpa_lab.experiments.car_style import BLUE, GREY, RED, bare, figure, heading
-from safedpa_lab.experiments.sensing import Drive, driven, row_of
+from safedpa_lab.experiments.kept_drives import driven
+from safedpa_lab.experiments.sensing import Drive, row_of, run_drive
 
 __all__ = ["CURVES", "curves_experiment", "curves_page", "draw_curves"]
 
@@ -54,7 +55,7 @@ def curves_experiment(
     changed: list[dict[str, Any]] = [{name: value} for name, value in points]
     wanted = [replace(plain, seed=seed, **change) for change in changed for seed in seeds]
     known = [replace(plain, seed=one.seed, walking=one.walking, guard="told") for one in wanted]
-    found = driven([*wanted, *known], processes, on_drive, record)
+    found = driven(run_drive, [*wanted, *known], processes, on_drive, record)
     rows = []
     for index, (name, value) in enumerate(points):
         first, past = index * len(seeds), (index + 1) * len(seeds)

@@ -7,10 +7,9 @@ one scene with its people, one load, and one odometry that is wrong by a share o
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
-from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.counter_braking import STANDS
@@ -28,14 +26,13 @@ from safedpa.safety.ceiling import NO_CEILING, Seen
 from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
-from safedpa_lab.experiments.car_workers import Workers
+from safedpa_lab.experiments.kept_drives import driven
 from safedpa_lab.experiments.misjudging import Misjudges
 from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.sensing import LOADS
 from safedpa_lab.experiments.sensing_scenes import scene_and_people
 from safedpa_lab.experiments.sensing_scores import NEAR, Score, Scores
-from safedpa_lab.experiments.statistics import clopper_pearson_interval, cluster_interval
-from safedpa_lab.provenance.code import digests
+from safedpa_lab.experiments.statistics import coverage_row
 from safedpa_sim.closed_loop import drive
 from safedpa_sim.robots.core import CarRobot
 from safedpa_sim.sensing import Laser, LaserSettings
@@ -117,7 +114,7 @@ def margins_of_sensing(
         [order(index, seed, seconds, scenes) for index, seed in enumerate(seeds_for(purpose, count))]
         for purpose, count in (("calibration", drives), ("evaluation", fresh))
     ]
-    found = _driven([*orders[0], *orders[1]], processes, on_drive, record)
+    found = driven(run_sensed, [*orders[0], *orders[1]], processes, on_drive, record)
     before, after = found[:drives], found[drives:]
     model = load_model("car")
     heights = [_heights(one) for one in before]
@@ -196,7 +193,7 @@ def _row(
         "step": tables["step"].get(kind),
         "drive": tables["drive"].get(kind),
         "fresh": {
-            name: _covered(covered_shares(heights, kind, table[kind]), table[kind])
+            name: coverage_row(covered_shares(heights, kind, table[kind]), table[kind])
             for name, table in tables.items()
             if heights and kind in tables["step"]
         },
@@ -206,17 +203,6 @@ def _row(
 
 def _quantiles(values: Sequence[float]) -> dict[str, float]:
     return {f"{share:g}": float(np.quantile(values, share)) for share in (0.5, 0.9, 0.99, 1.0)} if values else {}
-
-
-def _covered(shares: Values, epsilon: float) -> dict[str, Any]:
-    whole = int((shares == 1.0).sum())
-    return {
-        "epsilon": epsilon,
-        "steps": float(shares.mean()),
-        "steps_95": list(cluster_interval(shares)),
-        "drives": whole / len(shares),
-        "drives_95": list(clopper_pearson_interval(whole, len(shares))),
-    }
 
 
 def _worst(scores: Sequence[tuple[Mapping[str, Any], Score]]) -> Iterator[dict[str, Any]]:
@@ -236,39 +222,3 @@ def _worst(scores: Sequence[tuple[Mapping[str, Any], Score]]) -> Iterator[dict[s
             "seen_for": score.seen_for,
             "apart": {name: away for name, away in told if away < 100.0},
         }
-
-
-def _driven(
-    wanted: Sequence[SensedDrive],
-    processes: int,
-    on_drive: Callable[[int, int], None],
-    record: Path | None,
-) -> list[dict[str, Any]]:
-    known = {} if record is None else _recorded(record)
-    missing = [one for one in wanted if one not in known]
-    with Workers(processes) as workers:
-        for one, outcome in zip(missing, workers.map(run_sensed, missing), strict=True):
-            known[one] = outcome
-            if record is not None:
-                with record.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(outcome) + "\n")
-            on_drive(sum(each in known for each in wanted), len(wanted))
-    return [known[one] for one in wanted]
-
-
-def _recorded(path: Path) -> dict[SensedDrive, dict[str, Any]]:
-    """The drives that a file holds; it is begun where there is none. Its first line is the code they were made by."""
-    code = digests(run_sensed.__module__)
-    if not path.exists():
-        path.write_text(json.dumps({"code": code}) + "\n", encoding="utf-8")
-    lines = path.read_text(encoding="utf-8").split("\n")[:-1]  # what was killed while it wrote leaves part of a line
-    try:
-        first, *outcomes = map(json.loads, lines)
-        by = first["code"]
-        drives = {SensedDrive(**{item.name: one[item.name] for item in fields(SensedDrive)}): one for one in outcomes}
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: got no record of such drives ({error}), wanted a new file") from error
-    if by != code:
-        raise InputError(f"{path}: its drives were made by other code than today's; wanted another file")
-    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-    return drives

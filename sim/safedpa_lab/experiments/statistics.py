@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["clopper_pearson_interval", "cluster_interval", "mean_interval", "ratio_interval", "wilson_interval"]
+__all__ = [
+    "clopper_pearson_interval",
+    "cluster_interval",
+    "coverage_row",
+    "mean_interval",
+    "ratio_interval",
+    "wilson_interval",
+]
 
 _NORMAL_95 = 1.959963984540054
 
@@ -73,3 +81,18 @@ def ratio_interval(values: NDArray[np.float64], others: NDArray[np.float64]) -> 
     ratio, below = float(np.mean(values) / np.mean(others)), float(np.mean(others))
     _, low, high = mean_interval((values - ratio * others) / below)
     return [ratio, ratio + low, ratio + high]
+
+
+def coverage_row(shares: NDArray[np.float64], epsilon: float) -> dict[str, Any]:
+    """What a margin ``epsilon`` covers of fresh drives, whose shares of covered steps are ``shares`` (drives,).
+
+    ``steps``: their mean, with the interval over drives; ``drives``: the share of those covered whole; 95 % each.
+    """
+    whole = int((shares == 1.0).sum())
+    return {
+        "epsilon": epsilon,
+        "steps": float(shares.mean()),
+        "steps_95": list(cluster_interval(shares)),
+        "drives": whole / len(shares),
+        "drives_95": list(clopper_pearson_interval(whole, len(shares))),
+    }
