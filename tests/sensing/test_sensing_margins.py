@@ -169,6 +169,27 @@ def test_another_file_is_no_record(holds: str, tmp_path: Path) -> None:
         margins_of_sensing(2, 1, 0.1, 0.6, record=path)
 
 
+@pytest.mark.parametrize(("drives", "coverage", "said"), [(98, 0.99, "at least 99"), (2, 1.0, "coverage")])
+def test_too_few_drives_are_refused_before_they_are_driven(
+    drives: int, coverage: float, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sensing_margins, "driven", lambda *_: pytest.fail("driven"))
+    with pytest.raises(InputError, match=said):
+        margins_of_sensing(drives, 1, 8.0, coverage)
+
+
+def test_drives_in_which_nothing_comes_near_are_told() -> None:
+    with pytest.raises(InputError, match="near anything"):
+        margins_of_sensing(2, 1, 0.05, 0.6)
+
+
+def test_a_folder_and_what_is_no_text_are_no_record(tmp_path: Path) -> None:
+    (tmp_path / "picture").write_bytes(b"\xff\xfe\x00")
+    for path in (tmp_path, tmp_path / "picture"):
+        with pytest.raises(InputError, match="cannot be kept as a record"):
+            margins_of_sensing(2, 1, 0.1, 0.6, record=path)
+
+
 def test_a_scene_that_does_not_exist_is_refused() -> None:
     refused = CliRunner().invoke(command, ["--scene", "room"])
     assert isinstance(refused.exception, InputError)

@@ -48,9 +48,12 @@ def driven(
 def _recorded(path: Path, kind: Any, module: str) -> dict[Any, Outcome]:
     """The drives that a file holds; it is begun where there is none. Its first line is the code they were made by."""
     code = digests(module)
-    if not path.exists():
-        path.write_text(json.dumps({"code": code}) + "\n", encoding="utf-8")
-    text = path.read_text(encoding="utf-8")
+    try:
+        if not path.exists():
+            path.write_text(json.dumps({"code": code}) + "\n", encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be kept as a record ({error}); wanted a file that can be written") from error
     whole = text[: text.rfind("\n") + 1] or text  # what was killed while it wrote leaves part of a line
     try:
         first, *lines = map(json.loads, whole.splitlines())

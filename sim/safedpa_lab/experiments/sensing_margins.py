@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 
 from safedpa.adaptation import AdaptationNode
 from safedpa.dynamics import PhysicsModel, fingerprint, load_model
+from safedpa.errors import InputError
 from safedpa.perception import PerceptionNode, PerceptionSettings
 from safedpa.policy import PolicyNode
 from safedpa.robots.car.counter_braking import STANDS
 from safedpa.safety.ceiling import NO_CEILING, Seen
 from safedpa.safety.drive_calibration import calibration_from_drives, covered_shares
+from safedpa.safety.margin import smallest_sample
 from safedpa.safety.node import SafetyFilterNode
 from safedpa.safety.shipped import margin_for, settings_named
 from safedpa_lab.experiments.kept_drives import driven
@@ -110,6 +112,8 @@ def margins_of_sensing(
 
     Drives that ``record`` holds are not driven again. Raises InputError for too few drives, and for a record of others.
     """
+    if drives < smallest_sample(coverage):  # before they are driven
+        raise InputError(f"drives: got {drives}, wanted at least {smallest_sample(coverage)} for {coverage:g}")
     orders = [
         [order(index, seed, seconds, scenes) for index, seed in enumerate(seeds_for(purpose, count))]
         for purpose, count in (("calibration", drives), ("evaluation", fresh))
@@ -118,6 +122,8 @@ def margins_of_sensing(
     before, after = found[:drives], found[drives:]
     model = load_model("car")
     heights = [_heights(one) for one in before]
+    if not any(heights):
+        raise InputError(f"{drives} drives of {seconds:g} s: in none the car came near anything; wanted longer ones")
     margin = calibration_from_drives(heights, coverage, time.strftime("%Y-%m-%d"), fingerprint(model), NO_CEILING)
     tables = {"step": margin.epsilon, "drive": margin.drive, "in force": _in_force(model)}
     rows = [_row(kind, before, after, tables) for kind in NEAR]
