@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from safedpa.dynamics import load_model
 from safedpa.errors import InputError
 from safedpa.safety import (
     AbstractBarrier,
@@ -23,6 +24,7 @@ from safedpa.safety import (
     Status,
 )
 from safedpa.safety.inputs import Plausible
+from safedpa.safety.prediction import Prediction
 
 SETTINGS = FilterSettings(action_low=(-1.0,), action_high=(1.0,), epsilon=0.0)
 
@@ -208,8 +210,10 @@ class Kindless(Own):
         (lambda: FunctionBarrier(3), "h: got int, wanted a function"),  # type: ignore[arg-type]
         (lambda: FunctionBarrier(wall, ("left", "right")), "gradient: got tuple, wanted a function"),  # type: ignore[arg-type]
         (lambda: FunctionBarrier(wall, names=(1,)), "names: got"),  # type: ignore[arg-type]
+        (lambda: FunctionBarrier(wall, names=("left", 1)), "names: got"),  # type: ignore[arg-type]
         (lambda: FunctionBarrier(wall, kind=["a"]), "kind: got"),  # type: ignore[arg-type]
         (lambda: HigherOrderBarrier([1, 2], [1.0]), "derivatives: got"),  # type: ignore[list-item]
+        (lambda: HigherOrderBarrier([wall, 2], [1.0]), "derivatives: got"),  # type: ignore[list-item]
         (lambda: HigherOrderBarrier([wall, wall], 1.0), "rates: got float, wanted a list"),  # type: ignore[arg-type]
         (lambda: HigherOrderBarrier([wall, wall], ["1"]), "rates: got '1'"),  # type: ignore[list-item]
     ],
@@ -242,8 +246,55 @@ def test_a_period_with_a_default_is_no_latent() -> None:
     safe = SafetyFilter(period, [FunctionBarrier(wall)], SETTINGS, step=lambda x, a, dt=0.5: x + dt * a)
     verdict = safe.decide([0.0], [0.1])
     assert (verdict.status, verdict.h_next) == (Status.passed, 0.95)
+    alone = SafetyFilter(period, [FunctionBarrier(wall)], SETTINGS).decide([0.0], [0.1])
+    assert (alone.status, alone.h_next) == (Status.passed, 0.95)
     free = SafetyFilter(lambda x, latent=None: (x, float(latent[0]) * np.eye(1)), [FunctionBarrier(wall)], SETTINGS)
     assert free.decide([0.0], [0.1], [0.5]).h_next == 0.95
+
+
+def test_a_period_with_a_default_stays_beside_a_latent() -> None:
+    """The third argument of affine and the fourth of step are nobody's: they keep their defaults."""
+
+    def free(x: Any, latent: Any, dt: float = 0.5) -> Any:
+        return x, latent[0] * dt * np.eye(1)
+
+    def forward(x: Any, a: Any, latent: Any, dt: float = 0.5) -> Any:
+        return x + latent[0] * dt * a
+
+    safe = SafetyFilter(free, [FunctionBarrier(wall)], SETTINGS, step=forward)
+    verdict = safe.decide([0.0], [0.1], [2.0])
+    assert (verdict.status, verdict.h_next) == (Status.passed, 0.9)
+
+
+def test_a_barrier_of_ones_own_falls_by_its_share_a_step() -> None:
+    """h = 1 - x[0] = 1 may fall to 1 - eta, though one step could use it up."""
+
+    class Room(AbstractBarrier):
+        kind, names = "obstacle", ("wall",)
+
+        def values(self, state: Any) -> Any:
+            return np.array([1.0 - state[0]])
+
+        def evaluate(self, state: Any) -> Any:
+            return self.values(state), np.array([[-1.0]])
+
+    verdict = SafetyFilter(still, [Room()], SETTINGS).decide([0.0], [0.9])
+    assert verdict.status is Status.corrected
+    np.testing.assert_allclose(verdict.action, [SETTINGS.eta], atol=1e-9)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_a_copied_prediction_is_of_the_same_model(copied: Callable[[Any], Prediction]) -> None:
+    model = load_model("car")
+    other = copied(Prediction.of_model(model))
+    assert other.system == model.system
+    state = np.array([0.0, 0.0, 0.3, 0.5])
+    action, latent = np.array([0.4, 0.1]), model.latent
+    one = Prediction.of_model(model).next_state(state, action, latent, None)
+    assert other.next_state(state, action, latent, None).tolist() == one.tolist()
+    own = copied(Prediction(still))
+    assert own.system is None
+    assert own.next_state(np.zeros(1), np.ones(1), None, None).tolist() == [1.0]
 
 
 def test_what_misses_a_margin_beyond_all_numbers_is_a_number() -> None:
