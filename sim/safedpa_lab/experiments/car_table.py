@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from safedpa_lab.experiments.car_episodes import PERIOD, Outcome
+from safedpa_lab.experiments.car_conditions import PERIOD
+from safedpa_lab.experiments.car_episodes import Outcome
 from safedpa_lab.experiments.car_methods import METHODS, Method
 from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
 from safedpa_lab.experiments.statistics import wilson_interval
