@@ -11,7 +11,7 @@ from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
 from safedpa_lab.experiments.car_table import MEASURES, table_markdown
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["MODEL_TITLES", "advantages_markdown", "markdown_of", "write_report"]
+__all__ = ["MODEL_TITLES", "advantages_markdown", "margin_markdown", "markdown_of", "write_report"]
 
 MODEL_TITLES = {
     "car_learned": "tuned",
@@ -50,7 +50,7 @@ def markdown_of(result: dict[str, Any]) -> str:
     if "latent" in result:
         parts.append(_latent_markdown(result["latent"]))
     if "margin" in result:
-        parts.append(_margin_markdown(result["margin"]))
+        parts.append(margin_markdown(result["margin"]))
     parts += [f"{sentence}.\n" for sentence in result["left_out"]]
     return "\n".join(parts)
 
@@ -121,7 +121,8 @@ def _ticks(row: dict[str, Any]) -> str:
     return f"{median}, {row['within']}/{row['of']}"
 
 
-def _margin_markdown(margin: dict[str, Any]) -> str:
+def margin_markdown(margin: Mapping[str, Any]) -> str:
+    """The margin of each filter's model, and what it covered on fresh drives."""
     lines = [
         "| margin: conformal, (theorem) | obstacle [m] | field [m] | speed [m/s] | steps covered on fresh drives |",
         "|---|---|---|---|---|",

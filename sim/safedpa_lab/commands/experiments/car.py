@@ -11,6 +11,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.commands.folder import made_folder
 
 __all__ = ["command"]
 
@@ -79,7 +80,7 @@ def command(**options: Any) -> None:
         date=time.strftime("%Y-%m-%d"),
     )
     experiment.check()  # before there is a folder: what cannot be run shall leave none
-    _check_out(options["out"])
+    made_folder(options["out"])
     with progress("experiment car") as tell:
         result = car_experiment(experiment, tell)
     if options["out"] is not None:
@@ -94,13 +95,3 @@ def _margin(text: str) -> str | float:
         return float(text)
     except ValueError as error:
         raise InputError(f"--margin: got '{text}', wanted 'conformal', 'theorem' or a number in m") from error
-
-
-def _check_out(out: Path | None) -> None:
-    """Raises InputError at once, not after the drive, when the folder cannot be made."""
-    if out is None:
-        return
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be made ({error.strerror}); choose another folder") from error
