@@ -106,13 +106,13 @@ def test_margins_are_calibrated_without_a_load_and_on_as_many_drives(
     class AskedError(Exception):
         pass
 
-    def recorded(run: Any, _workers: Any, orders: list[DriveOrder]) -> Any:
-        asked.setdefault(run._family.name, []).extend(orders)
-        if len(asked[run._family.name]) > len(orders):
+    def recorded(_workers: Any, orders: list[DriveOrder], _advance: Any) -> Any:
+        asked.setdefault(name, []).extend(orders)
+        if len(asked[name]) > len(orders):
             raise AskedError
         return []
 
-    monkeypatch.setattr(experiment._Run, "_recorded", recorded)
+    monkeypatch.setattr("safedpa_lab.experiments.car_calibration.recorded", recorded)
     for name in FAMILIES:
         with pytest.raises(AskedError):
             experiment.car_experiment(CarExperiment(paper_folder, methods=("safedpa",), family=name, processes=1))
@@ -173,6 +173,18 @@ def driven(speed: float, steer: float, periods: int) -> CarWorld:
     for _ in range(periods):
         world.advance(speed, steer, 0.05)
     return world
+
+
+@pytest.mark.parametrize(
+    "words", [["--family", "paper"], ["--settings", "nowhere.toml"], ["--method", "physics", "--part", "equal-margin"]]
+)
+def test_what_cannot_be_run_leaves_no_folder_behind(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "results" / "car"
+    assert safedpa.run(["experiment", "car", *words, "--models", str(tmp_path / "none"), "--out", str(out)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unknown_family_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safedpa.bus import Inbox, Refused
 from safedpa.bus.transport import inbox as module
+from safedpa.bus.transport.inbox import Parcel
+from safedpa.bus.wire.topics import TOPICS
+from safedpa.errors import MessageError
 
 
 def test_different_keys_beyond_the_most_are_dropped_and_known_ones_kept() -> None:
@@ -74,3 +79,27 @@ def test_of_each_key_at_most_so_many_are_taken_in_one_turn() -> None:
     assert [item.key.split("/")[2] for item in first] == ["flood"] * 4 + ["good"]
     assert len(inbox.take(0.0)) == 26
     assert not inbox.waiting
+
+
+@pytest.mark.parametrize(("over", "read"), [(-1, 1), (0, 1), (1, 2)])
+def test_a_message_that_several_inboxes_hold_is_read_once_and_one_too_large_is_kept_by_none(
+    over: int, read: int
+) -> None:
+    """What is too large is cut for each inbox: the whole of it must not stay for the sake of what they share."""
+    decoded: list[int] = []
+
+    def decode(_: type[Any], payload: bytes) -> Any:
+        decoded.append(len(payload))
+        raise MessageError("no message")
+
+    largest = max(topic.largest_bytes for topic in TOPICS.values() if topic.delivery == "latest")
+    parcel, inboxes = Parcel("safedpa/f/a/state", bytes(largest + over)), (Inbox(decode=decode), Inbox(decode=decode))
+    for inbox in inboxes:
+        inbox.keep_parcels([parcel], all_of_them=False)
+    held = [
+        part for inbox in inboxes for _, payload, _, kept in inbox._latest.values() for part in (payload, kept.payload)
+    ]
+    assert {len(part) for part in held} == ({largest + over} if over <= 0 else {largest + 1, 0})
+    for inbox in inboxes:
+        assert [type(item) for item in inbox.take(0.0)] == [Refused]
+    assert decoded == [largest + over] * read

@@ -6,29 +6,25 @@ safety filter in lockstep.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from safedpa.dynamics import PhysicsModel
 from safedpa.errors import InputError, did_you_mean
 from safedpa.safety import FilterSettings
 from safedpa.safety.calibration import MarginCalibration
+from safedpa_lab.experiments.car_advantage import OWN, advantages
+from safedpa_lab.experiments.car_calibration import Calibration, recorded, with_margins_of
 from safedpa_lab.experiments.car_cells import Cell, run_cells
-from safedpa_lab.experiments.car_drives import Drive, DriveOrder, cut_at_contact, recorded_drive
+from safedpa_lab.experiments.car_drives import Drive, DriveOrder
+from safedpa_lab.experiments.car_episodes import Outcome
 from safedpa_lab.experiments.car_errors import error_ratios, errors_of_model, increment_scale
 from safedpa_lab.experiments.car_family import FAMILIES, family_named
 from safedpa_lab.experiments.car_latent import latent_result
-from safedpa_lab.experiments.car_margin import COVERAGE, coverage_of, margin_of, step_errors
-from safedpa_lab.experiments.car_methods import chosen_methods, model_path, named_model
+from safedpa_lab.experiments.car_methods import METHODS, Method, drivable_methods, model_path, named_model
 from safedpa_lab.experiments.car_orders import (
-    EARNEST,
-    FIRST_SEEDS,
-    earnest_orders,
+    check_episode_seeds,
     hitching_orders,
     open_orders,
     path_orders,
@@ -40,13 +36,12 @@ from safedpa_lab.experiments.car_workers import Workers
 
 __all__ = ["PARTS", "CarExperiment", "car_experiment"]
 
-PARTS = ("table", "errors", "latent")
+PARTS = ("table", "errors", "latent", "equal-margin")
 """What can be asked for by itself."""
 
 _PREDICTORS = ("car_learned", "car_simulated", "car_fix", "car_mix", "car")
 """Models whose predictions are measured, where they exist."""
 
-Values = NDArray[np.float64]
 Tell = Callable[[int, int], None]
 
 
@@ -59,6 +54,8 @@ class CarExperiment:
     out: Path | None = None
     """Where cells are kept, so that a run that was broken off goes on."""
     episodes: int = 100
+    equal_margin_episodes: int = 50
+    """Of the table in which all filters have SafeDPA's margin; never more than ``episodes``."""
     first_seed: int = 0
     methods: tuple[str, ...] = ()
     """All that can be driven, when empty."""
@@ -77,20 +74,37 @@ class CarExperiment:
 
     def __post_init__(self) -> None:
         family_named(self.family)
-        for name in ("episodes", "processes", "drives"):
+        for name in ("episodes", "equal_margin_episodes", "processes", "drives"):
             if getattr(self, name) < 1:
-                raise InputError(f"{name}: got {getattr(self, name)}, wanted at least 1")
-        if not 0 <= self.first_seed <= FIRST_SEEDS["margin"] - self.episodes:
-            raise InputError(
-                f"first seed: got {self.first_seed} with {self.episodes} episodes, wanted seeds from 0 and below "
-                f"{FIRST_SEEDS['margin']}, where those of the recorded drives begin"
-            )
+                raise InputError(f"{name.replace('_', ' ')}: got {getattr(self, name)}, wanted at least 1")
+        check_episode_seeds(self.first_seed, self.episodes)
         if self.drive_ticks < 120:
             raise InputError(f"drive ticks: got {self.drive_ticks}, wanted at least 120: a history and one second")
         for names, known in ((self.loads, CONFIGURATIONS), (self.parts, PARTS)):
             for name in names:
                 if name not in known:
                     raise InputError(f"'{name}': {did_you_mean(name, known)}")
+
+    @property
+    def filter_settings(self) -> FilterSettings:
+        """Of every filter. Raises InputError naming what is wrong with them."""
+        return replace(family_named(self.family).settings(self.settings), margin=self.margin)
+
+    def drivable(self) -> tuple[list[Method], list[str]]:
+        """The methods that it drives, and sentences about those left out. Raises InputError where it has none, or
+        where nothing is asked for but SafeDPA's margin for all and SafeDPA is not among them."""
+        present, missing = drivable_methods(self.methods, self.models, FAMILIES[self.family])
+        if set(self.parts) == {"equal-margin"} and OWN not in {method.name for method in present}:
+            raise InputError(
+                f"part equal-margin: got no '{OWN}' among the methods, whose margin all shall have; "
+                f"{missing[0] if missing else 'name it as well'}"
+            )
+        return present, missing
+
+    def check(self) -> None:
+        """Raises InputError for models or settings with which it cannot be run."""
+        self.drivable()
+        _ = self.filter_settings
 
 
 def car_experiment(experiment: CarExperiment, tell: Tell = lambda _done, _all: None) -> dict[str, Any]:
@@ -102,10 +116,20 @@ class _Run:
     def __init__(self, experiment: CarExperiment, tell: Tell) -> None:
         self._experiment = experiment
         self._family = FAMILIES[experiment.family]
-        self._settings = replace(self._family.settings(experiment.settings), margin=experiment.margin)
-        self._methods, self._missing = chosen_methods(experiment.methods, experiment.models, self._family)
-        if not self._methods:
-            raise InputError(f"{experiment.models}: none of the methods can be driven; {self._missing[0]}")
+        self._settings = experiment.filter_settings
+        self._methods, self._missing = experiment.drivable()
+        self._calibration = Calibration(
+            tuple(self._methods),
+            experiment.models,
+            self._family,
+            self._settings,
+            experiment.loads,
+            experiment.drives,
+            experiment.date,
+        )
+        self._equal = [method for method in self._methods if method.filter_model]
+        if METHODS[OWN] not in self._equal or "equal-margin" not in experiment.parts:
+            self._equal = []
         self._tell, self._done = tell, 0
         self._all = self._work()
 
@@ -119,51 +143,52 @@ class _Run:
             "methods": {item.name: {"title": item.title, "meaning": item.meaning} for item in self._methods},
         }
         with Workers(experiment.processes) as workers:
-            if "table" in experiment.parts:
-                margins, result["margin"] = self._margins(workers)
-                result["cells"] = list(self._cells(workers, margins))
+            if "table" in experiment.parts or self._equal:
+                margins, result["margin"] = self._calibration.margins(workers, self._advance)
+                result |= self._tables(workers, margins)
             if {"errors", "latent"} & set(experiment.parts):
                 result.update(self._measured(workers))
         return result
 
-    def _margins(self, workers: Workers) -> tuple[dict[str, MarginCalibration], dict[str, Any]]:
-        experiment = self._experiment
-        drivers = self._drivers()
-        models = [named_model(name, experiment.models) for name in drivers]
-        uncalibrated = replace(self._settings, margin="conformal")
-        loads, each = self._family.calibrating(experiment.loads, experiment.drives)
-        work = []
-        for name, method in drivers.items():
-            known, fresh = (
-                self._recorded(workers, earnest_orders(loads, each, purpose, method, experiment.models, uncalibrated))
-                for purpose in ("margin", "fresh")
-            )
-            scale = increment_scale(models, known)
-            work.append(_MarginWork(name, experiment, self._settings, scale, known, fresh))
-        margins, rows = {}, {}
-        for name, (margin, coverage) in zip(drivers, workers.map(_margin, work), strict=True):
-            margins[name], rows[name] = margin, coverage
-        told = {"used": experiment.margin, "coverage_wanted": COVERAGE, "calibrated_with": list(loads)}
-        return margins, {**told, "models": rows}
+    def _tables(self, workers: Workers, margins: dict[str, MarginCalibration]) -> dict[str, Any]:
+        """With each filter's own margin, and with SafeDPA's for all."""
+        experiment, tables = self._experiment, {}
+        if "table" in experiment.parts:
+            cells = self._cells(self._methods, experiment.episodes, margins, self._settings)
+            tables = self._table(cells, workers, experiment.out)
+        if self._equal:
+            model = METHODS[OWN].filter_model
+            assert model is not None
+            settings = replace(self._settings, margin="conformal")
+            cells = self._cells(self._equal, self._equal_episodes, with_margins_of(model, margins), settings)
+            place = None if experiment.out is None else experiment.out / "equal-margin"
+            tables["equal_margin"] = {"epsilon": margins[model].epsilon, **self._table(cells, workers, place)}
+        return tables
 
-    def _drivers(self) -> dict[str, str]:
-        """By filter model: the method that drives for its margin, the first one that has it."""
-        drivers: dict[str, str] = {}
-        for method in self._methods:
-            if method.filter_model:
-                drivers.setdefault(method.filter_model, method.name)
-        return drivers
-
-    def _cells(self, workers: Workers, margins: dict[str, MarginCalibration]) -> Iterator[dict[str, Any]]:
+    def _cells(
+        self, methods: Sequence[Method], episodes: int, margins: dict[str, MarginCalibration], settings: FilterSettings
+    ) -> list[Cell]:
         experiment = self._experiment
-        seeds = tuple(range(experiment.first_seed, experiment.first_seed + experiment.episodes))
-        cells = [
-            Cell(method, load, seeds, experiment.models, self._settings, margins.get(method.filter_model or ""))
-            for method in self._methods
+        seeds = tuple(range(experiment.first_seed, experiment.first_seed + episodes))
+        return [
+            Cell(method, load, seeds, experiment.models, settings, margins.get(method.filter_model or ""))
+            for method in methods
             for load in experiment.loads
         ]
-        for cell, outcomes in run_cells(cells, workers, experiment.out, self._advance):
-            yield cell_of(cell.method, cell.load, outcomes)
+
+    def _table(self, cells: Sequence[Cell], workers: Workers, out: Path | None) -> dict[str, Any]:
+        """Cells as they are shown, and SafeDPA against each other method: over all configurations, and in each."""
+        driven = list(run_cells(cells, workers, out, self._advance))
+        places: dict[str, dict[str, list[Outcome]]] = {}
+        for cell, outcomes in driven:
+            for place in ("all", cell.load) if len(self._experiment.loads) > 1 else (cell.load,):
+                places.setdefault(place, {}).setdefault(cell.method.name, []).extend(outcomes)
+        shown = [cell_of(cell.method, cell.load, outcomes) for cell, outcomes in driven]
+        return {"cells": shown, "advantages": advantages(places)}
+
+    @property
+    def _equal_episodes(self) -> int:
+        return min(self._experiment.equal_margin_episodes, self._experiment.episodes)
 
     def _measured(self, workers: Workers) -> dict[str, Any]:
         experiment = self._experiment
@@ -192,11 +217,7 @@ class _Run:
         return result
 
     def _recorded(self, workers: Workers, orders: Sequence[DriveOrder]) -> list[Drive]:
-        drives = []
-        for drive in workers.map(recorded_drive, orders):
-            drives.append(cut_at_contact(drive))
-            self._advance(1)
-        return drives
+        return recorded(workers, orders, self._advance)
 
     def _advance(self, count: int) -> None:
         self._done += count
@@ -206,31 +227,15 @@ class _Run:
         experiment = self._experiment
         a_kind = experiment.drives * len(experiment.loads)
         towing = experiment.drives * sum(load != "none" for load in experiment.loads)
-        episodes = len(self._methods) * len(experiment.loads) * experiment.episodes
+        calibrated = self._calibration.size if "table" in experiment.parts or self._equal else 0
         parts = {
-            "table": 2 * EARNEST * len(self._drivers()) * a_kind + episodes,
+            "table": len(self._methods) * len(experiment.loads) * experiment.episodes,
+            "equal-margin": len(self._equal) * len(experiment.loads) * self._equal_episodes,
             "errors": a_kind + len(experiment.loads),
             "latent": a_kind + towing,
         }
         both = a_kind if set(experiment.parts) == {"latent"} else 0
-        return sum(parts[part] for part in experiment.parts) + both
-
-
-@dataclass(frozen=True)
-class _MarginWork:
-    name: str
-    experiment: CarExperiment
-    settings: FilterSettings
-    scale: Values
-    known: list[Drive]
-    fresh: list[Drive]
-
-
-def _margin(work: _MarginWork) -> tuple[MarginCalibration, dict[str, Any]]:
-    """The margin of one model, and what it covers on fresh drives."""
-    model: PhysicsModel = named_model(work.name, work.experiment.models)
-    margin = margin_of(model, step_errors(model, work.known, work.settings, work.scale), work.experiment.date)
-    return margin, coverage_of(margin, step_errors(model, work.fresh, work.settings, work.scale))
+        return calibrated + sum(parts[part] for part in experiment.parts) + both
 
 
 def _ratios(errors: dict[str, Any]) -> dict[str, Any] | None:

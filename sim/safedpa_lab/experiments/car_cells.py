@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from safedpa.dynamics import fingerprint
 from safedpa.safety import FilterSettings, write_settings
 from safedpa.safety.calibration import MarginCalibration
+from safedpa_lab.experiments.car_conditions import Conditions
 from safedpa_lab.experiments.car_episodes import EpisodeGroup, Outcome, as_rows, run_group
 from safedpa_lab.experiments.car_methods import Method, named_model
 from safedpa_lab.experiments.car_workers import Workers
@@ -24,7 +25,7 @@ _AT_ONCE = 5
 
 @dataclass(frozen=True)
 class Cell:
-    """Episodes of one method and configuration."""
+    """Episodes of one method and configuration, under the same conditions."""
 
     method: Method
     load: str
@@ -32,13 +33,16 @@ class Cell:
     folder: Path
     settings: FilterSettings
     margin: MarginCalibration | None
+    conditions: Conditions = field(default_factory=Conditions)
 
     @property
     def key(self) -> str:
         """Changes with everything that the outcomes depend on but the program itself."""
         models = [fingerprint(named_model(name, self.folder)) for name in (self.method.model, self._filter_model)]
         epsilon = {} if self.margin is None else self.margin.chosen(self.settings.margin).epsilon
-        told = [self.method.name, self.load, *models, write_settings(self.settings), sorted(epsilon.items())]
+        told: list[Any] = [self.method.name, self.load, *models, write_settings(self.settings), sorted(epsilon.items())]
+        if self.conditions != Conditions():
+            told.append(asdict(self.conditions))
         return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
 
     @property
@@ -48,7 +52,15 @@ class Cell:
     def groups(self, seeds: Sequence[int]) -> list[EpisodeGroup]:
         """The work of so many seeds, in parts."""
         parts = [tuple(seeds[start : start + _AT_ONCE]) for start in range(0, len(seeds), _AT_ONCE)]
-        return [EpisodeGroup(self.method, self.load, part, self.folder, self.settings, self.margin) for part in parts]
+        whole = EpisodeGroup(
+            self.method, self.load, (), self.folder, self.settings, self.margin, conditions=self.conditions
+        )
+        return [replace(whole, seeds=part) for part in parts]
+
+    @property
+    def name(self) -> str:
+        """Of the file in which it is kept."""
+        return "-".join(word for word in (self.method.name, self.load, self.conditions.label) if word)
 
 
 def run_cells(
@@ -77,7 +89,7 @@ def run_cells(
 
 
 def _path(cell: Cell, out: Path) -> Path:
-    return out / "cells" / f"{cell.method.name}-{cell.load}.json"
+    return out / "cells" / f"{cell.name}.json"
 
 
 def _read(cell: Cell, out: Path | None) -> dict[int, Outcome]:

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from safedpa.safety import FilterSettings
 from safedpa.safety.calibration import MarginCalibration
+from safedpa_lab.experiments.car_conditions import Conditions, LoadOnTheWay
 from safedpa_lab.experiments.car_margin import CoverageCount
 from safedpa_lab.experiments.car_methods import Method, nodes_of
-from safedpa_lab.experiments.car_scenes import TICKS, car_scene
+from safedpa_lab.experiments.car_scenes import TICKS
 from safedpa_sim.closed_loop import drive
-from safedpa_sim.robots.core import CarRobot
 
-__all__ = ["PERIOD", "EpisodeGroup", "Outcome", "as_rows", "run_group"]
-
-PERIOD = 0.05
-"""s; one tick."""
+__all__ = ["EpisodeGroup", "Outcome", "as_rows", "run_group"]
 
 
 @dataclass(frozen=True)
@@ -34,6 +31,8 @@ class EpisodeGroup:
     margin: MarginCalibration | None
     ticks: int = TICKS
     """After which an episode ends in any case."""
+    conditions: Conditions = field(default_factory=Conditions)
+    """How hard they are."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,8 @@ class Outcome:
     """By kind of barrier: steps whose error the calibrated margin covered, and all steps; empty without a margin."""
     trajectory: str
     """SHA-256 of all states."""
+    load_changed: int | None = None
+    """Tick in which the load was hitched or let go on the way; None when it was not."""
 
 
 def run_group(group: EpisodeGroup) -> list[Outcome]:
@@ -71,17 +72,21 @@ def as_rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
 
 
 def _outcome(group: EpisodeGroup, seed: int) -> Outcome:
-    nodes = nodes_of(group.method, group.folder, group.settings, group.margin)
-    robot = CarRobot(car_scene(seed, group.load), PERIOD)
+    conditions = group.conditions
+    settings = conditions.settings(group.settings)
+    nodes = conditions.nodes(nodes_of(group.method, group.folder, settings, group.margin))
+    robot = conditions.robot(seed, group.load)
+    load = LoadOnTheWay(conditions.towing, robot)
     statuses: Counter[str] = Counter()
-    least_h, coverage = float("inf"), CoverageCount(group.settings, group.margin)
-    with closing(drive(robot, nodes, group.ticks)) as ticks:
+    least_h, coverage = float("inf"), CoverageCount(settings, group.margin)
+    with closing(drive(conditions.measured(robot), nodes, group.ticks)) as ticks:
         for tick in ticks:
             statuses[tick.verdict.status] += 1
             least_h = min(least_h, tick.verdict.h_now)
             coverage.see(tick.state, tick.verdict.predicted)
             if robot.goals_reached:
                 break
+            load.see()
     collisions = robot.collisions
     return Outcome(
         seed=seed,
@@ -95,4 +100,5 @@ def _outcome(group: EpisodeGroup, seed: int) -> Outcome:
         statuses=dict(sorted(statuses.items())),
         covered=coverage.counts,
         trajectory=robot.trajectory_hash,
+        load_changed=load.tick,
     )

@@ -20,7 +20,16 @@ from safedpa.safety.node import SafetyFilterNode
 from safedpa_lab.experiments.car_blind import BlindFilterNode
 from safedpa_lab.experiments.car_family import FAMILIES, Family
 
-__all__ = ["METHODS", "FixedLatentNode", "Method", "chosen_methods", "model_path", "named_model", "nodes_of"]
+__all__ = [
+    "METHODS",
+    "FixedLatentNode",
+    "Method",
+    "chosen_methods",
+    "drivable_methods",
+    "model_path",
+    "named_model",
+    "nodes_of",
+]
 
 
 @dataclass(frozen=True)
@@ -115,6 +124,14 @@ def chosen_methods(
             present.append(method)
     if names and missing:
         raise InputError(f"{missing[0]}; '{family.training} --out {folder}' makes it")
+    return present, missing
+
+
+def drivable_methods(names: tuple[str, ...], folder: Path, family: Family) -> tuple[list[Method], list[str]]:
+    """As ``chosen_methods``; raises InputError as well when not one of them can be driven."""
+    present, missing = chosen_methods(names, folder, family)
+    if not present:
+        raise InputError(f"{folder}: none of the methods can be driven; {missing[0]}")
     return present, missing
 
 

@@ -5,11 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from safedpa.errors import InputError
 from safedpa.safety import FilterSettings
 from safedpa_lab.experiments.car_drives import DriveOrder
 from safedpa_lab.experiments.car_scenes import TICKS
 
-__all__ = ["EARNEST", "FIRST_SEEDS", "earnest_orders", "hitching_orders", "open_orders", "path_orders"]
+__all__ = [
+    "EARNEST",
+    "FIRST_SEEDS",
+    "check_episode_seeds",
+    "earnest_orders",
+    "hitching_orders",
+    "open_orders",
+    "path_orders",
+]
 
 FIRST_SEEDS = {"margin": 5000, "fresh": 6000, "errors": 7000, "latent": 8000, "hitching": 9000, "paths": 9500}
 """First seed of the drives that calibrate margins, check their coverage, measure errors (and test the classifier of
@@ -22,6 +31,15 @@ HITCHED, LET_GO = 3, 5
 
 EARNEST = 4
 """Drives in earnest for every other recorded drive: they end at the goal, after a fifth of the time or so."""
+
+
+def check_episode_seeds(first: int, episodes: int) -> None:
+    """Raises InputError for episodes whose seeds are those of recorded drives."""
+    if not 0 <= first <= FIRST_SEEDS["margin"] - episodes:
+        raise InputError(
+            f"first seed: got {first} with {episodes} episodes, wanted seeds from 0 and below "
+            f"{FIRST_SEEDS['margin']}, where those of the recorded drives begin"
+        )
 
 
 def earnest_orders(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from safedpa_lab.experiments.car_advantage import advantage_entry
 from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
-from safedpa_lab.experiments.car_table import table_markdown
+from safedpa_lab.experiments.car_table import MEASURES, table_markdown
 from safedpa_lab.provenance.record import write_result
 
-__all__ = ["MODEL_TITLES", "markdown_of", "write_report"]
+__all__ = ["MODEL_TITLES", "advantages_markdown", "margin_markdown", "markdown_of", "write_report"]
 
 MODEL_TITLES = {
     "car_learned": "tuned",
@@ -40,14 +42,43 @@ def markdown_of(result: dict[str, Any]) -> str:
     parts = [f"{policies}Seeds of the episodes: {first} to {last}.\n"]
     if "cells" in result:
         parts.append(table_markdown(result["cells"]))
+        parts += advantages_markdown(result.get("advantages", ()))
+    if "equal_margin" in result:
+        parts += _equal_margin_markdown(result["equal_margin"])
     if "errors" in result:
         parts.append(_errors_markdown(result))
     if "latent" in result:
         parts.append(_latent_markdown(result["latent"]))
     if "margin" in result:
-        parts.append(_margin_markdown(result["margin"]))
+        parts.append(margin_markdown(result["margin"]))
     parts += [f"{sentence}.\n" for sentence in result["left_out"]]
     return "\n".join(parts)
+
+
+def advantages_markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """SafeDPA against each other method, a table a measure, a column a place; nothing where there is no other."""
+    if not rows:
+        return []
+    places = list(dict.fromkeys(row["place"] for row in rows))
+    titles = [CONFIGURATIONS.get(place, place) for place in places]
+    found = {(row["measure"], row["against"], row["place"]): row for row in rows}
+    blocks = [
+        "Episodes that went well with SafeDPA alone : with the other alone; p by McNemar's exact test, after Holm over "
+        "all comparisons of this table; bold below 0.05.\n"
+    ]
+    for measure, words in MEASURES.items():
+        lines = [f"| {words}: SafeDPA against | {' | '.join(titles)} |", "|---|" + "---|" * len(places)]
+        for name, title in {row["against"]: row["title"] for row in rows if row["measure"] == measure}.items():
+            entries = [advantage_entry(found[measure, name, place]) for place in places]
+            lines.append(f"| {title} | {' | '.join(entries)} |")
+        blocks += ["\n".join(lines) + "\n"] if len(lines) > 2 else []
+    return blocks
+
+
+def _equal_margin_markdown(result: Mapping[str, Any]) -> list[str]:
+    kinds = ", ".join(f"{kind} {epsilon:.3f}" for kind, epsilon in result["epsilon"].items())
+    blocks = [f"## With SafeDPA's own margin for every filter\n\nIn m, of the speed in m/s: {kinds}.\n"]
+    return [*blocks, table_markdown(result["cells"]), *advantages_markdown(result["advantages"])]
 
 
 def _errors_markdown(result: dict[str, Any]) -> str:
@@ -90,7 +121,8 @@ def _ticks(row: dict[str, Any]) -> str:
     return f"{median}, {row['within']}/{row['of']}"
 
 
-def _margin_markdown(margin: dict[str, Any]) -> str:
+def margin_markdown(margin: Mapping[str, Any]) -> str:
+    """The margin of each filter's model, and what it covered on fresh drives."""
     lines = [
         "| margin: conformal, (theorem) | obstacle [m] | field [m] | speed [m/s] | steps covered on fresh drives |",
         "|---|---|---|---|---|",

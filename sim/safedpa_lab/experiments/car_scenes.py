@@ -14,10 +14,13 @@ from safedpa_sim.robots.footprint import footprint
 from safedpa_sim.robots.loads import Load, load_named
 from safedpa_sim.robots.scene import Scene
 
-__all__ = ["CONFIGURATIONS", "FIELD", "TICKS", "car_scene"]
+__all__ = ["CONFIGURATIONS", "FIELD", "HEAVIER", "PASSAGE", "TICKS", "car_scene", "towed_named"]
 
 CONFIGURATIONS = {"box": "Box", "chair": "Chair", "none": "Car", "large_chair": "Large Chair"}
 """Name of the load and the paper's name of the configuration, in the order of the paper's table."""
+
+HEAVIER = {"two_cars": Load("two_cars", mass_ratio=2.0, deceleration=1.6, grip=6.0, side=0.45)}
+"""As large as the large chair and twice as heavy as the car: heavier than what anything was trained with."""
 
 TICKS = 300
 """Periods of 0.05 s until an episode ends without having reached its goal."""
@@ -38,7 +41,7 @@ _RADII = (0.2, 0.35)
 """m; as the robot's other scenes."""
 _BETWEEN = (-2.0, 2.0, -1.2, 1.2)
 """m; where the obstacles' centres lie: between the start and the goal."""
-_PASSAGE = 0.4
+PASSAGE = 0.4
 """m of room beyond twice the footprint's radius between any two solid things."""
 _CLEARANCE = 0.35
 """m beyond the footprint's radius that start and goal keep to obstacles."""
@@ -48,13 +51,18 @@ _ROUNDS = 20
 Circle = tuple[float, float, float]
 
 
-def car_scene(seed: int, load: str = "none") -> Scene:
+def towed_named(name: str) -> Load | None:
+    """The load of that name, one that only this experiment knows too. Raises InputError that lists what exists."""
+    return HEAVIER[name] if name in HEAVIER else load_named(name)
+
+
+def car_scene(seed: int, load: str = "none", passage: float = PASSAGE) -> Scene:
     """The scene of a seed: start (0 +- 0.2, -2), yaw pi/2 +- 0.3, goal (0, 2), 3 to 5 obstacles between them.
 
     At least one obstacle stands in the straight way to the goal; between any two of them, and to the walls, the
-    footprint of the configuration fits through with 0.4 m to spare.
+    footprint of the configuration fits through with ``passage`` [m] to spare.
     """
-    towed = load_named(load)
+    towed = towed_named(load)
     draw = np.random.default_rng([seed, 7])
     x = float(draw.uniform(-_START_SPREAD, _START_SPREAD))
     yaw = pi / 2 + float(draw.uniform(-_YAW_SPREAD, _YAW_SPREAD))
@@ -63,18 +71,23 @@ def car_scene(seed: int, load: str = "none") -> Scene:
     wanted = int(draw.integers(_COUNT[0], _COUNT[1] + 1))
     for _ in range(_ROUNDS):  # where the first ones stand, there may be no room for the others
         for count in range(wanted, _COUNT[0] - 1, -1):
-            obstacles = _obstacles(draw, count, start, goal, towed)
+            obstacles = _obstacles(draw, count, start, goal, towed, passage)
             if obstacles is not None:
                 return Scene(seed, towed, FIELD, obstacles, start, (goal,))
     raise InputError(f"seed {seed}, load '{load}': {_COUNT[0]} obstacles found no place; choose another seed")
 
 
 def _obstacles(
-    draw: np.random.Generator, count: int, start: Circle, goal: tuple[float, float], load: Load | None
+    draw: np.random.Generator,
+    count: int,
+    start: Circle,
+    goal: tuple[float, float],
+    load: Load | None,
+    passage: float,
 ) -> tuple[Circle, ...] | None:
     """The first of them across the straight way, the others anywhere in between; None when they find no place."""
     _, front, radius = footprint(load)
-    gap = 2 * radius + _PASSAGE
+    gap = 2 * radius + passage
     nose = (start[0] + front * cos(start[2]), start[1] + front * sin(start[2]))
     placed: list[Circle] = []
     for _ in range(_TRIES):

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from safedpa_lab.experiments.car_episodes import PERIOD, Outcome
+from safedpa_lab.experiments.car_conditions import PERIOD
+from safedpa_lab.experiments.car_episodes import Outcome
 from safedpa_lab.experiments.car_methods import METHODS, Method
 from safedpa_lab.experiments.car_scenes import CONFIGURATIONS
 from safedpa_lab.experiments.statistics import wilson_interval
 
-__all__ = ["MEASURES", "PAPER", "cell_of", "table_markdown"]
+__all__ = ["MEASURES", "PAPER", "cell_of", "share_with_interval", "table_markdown"]
 
 MEASURES = {"success": "success", "safe": "safety", "both": "both"}
 """Key of a cell and its word: goal reached in time; no contact; goal reached without any contact."""
@@ -40,7 +41,7 @@ def cell_of(method: Method, load: str, outcomes: Sequence[Outcome]) -> dict[str,
         "method": method.name,
         "title": method.title,
         "load": load,
-        "configuration": CONFIGURATIONS[load],
+        "configuration": CONFIGURATIONS.get(load, load),
         "episodes": len(outcomes),
         "success": _share([item.success for item in outcomes]),
         "safe": _share([item.safe for item in outcomes]),
@@ -75,7 +76,7 @@ def _interval_lines(cells: Sequence[dict[str, Any]]) -> list[str]:
         "|---|---|---|---|---|---|---|---|",
     ]
     for cell in cells:
-        shares = " | ".join(_with_interval(cell[key]) for key in MEASURES)
+        shares = " | ".join(share_with_interval(cell[key]) for key in MEASURES)
         seconds = "-" if cell["seconds_to_goal"] is None else f"{cell['seconds_to_goal']:.1f}"
         lines.append(
             f"| {cell['title']} | {cell['configuration']} | {cell['episodes']} | {shares} | {seconds} "
@@ -93,7 +94,8 @@ def _paper_entry(load: str) -> str:
     return "-" if values is None else f"{values['success']:.2f} / {values['safe']:.2f} / -"
 
 
-def _with_interval(share: dict[str, Any]) -> str:
+def share_with_interval(share: Mapping[str, Any]) -> str:
+    """As it stands in a table."""
     low, high = share["interval_95"]
     return f"{share['share']:.2f} [{low:.2f}, {high:.2f}]"
 

@@ -145,6 +145,22 @@ PARTS: Final = (
         training=FAMILIES["paper"].training,
     ),
     Part(
+        "car-curves",
+        ("car-curves",),
+        ("--episodes", "1", "--drives", "1", "--sweep", "friction", "--method", "safedpa"),
+        40,
+        "car-curves.json",
+    ),
+    Part(
+        "car-curves-paper",
+        ("car-curves", "--family", "paper"),
+        ("--episodes", "1", "--drives", "1", "--sweep", "friction", "--method", "safedpa"),
+        40,
+        "car-curves.json",
+        models=str(FAMILIES["paper"].models),
+        training=FAMILIES["paper"].training,
+    ),
+    Part(
         "pendulum",
         ("pendulum", "--seed", "2100"),
         ("--directions", "2", "--episodes", "1", "--sweep-episodes", "0", "--drives", "4"),

@@ -8,7 +8,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["holm", "mcnemar_exact", "sign_flip_exact"]
+__all__ = ["Flags", "holm", "mcnemar_exact", "sign_flip_exact"]
 
 Flags = NDArray[np.bool_]
 

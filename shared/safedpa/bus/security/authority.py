@@ -103,8 +103,10 @@ class Authority:
             key = serialization.load_pem_private_key((self.folder / f"{AUTHORITY}.key.pem").read_bytes(), None)
         except (ValueError, TypeError) as error:
             raise InputError(f"{path}: no certificate and key of an authority; choose another folder") from error
+        if not isinstance(key, EllipticCurvePrivateKey):
+            raise InputError(f"{path}: got another kind of key, wanted one on P-256; choose another folder")
         fleet = _fleet_of(certificate)
-        if fleet != self.fleet or not isinstance(key, EllipticCurvePrivateKey):
+        if fleet != self.fleet:
             raise InputError(
                 f"{path}: is the authority of fleet '{fleet}', wanted '{self.fleet}': whoever belongs to one fleet "
                 "would belong to the other; choose another folder"

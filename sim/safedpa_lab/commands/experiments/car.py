@@ -11,6 +11,7 @@ import click
 
 from safedpa.errors import InputError
 from safedpa.extras import needs
+from safedpa_lab.commands.folder import made_folder
 
 __all__ = ["command"]
 
@@ -31,7 +32,19 @@ __all__ = ["command"]
 @click.option("--first-seed", type=int, default=0, show_default=True, help="of the episodes' scenes")
 @click.option("--method", "methods", multiple=True, help="only this one; may be repeated")
 @click.option("--load", "loads", multiple=True, help="only this configuration (none, box, ...); may be repeated")
-@click.option("--part", "parts", multiple=True, help="only this part (table, errors, latent); may be repeated")
+@click.option(
+    "--part",
+    "parts",
+    multiple=True,
+    help="only this part (table, errors, latent, equal-margin); may be repeated",
+)
+@click.option(
+    "--equal-margin-episodes",
+    type=int,
+    default=50,
+    show_default=True,
+    help="of each filter and configuration with SafeDPA's margin for all; at most --episodes",
+)
 @click.option(
     "--margin",
     default="conformal",
@@ -48,7 +61,8 @@ __all__ = ["command"]
 def command(**options: Any) -> None:
     """SafeDPA and its ablations on the car.
 
-    Success and safety in four configurations, prediction errors with and without tuning, latents, margins. Methods
+    Success and safety in four configurations, with each filter's own margin and with SafeDPA's for all, and whether
+    SafeDPA differs from each other method; prediction errors with and without tuning, latents, margins. Methods
     whose models are not there are left out, and named. What is not in --models is looked for among the models that
     ship, for the family best alone. With --out a run that was broken off goes on where it stopped.
     """
@@ -60,12 +74,13 @@ def command(**options: Any) -> None:
     experiment = CarExperiment(
         models=options["models"] or family_named(options["family"]).models,
         **{name: options[name] for name in ("family", "episodes", "first_seed", "methods", "settings", "processes")},
-        **{name: options[name] for name in ("drives", "drive_ticks", "out")},
+        **{name: options[name] for name in ("drives", "drive_ticks", "out", "equal_margin_episodes")},
         **{name: options[name] for name in ("loads", "parts") if options[name]},
         margin=_margin(options["margin"]),
         date=time.strftime("%Y-%m-%d"),
     )
-    _check_out(options["out"])
+    experiment.check()  # before there is a folder: what cannot be run shall leave none
+    made_folder(options["out"])
     with progress("experiment car") as tell:
         result = car_experiment(experiment, tell)
     if options["out"] is not None:
@@ -80,13 +95,3 @@ def _margin(text: str) -> str | float:
         return float(text)
     except ValueError as error:
         raise InputError(f"--margin: got '{text}', wanted 'conformal', 'theorem' or a number in m") from error
-
-
-def _check_out(out: Path | None) -> None:
-    """Raises InputError at once, not after the drive, when the folder cannot be made."""
-    if out is None:
-        return
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be made ({error.strerror}); choose another folder") from error

@@ -1,0 +1,225 @@
+"""When a loop lets go of what it holds, which states come too fast, and which moments it wakes up for."""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+from collections.abc import Callable
+
+import pytest
+from tests.bus.test_service_loop import EPOCH, Clock, Fleet, Wisher
+
+from safedpa.bus import (
+    ACTION,
+    HEALTH,
+    LATENT,
+    MODEL,
+    STATE,
+    VERDICT,
+    Answer,
+    Bus,
+    Inputs,
+    LatentMessage,
+    MemoryBroker,
+    MemoryTransport,
+    ModelMessage,
+    Outputs,
+    Received,
+    StateMessage,
+)
+from safedpa.bus.log import log_event
+from safedpa.bus.loop.model_versions import ModelVersions
+from safedpa.bus.loop.turning import LONGEST_HOLD_SECONDS, Agenda
+from safedpa.bus.wire.topics import Topic
+
+StateAt = Callable[..., StateMessage]
+
+
+class Taking(Wisher):
+    """Steps that take ``seconds`` each; notes what the robots had heard when it began one, and when it went on."""
+
+    lingers = False
+
+    def __init__(self, fleet: Fleet, seconds: float) -> None:
+        super().__init__()
+        self.fleet, self.seconds = fleet, seconds
+        self.out: list[str] = []
+        self.before, self.after = list[int](), list[int]()
+
+    def _heard(self) -> int:
+        self.out += [robot for robot, _ in self.fleet.wished()]
+        return len(self.out)
+
+    def step(self, robot: str, state: StateMessage, inputs: Inputs) -> Outputs:
+        self.before.append(self._heard())
+        self.fleet.clock.now += self.seconds
+        return super().step(robot, state, inputs)
+
+    def afterwards(self, robot: str) -> Outputs:
+        self.after.append(self._heard())
+        return {}
+
+
+def spoken(fleet: Fleet, state_at: StateAt, names: list[str], tick: int = 0) -> None:
+    """Each robot's state and latent, of one moment."""
+    for name in names:
+        fleet.bus.publish(STATE, name, state_at(tick, epoch=EPOCH, lockstep=False, period=0.5))
+        stamp = {"epoch": EPOCH, "tick": tick, "robot_time": 0.0, "publish_time": 0.0}
+        fleet.bus.publish(LATENT, name, LatentMessage(**stamp, model="m", values=(0.1,), deviations=(0.1,)))
+
+
+@pytest.mark.parametrize(("seconds", "together"), [(0.0, 6), (0.002, 3), (0.006, 1)])
+def test_what_is_ready_waits_for_that_of_others_five_milliseconds_at_most(
+    state_at: StateAt, seconds: float, together: int
+) -> None:
+    """Of six robots that speak together; what nobody waits for comes when all of them have theirs."""
+    assert LONGEST_HOLD_SECONDS == 0.005
+    fleet = Fleet(state_at, lockstep=False)
+    node = fleet.loop._node = Taking(fleet, seconds)
+    fleet.loop.quantum = 0.005
+    names = [f"r{number}" for number in range(6)]
+    spoken(fleet, state_at, names)
+    fleet.loop.serve(0.0)
+    assert node.before == [together * (number // together) for number in range(6)]
+    fleet.clock.now += 0.06
+    fleet.loop.serve(0.0)
+    assert node.after == [6] * 6
+
+
+def test_heartbeats_about_robots_that_fell_silent_are_on_the_bus_when_the_turn_ends(state_at: StateAt) -> None:
+    fleet = Fleet(state_at, lockstep=False)
+    names = [f"r{number}" for number in range(9)]
+    spoken(fleet, state_at, names)
+    fleet.loop.turn(0.0)
+    fleet.loop.quantum = 0.005
+    fleet.healths.take(0.0)
+    fleet.clock.now += 0.3
+    fleet.loop.turn(0.0)
+    assert {item.robot for item in fleet.healths.take(0.0) if isinstance(item, Received)} == set(names)
+
+
+@pytest.mark.parametrize(("apart", "refused"), [(0.05, 0), (0.04, 0), (0.005, 1), (0.0, 1)])
+def test_states_that_come_far_faster_than_their_period_are_no_ticks(
+    state_at: StateAt, apart: float, refused: int
+) -> None:
+    """Of sixty at a period of 0.05 s: those that come ten times as fast are refused but for the first few."""
+    fleet = Fleet(state_at, lockstep=False)
+    for tick in range(60):
+        fleet.clock.now += apart
+        fleet.state(tick)
+        fleet.latent(tick)
+    steps = len(fleet.loop._node.steps)  # type: ignore[attr-defined]
+    told = fleet.health()["r"]
+    assert (steps == 60, bool(told.refused)) == (not refused, bool(refused))
+    assert told.refused == 60 - steps
+    assert steps < 40 or not refused
+
+
+def test_in_lockstep_no_state_comes_too_fast(state_at: StateAt) -> None:
+    fleet = Fleet(state_at, lockstep=True)
+    for tick in range(60):
+        fleet.state(tick)
+        fleet.latent(tick)
+    assert fleet.health()["r"].steps == 60
+
+
+@pytest.mark.parametrize(
+    ("awaited", "earliest", "left"),
+    [(None, 1.0, 4), ("ab", 1.0, 4), ("b", 1.0, 4), ("c", 2.0, 2), ("d", 3.0, 1), ("", math.inf, 0)],
+)
+def test_nobody_wakes_up_for_a_moment_of_which_no_robot_is_awaited_any_more(
+    awaited: str | None, earliest: float, left: int
+) -> None:
+    agenda = Agenda()
+    for robot, when in (("a", 1.0), ("d", 3.0), ("b", 1.0), ("c", 2.0), ("e", math.inf)):
+        agenda.at(when, robot)
+    assert agenda.next(None if awaited is None else awaited.__contains__) == earliest
+    assert len(agenda) == left
+
+
+@pytest.mark.parametrize(
+    ("topic", "robot", "alone", "asked"),
+    [
+        (STATE, "r1", False, ["r1", "-"]),
+        (STATE, "r1", True, ["r1"]),
+        (STATE, "*", False, ["*"]),
+        (MODEL, "r1", False, ["r1"]),  # travels alone
+        (MODEL, "*", False, ["*"]),
+        (ACTION, "r1", True, ["r1"]),
+        (VERDICT, "r1", False, ["r1", "-"]),
+        (HEALTH, "*", True, ["*"]),
+    ],
+)
+def test_bundles_are_asked_for_where_messages_travel_in_them_and_may_be_seen(
+    topic: Topic, robot: str, alone: bool, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    transport = MemoryTransport(MemoryBroker())
+    keys: list[str] = []
+    subscribe = transport.subscribe
+
+    def noted(key: str, accept: object) -> object:
+        keys.append(key.split("/")[2])
+        return subscribe(key, accept)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(transport, "subscribe", noted)
+    Bus(transport, "fleet").inbox((topic,), robot, alone=alone)
+    assert keys[:1] == asked[:1]
+    assert len(keys) == len(asked)
+    assert all(key not in ("*", robot) for key in keys[1:])
+
+
+@pytest.mark.parametrize(
+    ("pending", "known", "loaded"),
+    [("", False, []), ("offer", False, ["pending"]), ("take", False, ["pending"]), ("offer", True, ["other"])],
+)
+def test_who_is_welcomed_takes_up_a_change_that_is_under_way_and_no_other(
+    pending: str, known: bool, loaded: list[str], state_at: StateAt
+) -> None:
+    """An offer that came before the answer is newer than what the answer says."""
+    tried: list[str] = []
+
+    def load(_: str, offer: ModelMessage) -> str:
+        tried.append(offer.document)
+        return offer.document
+
+    versions: ModelVersions[str] = ModelVersions("policy", "first", "0" * 12, load, clock=Clock())
+    if known:
+        versions.hear("r", offer_of("other", 8))
+    status = Answer(
+        ok=True, sentence="", fingerprint="0" * 12, change=7, pending=pending, pending_document="pending",
+        pending_fingerprint="1" * 12, epoch=EPOCH, from_tick=3,
+    )  # fmt: skip
+    versions.welcome("r", status)
+    answer = versions.answer("r", state_at(1, epoch=EPOCH))
+    assert tried == loaded
+    assert (answer is not None) == bool(loaded)
+
+
+@pytest.mark.parametrize(("error", "reason"), [(ValueError("two\n  lines"), "two lines"), (KeyError(), "KeyError")])
+def test_whatever_a_document_brings_about_is_answered_in_one_line(
+    error: Exception, reason: str, state_at: StateAt
+) -> None:
+    def load(_: str, __: ModelMessage) -> str:
+        raise error
+
+    versions: ModelVersions[str] = ModelVersions("policy", "first", "0" * 12, load, clock=Clock())
+    versions.hear("r", offer_of("any", 1))
+    answer = versions.answer("r", state_at(1, epoch=EPOCH))
+    assert answer is not None
+    assert (answer.state, answer.reason) == ("refused", reason)
+
+
+def offer_of(document: str, change: int) -> ModelMessage:
+    stamp = {"epoch": EPOCH, "tick": 0, "robot_time": 0.0, "publish_time": 0.0}
+    return ModelMessage(
+        **stamp, step="offer", change=change, fingerprint="2" * 12, replaces="", document=document, margin=""
+    )
+
+
+def test_a_line_of_the_log_is_out_when_it_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever looks into the log of a process that hangs or is killed finds its last words there."""
+    below = io.BytesIO()
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(io.BufferedWriter(below, 1 << 16), "utf-8"))  # type: ignore[arg-type]
+    log_event("loop.last_words", "it hangs", service="a service of this test alone")
+    assert b"it hangs" in below.getvalue()

@@ -1,0 +1,109 @@
+"""What the gateway tells the robot's people: which verdicts come with a path, how often, and when nothing is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from safedpa.bus import VerdictMessage
+from safedpa.robots.car.ros_face import CarFace
+from safedpa_services.ros_gateway.voice import Voice
+
+STATES = ((1.0, 2.0, 0.5, 0.1), (1.5, 2.5, 0.5, 0.1))
+
+
+class Heard:
+    def __init__(self) -> None:
+        self.messages: list[Mapping[str, Any]] = []
+
+    def put(self, values: Mapping[str, Any]) -> None:
+        self.messages.append(values)
+
+
+class Told:
+    """A voice at a time that the test sets, and what it said."""
+
+    def __init__(self, diagnostics: bool = True, markers: bool = True) -> None:
+        self.now, self.diagnostics, self.markers = 100.0, Heard(), Heard()
+        self.voice = Voice(
+            "r1",
+            "odom",
+            CarFace(),
+            self.diagnostics if diagnostics else None,  # type: ignore[arg-type]
+            self.markers if markers else None,  # type: ignore[arg-type]
+            lambda: self.now,
+        )
+
+    def hears(self, predicted: tuple[tuple[float, ...], ...], at: float = 100.0) -> None:
+        self.now = at
+        self.voice.verdict(
+            VerdictMessage(
+                epoch=1, tick=3, robot_time=0.1, publish_time=0.1, status="corrected", action=(0.5, 0.1),
+                wish=(0.6, 0.1), sentence="corrected", h_now=0.25, h_next=0.2, slack=0.0, margin=0.05, active=("box",),
+                solver="piqp", microseconds=90.0, predicted=predicted,
+            )
+        )  # fmt: skip
+
+    @property
+    def paths(self) -> list[list[tuple[float, float]]]:
+        markers = [marker for message in self.markers.messages for marker in message["markers"]]
+        return [[(point["x"], point["y"]) for point in marker["points"]] for marker in markers]
+
+
+def test_the_path_that_a_verdict_foresees_is_drawn_in_the_frame_of_the_surroundings() -> None:
+    told = Told()
+    told.hears(STATES)
+    assert told.paths == [[(1.0, 2.0), (1.5, 2.5)]]
+    assert told.markers.messages[0]["markers"][0]["header"]["frame_id"] == "odom"
+
+
+@pytest.mark.parametrize("predicted", [(), ((1.0,),), ((1.0, 2.0, 0.5, 0.1), ())])
+def test_without_a_path_or_with_one_of_another_model_only_the_verdict_is_told(
+    predicted: tuple[tuple[float, ...], ...],
+) -> None:
+    told = Told()
+    told.hears(predicted)
+    assert not told.markers.messages
+    assert [message["status"][0]["message"] for message in told.diagnostics.messages] == ["corrected"]
+
+
+def test_a_verdict_without_a_path_takes_no_turn_from_the_next_one() -> None:
+    told = Told()
+    told.hears((), 100.0)
+    told.hears(STATES, 100.01)
+    assert len(told.paths) == 1
+
+
+def test_paths_are_drawn_ten_times_a_second_and_every_verdict_is_told() -> None:
+    """At fifty verdicts a second, of two seconds; the clock is read as the verdicts come, not as they were due."""
+    told = Told()
+    drawn = []
+    for tick in range(100):
+        before = len(told.paths)
+        told.hears(STATES, 100.0 + 0.02 * tick + 1e-6 * (tick % 3))
+        drawn += [told.now] if len(told.paths) > before else []
+    assert len(told.diagnostics.messages) == 100
+    assert 16 <= len(drawn) <= 20
+    assert all(0.1 <= later - earlier < 0.13 for earlier, later in pairwise(drawn))
+
+
+@pytest.mark.parametrize("diagnostics", [True, False])
+@pytest.mark.parametrize("markers", [True, False])
+def test_what_the_file_does_not_name_is_not_told(diagnostics: bool, markers: bool) -> None:
+    told = Told(diagnostics, markers)
+    told.hears(STATES)
+    told.voice.gateway("", {"tick": "3"})
+    told.voice.gateway("no action came", {"tick": "4"})
+    assert len(told.paths) == markers
+    levels = [message["status"][0]["level"] for message in told.diagnostics.messages]
+    assert levels == ([0, 0, 2] if diagnostics else [])
+
+
+@pytest.mark.parametrize("nanoseconds", [1_700_000_000_123_456_789, 1])
+def test_a_header_is_of_the_moment_that_is_told(nanoseconds: int) -> None:
+    stamp = Told().voice.head(nanoseconds)["stamp"]
+    assert (stamp["sec"], stamp["nanosec"]) == divmod(nanoseconds, 10**9)
+    assert Told().voice.head()["stamp"]["sec"] > 1_700_000_000
