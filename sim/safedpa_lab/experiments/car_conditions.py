@@ -42,6 +42,8 @@ class Conditions:
 
     passage: float = PASSAGE
     """m of room beyond twice the footprint's radius that is left between any two solid things, at least."""
+    row: bool = False
+    """Whether the obstacles stand in a row from wall to wall, so that one of the passages must be taken."""
     towing: str = TOWING[0]
     """One of ``TOWING``; the obstacles are those of the load's footprint in any case."""
     speed: float = 1.0
@@ -83,7 +85,7 @@ class Conditions:
             raise InputError(
                 f"load hitched on the way: got '{load}', wanted '{_HITCHED}'; others are towed from the start"
             )
-        scene = car_scene(seed, load, self.passage)
+        scene = car_scene(seed, load, self.passage, row=self.row)
         if self.towing in ("never", "from_a_third"):
             scene = dataclasses.replace(scene, load=None)
         late = LateCommands(self.delay, self.delay) if self.delay else None

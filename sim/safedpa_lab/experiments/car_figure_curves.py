@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["curves_figure"]
 
-_COLUMNS: Final = 4
+_COLUMNS: Final = 3
 """Sweeps beside each other."""
 _ROWS: Final = (("safe", "no contact"), ("both", "at the goal in time,\nwithout contact"))
 _APART: Final = 0.075
@@ -32,7 +32,7 @@ def curves_figure(result: Mapping[str, Any], path: Path) -> None:
     sweeps = list(result["sweeps"].values())
     blocks = [sweeps[start : start + _COLUMNS] for start in range(0, len(sweeps), _COLUMNS)]
     columns = max(len(block) for block in blocks)
-    with figure(path, 0.9 + 3.3 * len(blocks)) as drawn:
+    with figure(path, 0.8 + 3.1 * len(blocks)) as drawn:
         panels = drawn.subplots(len(_ROWS) * len(blocks), columns, sharey=True, squeeze=False)
         for index, block in enumerate(blocks):
             for row, (measure, words) in enumerate(_ROWS):
@@ -40,7 +40,10 @@ def curves_figure(result: Mapping[str, Any], path: Path) -> None:
                 line[0].set_ylabel(words, fontsize=8.5)
                 for axes, sweep in zip(line, block, strict=False):
                     _panel(axes, sweep, measure)
-                    axes.set_xlabel(sweep["label"] if row else "", fontsize=8.5)
+                    if row == len(_ROWS) - 1:
+                        axes.set_xlabel(sweep["label"], fontsize=8.5)
+                    else:
+                        axes.tick_params(labelbottom=False)
                 _names(line[len(block) - 1], block[-1], measure)
                 for axes in line[len(block) :]:
                     axes.set_axis_off()
@@ -62,7 +65,7 @@ def _panel(axes: Axes, sweep: Mapping[str, Any], measure: str) -> None:
         for row in sweep["advantages"]
         if row["measure"] == measure and row["holm"] < SIGNIFICANT
     }
-    if sweep["usual"] in sweep["values"]:
+    if sweep["usual"] is not None:
         axes.axvline(sweep["values"].index(sweep["usual"]), color=GREY, linewidth=0.8, linestyle=":", zorder=0)
     for index, name in enumerate(reversed(methods)):  # SafeDPA on top
         away = places + _APART * (0.5 * (len(methods) - 1) - index)
@@ -80,7 +83,7 @@ def _panel(axes: Axes, sweep: Mapping[str, Any], measure: str) -> None:
         )
         marked = [place for place, value in enumerate(shown) if (name, value) in differs]
         axes.plot(away[marked], share[marked], "o", markersize=9.0, markerfacecolor="none", color=BLACK, linewidth=0.8)
-    axes.set_xticks(places, shown)
+    axes.set_xticks(places, [value.replace(" ", "\n", 1) for value in shown])
     axes.set_xlim(-0.45, len(shown) - 0.55)
     axes.set_ylim(-4, 106)
     axes.set_yticks([0, 25, 50, 75, 100], ["0", "25", "50", "75", "100 %"])

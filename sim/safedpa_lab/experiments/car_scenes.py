@@ -43,6 +43,8 @@ _BETWEEN = (-2.0, 2.0, -1.2, 1.2)
 """m; where the obstacles' centres lie: between the start and the goal."""
 PASSAGE = 0.4
 """m of room beyond twice the footprint's radius between any two solid things."""
+_ROW = (-0.4, 0.4)
+"""m; where a row stands, far enough from start and goal to turn before and behind it."""
 _CLEARANCE = 0.35
 """m beyond the footprint's radius that start and goal keep to obstacles."""
 _TRIES = 5000
@@ -56,11 +58,12 @@ def towed_named(name: str) -> Load | None:
     return HEAVIER[name] if name in HEAVIER else load_named(name)
 
 
-def car_scene(seed: int, load: str = "none", passage: float = PASSAGE) -> Scene:
+def car_scene(seed: int, load: str = "none", passage: float = PASSAGE, *, row: bool = False) -> Scene:
     """The scene of a seed: start (0 +- 0.2, -2), yaw pi/2 +- 0.3, goal (0, 2), 3 to 5 obstacles between them.
 
     At least one obstacle stands in the straight way to the goal; between any two of them, and to the walls, the
-    footprint of the configuration fits through with ``passage`` [m] to spare.
+    footprint of the configuration fits through with ``passage`` [m] to spare. As a ``row`` they stand side by side
+    from wall to wall, each passage exactly so wide: there is no other way to the goal.
     """
     towed = towed_named(load)
     draw = np.random.default_rng([seed, 7])
@@ -68,6 +71,8 @@ def car_scene(seed: int, load: str = "none", passage: float = PASSAGE) -> Scene:
     yaw = pi / 2 + float(draw.uniform(-_YAW_SPREAD, _YAW_SPREAD))
     start = (_START[0] + x, _START[1], yaw)
     goal = (_START[0], _START[1] + _AHEAD)
+    if row:
+        return Scene(seed, towed, FIELD, _row(draw, start, goal, towed, passage), start, (goal,))
     wanted = int(draw.integers(_COUNT[0], _COUNT[1] + 1))
     for _ in range(_ROUNDS):  # where the first ones stand, there may be no room for the others
         for count in range(wanted, _COUNT[0] - 1, -1):
@@ -75,6 +80,24 @@ def car_scene(seed: int, load: str = "none", passage: float = PASSAGE) -> Scene:
             if obstacles is not None:
                 return Scene(seed, towed, FIELD, obstacles, start, (goal,))
     raise InputError(f"seed {seed}, load '{load}': {_COUNT[0]} obstacles found no place; choose another seed")
+
+
+def _row(
+    draw: np.random.Generator, start: Circle, goal: tuple[float, float], load: Load | None, passage: float
+) -> tuple[Circle, ...]:
+    """The first in the straight way, then to its left and to its right, the last of each side within the wall."""
+    _, _, radius = footprint(load)
+    gap = 2 * radius + passage
+    y, size = float(draw.uniform(*_ROW)), float(draw.uniform(*_RADII))
+    way = start[0] + (goal[0] - start[0]) * (y - start[1]) / (goal[1] - start[1])
+    placed = [(way + float(draw.uniform(-size - radius, size + radius)), y, size)]
+    for side, wall in ((-1.0, -FIELD[0]), (1.0, FIELD[1])):
+        x, _, last = placed[0]
+        while side * x + last < wall:
+            following = float(draw.uniform(*_RADII))
+            x, last = x + side * (last + gap + following), following
+            placed.append((x, y, following))
+    return tuple(placed)
 
 
 def _obstacles(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Final, final
+from dataclasses import dataclass
+from typing import Any, Final, final
 
 from safedpa.errors import InputError, did_you_mean
 from safedpa_lab.experiments.car_conditions import TOWING, Conditions
@@ -44,8 +44,8 @@ class Sweep:
     """In SI units, or shares; the towing as its place in ``TOWING``."""
     shown: tuple[str, ...]
     """The values as they stand under a picture and in a table."""
-    usual: float
-    """The value of the experiment itself, whether it is among ``values`` or not."""
+    usual: float | None
+    """The value of the experiment itself; None where none of the values is."""
 
     def __post_init__(self) -> None:
         if len(self.values) != len(self.shown):
@@ -64,9 +64,12 @@ def _changed(name: str, value: float) -> Conditions:
     """With one thing changed."""
     if name == "towing":
         return Conditions(towing=TOWING[int(value)])
+    if name == "row":
+        return Conditions(passage=value, row=True)
     if name == "delay_untold":
         return Conditions(delay=value, told=False)
-    return replace(Conditions(), **{name: value})
+    changed: dict[str, Any] = {name: value}
+    return Conditions(**changed)
 
 
 def _told(values: tuple[float, ...], scale: float = 1.0) -> tuple[str, ...]:
@@ -84,6 +87,7 @@ SWEEPS: Final[Mapping[str, Sweep]] = {
     sweep.name: sweep
     for sweep in (
         Sweep("passage", "room in a passage [m]", _PASSAGES, _told(_PASSAGES), PASSAGE),
+        Sweep("row", "the same, no way around [m]", _PASSAGES, _told(_PASSAGES), None),
         Sweep("load", "load / car, by mass", tuple(_MASSES), _told(tuple(_MASSES)), LOADS[LOAD].mass_ratio),
         Sweep(
             "towing",
@@ -99,7 +103,7 @@ SWEEPS: Final[Mapping[str, Sweep]] = {
         Sweep("delay_untold", "delay, nobody told [ms]", _DELAYS, _told(_DELAYS, 1000.0), 0.0),
     )
 }
-"""Each from easy to hard, with the experiment's own value among them."""
+"""Each from easy to hard."""
 
 
 def chosen_sweeps(names: tuple[str, ...]) -> list[Sweep]:

@@ -31,7 +31,7 @@ __all__ = ["command"]
     "--sweep",
     "sweeps",
     multiple=True,
-    help="only this one (passage, load, towing, speed, friction, noise, delay, delay_untold); may be repeated",
+    help="only this one (passage, row, load, towing, speed, friction, noise, delay, delay_untold); may be repeated",
 )
 @click.option("--method", "methods", multiple=True, help="only this one; may be repeated; four when left out")
 @click.option("--episodes", type=int, default=100, show_default=True, help="of each method at each value")
