@@ -41,17 +41,18 @@ class Run:
 
     def processes(self) -> dict[int, str]:
         """Its command line by process id; a process that shows nobody its environment does so by its parent."""
-        own, parents = dict[int, str](), dict[int, int]()
+        own, parents, lines = {self.launcher.pid}, dict[int, int](), dict[int, str]()
         for path in Path("/proc").glob("[0-9]*"):
             try:
                 words = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
+                lines[int(path.name)] = words
                 parents[int(path.name)] = int((path / "stat").read_text().rpartition(")")[2].split()[1])
                 if str(self.folder).encode() in (path / "environ").read_bytes():
-                    own[int(path.name)] = words
+                    own.add(int(path.name))
             except OSError:
                 continue
-        family = {self.launcher.pid, *own}
-        return {pid: own.get(pid, "?") for pid in {*own, *(pid for pid, above in parents.items() if above in family)}}
+        children = {pid for pid, above in parents.items() if above in own}
+        return {pid: lines[pid] for pid in (own | children) & lines.keys()}
 
     def pid_of(self, service: str) -> int:
         """Of the newest process of a service; 0 without one."""
