@@ -146,8 +146,8 @@ def test_a_delay_is_told_to_the_filter_or_to_nobody() -> None:
 
 
 def test_the_load_is_hitched_and_let_go_once_a_third_of_the_way_is_driven() -> None:
-    (hitched,), (let_go,) = (
-        outcomes(Conditions(towing=towing), 80, (3001,)) for towing in ("from_a_third", "to_a_third")
+    (hitched,), (let_go,), (never,), (always,) = (
+        outcomes(Conditions(towing=towing), 80, (3001,)) for towing in ("from_a_third", "to_a_third", "never", "always")
     )
     for drive in (hitched, let_go):
         assert drive.load_changed is not None
