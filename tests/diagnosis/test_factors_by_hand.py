@@ -144,4 +144,5 @@ def test_the_document_of_a_comparison_has_every_horizon_run_and_factor(
     assert len(document["place"]) == len(found.cells)
     assert (document["windows"], document["horizon"], document["robot"]) == (len(found.windows), 1.0, "car")
     assert document["error"] == pytest.approx(found.error.value, rel=1e-3)
-    assert document["parameters"] == {"base.wheelbase": 0.3, "base.drive_gain": 3.0}
+    assert document["parameters"] == {path: setting.value for path, setting in plain.settings.items()}
+    assert document["parameters"]["base.drive_gain"] == 3.0
