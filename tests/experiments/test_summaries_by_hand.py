@@ -92,11 +92,12 @@ def test_drives_of_controllers() -> None:
         controllers._Drive(0, 0, 100, 10, (1.0, 2.0)),
         controllers._Drive(3, 2, 300, 50, (3.0,)),
         controllers._Drive(2, 1, 100, 0, (4.0, 5.0)),
+        controllers._Drive(0, 0, 100, 0, (3.0,)),
     ]
     assert controllers._summary(drives) == {
-        "drives": 3, "goals": 5, "drives_with_a_goal": 2, "collisions": 3,
-        "safe_share_95": [round(end, 4) for end in wilson_interval(1, 3)], "changed_share": 0.12,
-        "milliseconds_p50": 3.0, "milliseconds_p99": 4.96,
+        "drives": 4, "goals": 5, "drives_with_a_goal": 2, "collisions": 3,
+        "safe_share_95": [round(end, 4) for end in wilson_interval(2, 4)], "changed_share": 0.1,
+        "milliseconds_p50": 3.0, "milliseconds_p99": 4.95,
     }  # fmt: skip
 
 
@@ -124,14 +125,14 @@ def outcome(load: str, filtered: bool, collisions: int, **changes: Any) -> safet
 def test_episodes_with_and_without_the_filter() -> None:
     outcomes = [
         outcome("box", True, 0), outcome("box", True, 3, goals=0, least_h=-0.25, ticks=300, interventions=75),
-        outcome("box", True, 0, statuses={"fallback": 2, "passed": 4}), outcome("box", False, 7),
-        outcome("none", True, 9),
+        outcome("box", True, 2), outcome("box", True, 0, statuses={"fallback": 2, "passed": 4}),
+        outcome("box", False, 7), outcome("none", True, 9),
     ]  # fmt: skip
     row = safety._row("box", outcomes)
     assert row["filter_on"] == {
-        "episodes": 3, "safe_episodes": 2, "safe_share_95": [round(end, 4) for end in wilson_interval(2, 3)],
-        "collisions": 3, "goals": 4, "least_h": -0.25, "intervention_share": 0.17,
-        "statuses": {"fallback": 2, "passed": 6},
+        "episodes": 4, "safe_episodes": 2, "safe_share_95": [round(end, 4) for end in wilson_interval(2, 4)],
+        "collisions": 5, "goals": 6, "least_h": -0.25, "intervention_share": 0.15,
+        "statuses": {"fallback": 2, "passed": 7},
     }  # fmt: skip
     assert (row["filter_off"]["episodes"], row["filter_off"]["collisions"]) == (1, 7)
 
@@ -217,7 +218,8 @@ def sensed(seed: int, **changes: Any) -> dict[str, Any]:
 
 def test_drives_among_people() -> None:
     drives = [
-        sensed(1, moving=["a person", "a wall"], run_into=1, standing=2), sensed(2, standing=1, goals=0, way=0.0),
+        sensed(1, moving=["a person", "a wall"], run_into=1, standing=2),
+        sensed(2, standing=1, goals=0, way=0.0, stepped_out=True),
         sensed(3, moving=["a person"], run_into=1, stepped_out=True, kept=0.8, microseconds=900.0),
     ]  # fmt: skip
     told = [sensed(seed, goals=goals) for seed, goals in ((1, 2), (2, 1), (3, 3))]
@@ -228,7 +230,7 @@ def test_drives_among_people() -> None:
         "scene": "crowd", "guard": "told", "drives": 3, "drives_in_which_the_car_moved_into_something": 2,
         "share_95": clopper_pearson_interval(2, 3),
         "which": ["seed 1, load none: a person", "seed 1, load none: a wall", "seed 3, load none: a person"],
-        "of_them_it_did_not_drive_towards": 2, "touched_while_it_stood": 3, "drives_in_which_somebody_stepped_out": 1,
+        "of_them_it_did_not_drive_towards": 2, "touched_while_it_stood": 3, "drives_in_which_somebody_stepped_out": 2,
         "goals_a_minute": pytest.approx(60.0 * 4 / 90.0), "share_of_the_wished_speed": pytest.approx(0.6),
         "metres_a_minute": pytest.approx(40.0), "median_microseconds": 100.0,
     }  # fmt: skip
@@ -250,10 +252,11 @@ def test_long_drives() -> None:
     stand: Any = {"begins": 3.0, "why": "a wall"}
     drives = [
         long(1), long(2, longest_stand=long_drives.LONG, standstills=(stand,)), long(3, longest_stand=99.0, goals=0),
+        long(6, longest_stand=11.0, goals=4, least_way=0.9),
         long(4, collisions=2, least_way=0.5), long(5, collisions=1, seconds=60.0, least_way=1.0),
     ]  # fmt: skip
     assert long_drives.long_summary(drives) == {
-        "drives": 5, "collisions": 3, "goals_a_minute": 1.0, "stands": 2, "crawls": 1, "untold": 1,
+        "drives": 6, "collisions": 3, "goals_a_minute": 1.17, "stands": 3, "crawls": 2, "untold": 2,
         "standstills": [{"load": "none", "seed": 2, "begins": 3.0, "why": "a wall"}],
     }  # fmt: skip
     assert long_drives.long_summary([])["goals_a_minute"] == 0

@@ -245,19 +245,20 @@ def test_the_error_before_and_after_a_change_of_the_model_is_a_mean() -> None:
 def test_payloads_named_within_their_deviations_and_false_alarms(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [
         {"mass": 0.0, "first": None, "within": None, "added": []},
+        {"mass": 0.0, "first": "tow", "within": None, "added": ["tow"]},
         {"mass": 0.0, "first": "drag", "within": None, "added": ["drag"]},
         {"mass": 0.1, "first": "tip_mass", "within": True, "added": ["tip_mass"]},
         {"mass": 0.1, "first": "tip_mass", "within": False, "added": ["tip_mass"]},
         {"mass": 0.2, "first": "drag", "within": None, "added": ["drag"]},
         {"mass": 0.2, "first": "tip_mass", "within": True, "added": ["tip_mass"]},
     ]
-    workers = SimpleNamespace(map=lambda _, work: rows[: len(work)])
+    workers = SimpleNamespace(map=lambda *_: rows)
     monkeypatch.setattr(pendulum_payload, "Workers", lambda _: nullcontext(workers))
     monkeypatch.setattr(pendulum_payload, "identified_pendulum", lambda _: SimpleNamespace(settings={}))
     monkeypatch.setattr(pendulum_payload, "write_model", lambda _: "")
     cases: Any = SimpleNamespace(data=None, runs=2, seconds=1.0, masses=(0.1, 0.2), seeds=(1, 2), processes=1)
     found = pendulum_payload.payload_cases(cases)
-    assert (found["first"], found["within_two_deviations"], found["cases"], found["false_alarms"]) == (3, 2, 4, 1)
+    assert (found["first"], found["within_two_deviations"], found["cases"], found["false_alarms"]) == (3, 2, 4, 2)
 
 
 @pytest.mark.parametrize("rooms", [(0.2, -0.1, 0.0, 0.4), (-0.3,), (0.1, 0.2)])

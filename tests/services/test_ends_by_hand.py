@@ -126,6 +126,22 @@ def test_who_is_told_to_stop_waits_for_the_other_robots_no_longer(
     assert clock[0] == pytest.approx(waited, abs=0.06)
 
 
+@pytest.mark.parametrize("hurried", [False, True])
+def test_who_is_in_a_hurry_orders_nobody_to_stop(hurried: bool, clock: list[float]) -> None:
+    """The order waits for its answer."""
+    asked: list[int] = []
+
+    class Asked(Hearing):
+        def stop_robot(self) -> bool:
+            asked.append(1)
+            return False
+
+    watch: Any = Asked(clock, {}, 0.0)
+    robot: Any = Noting("robot", [])
+    Supervisor([], robot, watch, lambda: True, lambda: None, lambda: hurried)._brake()
+    assert asked == ([] if hurried else [1])
+
+
 @pytest.mark.parametrize(
     ("hurried_at", "ends_at", "stands_at", "waited"),
     [(1.0, 99.0, 99.0, 1.0), (99.0, 2.0, 99.0, 2.0), (99.0, 99.0, 3.0, 3.0), (99.0, 99.0, 99.0, 5.0)],
