@@ -1,0 +1,64 @@
+"""Which rows a comparison looks at: each horizon at its own time, each window's own run, and rates at 0.2 s."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from safedpa.compare.comparison import compare_model, residuals
+from safedpa.compare.windows import windows_of
+
+
+def test_at_each_part_of_the_horizon_the_change_is_that_of_its_own_time(plain, drive):
+    """scale is the spread of x(t + h) - x(t) over all starts; no window may be looked at earlier or later."""
+    run = drive(plain, 30.0)
+    found = compare_model(plain, [run], 1.0)
+    assert [part.seconds for part in found.horizons] == pytest.approx(np.arange(1, 11) / 10.0)
+    for part in found.horizons:
+        rows = round(part.seconds / 0.05)
+        starts = np.arange(0, len(run.t) - 20, 2)
+        speed = run.states[starts + rows, 3] - run.states[starts, 3]
+        assert part.errors["no_change"].scale[3] == pytest.approx(speed.std(), rel=1e-6)
+        assert part.errors["model"].value == pytest.approx(0.0, abs=1e-9)
+        assert min(part.errors[name].value for name in ("no_change", "constant_velocity")) > 0.1
+
+
+def test_a_choice_of_windows_keeps_each_ones_run_and_rows(plain, drive):
+    runs = [drive(plain, seconds, seed, name=f"run {seed}") for seed, seconds in enumerate((4.0, 5.0, 6.0))]
+    windows = windows_of(runs, 0.5)
+    assert sorted(set(windows.run.tolist())) == [0, 1, 2]
+    for chosen in (np.array([0, 5, len(windows) - 1]), np.arange(len(windows)) % 3 == 1, windows.run == 1):
+        few = windows.select(chosen)
+        whole = np.arange(len(windows))[chosen]
+        for name in ("start", "steps", "begin", "run"):
+            assert getattr(few, name).tolist() == [int(getattr(windows, name)[at]) for at in whole]
+    assert set(windows.select(windows.run == 1).run.tolist()) == {1}
+
+
+def test_an_error_of_a_run_is_that_of_its_own_windows(plain, drive, with_effect):
+    """One of three runs is driven by another car: it alone has an error, first, in the middle or last."""
+    other = with_effect(plain, "viscous_drag", coefficient=0.4)
+    for odd in range(3):
+        runs = [drive(other if n == odd else plain, 8.0, n, name=f"run {n}") for n in range(3)]
+        found = compare_model(plain, runs, 1.0)
+        assert [run.name for run in found.runs] == ["run 0", "run 1", "run 2"]
+        assert [run.error > 0.01 for run in found.runs] == [n == odd for n in range(3)]
+        assert [run.rows for run in found.runs] == [160] * 3
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_rates_are_those_of_the_rows_nearest_to_a_fifth_of_a_second(plain, drive, late):
+    """measured - predicted, by the time between: 0.3 m/s in 0.2 s are 1.5 m/s2, whatever stands at other rows."""
+    windows = windows_of([drive(plain, 10.0)], 1.0)
+    parts = (0.1, 0.2, 0.5, 1.0) if not late else (0.25, 0.5, 1.0)
+    rows = [windows.rows_after(seconds) for seconds in parts]
+    predicted = np.stack([windows.states[at] for at in rows])
+    near = 0 if late else 1
+    predicted[near, :, 3] -= 0.3
+    for other in {*range(len(parts))} - {near}:
+        predicted[other, :, 3] += 7.0
+    found = residuals(windows, rows, predicted)
+    assert found.seconds == pytest.approx(parts[near])
+    assert found.rates[:, 3] == pytest.approx(0.3 / parts[near])
+    np.testing.assert_array_equal(found.values[:, :4], windows.states[windows.start])
+    np.testing.assert_array_equal(found.values[:, 4:], windows.actions[windows.start])
