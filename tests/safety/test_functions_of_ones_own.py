@@ -225,6 +225,14 @@ def test_mistakes_are_told_when_they_are_made(made: Callable[[], Any], words: st
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.parametrize("given", [FunctionBarrier(wall), 3, iter([FunctionBarrier(wall)])])
+def test_what_is_no_list_of_barriers_is_told_so(given: Any) -> None:
+    """It was a TypeError about an object without len()."""
+    verdict = SafetyFilter(still, [FunctionBarrier(wall)], SETTINGS).decide([0.0], [0.1], barriers=given)
+    assert verdict.status is Status.fallback
+    assert verdict.reason == f"Reason: InputError: barriers: got {type(given).__name__}, wanted a list of them."
+
+
 def test_names_of_states_may_be_a_list() -> None:
     own = Own(post)
     own.reads = ["x", "v"]  # type: ignore[assignment]

@@ -9,6 +9,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from safedpa.errors import InputError
 from safedpa.safety.barrier import AbstractBarrier, AbstractStack, Barriers
 from safedpa.safety.compatibility import check_reads
 from safedpa.safety.equation_barrier import AbstractEquationBarrier, Pattern, pattern_of, rows_of
@@ -45,7 +46,7 @@ class Stacks:
     def of(self, parts: Sequence[AbstractBarrier], entries: int) -> AbstractStack:
         """The stack of just these objects, for a state with so many entries.
 
-        Raises InputError for one that is no barrier, or reads other states.
+        Raises InputError for what is no list, for one that is no barrier, or reads other states.
         """
         if entries != self._entries:
             self._last, self._given, self._entries = Barriers(()), Barriers(()), entries
@@ -56,7 +57,11 @@ class Stacks:
             self._given = parts
             return parts
         known = self._last.parts
-        if len(parts) != len(known) or not all(map(is_, parts, known)):
+        try:
+            count = len(parts)
+        except TypeError as error:
+            raise InputError(f"barriers: got {type(parts).__name__}, wanted a list of them") from error
+        if count != len(known) or not all(map(is_, parts, known)):
             check_reads(parts, self._states, entries)
             self._last = stacked(parts)
         return self._last
