@@ -19,11 +19,14 @@ from safedpa.networks import Weights
 from safedpa.safety.braking import Braking
 from safedpa.safety.shipped import settings_named
 from safedpa_lab.experiments import car as experiment
+from safedpa_lab.experiments import car_cells
 from safedpa_lab.experiments.car import CarExperiment
 from safedpa_lab.experiments.car_drives import DriveOrder
+from safedpa_lab.experiments.car_episodes import EpisodeGroup
 from safedpa_lab.experiments.car_family import FAMILIES, family_named
 from safedpa_lab.experiments.car_methods import METHODS, chosen_methods, named_model
 from safedpa_lab.experiments.car_orders import FIRST_SEEDS
+from safedpa_lab.experiments.car_report import markdown_of
 from safedpa_services.command_line.group import safedpa
 from safedpa_sim.robots import LOADS, CarWorld
 from safedpa_sim.robots.footprint import footprint
@@ -211,3 +214,41 @@ def test_the_table_of_the_paper_s_world_names_it(
     page = (tmp_path / "car.md").read_text()
     assert "trained in the paper's world" in page
     assert "calibrated with none" in page
+
+
+@pytest.mark.slow
+def test_in_the_second_table_every_filter_has_safedpa_s_own_margin(
+    learned_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The physics model's own is another one; RMA has no filter and no place in that table."""
+    used: dict[str, dict[str, float]] = {}
+    run = car_cells.run_group
+
+    def seen(group: EpisodeGroup) -> Any:
+        assert group.margin is not None
+        used[group.method.name] = group.margin.epsilon
+        return run(group)
+
+    monkeypatch.setattr("safedpa_lab.experiments.car_orders.EARNEST", 1)
+    monkeypatch.setattr("safedpa_lab.experiments.car_cells.run_group", seen)
+    asked = CarExperiment(
+        learned_folder,
+        tmp_path,
+        episodes=2,
+        equal_margin_episodes=1,
+        methods=("safedpa", "physics", "rma"),
+        loads=("none", "box"),
+        parts=("equal-margin",),
+        processes=1,
+        drives=1,
+    )
+    told = experiment.car_experiment(asked)
+    table, models = told["equal_margin"], told["margin"]["models"]
+    assert used == {"safedpa": table["epsilon"], "physics": table["epsilon"]}
+    own = {name: models[name]["obstacle"]["conformal"]["epsilon"] for name in ("car_learned", "car")}
+    assert table["epsilon"]["obstacle"] == own["car_learned"] != own["car"]
+    assert [(cell["method"], cell["episodes"]) for cell in table["cells"]] == [("safedpa", 1)] * 2 + [
+        ("physics", 1)
+    ] * 2
+    assert {row["place"] for row in table["advantages"]} == {"all", "none", "box"}
+    assert "With SafeDPA's own margin for every filter" in markdown_of(told)

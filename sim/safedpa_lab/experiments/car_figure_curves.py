@@ -83,7 +83,7 @@ def _panel(axes: Axes, sweep: Mapping[str, Any], measure: str) -> None:
         )
         marked = [place for place, value in enumerate(shown) if (name, value) in differs]
         axes.plot(away[marked], share[marked], "o", markersize=9.0, markerfacecolor="none", color=BLACK, linewidth=0.8)
-    axes.set_xticks(places, [value.replace(" ", "\n", 1) for value in shown])
+    axes.set_xticks(places, ["\n".join(value.rsplit(" ", 1)) for value in shown])
     axes.set_xlim(-0.45, len(shown) - 0.55)
     axes.set_ylim(-4, 106)
     axes.set_yticks([0, 25, 50, 75, 100], ["0", "25", "50", "75", "100 %"])

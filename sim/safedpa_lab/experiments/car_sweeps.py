@@ -87,7 +87,7 @@ SWEEPS: Final[Mapping[str, Sweep]] = {
     sweep.name: sweep
     for sweep in (
         Sweep("passage", "room in a passage [m]", _PASSAGES, _told(_PASSAGES), PASSAGE),
-        Sweep("row", "the same, no way around [m]", _PASSAGES, _told(_PASSAGES), None),
+        Sweep("row", "room, no way around [m]", _PASSAGES, _told(_PASSAGES), None),
         Sweep("load", "load / car, by mass", tuple(_MASSES), _told(tuple(_MASSES)), LOADS[LOAD].mass_ratio),
         Sweep(
             "towing",
