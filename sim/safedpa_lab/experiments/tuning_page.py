@@ -11,9 +11,9 @@ from safedpa_lab.experiments.tuning_errors import HORIZONS, METRICS
 __all__ = ["tuning_page"]
 
 _METRICS: Final = {
-    "root_mean_square": "root mean square",
-    "mean_square": "mean square",
-    "squared_norm": "squared norm, raw SI units",
+    "root_mean_square": "Root mean square",
+    "mean_square": "Mean square",
+    "squared_norm": "Squared norm, raw SI units",
 }
 _HORIZONS: Final = {"one_step": "one step (0.05 s)", "one_second": "one second"}
 _GROUPS: Final = {"none": "without a load", "loads": "with loads", "mixed": "all together"}
@@ -45,7 +45,7 @@ def _car(car: Mapping[str, Any]) -> list[str]:
     for metric in METRICS:
         for horizon in HORIZONS:
             lines += [
-                f"## {_METRICS[metric].capitalize()}, {_HORIZONS[horizon]}",
+                f"## {_METRICS[metric]}, {_HORIZONS[horizon]}",
                 "",
                 *_table(car, metric, horizon),
                 "",
