@@ -63,28 +63,21 @@ def test_features_tell_the_error_that_the_model_leaves(circles):
 
 def test_other_drives_are_predicted_better_after_it(circles):
     model = predictor()
-    tuned, taken = tuned_online(model, circles[:3], SCALE, OnlineTuning(ridges=(1e-3,)))
+    tuned, taken = tuned_online(model, circles[:3], SCALE, OnlineTuning(ridges=(1e-2, 1e-1)))
     before, after = ((one_step(it, circles[3:]) / SCALE).square().mean().sqrt() for it in (model, tuned))
     assert not taken.refused
-    assert taken.heads < taken.before
-    assert after < 0.5 * before
+    assert all(new < old for new, old in zip(taken.after, taken.before, strict=True))
+    assert after < 0.7 * before
 
 
-def test_steps_of_adam_are_taken_where_they_help(circles):
-    tuning = OnlineTuning(ridges=(1e6,), recent=0, updates=15, batch=64, horizon=2, learning_rate=1e-3)
-    _, taken = tuned_online(predictor(), circles[:2], SCALE, tuning)
-    assert taken.after is not None
-    assert taken.after < (taken.before if taken.heads is None else taken.heads)
-
-
-def test_what_the_end_of_the_drives_contradicts_is_refused_and_the_model_stays_as_it_was(circles):
-    """The beginnings say that the car turns the other way at every steer: fitted to them, the ends would go wrong."""
-    states, actions = circles[0]
-    cut = 300
-    mirrored = np.concatenate([actions[:cut] * np.array([1.0, -1.0]), actions[cut:]])
+def test_what_the_drives_that_are_left_out_contradict_is_refused_and_the_model_stays_as_it_was(circles):
+    """In one drive the car turns the other way at every steer: fitted to either, the other goes wrong."""
+    states, actions = circles[1]
     model = predictor()
-    tuned, taken = tuned_online(model, [Drive(states, mirrored)], SCALE, OnlineTuning(ridges=(1e-3,), updates=3))
+    contradicting = [circles[0], Drive(states, actions * np.array([1.0, -1.0]))]
+    tuned, taken = tuned_online(model, contradicting, SCALE, OnlineTuning(ridges=(1e-3,)))
     assert taken.refused
+    assert taken.ridge is None
     for name, tensor in model.networks.state_dict().items():
         assert torch.equal(tensor, tuned.networks.state_dict()[name])
     for name, tensor in model.encoder.state_dict().items():
@@ -92,9 +85,18 @@ def test_what_the_end_of_the_drives_contradicts_is_refused_and_the_model_stays_a
     assert tuned.recent is None
 
 
+def test_of_a_single_drive_the_end_is_left_out_and_decides(circles):
+    states, actions = circles[0]
+    turned = np.concatenate([actions[:300] * np.array([1.0, -1.0]), actions[300:]])
+    _, taken = tuned_online(predictor(), [Drive(states, turned)], SCALE, OnlineTuning(ridges=(1e-3,)))
+    assert taken.refused
+    _, taken = tuned_online(predictor(), circles[:1], SCALE, OnlineTuning(ridges=(1e-2,)))
+    assert not taken.refused
+
+
 def test_drives_that_are_too_short_are_refused(circles):
     states, actions = circles[0]
-    with pytest.raises(InputError, match="longest drive has 200 transitions, wanted more than 288"):
+    with pytest.raises(InputError, match="has 200 transitions, wanted two of more than 72, or one of more than 288"):
         tuned_online(predictor(), [Drive(states[:201], actions[:200])], SCALE)
 
 

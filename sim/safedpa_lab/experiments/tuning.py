@@ -23,6 +23,7 @@ from safedpa_lab.experiments.seeds import seeds_for
 from safedpa_lab.experiments.tuning_errors import HORIZONS, errors_of_drive, metrics_of, ratios_of
 from safedpa_lab.experiments.tuning_kept import Kept, key_of
 from safedpa_lab.experiments.tuning_models import ROWS, TunedModels
+from safedpa_lab.provenance.code import without_words
 from safedpa_sim.training.online_tuning import OnlineTuning, tuned_online
 from safedpa_sim.training.predictors import AbstractPredictor
 from safedpa_sim.training.tuning_data import Drive
@@ -32,13 +33,17 @@ __all__ = ["BASES", "DEVELOPMENT", "LOADS", "CarTuning", "car_tuning"]
 LOADS: Final = tuple(CONFIGURATIONS)
 BASES: Final = ("untuned", "untuned_point")
 """What every row is compared with."""
-DEVELOPMENT: Final = ((40_000, 40_003), (41_000, 41_001))
+DEVELOPMENT: Final = ((40_000, 40_003), (41_000, 41_001), (1_050_000, 1_050_001), (2_050_000, 2_050_009))
 """First and last seeds of the drives on which the settings of online and residual tuning were chosen."""
-_SKIP: Final = 50_000
+_SKIP: Final = 60_000
 """Seeds of each purpose before those of this experiment."""
 _A_SEED: Final = 100
+_SEEDS: Final = 300
+"""Seeds that can be asked for."""
 _OWN: Final = 2
 """Drives with its load that a robot tunes itself on."""
+_MEASURE: Final = without_words(Path(__file__).with_name("tuning_errors.py").read_text(encoding="utf-8"))
+"""What errors are: part of the key under which they are kept."""
 Values = NDArray[np.float64]
 
 
@@ -50,7 +55,7 @@ class CarTuning:
     out: Path | None = None
     """Folder in which models, drives and errors are kept, so that a run that was cut off goes on."""
     seed: int = 0
-    drives: int = 12
+    drives: int = 10
     """Fresh drives with each load."""
     ticks: int = 400
     own_ticks: int = 1200
@@ -59,8 +64,8 @@ class CarTuning:
     small: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.seed < _SKIP // _A_SEED:
-            raise InputError(f"seed: got {self.seed}, wanted 0 to {_SKIP // _A_SEED - 1}")
+        if not 0 <= self.seed < _SEEDS:
+            raise InputError(f"seed: got {self.seed}, wanted 0 to {_SEEDS - 1}")
         if not 2 <= self.drives <= _A_SEED:
             raise InputError(f"drives: got {self.drives}, wanted 2 to {_A_SEED}")
         if self.ticks < 100 or self.own_ticks < 320:
@@ -120,7 +125,7 @@ class _Run:
             learned: list[Drive] = []
             if row.startswith("online_"):
                 learned = [self._drive(seed, load, self.experiment.own_ticks) for seed in own]
-            key = key_of("safedpa_lab.experiments.tuning_errors", *_told(base), *_digests([*drives, *learned]), row)
+            key = key_of(__name__, _MEASURE, *_told(base), *_digests([*drives, *learned]), row)
             found[load] = self.kept.table(f"{row}-{load}", key, partial(_measured, base, drives, learned, scale))
         return found
 

@@ -115,15 +115,17 @@ def _taken(car: Mapping[str, Any]) -> list[str]:
     lines = [
         "## What online tuning took",
         "",
-        "Error on the end of the robot's own drives, which nothing was fitted to.",
+        "Root mean square, scaled, on each of the robot's own drives by what was fitted to the other.",
         "",
+        "| | load | ridge | one step: before | after | one second: before | after |",
+        "|---|---|---|---|---|---|---|",
     ]
-    lines += ["| | load | before | after |", "|---|---|---|---|"]
     for row in rows:
         for load, taken in row["taken"].items():
-            after = taken["after"] if taken["after"] is not None else taken["heads"]
-            told = "refused: not better" if after is None else f"{after:.3g}"
-            lines.append(f"| {row['title']} | {load} | {taken['before']:.3g} | {told} |")
+            after = taken["after"] or ("refused: not better", "refused")
+            cells = [cell for pair in zip(taken["before"], after, strict=True) for cell in pair]
+            told = " | ".join(cell if isinstance(cell, str) else f"{cell:.3g}" for cell in cells)
+            lines.append(f"| {row['title']} | {load} | {taken['ridge'] or ''} | {told} |")
     return [*lines, ""]
 
 

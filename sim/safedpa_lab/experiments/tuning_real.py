@@ -53,6 +53,8 @@ _ENVIRONMENT: Final = {
     "viscous_drag.coefficient": (0.0, 2.0),
 }
 _FIRST: Final = 60
+_LONG: Final = 2 * (_FIRST + STEPS) + 2
+"""Rows of a stretch whose halves can still be judged."""
 
 
 @dataclass(frozen=True)
@@ -77,15 +79,18 @@ def real_tuning(experiment: RealTuning, tell: Callable[[str], None] = lambda _wh
     kept = Kept(None if experiment.out is None else experiment.out / "kept")
     configuration = _configuration(experiment)
     untuned = _untuned(configuration, kept, tell)
-    own, other = _logs(logs, untuned), _logs(paths_of(experiment.data, OTHER_DAY), untuned)
+    own, other = _logs(logs), _logs(paths_of(experiment.data, OTHER_DAY))
+    drives_of(mapped_runs(logs, load_model("dart_car"), "dart_car_columns"), untuned)  # refuses what cannot be learned
     rows = []
     for name in own:
         rest = {key: drives for key, drives in own.items() if key != name}
         tell(f"real car, without {name}")
         rows.append(_fold(name, own[name], list(rest.values()), untuned, configuration, kept))
-    for name, drives in other.items():
-        tell(f"real car, another day, {name}")
-        rows.append({**_fold(name, drives, list(own.values()), untuned, configuration, kept), "other_day": True})
+    if other:
+        tell("real car, another day")
+        drives = [drive for log in other.values() for drive in log]
+        fold = _fold(min(other)[:10], drives, list(own.values()), untuned, configuration, kept)
+        rows.append({**fold, "other_day": True})
     return {"coverage": _COVERAGE, "titles": REAL_ROWS, "folds": rows}
 
 
@@ -136,7 +141,7 @@ def _models(
     found: dict[str, AbstractPredictor] = {name: NetworkPredictor(weights) for name, weights in models.items()}
     try:
         found["online"], taken = tuned_online(found["ours"], own, scale)
-        said["online"] = "refused" if taken.refused else f"held-out error {taken.before:.3f} to {taken.heads:.3f}"
+        said["online"] = "refused" if taken.refused else f"ridge {taken.ridge:g}"
     except InputError as error:
         said["online"] = f"refused: {error}"
     return found, said
@@ -176,10 +181,14 @@ def _is_long(drive: Drive) -> bool:
     return len(drive.actions) > _FIRST + STEPS
 
 
-def _logs(paths: Sequence[Path], weights: Weights) -> dict[str, list[Drive]]:
-    """The drives of each log by the time in its name."""
+def _logs(paths: Sequence[Path]) -> dict[str, list[Drive]]:
+    """The stretches of each log without a gap, by the time in its name."""
     runs = mapped_runs(paths, load_model("dart_car"), "dart_car_columns")
-    return {path.stem[-19:]: drives_of([run], weights) for path, run in zip(paths, runs, strict=True)}
+    parts = {path.stem[-19:]: list(run.parts()) for path, run in zip(paths, runs, strict=True)}
+    return {
+        name: [Drive(states, actions[:-1]) for _, states, actions in own if len(actions) > _LONG]
+        for name, own in parts.items()
+    }
 
 
 def _configuration(experiment: RealTuning) -> Configuration:

@@ -1,14 +1,13 @@
 """Tuning on what a robot measures while it drives with its load: no label, no other data, and never a worse model.
 
-1. The last layers of f and g, and C of the last m rows, by ridge regression: with the features b of transition t (the
-   hidden layers of f, those of g times each scaled action, 1, the rows), and the scaled error e that the model leaves,
+The last layers of f and g, and C of the last m rows, by ridge regression: with the features b of transition t (the
+hidden layers of f, those of g times each scaled action, 1, the rows), and the scaled error e that the model leaves,
 
-       W = argmin sum_t |e[t] - W b[t]|^2 + ridge n |W|^2
+    W = argmin sum_t |e[t] - W b[t]|^2 + ridge s n |W|^2,   s the mean square of a feature, n the transitions
 
-   is added to them. The ridge is the one whose error on the part held out is least.
-2. Some steps of Adam on f, g and phi, by one-step errors and by short predictions in open loop.
-
-The last quarter of each drive is held out. A step that does not lower the error there is not taken.
+is added to them. The ridge is chosen by drives that were left out: each drive in turn is predicted by what was fitted
+to the others (the last quarter of a single one by the rest of it). Where no ridge lowers the error there both after one
+step and after twenty, the model stays as it is.
 """
 
 from __future__ import annotations
@@ -20,21 +19,19 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 import torch
-from torch import nn
 
 from safedpa.errors import InputError
 from safedpa_sim.training.paper_tuning import lived_of
 from safedpa_sim.training.predictors import AbstractPredictor, Seen, open_loop_errors
-from safedpa_sim.training.residual_networks import judged_error
 from safedpa_sim.training.tuning_data import HORIZON, Drive
 
 __all__ = ["OnlineTuning", "Taken", "add_to_heads", "head_features", "tuned_online"]
 
 Tensor = torch.Tensor
 _HELD_OUT: Final = 0.25
-"""Share of each drive, its end, that nothing is fitted to."""
-_MOST: Final = 1024
-"""Starts over which the held-out error is taken."""
+"""Share of a single drive, its end, that is left out."""
+_MOST: Final = 300
+"""Starts over which the error on a drive is taken."""
 
 
 @final
@@ -42,41 +39,33 @@ _MOST: Final = 1024
 class OnlineTuning:
     """How it is done; chosen on development drives. Raises InputError for numbers that cannot be."""
 
-    ridges: tuple[float, ...] = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-    """Beside features of size one."""
+    ridges: tuple[float, ...] = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
     recent: int = 8
     """Transitions that C looks back; 0: there is none."""
-    updates: int = 0
-    """Of Adam; 0: the heads alone."""
-    batch: int = 128
-    horizon: int = 10
-    learning_rate: float = 3e-4
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        if min(self.ridges, default=0.0) <= 0.0 or self.updates < 0 or self.batch < 1 or self.horizon < 1:
+        if min(self.ridges, default=0.0) <= 0.0 or self.recent < 0:
             raise InputError(
-                f"online tuning: got ridges {self.ridges}, {self.updates} updates of {self.batch} over {self.horizon} "
-                "steps, wanted ridges above 0, no fewer than 0 updates, batch and horizon of 1 at least"
+                f"online tuning: got ridges {self.ridges} and {self.recent} recent transitions, wanted ridges above 0 "
+                "and no fewer than 0"
             )
 
 
 @final
 @dataclass(frozen=True)
 class Taken:
-    """What became of it: held-out errors (``judged_error``) before, with the heads, and after all."""
+    """What became of it: scaled root mean square errors after one step and ``HORIZON`` on what was left out."""
 
     transitions: int
-    before: float
-    heads: float | None
-    """None: the heads were not taken."""
-    after: float | None
-    """None: the steps of Adam were not taken."""
+    before: tuple[float, float]
+    after: tuple[float, float] | None
+    """None: refused, since no ridge was better in both."""
+    ridge: float | None
 
     @property
     def refused(self) -> bool:
         """Whether the model stayed as it was."""
-        return self.heads is None and self.after is None
+        return self.after is None
 
 
 def tuned_online(
@@ -84,16 +73,25 @@ def tuned_online(
 ) -> tuple[AbstractPredictor, Taken]:
     """A tuned copy of the predictor, or one that is as it was, and what was taken; ``scale`` (states,) weighs errors.
 
-    Raises InputError when no drive is long enough for a history and a second in the part that is held out.
+    Raises InputError when no drive is long enough to be left out: for a history and a second.
     """
     tuning = OnlineTuning() if tuning is None else tuning
-    found = copy.deepcopy(predictor)
-    fitting, judging = _parted(found, drives)
-    before = judged_error(found, [judging], scale, _MOST)
-    ridge = _best_heads(found, fitting, judging, scale, tuning, before)
-    reached = before if ridge is None else ridge
-    steps = _best_steps(found, fitting, judging, scale, tuning, reached) if tuning.updates else None
-    return found, Taken(len(fitting.lived.rows), before, ridge, steps)
+    parts = [predictor.seen(lived_of(predictor.networks, [drive])) for drive in _parted(predictor, drives)]
+    sums = [_Sums.of(*head_features(predictor, part, tuning.recent)) for part in parts]
+    whole = _Sums.total(sums)
+    judged = range(len(parts)) if len(drives) > 1 else range(1, 2)  # of a single one the end
+    before = _mean([_errors(predictor, parts[index], scale) for index in judged])
+    best, found = 2.0, None
+    for ridge in tuning.ridges:
+        after = _mean(
+            [_errors(_with(predictor, whole.without(sums[index]), ridge), parts[index], scale) for index in judged]
+        )
+        shares = [new / old for new, old in zip(after, before, strict=True)]
+        if max(shares) < 1.0 and sum(shares) < best:
+            best, found = sum(shares), (ridge, after)
+    if found is None:
+        return copy.deepcopy(predictor), Taken(whole.count, before, None, None)
+    return _with(predictor, whole, found[0]), Taken(whole.count, before, found[1], found[0])
 
 
 def head_features(predictor: AbstractPredictor, seen: Seen, recent: int = 0) -> tuple[Tensor, Tensor]:
@@ -133,71 +131,80 @@ def add_to_heads(predictor: AbstractPredictor, added: Tensor) -> None:
         predictor.recent = recent.clone() if predictor.recent is None else predictor.recent + recent
 
 
-def _best_heads(
-    predictor: AbstractPredictor, fitting: Seen, judging: Seen, scale: Tensor, tuning: OnlineTuning, before: float
-) -> float | None:
-    """The held-out error with the best heads, which the predictor has then; None: it has its own."""
-    b, left = (part.double() for part in head_features(predictor, fitting, tuning.recent))
-    products, wanted = b.T @ b / len(b), b.T @ left / len(b)
-    size = float(products.diagonal().mean())
-    own, best, kept = _state(predictor), before, _state(predictor)
-    for ridge in tuning.ridges:
-        solved = torch.linalg.solve(products + ridge * size * torch.eye(len(products), dtype=torch.float64), wanted)
-        add_to_heads(predictor, solved.float())
-        judged = judged_error(predictor, [judging], scale, _MOST)
-        if judged < best:
-            best, kept = judged, _state(predictor)
-        _restore(predictor, own)
-    _restore(predictor, kept)
-    return best if best < before else None
+_TABLES: Final = ("products", "wanted")
 
 
-def _best_steps(
-    predictor: AbstractPredictor, fitting: Seen, judging: Seen, scale: Tensor, tuning: OnlineTuning, before: float
-) -> float | None:
-    """The held-out error after the best number of Adam's steps; None: they were not taken."""
-    generator = torch.Generator().manual_seed(tuning.seed)
-    networks, encoder = predictor.networks, predictor.encoder
-    fitted = [*networks.f.parameters(), *networks.g.parameters(), *encoder.parameters()]
-    optimiser = torch.optim.Adam(fitted, tuning.learning_rate)
-    counts = torch.arange(1, tuning.horizon + 1).reshape(-1, 1, 1)
-    best, kept = before, _state(predictor)
-    for done in range(tuning.updates):
-        for group in optimiser.param_groups:
-            group["lr"] = tuning.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done / tuning.updates))
-        starts = fitting.lived.draw(tuning.batch, generator, before=predictor.history, ahead=tuning.horizon)
-        found = open_loop_errors(predictor, fitting, starts, tuning.horizon) / scale
-        loss = (found / counts).square().mean()
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(fitted, 1.0)
-        optimiser.step()
-        if (done + 1) % max(1, tuning.updates // 5) == 0:
-            judged = judged_error(predictor, [judging], scale, _MOST)
-            if judged < best:
-                best, kept = judged, _state(predictor)
-    _restore(predictor, kept)
-    return best if best < before else None
+@final
+@dataclass(frozen=True)
+class _Sums:
+    """All that a ridge regression needs of transitions; parts of them add up."""
+
+    products: Tensor
+    """(p, p)"""
+    wanted: Tensor
+    """(p, states)"""
+    count: int
+
+    @staticmethod
+    def of(b: Tensor, left: Tensor) -> _Sums:
+        b, left = b.double(), left.double()
+        return _Sums(b.T @ b, b.T @ left, len(b))
+
+    @staticmethod
+    def total(parts: Sequence[_Sums]) -> _Sums:
+        products, wanted = (torch.stack([getattr(part, name) for part in parts]).sum(0) for name in _TABLES)
+        return _Sums(products, wanted, sum(part.count for part in parts))
+
+    def without(self, part: _Sums) -> _Sums:
+        return _Sums(self.products - part.products, self.wanted - part.wanted, self.count - part.count)
+
+    def solved(self, ridge: float) -> Tensor:
+        """W (p, states)."""
+        size = ridge * self.products.diagonal().mean() * torch.eye(len(self.products), dtype=self.products.dtype)
+        solved: Tensor = torch.linalg.solve(self.products + size, self.wanted)
+        return solved.float()
 
 
-def _parted(predictor: AbstractPredictor, drives: Sequence[Drive]) -> tuple[Seen, Seen]:
-    """The beginnings to fit to, and the ends to judge by."""
-    beginnings, ends = [], []
+def _with(predictor: AbstractPredictor, sums: _Sums, ridge: float) -> AbstractPredictor:
+    found = copy.deepcopy(predictor)
+    add_to_heads(found, sums.solved(ridge))
+    return found
+
+
+def _errors(predictor: AbstractPredictor, part: Seen, scale: Tensor) -> tuple[float, float]:
+    """Scaled root mean square error after one step and after ``HORIZON``, mean over the states."""
+    index = torch.arange(len(part.lived.rows))
+    starts = index[(part.lived.last - index >= HORIZON - 1) & (index - part.lived.first >= predictor.history)]
+    starts = starts[:: max(1, -(-len(starts) // _MOST))]
+    with torch.no_grad():
+        found = open_loop_errors(predictor, part, starts, HORIZON) / scale
+    size = found.square().mean(1).sqrt().mean(-1)
+    return float(size[0]), float(size[-1])
+
+
+def _mean(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    one, many = (sum(column) / len(pairs) for column in zip(*pairs, strict=True))
+    return one, many
+
+
+def _parted(predictor: AbstractPredictor, drives: Sequence[Drive]) -> list[Drive]:
+    """The drives that are long enough; of a single one its beginning and its end."""
     needed = predictor.history + HORIZON
-    for states, actions in drives:
-        kept = round((1.0 - _HELD_OUT) * len(actions))
-        if len(actions) - kept > needed:
-            beginnings.append(Drive(states[: kept + 1], actions[:kept]))
-            ends.append(Drive(states[kept:], actions[kept:]))
-    if not beginnings:
+    alone = math.ceil(needed / _HELD_OUT)
+    if len(drives) == 1:
+        states, actions = drives[0]
+        cut = round((1.0 - _HELD_OUT) * len(actions))
+        parts = [Drive(states[: cut + 1], actions[:cut]), Drive(states[cut:], actions[cut:])]
+    else:
+        parts = list(drives)
+    kept = [part for part in parts if len(part.actions) > needed]
+    if len(kept) < 2:
         longest = max((len(actions) for _, actions in drives), default=0)
-        wanted = math.ceil(needed / _HELD_OUT)
         raise InputError(
-            f"online tuning: the longest drive has {longest} transitions, wanted more than {wanted}: its last "
-            "quarter is held out; drive longer before it is asked for"
+            f"online tuning: of {len(drives)} drives the longest has {longest} transitions, wanted two of more than "
+            f"{needed}, or one of more than {alone}; drive longer before it is asked for"
         )
-    fitting, judging = (predictor.seen(lived_of(predictor.networks, part)) for part in (beginnings, ends))
-    return fitting, judging
+    return kept
 
 
 def _hidden(network: Any, inputs: Tensor) -> Tensor:
@@ -205,13 +212,3 @@ def _hidden(network: Any, inputs: Tensor) -> Tensor:
     for layer in list(network)[:-1]:
         inputs = torch.relu(layer(inputs))
     return inputs
-
-
-def _state(predictor: AbstractPredictor) -> Any:
-    return copy.deepcopy((predictor.networks.state_dict(), predictor.encoder.state_dict(), predictor.recent))
-
-
-def _restore(predictor: AbstractPredictor, state: Any) -> None:
-    predictor.networks.load_state_dict(state[0])
-    predictor.encoder.load_state_dict(state[1])
-    predictor.recent = state[2]
