@@ -56,7 +56,11 @@ def test_names_that_there_are_not_and_recordings_that_are_missing_are_told(
         InputError, match="car-paper: no learned/car_paper; 'safedpa train car --configuration car_paper'"
     ):
         chosen(("car-paper",), None)
-    assert {part.name for part in PARTS} - {part.name for part in chosen((), None)} == {"real-logs", "car-paper"}
+    assert {part.name for part in PARTS} - {part.name for part in chosen((), None)} == {
+        "real-logs",
+        "car-paper",
+        "tuning-real",
+    }
     (tmp_path / "learned" / "car_paper").mkdir(parents=True)
     assert chosen((), tmp_path) == list(PARTS)
 

@@ -124,6 +124,9 @@ def test_a_run_in_small_goes_on_where_it_stood_and_its_page_tells_every_metric(t
     point = rows["untuned_point"]["metrics"]["none"]["one_step"]
     assert point["across"] < 0.3 * rows["untuned"]["metrics"]["none"]["one_step"]["across"]
     assert point["yaw"] == pytest.approx(rows["untuned"]["metrics"]["none"]["one_step"]["yaw"], rel=0.2)
+    towing = [rows["shipped"]["metrics"][load]["one_step"]["squared_norm"] for load in ("box", "chair", "large_chair")]
+    assert min(towing) < rows["shipped"]["metrics"]["loads"]["one_step"]["squared_norm"] < max(towing)
+    assert rows["shipped"]["metrics"]["loads"]["one_step"]["squared_norm"] == pytest.approx(np.mean(towing), rel=0.05)
     for taken in rows["online_shipped"]["taken"].values():
         assert taken["refused"] or taken["after"][0] < taken["before"][0]
     page = tuning_page({"car": first, "real": {"left_out": "no logs"}})

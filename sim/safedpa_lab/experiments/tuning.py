@@ -30,7 +30,7 @@ from safedpa_sim.training.tuning_data import Drive
 
 __all__ = ["BASES", "DEVELOPMENT", "LOADS", "CarTuning", "car_tuning"]
 
-LOADS: Final = tuple(CONFIGURATIONS)
+LOADS: Final = ("none", *(load for load in CONFIGURATIONS if load != "none"))
 BASES: Final = ("untuned", "untuned_point")
 """What every row is compared with."""
 DEVELOPMENT: Final = ((40_000, 40_003), (41_000, 41_001), (1_050_000, 1_050_001), (2_050_000, 2_050_009))
