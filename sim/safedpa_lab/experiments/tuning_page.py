@@ -81,7 +81,7 @@ def _states(car: Mapping[str, Any]) -> list[str]:
         lines += ["| | " + " | ".join(head) + " |", "|---" * (1 + len(head)) + "|"]
         for row in car["rows"].values():
             found = [row["metrics"][group][horizon][state] for group in ("none", "loads") for state in OWN_STATES]
-            lines.append(f"| {row['title']} | " + " | ".join(f"{1000.0 * value:.3g}" for value in found) + " |")
+            lines.append(f"| {row['title']} | " + " | ".join(_short(1000.0 * value) for value in found) + " |")
         lines.append("")
     return lines
 
@@ -148,8 +148,8 @@ def _real(real: Mapping[str, Any]) -> list[str]:
             for horizon in HORIZONS:
                 one = row[horizon]
                 cells += [
-                    f"{one['root_mean_square']:.3g}",
-                    f"{1000.0 * one['margin']:.3g}",
+                    _short(one["root_mean_square"]),
+                    _short(1000.0 * one["margin"]),
                     f"{100.0 * one['covered']:.1f}",
                 ]
             said = f" ({fold['said'][name]})" if name in fold["said"] else ""
@@ -157,8 +157,13 @@ def _real(real: Mapping[str, Any]) -> list[str]:
     return [*lines, ""]
 
 
+def _short(value: float) -> str:
+    """Three digits, and no power of ten where it is large."""
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
 def _ratio(ratio: Sequence[float]) -> str:
-    return f"{ratio[0]:.3g} ({ratio[1]:.3g} to {ratio[2]:.3g})"
+    return f"{_short(ratio[0])} ({_short(ratio[1])} to {_short(ratio[2])})"
 
 
 def _span(seeds: Sequence[int]) -> str:
